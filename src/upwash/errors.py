@@ -1,0 +1,140 @@
+"""Every error that upwash raises.
+
+UpwashError
+├── UsageError                what the user typed, configured or declared cannot work
+│   ├── ConfigError             a configuration file: names the file, the key and the remedy
+│   ├── CredentialsError        certificates or keys: missing, unreadable, of another authority
+│   └── DeclarationError        a service class that cannot be offered
+├── AutopilotError            the vehicle: names the step and what the vehicle last said
+│   ├── AutopilotRefused        it answered no
+│   ├── AutopilotTimeout        it did not get there in time
+│   └── AutopilotLost           its link went silent
+├── NetworkError              a server's network could not be joined
+├── LinkError                 a request got no answer
+│   ├── Unreachable             nobody there, or the connection broke
+│   ├── DeadlineExceeded        no answer in time
+│   ├── Refused                 the other side said no, with its reason
+│   └── GarbledReply            an answer that cannot be decoded
+├── InstanceError             a service instance did not start, or crashed
+├── ServiceError              the service's own exception, of a class that is unknown here
+├── MissionStopped            the mission is being ended from outside
+└── TransitionError           a programming error: an event that a server's state does not allow
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "AutopilotError",
+    "AutopilotLost",
+    "AutopilotRefused",
+    "AutopilotTimeout",
+    "ConfigError",
+    "CredentialsError",
+    "DeadlineExceeded",
+    "DeclarationError",
+    "GarbledReply",
+    "InstanceError",
+    "LinkError",
+    "MissionStopped",
+    "NetworkError",
+    "Refused",
+    "ServiceError",
+    "TransitionError",
+    "Unreachable",
+    "UpwashError",
+    "UsageError",
+]
+
+
+class UpwashError(Exception):
+    """Anything that upwash itself reports as wrong."""
+
+
+class UsageError(UpwashError):
+    """What the user typed, configured or declared cannot work; nothing was started."""
+
+
+class ConfigError(UsageError):
+    """A configuration file that cannot be used."""
+
+    def __init__(self, file: str, key: str, problem: str) -> None:
+        self.file = file
+        self.key = key
+        self.problem = problem
+        super().__init__(f"{file}: {key}: {problem}" if key else f"{file}: {problem}")
+
+
+class CredentialsError(UsageError):
+    """A certificate or key that is missing, unreadable or of another authority."""
+
+
+class DeclarationError(UsageError):
+    """A class that cannot be offered as a service."""
+
+
+class AutopilotError(UpwashError):
+    """The vehicle did not do what it was told."""
+
+    def __init__(self, step: str, problem: str, vehicle_said: str = "") -> None:
+        self.step = step
+        self.problem = problem
+        self.vehicle_said = vehicle_said
+        said = f'; the vehicle last said: "{vehicle_said}"' if vehicle_said else ""
+        super().__init__(f"{step}: {problem}{said}")
+
+
+class AutopilotRefused(AutopilotError):
+    """The vehicle answered no."""
+
+
+class AutopilotTimeout(AutopilotError):
+    """The vehicle did not get there in time."""
+
+
+class AutopilotLost(AutopilotError):
+    """The link to the vehicle went silent."""
+
+
+class NetworkError(UpwashError):
+    """A server's network could not be joined."""
+
+
+class LinkError(UpwashError):
+    """A request got no usable answer: the network's or the other side's fault, never the service's."""
+
+
+class Unreachable(LinkError):
+    """Nobody answers at the address, or the connection broke."""
+
+
+class DeadlineExceeded(LinkError):
+    """No answer came in time."""
+
+
+class Refused(LinkError):
+    """The other side said no, with its reason."""
+
+
+class GarbledReply(LinkError):
+    """An answer came that cannot be decoded."""
+
+
+class InstanceError(UpwashError):
+    """A service instance did not start, or crashed."""
+
+
+class ServiceError(UpwashError):
+    """The service's own exception, of a class that is unknown here."""
+
+    def __init__(self, type_name: str, message: str) -> None:
+        self.type_name = type_name
+        self.message = message
+        super().__init__(f"{type_name}: {message}")
+
+
+class MissionStopped(UpwashError):
+    """The mission is being ended from outside; every verb raises this from now on."""
+
+
+class TransitionError(UpwashError):
+    """An event that the server's state does not allow: a programming error."""

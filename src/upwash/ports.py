@@ -1,0 +1,139 @@
+"""What the programs need from the world.
+
+`real/` provides each of these with things, `sim/` with models. The programs in `drone.py` and `server.py`
+cannot tell which they got. All verbs are coroutines on the program's event loop and may be cancelled; all
+times are seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from upwash.core.geo import Circle, Position
+
+
+class Autopilot(Protocol):
+    """A vehicle that can be flown. Each verb returns when it is true, and raises AutopilotError otherwise."""
+
+    @property
+    def position(self) -> Position:
+        """The last known position, relative to the mission's home."""
+
+    async def arm(self) -> None:
+        """Waits until the vehicle is ready to fly, then arms its motors."""
+
+    async def takeoff(self, altitude_m: float) -> None:
+        """Climbs to the altitude above home; returns when it is reached."""
+
+    async def set_ground_speed(self, ground_speed_m_s: float) -> None:
+        """Sets the speed of the legs that follow."""
+
+    async def goto(self, position: Position) -> None:
+        """Flies to the position; returns on arrival, at rest."""
+
+    async def hold(self) -> None:
+        """Stops and hovers where it is."""
+
+    async def return_home_and_land(self) -> None:
+        """Flies back to where it took off and lands; returns on touchdown."""
+
+    async def land(self) -> None:
+        """Lands where it is; returns on touchdown."""
+
+    async def disarm(self) -> None:
+        """Stops the motors; refused by the vehicle in flight."""
+
+    async def border_crossed(self, circles: Sequence[Circle]) -> None:
+        """Returns when the vehicle next enters or leaves any of the circles."""
+
+    async def close(self) -> None:
+        """Gives up the connection to the vehicle; the vehicle is left as it is."""
+
+
+class Network(Protocol):
+    """The radio: one network joined at a time."""
+
+    async def join(self, network: str) -> None:
+        """Joins the pre-loaded network of that name; raises NetworkError with the reason."""
+
+    async def leave(self) -> None:
+        """Leaves the network that is joined, if any."""
+
+
+class Link(Protocol):
+    """A connection to one address over which requests are sent."""
+
+    async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
+        """Sends one request and returns its reply; raises LinkError. Cancelling it tells the other side."""
+
+    async def close(self) -> None:
+        """Breaks the connection off, with every request under way."""
+
+
+class Dialer(Protocol):
+    """Opens links."""
+
+    def dial(self, address: str, *, server: str) -> Link:
+        """A link to the address, where only `server` is believed; connects when first used."""
+
+
+class Camera(Protocol):
+    """The drone's camera."""
+
+    async def take_photo(self) -> bytes:
+        """Shoots and returns one JPEG."""
+
+
+class Notifier(Protocol):
+    """The way to the drone's user."""
+
+    async def notify(self, message: object, at: Position) -> None:
+        """Tells the user about something found at a position."""
+
+
+class Journal(Protocol):
+    """The event log: what happened, in order, never lost."""
+
+    def record(self, event: str, **facts: object) -> None:
+        """Adds one event with its facts, stamped with the time."""
+
+
+@dataclass(frozen=True, slots=True)
+class InstanceSpec:
+    """What to start: a service class by its import path, for one of a daemon's server identities."""
+
+    server: str
+    service: str
+    program: str
+    pace_s: dict[str, float] = field(default_factory=dict)  # least time a call takes, by profile key
+
+    @property
+    def name(self) -> str:
+        """The instance's name in logs: `detector@s1`."""
+        return f"{self.service}@{self.server}"
+
+
+class Instance(Protocol):
+    """A service that runs and can be called."""
+
+    @property
+    def endpoint(self) -> str:
+        """The address to dial."""
+
+    def admit(self, drones: frozenset[str]) -> None:
+        """From now on only these drones get an answer."""
+
+    async def exited(self) -> str:
+        """Returns how the instance ended, when it does."""
+
+    async def stop(self) -> None:
+        """Ends the instance and everything it started; returns when it is gone."""
+
+
+class Runtime(Protocol):
+    """Starts service instances: processes, containers, or models of them."""
+
+    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> Instance:
+        """Returns when the instance is ready to serve; raises InstanceError. `called(drone)` on every call."""
