@@ -136,4 +136,4 @@ class Runtime(Protocol):
     """Starts service instances: processes, containers, or models of them."""
 
     async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> Instance:
-        """Returns when the instance is ready to serve; raises InstanceError. `called(drone)` on every call."""
+        """Returns when the instance is ready to serve; raises InstanceError. `called(drone)` at each call."""
