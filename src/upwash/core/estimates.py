@@ -1,0 +1,159 @@
+"""What the drone believes about delays: a moving mean per operation and place (thesis section 3.3).
+
+Symbols of Table 3.1: `Call` is `local_s`, `Call_s` is `remote_s`, `Check_s` and `CheckR_s` are `check_s`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+WINDOW_LENGTH = 3
+_CALLS_BEFORE_WEIGHING = 3  # until then every operation counts the same
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Operation:
+    """What an estimate belongs to: a service's method, split further by the value of its profile argument."""
+
+    service: str
+    method: str
+    key: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.service}.{self.method}[{self.key}]" if self.key else f"{self.service}.{self.method}"
+
+
+@dataclass(frozen=True, slots=True)
+class Beliefs:
+    """What is believed of one server before the first contact, from tests on the ground.
+
+    `remote_s` has an entry for every operation that the server hosts; `check_s` is the delay from selection to
+    READY when the services have to be started, `check_running_s` when they run already.
+    """
+
+    check_s: float
+    check_running_s: float
+    remote_s: Mapping[Operation, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """The last three observations; it starts filled with the offline estimate."""
+
+    values: tuple[float, ...]
+
+    @classmethod
+    def filled(cls, estimate_s: float) -> Window:
+        """A window that has seen nothing but the offline estimate."""
+        return cls((estimate_s,) * WINDOW_LENGTH)
+
+    def observe(self, delay_s: float) -> Window:
+        """The window after one more observation."""
+        return Window((*self.values[1:], delay_s))
+
+    @property
+    def mean_s(self) -> float:
+        """The estimate."""
+        first = self.values[0]
+        if all(value == first for value in self.values):
+            return first  # so that an offline estimate is met to the last bit
+        return sum(self.values) / len(self.values)
+
+
+def offline_remote_s(*, processing_s: float, data_bytes: int, bandwidth_bit_s: float) -> float:
+    """The first estimate of a remote call: processing plus transfer at the nominal bandwidth (eq. 3.1)."""
+    return processing_s + 8 * data_bytes / bandwidth_bit_s
+
+
+class Estimates:
+    """Every estimate of one drone, learnt from its calls and checks.
+
+    The operations are those of `local_s`; an operation that a server's beliefs do not name is not hosted there.
+    """
+
+    def __init__(self, *, local_s: Mapping[Operation, float], servers: Mapping[str, Beliefs]) -> None:
+        self._beliefs = dict(servers)
+        self._local = {operation: Window.filled(delay_s) for operation, delay_s in local_s.items()}
+        self._remote = {
+            (server, operation): Window.filled(delay_s)
+            for server, beliefs in servers.items()
+            for operation, delay_s in beliefs.remote_s.items()
+            if operation in self._local
+        }
+        self._check = {server: Window.filled(beliefs.check_s) for server, beliefs in servers.items()}
+        self._check_running = {
+            server: Window.filled(beliefs.check_running_s) for server, beliefs in servers.items()
+        }
+        self._calls = dict.fromkeys(self._local, 0)
+        self._last_remote_call_s: dict[tuple[str, Operation], float] = {}
+
+    @property
+    def operations(self) -> Iterable[Operation]:
+        """The operations with an offline estimate: the only ones that may be offloaded."""
+        return self._local.keys()
+
+    def local_s(self, operation: Operation) -> float | None:
+        """Delay of a local call (`Call`); None for an operation without an offline estimate."""
+        window = self._local.get(operation)
+        return window.mean_s if window else None
+
+    def remote_s(self, server: str, operation: Operation) -> float | None:
+        """Delay of a remote call, transfer included (`Call_s`); None where the server does not host it."""
+        window = self._remote.get((server, operation))
+        return window.mean_s if window else None
+
+    def check_s(self, server: str, *, running: bool) -> float:
+        """Delay from selection to READY: `CheckR_s` when the services run there already, else `Check_s`."""
+        return (self._check_running if running else self._check)[server].mean_s
+
+    def mean_call_s(self, server: str | None = None) -> float:
+        """Mean delay of this drone's calls with the server ready, or without any.
+
+        Each call runs where it is faster; operations are weighted by how often they were called. With a single
+        operation this is min(Call, Call_s), so that a policy that compares these means is the thesis's.
+        """
+        total_s = 0.0
+        for operation, weight in self._weights().items():
+            call_s = self._local[operation].mean_s
+            remote_s = self.remote_s(server, operation) if server else None
+            total_s += weight * (call_s if remote_s is None else min(call_s, remote_s))
+        return total_s
+
+    def observe_local(self, operation: Operation, delay_s: float) -> None:
+        """Learns from a local call."""
+        if operation in self._local:
+            self._local[operation] = self._local[operation].observe(delay_s)
+            self._calls[operation] += 1
+
+    def observe_remote(self, server: str, operation: Operation, delay_s: float, *, now_s: float) -> None:
+        """Learns from a remote call that succeeded."""
+        place = (server, operation)
+        self._remote[place] = self._remote[place].observe(delay_s)
+        self._last_remote_call_s[place] = now_s
+        self._calls[operation] += 1
+
+    def observe_check(self, server: str, delay_s: float, *, started: bool) -> None:
+        """Learns from a check that ended READY: from one that had to start the services, or from one that had not."""
+        windows = self._check if started else self._check_running
+        windows[server] = windows[server].observe(delay_s)
+
+    def forget_slow_calls(self, server: str, *, now_s: float, retry_s: float) -> None:
+        """Gives a server whose calls became slower than local another chance, `retry_s` after the last of them.
+
+        Only calls change the estimate of a remote call, and a server that looks slow gets none.
+        """
+        for operation, offline_s in self._beliefs[server].remote_s.items():
+            place = (server, operation)
+            last_s = self._last_remote_call_s.get(place)
+            if last_s is None or now_s - last_s < retry_s:
+                continue
+            if self._remote[place].mean_s >= self._local[operation].mean_s:
+                self._remote[place] = Window.filled(offline_s)
+                del self._last_remote_call_s[place]
+
+    def _weights(self) -> dict[Operation, float]:
+        calls = sum(self._calls.values())
+        if calls < _CALLS_BEFORE_WEIGHING:
+            return dict.fromkeys(self._calls, 1 / len(self._calls)) if self._calls else {}
+        return {operation: count / calls for operation, count in self._calls.items()}

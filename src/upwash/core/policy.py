@@ -1,0 +1,219 @@
+"""Which server now? Wait, remote or local? (thesis sections 3.3 and 3.4)
+
+A policy is a value that answers these two questions from what it is shown. It remembers nothing and contacts
+nobody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from upwash.core.servers import CHECKING, State
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """A server in range and not blacklisted; `mean_call_s` is the mean delay of the drone's calls with it ready."""
+
+    server: str
+    mean_call_s: float
+    in_range_since_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """What a selection is decided on.
+
+    `options` are in the order of the server table; `current` is the selected server, which is among the options
+    unless the drone has left its range; `local_mean_call_s` is the mean delay of calls on the drone.
+    """
+
+    options: Sequence[Option]
+    current: str | None
+    local_mean_call_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The server to have selected from now on, if any, and why."""
+
+    server: str | None
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """What an invocation is decided on, while a server is selected and in range.
+
+    `local_s` and `remote_s` are the operation's estimates; `check_expected_s` is the estimate of the check under
+    way and `check_elapsed_s` how long it has run (`Check_cur` or `CheckR_cur`, and now - t_check).
+    """
+
+    server: str
+    state: State
+    local_s: float
+    remote_s: float
+    check_expected_s: float
+    check_elapsed_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Local:
+    """Run the call on the drone."""
+
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Remote:
+    """Run the call on the server, for at most `deadline_s`; then on the drone."""
+
+    server: str
+    deadline_s: float
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """Wait for the server to become READY, for at most `at_most_s`; then run the call on the drone."""
+
+    server: str
+    at_most_s: float
+    why: str
+
+
+Decision = Local | Remote | Wait
+
+
+class Policy(Protocol):
+    """Answers the two questions; `gain_wait` and `gain_switch` are fractions of the local delay."""
+
+    @property
+    def name(self) -> str:
+        """What the policy is called in configurations and results."""
+
+    def choose(self, situation: Situation) -> Choice:
+        """Which server now?"""
+
+    def decide(self, call: Call) -> Decision:
+        """Wait, remote or local?"""
+
+
+@dataclass(frozen=True, slots=True)
+class Deadline:
+    """How long a remote call may take.
+
+    Past the time that a local call takes, giving up costs at most as much again: the ski-rental bound.
+    """
+
+    least_s: float = 1.0
+    factor: float = 4.0
+
+    def seconds(self, *, local_s: float, remote_s: float) -> float:
+        """The deadline of a call with these estimates."""
+        return max(self.least_s, min(self.factor * remote_s, local_s))
+
+
+@dataclass(frozen=True, slots=True)
+class WaitRule:
+    """Waits for a server that is being checked where that is expected to pay off (eq. 3.5)."""
+
+    gain_wait: float = 0.25
+    deadline: Deadline = Deadline()
+
+    def decide(self, call: Call) -> Decision:
+        """Remote if the server is ready; while it is checked, a bounded wait or local."""
+        if call.state is State.READY:
+            deadline_s = self.deadline.seconds(local_s=call.local_s, remote_s=call.remote_s)
+            return Remote(call.server, deadline_s, "server ready")
+        if call.state not in CHECKING:
+            return Local(f"{call.server} is {call.state}")
+        longest_s = call.local_s * (1 - self.gain_wait) - call.remote_s
+        wait_s = call.check_expected_s - call.check_elapsed_s
+        if longest_s <= 0:
+            return Local("waiting cannot pay off")
+        if wait_s <= 0:
+            return Wait(call.server, longest_s, "the check is late")
+        if (call.local_s - (call.remote_s + wait_s)) / call.local_s > self.gain_wait:
+            return Wait(call.server, longest_s, f"READY expected in {wait_s:.2f} s")
+        return Local(f"READY expected in {wait_s:.2f} s, too late to pay off")
+
+
+@dataclass(frozen=True, slots=True)
+class LocalOnly:
+    """Never offloads: the thesis's no-offload reference."""
+
+    name: str = "local-only"
+
+    def choose(self, situation: Situation) -> Choice:
+        """No server, ever."""
+        return Choice(None, "local-only policy")
+
+    def decide(self, call: Call) -> Decision:
+        """On the drone, always."""
+        return Local("local-only policy")
+
+
+@dataclass(frozen=True, slots=True)
+class Opportunistic:
+    """Takes any server in range, first come, and never compares them: the thesis's naive reference."""
+
+    wait: WaitRule = WaitRule()
+    name: str = "opportunistic"
+
+    def choose(self, situation: Situation) -> Choice:
+        """The current server while it is in range, else the one whose range was entered first."""
+        if any(option.server == situation.current for option in situation.options):
+            return Choice(situation.current, "in range")
+        if not situation.options:
+            return Choice(None, "no server in range")
+        return Choice(min(situation.options, key=lambda option: option.in_range_since_s).server, "first come")
+
+    def decide(self, call: Call) -> Decision:
+        """By the wait rule."""
+        return self.wait.decide(call)
+
+
+@dataclass(frozen=True, slots=True)
+class LocationAware:
+    """The thesis's policy: the fastest server in range, if it is faster than the drone (eqs. 3.2 to 3.4)."""
+
+    gain_switch: float = 0.25
+    wait: WaitRule = WaitRule()
+    name: str = "location-aware"
+
+    def choose(self, situation: Situation) -> Choice:
+        """The best candidate; the current server unless another gains more than `gain_switch` over it."""
+        local_s = situation.local_mean_call_s
+        candidates = [option for option in situation.options if option.mean_call_s < local_s]
+        current = next((option for option in candidates if option.server == situation.current), None)
+        if not candidates:
+            return Choice(None, "not faster than local" if situation.options else "no server in range")
+        best = min(candidates, key=lambda option: option.mean_call_s)
+        if current is None:
+            return Choice(best.server, "fastest in range")
+        if (current.mean_call_s - best.mean_call_s) / local_s > self.gain_switch:
+            return Choice(best.server, f"gains enough over {current.server}")
+        return Choice(current.server, "no other gains enough")
+
+    def decide(self, call: Call) -> Decision:
+        """By the wait rule; an operation that is no faster there runs on the drone."""
+        if call.remote_s >= call.local_s:
+            return Local(f"{call.server} is not faster for this operation")
+        return self.wait.decide(call)
+
+
+def make_policy(name: str, *, gain_switch: float, gain_wait: float) -> Policy:
+    """The policy of that name; raises KeyError with the name where there is none."""
+    wait = WaitRule(gain_wait=gain_wait)
+    policies: dict[str, Policy] = {
+        policy.name: policy
+        for policy in (
+            LocalOnly(),
+            Opportunistic(wait=wait),
+            LocationAware(gain_switch=gain_switch, wait=wait),
+        )
+    }
+    return policies[name]

@@ -1,0 +1,304 @@
+"""The drone-side machine: events in, commands out (thesis sections 3.2 to 3.4).
+
+Laws:
+- at most one server is selected, and every change of a state is one of `servers.TRANSITIONS`;
+- a check is known by its number, and what arrives for another check than the current one changes nothing;
+- after whatever happened, the selection is looked at again at once;
+- commands are to be carried out in their order; selecting a new server comes after leaving the old one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from upwash.core.estimates import Estimates, Operation
+from upwash.core.geo import Circle, Position
+from upwash.core.policy import Call, Decision, Local, Option, Policy, Remote, Situation
+from upwash.core.servers import CHECKING, SELECTED, Change, Event, Server, State
+
+
+@dataclass(frozen=True, slots=True)
+class Looked:
+    """A period is over, or a border of a range was crossed: time to look again."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckAnswered:
+    """The daemon answered that the server is available; whether all wanted services run there already."""
+
+    check: int
+    running: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ServicesStarted:
+    """The daemon started the services and gave their endpoints."""
+
+    check: int
+
+
+@dataclass(frozen=True, slots=True)
+class CheckFailed:
+    """The server could not be joined, did not answer in time, is unavailable or could not start a service."""
+
+    check: int
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class LocalCallEnded:
+    """A call ran on the drone."""
+
+    operation: Operation
+    delay_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteCallEnded:
+    """A call ran on a server."""
+
+    server: str
+    operation: Operation
+    delay_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteCallFailed:
+    """A call to a server got no usable answer; `check` is the check that made the server READY."""
+
+    server: str
+    check: int
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class MissionEnded:
+    """No call will come any more."""
+
+
+Happening = (
+    Looked
+    | CheckAnswered
+    | ServicesStarted
+    | CheckFailed
+    | LocalCallEnded
+    | RemoteCallEnded
+    | RemoteCallFailed
+    | MissionEnded
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Leave:
+    """Give up the server: drop what is under way there, leave its network."""
+
+    server: str
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """Join the server's network and ask for its availability."""
+
+    server: str
+    check: int
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Ask the daemon to start the services that do not run."""
+
+    server: str
+    check: int
+
+
+Command = Change | Leave | Check | Start
+
+
+@dataclass(frozen=True, slots=True)
+class SelectionSettings:
+    """How long the machine remembers."""
+
+    blacklist_s: float = 60.0
+    idle_s: float = 180.0
+    retry_s: float = 300.0
+
+
+class Selection:
+    """Keeps the server table of one drone and decides which server is selected."""
+
+    def __init__(
+        self,
+        areas: Mapping[str, Circle],
+        *,
+        estimates: Estimates,
+        policy: Policy,
+        settings: SelectionSettings | None = None,
+    ) -> None:
+        self.servers = {name: Server(name, area) for name, area in areas.items()}
+        self.estimates = estimates
+        self.policy = policy
+        self.check = 0  # the number of the latest check
+        self._settings = settings or SelectionSettings()
+        self._current: Server | None = None
+        self._ended = False
+
+    @property
+    def current(self) -> Server | None:
+        """The selected server, if any."""
+        return self._current
+
+    def handle(self, happening: Happening, *, now_s: float, position: Position) -> list[Command]:
+        """Takes in what happened by now, with the drone at the position; returns what is to be done."""
+        self._locate(position, now_s)
+        commands = self._take_in(happening, now_s)
+        self._expire(commands, now_s)
+        self._select(commands, now_s)
+        return commands
+
+    def decide(
+        self, operation: Operation, *, now_s: float, position: Position
+    ) -> tuple[Decision, list[Command]]:
+        """Where a call that is wanted now shall run."""
+        self._locate(position, now_s)
+        current = self._current
+        if current is None:
+            return Local("no server selected"), []
+        if not current.in_range:
+            return Local(f"{current.name} is out of range"), self._deselect("out of range", now_s)
+        local_s = self.estimates.local_s(operation)
+        remote_s = self.estimates.remote_s(current.name, operation)
+        if local_s is None or remote_s is None:
+            return Local(f"no estimate of {operation} on {current.name}"), []
+        call = Call(
+            server=current.name,
+            state=current.state,
+            local_s=local_s,
+            remote_s=remote_s,
+            check_expected_s=self.estimates.check_s(current.name, running=current.state is State.CHECK_R),
+            check_elapsed_s=now_s - current.checked_since_s,
+        )
+        return self.policy.decide(call), []
+
+    def decide_after_wait(
+        self, operation: Operation, check: int, *, now_s: float, position: Position
+    ) -> tuple[Decision, list[Command]]:
+        """Where a call shall run whose wait for that check is over; it does not wait again."""
+        decision, commands = self.decide(operation, now_s=now_s, position=position)
+        if check != self.check or self._current is None:
+            return Local("the check failed or was given up"), commands
+        if isinstance(decision, Remote):
+            return Remote(decision.server, decision.deadline_s, "server became ready"), commands
+        return Local("not ready in time"), commands
+
+    def is_checking(self, check: int) -> bool:
+        """Whether that check is the current one and still under way."""
+        return check == self.check and self._current is not None and self._current.state in CHECKING
+
+    def _locate(self, position: Position, now_s: float) -> None:
+        for server in self.servers.values():
+            if not server.area.contains(position):
+                server.in_range_since_s = None
+            elif server.in_range_since_s is None:
+                server.in_range_since_s = now_s
+
+    def _take_in(self, happening: Happening, now_s: float) -> list[Command]:
+        match happening:
+            case CheckAnswered(check, running) if self.is_checking(check):
+                return self._answered(running, now_s)
+            case ServicesStarted(check) if self.is_checking(check):
+                return [self._ready(Event.STARTED, now_s)]
+            case CheckFailed(check, why) if self.is_checking(check):
+                return self._check_failed(why, now_s)
+            case RemoteCallFailed(server, check, why) if self._is_ready(server, check):
+                return self._call_failed(why, now_s)
+            case LocalCallEnded(operation, delay_s):
+                self.estimates.observe_local(operation, delay_s)
+            case RemoteCallEnded(server, operation, delay_s):
+                self.estimates.observe_remote(server, operation, delay_s, now_s=now_s)
+            case MissionEnded():
+                self._ended = True
+        return []
+
+    def _is_ready(self, server: str, check: int) -> bool:
+        current = self._current
+        return (
+            current is not None
+            and current.name == server
+            and current.state is State.READY
+            and check == self.check
+        )
+
+    def _answered(self, running: bool, now_s: float) -> list[Command]:
+        server = self._selected()
+        if running:
+            return [self._ready(Event.FOUND_RUNNING, now_s)]
+        commands: list[Command] = []
+        if server.state is State.CHECK_R:
+            commands.append(server.apply(Event.FOUND_STOPPED, now_s=now_s))
+        if not server.start_requested:
+            server.start_requested = True
+            commands.append(Start(server.name, self.check))
+        return commands
+
+    def _ready(self, event: Event, now_s: float) -> Change:
+        server = self._selected()
+        change = server.apply(event, now_s=now_s)
+        self.estimates.observe_check(
+            server.name, now_s - server.checked_since_s, started=server.start_requested
+        )
+        return change
+
+    def _check_failed(self, why: str, now_s: float) -> list[Command]:
+        server = self._selected()
+        if not server.in_range:
+            return self._deselect("out of range", now_s)  # the server did nothing wrong
+        self._current = None
+        return [server.apply(Event.CHECK_FAILED, now_s=now_s, why=why), Leave(server.name)]
+
+    def _call_failed(self, why: str, now_s: float) -> list[Command]:
+        server = self._selected()
+        event = Event.CALL_FAILED_IN_RANGE if server.in_range else Event.CALL_FAILED_OUT_OF_RANGE
+        self._current = None
+        return [server.apply(event, now_s=now_s, why=why), Leave(server.name)]
+
+    def _expire(self, commands: list[Command], now_s: float) -> None:
+        for server in self.servers.values():
+            age_s = now_s - server.since_s
+            if server.state is State.BLACKLISTED and age_s >= self._settings.blacklist_s:
+                commands.append(server.apply(Event.BLACKLIST_EXPIRED, now_s=now_s))
+            elif server.state is State.AVL_R and age_s >= self._settings.idle_s:
+                commands.append(server.apply(Event.IDLE_EXPIRED, now_s=now_s))
+
+    def _select(self, commands: list[Command], now_s: float) -> None:
+        chosen, why = (None, "mission ended") if self._ended else self._choose(now_s)
+        current = self._current
+        if current is not None and current.name != chosen:
+            better = f"{chosen} {why}" if chosen else why
+            commands += self._deselect(better if current.in_range else "out of range", now_s)
+        if chosen is not None and self._current is None:
+            self.check += 1
+            self._current = self.servers[chosen]
+            commands.append(self._current.apply(Event.SELECTED, now_s=now_s, why=why))
+            commands.append(Check(chosen, self.check))
+
+    def _choose(self, now_s: float) -> tuple[str | None, str]:
+        options = []
+        for server in self.servers.values():
+            if server.in_range_since_s is None or server.state is State.BLACKLISTED:
+                continue
+            self.estimates.forget_slow_calls(server.name, now_s=now_s, retry_s=self._settings.retry_s)
+            mean_call_s = self.estimates.mean_call_s(server.name)
+            options.append(Option(server.name, mean_call_s, server.in_range_since_s))
+        current = self._current.name if self._current else None
+        choice = self.policy.choose(Situation(options, current, self.estimates.mean_call_s()))
+        return choice.server, choice.why
+
+    def _deselect(self, why: str, now_s: float) -> list[Command]:
+        server = self._selected()
+        self._current = None
+        return [server.deselect(now_s=now_s, why=why), Leave(server.name)]
+
+    def _selected(self) -> Server:
+        assert self._current is not None and self._current.state in SELECTED  # noqa: S101
+        return self._current
