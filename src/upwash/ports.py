@@ -122,8 +122,8 @@ class Instance(Protocol):
     def endpoint(self) -> str:
         """The address to dial."""
 
-    def admit(self, drones: frozenset[str]) -> None:
-        """From now on only these drones get an answer."""
+    async def admit(self, drones: frozenset[str]) -> None:
+        """Has only these drones get an answer; returns when that is so."""
 
     async def exited(self) -> str:
         """Returns how the instance ended, when it does."""

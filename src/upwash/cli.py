@@ -1,0 +1,165 @@
+"""The command line: arguments in, one call each."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from upwash.errors import MissionStopped, UpwashError, UsageError
+
+_OK, _FAILURE, _USAGE, _INTERRUPTED = 0, 1, 2, 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs one command; returns 0 when it did what it should, 2 for bad usage, 1 for any other failure."""
+    options = _parser().parse_args(arguments)
+    try:
+        done: int = options.run(options)
+    except UsageError as error:
+        return _complain(error, _USAGE)
+    except MissionStopped as error:
+        return _complain(error, _INTERRUPTED)
+    except UpwashError as error:
+        return _complain(error, _FAILURE)
+    except (KeyboardInterrupt, asyncio.CancelledError):
+        return _INTERRUPTED
+    return done
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="upwash",
+        description="Runs a drone's heavy computations on the drone or on an edge server in reach.",
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    fly = commands.add_parser("fly", help="fly a mission")
+    fly.add_argument(
+        "mission", nargs="?", help="survey, or path/to/file.py:function (default: as configured)"
+    )
+    fly.add_argument("--config", type=Path, required=True, help="the drone's configuration, a TOML file")
+    fly.add_argument("--autopilot", metavar="CONNECTION", help="instead of the configured one")
+    fly.add_argument("--log", type=Path, help="where the event log goes (default: runs/TIME/events.jsonl)")
+    fly.set_defaults(run=_fly)
+
+    serve = commands.add_parser("serve", help="run an edge daemon")
+    serve.add_argument("--config", type=Path, required=True, help="the daemon's configuration, a TOML file")
+    serve.set_defaults(run=_serve)
+
+    keys = commands.add_parser("keys", help="make an authority and certificates for servers and drones")
+    keys.add_argument("folder", type=Path, help="where they go; an authority that is there is used again")
+    keys.add_argument(
+        "--server", action="append", default=[], metavar="NAME[,NAME]",
+        help="a certificate for a daemon that acts as the server, or as each of several",
+    )  # fmt: skip
+    keys.add_argument(
+        "--drone", action="append", default=[], metavar="NAME", help="a certificate for a drone"
+    )
+    keys.set_defaults(run=_keys)
+
+    vehicle = commands.add_parser("vehicle", help="run a stand-in vehicle that speaks MAVLink")
+    vehicle.add_argument("--listen", default="udp:127.0.0.1:14550", help="udp:HOST:PORT or tcp:HOST:PORT")
+    vehicle.add_argument(
+        "--home", type=_place, default="39.3666,22.9507", metavar="LAT,LON", help="where it stands"
+    )
+    vehicle.add_argument("--acceleration", type=float, default=1.0, metavar="M_S2", help="in m/s²")
+    vehicle.add_argument("--climb", type=float, default=2.5, metavar="M_S", help="climb rate in m/s")
+    vehicle.add_argument("--descent", type=float, default=1.5, metavar="M_S", help="descent rate in m/s")
+    vehicle.set_defaults(run=_vehicle)
+
+    demo = commands.add_parser("demo", help="fly the demonstration: a survey over two edge servers, all here")
+    demo.add_argument("--folder", type=Path, help="where everything of the run goes (default: runs/TIME)")
+    demo.set_defaults(run=_demo)
+    return parser
+
+
+def _place(text: str) -> tuple[float, float]:
+    try:
+        latitude_deg, longitude_deg = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not LAT,LON in degrees, such as 39.3666,22.9507"
+        ) from None
+    return latitude_deg, longitude_deg
+
+
+def _fly(options: argparse.Namespace) -> int:
+    import msgspec
+
+    from upwash.config import AutopilotConfig, read_drone_config
+    from upwash.flying import fly_with_progress
+
+    config = read_drone_config(options.config)
+    if options.autopilot:
+        config = msgspec.structs.replace(config, autopilot=AutopilotConfig(connection=options.autopilot))
+    log = options.log or _run_folder() / "events.jsonl"
+    fly_with_progress(config, program=options.mission, log=log)
+    return _OK
+
+
+def _serve(options: argparse.Namespace) -> int:
+    import logging
+
+    from upwash.config import read_daemon_config
+    from upwash.launch import serve
+
+    config = read_daemon_config(options.config)
+    logging.basicConfig(
+        level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s: %(message)s"
+    )
+    names = ", ".join(identity.name for identity in config.identities)
+    asyncio.run(serve(config, ready=lambda address: _announce(f"{names} ready at {address}")))
+    return _OK
+
+
+def _keys(options: argparse.Namespace) -> int:
+    from upwash.real.credentials import make_keys
+
+    if not options.server and not options.drone:
+        raise UsageError("nothing to make: name at least one --server or --drone")
+    servers = [names.split(",") for names in options.server]
+    for file in make_keys(options.folder, servers=servers, drones=options.drone):
+        _announce(str(file))
+    return _OK
+
+
+def _vehicle(options: argparse.Namespace) -> int:
+    from upwash.core.geo import GeoPosition
+    from upwash.launch import run_vehicle
+    from upwash.vehicle import VehicleSettings
+
+    settings = VehicleSettings(
+        home=GeoPosition(*options.home),
+        acceleration_m_s2=options.acceleration,
+        climb_m_s=options.climb,
+        descent_m_s=options.descent,
+    )
+    asyncio.run(
+        run_vehicle(options.listen, settings, ready=lambda address: _announce(f"vehicle ready at {address}"))
+    )
+    return _OK
+
+
+def _demo(options: argparse.Namespace) -> int:
+    from upwash.demo import fly_demonstration
+
+    fly_demonstration(options.folder or _run_folder())
+    return _OK
+
+
+def _run_folder() -> Path:
+    from datetime import datetime
+
+    return Path("runs") / datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
+
+
+def _announce(text: str) -> None:
+    print(text, flush=True)
+
+
+def _complain(error: UpwashError, code: int) -> int:
+    print(f"upwash: {error}", file=sys.stderr)
+    return code

@@ -1,0 +1,56 @@
+"""Configuration: TOML files become frozen values, or a ConfigError that names file, key and remedy."""
+
+from __future__ import annotations
+
+from upwash.config.daemon import DaemonConfig, IdentityConfig, ImageConfig, read_daemon_config
+from upwash.config.drone import (
+    AutopilotConfig,
+    CameraConfig,
+    DroneConfig,
+    FaultConfig,
+    GridConfig,
+    HeatConfig,
+    HomeConfig,
+    MissionConfig,
+    NetworkConfig,
+    NoiseConfig,
+    PolicyConfig,
+    ServerConfig,
+    ServerTruth,
+    ServiceConfig,
+    TruthConfig,
+    VehicleConfig,
+    server_position,
+    server_truth,
+    waypoints,
+)
+from upwash.config.drone_file import read_drone_config
+from upwash.config.values import KeysConfig
+
+__all__ = [
+    "AutopilotConfig",
+    "CameraConfig",
+    "DaemonConfig",
+    "DroneConfig",
+    "FaultConfig",
+    "GridConfig",
+    "HeatConfig",
+    "HomeConfig",
+    "IdentityConfig",
+    "ImageConfig",
+    "KeysConfig",
+    "MissionConfig",
+    "NetworkConfig",
+    "NoiseConfig",
+    "PolicyConfig",
+    "ServerConfig",
+    "ServerTruth",
+    "ServiceConfig",
+    "TruthConfig",
+    "VehicleConfig",
+    "read_daemon_config",
+    "read_drone_config",
+    "server_position",
+    "server_truth",
+    "waypoints",
+]

@@ -1,0 +1,150 @@
+"""What cannot be in a drone's configuration, beyond what the types say of each value by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from upwash.config.drone import (
+    RADIOS,
+    DroneConfig,
+    FaultConfig,
+    MissionConfig,
+    ServerConfig,
+    ServiceConfig,
+    TruthConfig,
+    server_truth,
+)
+from upwash.config.problems import Problem, listed, unknown
+from upwash.config.values import is_address, repeated
+
+
+def problems(config: DroneConfig) -> Iterator[Problem]:
+    """Everything about the configuration that cannot be, though each value by itself could."""
+    yield from _mission_problems(config.mission, config.services)
+    for index, name in repeated([service.name for service in config.services]):
+        yield f"service[{index}].name", f'a second service named "{name}": give each its own name'
+    for index, name in repeated([server.name for server in config.servers]):
+        yield f"server[{index}].name", f'a second server named "{name}": give each its own name'
+    for index, service in enumerate(config.services):
+        yield from _key_problems(f"service[{index}].local_pace_s", service, service.local_pace_s)
+    for index, server in enumerate(config.servers):
+        for key, problem in _server_problems(server, config):
+            yield f"server[{index}].{key}", problem
+    for index, fault in enumerate(config.faults):
+        for key, problem in _fault_problems(fault, config.servers):
+            yield f"fault[{index}].{key}", problem
+
+
+def _mission_problems(mission: MissionConfig, services: tuple[ServiceConfig, ...]) -> Iterator[Problem]:
+    if (mission.grid is None) == (mission.waypoints_m is None):
+        found = "neither" if mission.grid is None else "both"
+        yield "mission", f"no single list of waypoints: give either grid or waypoints_m, found {found}"
+    keys = list(dict.fromkeys(key for service in services for key in service.local_call_s if key))
+    if mission.program == "survey" and keys and mission.mode not in keys:
+        yield "mission.mode", unknown("profile key", mission.mode, keys)
+
+
+def _server_problems(server: ServerConfig, config: DroneConfig) -> Iterator[Problem]:
+    yield from _place_problems(server, config.mission)
+    if server.address is not None and not is_address(server.address):
+        yield "address", f'expected "host:port" or "unix:path", found "{server.address}"'
+    if server.check_s < server.check_running_s:
+        problem = f"{server.check_s:g} is less than check_running_s = {server.check_running_s:g}"
+        yield "check_s", f"{problem}: a check that starts the service takes at least as long"
+    yield from _times_problems("processing_s", server.processing_s, config.services)
+    yield from _times_problems("remote_call_s", server.remote_call_s, config.services)
+    for key, problem in _truth_problems(server.truth, config.services):
+        yield f"truth.{key}", problem
+    if config.services:
+        yield from _belief_problems(server, config.services)
+
+
+def _truth_problems(truth: TruthConfig, services: tuple[ServiceConfig, ...]) -> Iterator[Problem]:
+    yield from _times_problems("processing_s", truth.processing_s, services)
+    yield from _times_problems("remote_call_s", truth.remote_call_s, services)
+    names = [service.name for service in services]
+    for image in truth.images or ():
+        if image not in names:
+            yield "images", unknown("service", image, names)
+    if truth.radio not in RADIOS and not _is_file(truth.radio):
+        yield "radio", f"no file {truth.radio}: give {listed(RADIOS)} or a csv file of goodput by distance"
+
+
+def _place_problems(server: ServerConfig, mission: MissionConfig) -> Iterator[Problem]:
+    metres = [server.east_m, server.north_m]
+    degrees = [server.latitude_deg, server.longitude_deg]
+    given = [value is not None for value in metres + degrees]
+    if given not in ([True, True, False, False], [False, False, True, True]):
+        yield "east_m", "no single place: give either east_m and north_m, or latitude_deg and longitude_deg"
+    elif mission.home is None and server.east_m is None:
+        yield "latitude_deg", "degrees need mission.home: add it, or give east_m and north_m"
+
+
+def _times_problems(
+    key: str, times: Mapping[str, Mapping[str, float]], services: tuple[ServiceConfig, ...]
+) -> Iterator[Problem]:
+    by_name = {service.name: service for service in services}
+    for name, by_key in times.items():
+        if name in by_name:
+            yield from _key_problems(key, by_name[name], by_key)
+        else:
+            yield key, unknown("service", name, by_name)
+
+
+def _key_problems(key: str, service: ServiceConfig, by_key: Mapping[str, float]) -> Iterator[Problem]:
+    known = list(service.local_call_s)
+    for name in by_key:
+        if name in known:
+            continue
+        if name == "":
+            yield (
+                key,
+                f"one number, but {service.name} has profile keys: give one for each of {listed(known)}",
+            )
+        elif known == [""]:
+            yield key, f'"{name}" has no local_call_s: {service.name} has no profile keys, give one number'
+        else:
+            yield key, unknown(f"profile key of {service.name}", name, known)
+
+
+def _belief_problems(server: ServerConfig, services: tuple[ServiceConfig, ...]) -> Iterator[Problem]:
+    """Whether every call that may go to the server has a believed delay and, in simulation, a true one."""
+    offered = [each for each in services if each.name in {*server.processing_s, *server.remote_call_s}]
+    if not offered:
+        yield "remote_call_s", "missing: give remote_call_s, or processing_s and bandwidth_bit_s (eq. 3.1)"
+    for service in offered:
+        for key in service.local_call_s:
+            yield from _operation_problems(server, service, key)
+
+
+def _operation_problems(server: ServerConfig, service: ServiceConfig, key: str) -> Iterator[Problem]:
+    operation = f"{service.name}[{key}]" if key else service.name
+    if key not in server.remote_call_s.get(service.name, {}):
+        if key not in server.processing_s.get(service.name, {}):
+            yield "remote_call_s", f"nothing for {operation}: add it, or its processing_s"
+        elif server.bandwidth_bit_s is None:
+            yield "bandwidth_bit_s", f"missing, and {operation} has no remote_call_s: add one of them"
+    truth = server_truth(server, [service])
+    if service.name not in truth.images or key in truth.remote_call_s.get(service.name, {}):
+        return
+    if key not in truth.processing_s.get(service.name, {}):
+        yield "truth.processing_s", f'nothing for {operation}, as radio = "{truth.radio}" needs it: add it'
+    elif truth.radio == "fixed" and server.bandwidth_bit_s is None:
+        yield "bandwidth_bit_s", f"missing, and {operation} has no truth.remote_call_s: add one of them"
+
+
+def _fault_problems(fault: FaultConfig, servers: tuple[ServerConfig, ...]) -> Iterator[Problem]:
+    names = [server.name for server in servers]
+    targets = [*names, *(f"link:{name}" for name in names), "autopilot"]
+    if fault.target not in targets:
+        yield "target", unknown("target", fault.target, targets)
+    if fault.to_s < fault.from_s:
+        yield "to_s", f"{fault.to_s:g} lies before from_s = {fault.from_s:g}: let it end later"
+
+
+def _is_file(path: str) -> bool:
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):  # longer than the system allows, or with a NUL
+        return False

@@ -1,0 +1,144 @@
+"""The edge daemon's configuration: where it listens, what it can start, whom it acts as."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct
+
+from upwash.config.problems import Document, Problem, refuse_first, unknown
+from upwash.config.reading import convert, read_document
+from upwash.config.values import (
+    Count,
+    ImportPath,
+    KeysConfig,
+    Name,
+    Names,
+    Positive,
+    Text,
+    is_address,
+    repeated,
+)
+
+_MOST_BYTES = 2**31 - 1  # gRPC counts a message's bytes in 32 bits
+MessageBytes = Annotated[
+    int, Meta(ge=1024, le=_MOST_BYTES, description=f"an integer from 1024 to {_MOST_BYTES}, in bytes")
+]
+
+
+class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A service that can be started here; without a `program` it is the bundled one of that name."""
+
+    name: Name
+    program: ImportPath | None = None
+
+
+class IdentityConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A server that the daemon acts as: how many drones it takes at once, and what it runs for them."""
+
+    name: Name
+    slots: Count = 1
+    images: Names
+
+
+class DaemonConfig(
+    Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    rename={"images": "service", "identities": "server"},
+):
+    """One edge daemon."""
+
+    listen: Text = "0.0.0.0:7070"
+    max_message_bytes: MessageBytes = 16_777_216
+    lease_s: Positive = 30.0
+    idle_stop_s: Positive = 600.0
+    start_timeout_s: Positive = 60.0
+    allow_without_certificates: bool = False
+    keys: KeysConfig | None = None
+    images: Annotated[
+        tuple[ImageConfig, ...],
+        Meta(min_length=1, description="tables that each begin with [[service]], at least one"),
+    ]
+    identities: Annotated[
+        tuple[IdentityConfig, ...],
+        Meta(min_length=1, description="tables that each begin with [[server]], at least one"),
+    ]
+
+
+def read_daemon_config(path: Path) -> DaemonConfig:
+    """The configuration in the file; raises ConfigError for anything that could not be served."""
+    return daemon_config(read_document(path), path)
+
+
+def daemon_config(document: Document, file: Path) -> DaemonConfig:
+    """The configuration that the document of that file says; raises ConfigError."""
+    config = convert(_written_out(document), DaemonConfig, file=file, as_written=document)
+    refuse_first(file, _problems(config))
+    return config
+
+
+def _written_out(document: Document) -> Document:
+    """A server that names no images has all; what is not recognised is left to the type check."""
+    services, servers = document.get("service"), document.get("server")
+    if not isinstance(services, list) or not isinstance(servers, list):
+        return document
+    names = [each["name"] for each in services if isinstance(each, dict) and _has_name(each)]
+    return document | {
+        "server": [{"images": names} | each if isinstance(each, dict) else each for each in servers]
+    }
+
+
+def _has_name(table: dict[str, Any]) -> bool:
+    return isinstance(table.get("name"), str)
+
+
+def _problems(config: DaemonConfig) -> Iterator[Problem]:
+    yield from _access_problems(config)
+    for index, name in repeated([image.name for image in config.images]):
+        yield f"service[{index}].name", f'a second service named "{name}": give each its own name'
+    for index, name in repeated([identity.name for identity in config.identities]):
+        yield f"server[{index}].name", f'a second server named "{name}": give each its own name'
+    names = [image.name for image in config.images]
+    for index, identity in enumerate(config.identities):
+        for image in identity.images:
+            if image not in names:
+                yield f"server[{index}].images", unknown("service", image, names)
+
+
+def _access_problems(config: DaemonConfig) -> Iterator[Problem]:
+    if not is_address(config.listen):
+        yield "listen", f'expected "host:port" or "unix:path", found "{config.listen}"'
+    elif config.keys is None and not config.allow_without_certificates:
+        yield (
+            "keys",
+            (
+                "missing: add [keys] with authority, certificate and key, "
+                "or allow_without_certificates = true on a loopback address"
+            ),
+        )
+    elif config.keys is not None and config.allow_without_certificates:
+        yield "allow_without_certificates", "contradicts [keys]: remove one of the two"
+    elif config.allow_without_certificates and not _is_only_reached_from_here(config.listen):
+        yield (
+            "allow_without_certificates",
+            (
+                f'would let anyone in at "{config.listen}": '
+                'listen on "127.0.0.1:7070" or "unix:path", or give [keys] instead'
+            ),
+        )
+
+
+def _is_only_reached_from_here(address: str) -> bool:
+    import ipaddress  # only needed where certificates are not
+
+    host = address.rpartition(":")[0].strip("[]")
+    if address.startswith("unix:") or host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,293 @@
+"""The drone's configuration, which is also a simulated scenario: that plus what is true in the world."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from upwash.config.values import (
+    Bytes,
+    Count,
+    FilePath,
+    Fraction,
+    GridCount,
+    ImportPath,
+    KeysConfig,
+    Latitude,
+    Longitude,
+    Name,
+    Names,
+    NotNegative,
+    Positive,
+    SecondsByKey,
+    SecondsByService,
+    SecondsOfEachKey,
+    Text,
+)
+from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
+
+PairInMetres = Annotated[tuple[float, float], Meta(description="a pair [east, north] in metres")]
+Corner = Literal["top-left", "top-right", "bottom-left", "bottom-right"]
+RADIOS = ("fixed", "disc54", "disc12")  # or a csv file of goodput by distance
+
+
+class HomeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The place on the Earth where east and north are 0."""
+
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+
+
+class GridConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Waypoints in rows, the bottom-left one at home, flown row by row from one corner."""
+
+    columns: GridCount
+    rows: GridCount
+    spacing_m: Positive
+    start: Corner = "top-left"
+    rows_alternate: bool = True
+
+
+class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is flown: a program (bundled, or `/a/file.py:function`) over a grid or a list of waypoints."""
+
+    program: Text = "survey"
+    mode: Text = "heavy"
+    altitude_m: Positive = 20.0
+    ground_speed_m_s: Positive = 4.0
+    home: HomeConfig | None = None
+    grid: GridConfig | None = None
+    waypoints_m: (
+        Annotated[
+            tuple[PairInMetres, ...],
+            Meta(min_length=1, description="pairs [east, north] in metres, at least one"),
+        ]
+        | None
+    ) = None
+
+
+class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How the simulated vehicle flies: as these numbers say, or as a measured profile."""
+
+    profile: Literal["arducopter"] | None = None
+    acceleration_m_s2: Positive = 1.0
+    takeoff_s: NotNegative = 10.0
+    return_and_land_s: NotNegative = 16.0
+
+
+class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How a real vehicle is reached: a MAVLink connection string."""
+
+    connection: Text
+
+
+class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How servers' networks are joined: modelled by the drone's position, or not at all."""
+
+    kind: Literal["stand-in", "wired"] = "stand-in"
+
+
+class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The camera: how long a photo takes, and the folder of photos, absolute, if one is given."""
+
+    photo_s: NotNegative = 1.0
+    folder: FilePath | None = None
+
+
+class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """When to offload, and where to."""
+
+    name: Literal["local-only", "opportunistic", "location-aware"] = "location-aware"
+    gain_switch: Fraction = 0.25
+    gain_wait: Fraction = 0.25
+    period_s: Positive = 1.0
+    blacklist_s: NotNegative = 60.0
+    idle_s: NotNegative = 180.0
+    retry_s: NotNegative = 300.0
+
+
+class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A service of the mission; a map's key is a profile key, "" for a service without any.
+
+    Without a `program` it is the bundled service of that name. `local_pace_s` is the least time a local
+    call takes: on the desk it stands in for the drone's slower computer.
+    """
+
+    name: Name
+    program: ImportPath | None = None
+    request_bytes: Bytes = 425_000
+    reply_bytes: Bytes = 500
+    local_call_s: SecondsOfEachKey
+    local_first_extra_s: NotNegative = 0.0
+    local_pace_s: SecondsByKey = {}
+
+
+class TruthConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the file says is true of a simulated server; see `server_truth` for what it leaves out."""
+
+    join_s: NotNegative | None = None
+    start_s: NotNegative | None = None
+    processing_s: SecondsByService = {}
+    remote_call_s: SecondsByService = {}
+    radio: Text = "fixed"
+    slots: Count = 1
+    images: Names | None = None
+
+
+class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the drone believes of a server before it has met it; times by service and profile key."""
+
+    name: Name
+    east_m: float | None = None
+    north_m: float | None = None
+    latitude_deg: Latitude | None = None
+    longitude_deg: Longitude | None = None
+    range_m: Positive
+    network: Text
+    address: Text | None = None
+    bandwidth_bit_s: Positive | None = None
+    check_s: NotNegative = 11.5
+    check_running_s: NotNegative = 3.5
+    processing_s: SecondsByService = {}
+    remote_call_s: SecondsByService = {}
+    truth: TruthConfig = TruthConfig()
+
+
+class ServerTruth(Struct, frozen=True, kw_only=True):
+    """What is true of a simulated server, the belief taken wherever the file says nothing else.
+
+    An operation in `remote_call_s` takes that long end to end; any other takes its `processing_s` and the
+    transfer: by the radio's goodput at the drone's distance, or by the bandwidth where radio is "fixed".
+    """
+
+    join_s: float
+    start_s: float
+    processing_s: Mapping[str, Mapping[str, float]]
+    remote_call_s: Mapping[str, Mapping[str, float]]
+    radio: str
+    slots: int
+    images: tuple[str, ...]
+
+
+class HeatConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How the drone's computer gets hot: the air around it, and the power that a call adds."""
+
+    ambient_c: float = 44.0
+    load_w: NotNegative = 4.0
+
+
+class NoiseConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Relative standard deviations of simulated times."""
+
+    call: NotNegative = 0.0
+    leg: NotNegative = 0.0
+
+
+class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Something that goes wrong for a while: at a server, at a link ("link:s1") or at the autopilot."""
+
+    target: Text
+    kind: Literal["off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash"]
+    from_s: NotNegative = 0.0
+    to_s: NotNegative = math.inf
+    extra_s: NotNegative = 5.0
+
+
+class DroneConfig(
+    Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    rename={"services": "service", "servers": "server", "faults": "fault"},
+):
+    """One drone: its mission, its services, the servers it may meet, and how it is simulated."""
+
+    name: Name = "drone"
+    seed: int = 1
+    mission: MissionConfig
+    vehicle: VehicleConfig = VehicleConfig()
+    autopilot: AutopilotConfig | None = None
+    network: NetworkConfig = NetworkConfig()
+    keys: KeysConfig | None = None
+    camera: CameraConfig = CameraConfig()
+    policy: PolicyConfig = PolicyConfig()
+    services: Annotated[
+        tuple[ServiceConfig, ...], Meta(description="tables that each begin with [[service]]")
+    ] = ()
+    servers: Annotated[
+        tuple[ServerConfig, ...], Meta(description="tables that each begin with [[server]]")
+    ] = ()
+    heat: HeatConfig | None = None
+    noise: NoiseConfig = NoiseConfig()
+    faults: Annotated[tuple[FaultConfig, ...], Meta(description="tables that each begin with [[fault]]")] = ()
+
+
+def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
+    """The mission's waypoints in the order in which they are flown."""
+    places = _grid_places(mission.grid) if mission.grid else mission.waypoints_m or ()
+    return tuple(
+        Waypoint(index, Position(east_m, north_m, mission.altitude_m))
+        for index, (east_m, north_m) in enumerate(places)
+    )
+
+
+def server_position(server: ServerConfig, home: HomeConfig | None) -> Position:
+    """Where the server stands; `home` is needed for one whose place is given in degrees."""
+    if server.east_m is not None and server.north_m is not None:
+        return Position(server.east_m, server.north_m)
+    if server.latitude_deg is None or server.longitude_deg is None or home is None:
+        raise ValueError(f"server {server.name} has no place: read its configuration from a file")
+    frame = LocalFrame(GeoPosition(home.latitude_deg, home.longitude_deg))
+    return frame.position(GeoPosition(server.latitude_deg, server.longitude_deg))
+
+
+def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> ServerTruth:
+    """What is true of the server in simulation."""
+    truth = server.truth
+    start_s = server.check_s - server.check_running_s if truth.start_s is None else truth.start_s
+    return ServerTruth(
+        join_s=server.check_running_s if truth.join_s is None else truth.join_s,
+        start_s=start_s,
+        processing_s=_merged(server.processing_s, truth.processing_s),
+        remote_call_s=_merged(_remote_calls_still_believed(server), truth.remote_call_s),
+        radio=truth.radio,
+        slots=truth.slots,
+        images=tuple(service.name for service in services) if truth.images is None else truth.images,
+    )
+
+
+def _grid_places(grid: GridConfig) -> list[tuple[float, float]]:
+    rows, columns = list(range(grid.rows)), list(range(grid.columns))
+    if grid.start.startswith("top"):
+        rows.reverse()
+    if grid.start.endswith("right"):
+        columns.reverse()
+    places = []
+    for row in rows:
+        places += [(column * grid.spacing_m, row * grid.spacing_m) for column in columns]
+        if grid.rows_alternate:
+            columns.reverse()
+    return places
+
+
+def _merged(
+    belief: Mapping[str, Mapping[str, float]], truth: Mapping[str, Mapping[str, float]]
+) -> dict[str, dict[str, float]]:
+    return {
+        service: {**belief.get(service, {}), **truth.get(service, {})}
+        for service in dict.fromkeys([*belief, *truth])
+    }
+
+
+def _remote_calls_still_believed(server: ServerConfig) -> dict[str, dict[str, float]]:
+    """The believed delays, but for operations whose processing time or radio is told truly."""
+    if server.truth.radio != "fixed":
+        return {}
+    told = server.truth.processing_s
+    return {
+        service: {key: seconds for key, seconds in by_key.items() if key not in told.get(service, {})}
+        for service, by_key in server.remote_call_s.items()
+    }

@@ -1,0 +1,82 @@
+"""From a TOML file to a typed value, or to a ConfigError that says what to change.
+
+msgspec checks the types; `explanation` puts its errors into words.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+
+from upwash.config.problems import Document, Problem, refuse_first
+from upwash.errors import ConfigError
+
+T = TypeVar("T")
+
+_MOST_NESTED = 12
+
+
+def read_document(file: Path) -> Document:
+    """The file's tables as plain values; every number in them is finite and fits 64 bits."""
+    try:
+        text = file.read_bytes().decode()
+    except FileNotFoundError:
+        raise ConfigError(str(file), "", "no such file: check the path") from None
+    except (OSError, ValueError) as error:
+        raise ConfigError(str(file), "", _unreadable(error)) from None
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(str(file), "", f"not valid TOML: {error}") from None
+    except (ValueError, RecursionError):
+        raise ConfigError(str(file), "", "a number is too long, or arrays are nested too deeply") from None
+    refuse_first(file, _impossible_values(document, ""))
+    return document
+
+
+def convert(document: Document, kind: type[T], *, file: Path, as_written: Document) -> T:
+    """The document as a value of that kind; paths in it count from the file's folder.
+
+    `as_written` is the document before shorthands were written out: error messages quote it.
+    """
+    folder = file.absolute().parent
+
+    def resolve(kind: type, value: object) -> Path:
+        if kind is not Path or not isinstance(value, str) or not value:
+            raise ValueError
+        return folder / value
+
+    try:
+        return msgspec.convert(document, kind, dec_hook=resolve)
+    except msgspec.ValidationError as error:
+        from upwash.config.explanation import explained  # only needed once something is wrong
+
+        raise ConfigError(str(file), *explained(str(error), as_written, kind)) from None
+
+
+def _unreadable(error: OSError | ValueError) -> str:
+    if isinstance(error, UnicodeDecodeError):
+        return f"not UTF-8 text (byte {error.start}): save it as UTF-8"
+    reason = error.strerror if isinstance(error, OSError) else error
+    return f"cannot be read ({reason}): name a readable file"
+
+
+def _impossible_values(value: object, key: str, depth: int = 0) -> Iterator[Problem]:
+    match value:
+        case dict() | list() if depth >= _MOST_NESTED:
+            yield key, "nested too deeply: no value lies that deep"
+        case dict():
+            for name, inner in value.items():
+                yield from _impossible_values(inner, f"{key}.{name}" if key else name, depth + 1)
+        case list():
+            for index, inner in enumerate(value):
+                yield from _impossible_values(inner, f"{key}[{index}]", depth + 1)
+        case float() if not math.isfinite(value):
+            yield key, f"expected a finite number, found {value}"
+        case int() if value.bit_length() > 63:
+            yield key, "expected a number that fits 64 bits"

@@ -1,0 +1,94 @@
+"""Writes out what a drone's configuration may say in short.
+
+This runs before the types are checked: whatever is not recognised here stays as it is, to be refused there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from upwash.config.drone import RADIOS
+from upwash.config.problems import Document
+
+
+def written_out(document: Document, folder: Path) -> Document:
+    """The document without shorthands, its times by service and profile key, its paths from the folder."""
+    services = _tables(document.get("service"))
+    return document | {
+        name: value
+        for name, value in {
+            "mission": _each(document.get("mission"), lambda table: _mission(table, folder)),
+            "service": _each(document.get("service"), _service),
+            "server": _each(document.get("server"), lambda table: _server(table, services, folder)),
+        }.items()
+        if name in document
+    }
+
+
+def _tables(value: object) -> list[dict[str, Any]]:
+    return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
+
+
+def _each(value: object, write_out: Callable[[dict[str, Any]], dict[str, Any]]) -> object:
+    """Writes out a table, or each table of an array."""
+    if isinstance(value, list):
+        return [write_out(item) if isinstance(item, dict) else item for item in value]
+    return write_out(value) if isinstance(value, dict) else value
+
+
+def _mission(mission: dict[str, Any], folder: Path) -> dict[str, Any]:
+    program = mission.get("program")
+    if isinstance(program, str) and ".py:" in program:
+        return mission | {"program": str(folder / program)}
+    return mission
+
+
+def _service(service: dict[str, Any]) -> dict[str, Any]:
+    return service | {
+        name: {"": service[name]}
+        for name in ("local_call_s", "local_pace_s")
+        if _is_number(service.get(name))
+    }
+
+
+def _server(server: dict[str, Any], services: list[dict[str, Any]], folder: Path) -> dict[str, Any]:
+    table = server | _by_service(server, services)
+    if isinstance(server.get("truth"), dict):
+        truth = server["truth"]
+        table["truth"] = truth | _by_service(truth, services)
+        if isinstance(truth.get("radio"), str) and truth["radio"] not in ("", *RADIOS):
+            table["truth"]["radio"] = str(folder / truth["radio"])
+    if server.get("name"):
+        table.setdefault("network", server["name"])
+    return table
+
+
+def _by_service(table: dict[str, Any], services: list[dict[str, Any]]) -> dict[str, Any]:
+    """The times of a table by service and key; without a service they are the first service's."""
+    named = {each["name"]: each for each in services if isinstance(each.get("name"), str)}
+    if not named:
+        return {}
+    return {name: _nested(table[name], named) for name in ("processing_s", "remote_call_s") if name in table}
+
+
+def _nested(times: object, services: dict[str, dict[str, Any]]) -> object:
+    first, first_service = next(iter(services.items()))
+    if _is_number(times):
+        return {first: {"": times}}
+    if not isinstance(times, dict):
+        return times
+    keys = first_service.get("local_call_s")
+    others = services.keys() - (keys if isinstance(keys, dict) else {})
+    flat = {name: value for name, value in times.items() if _is_number(value) and name not in others}
+    nested = {
+        name: {"": value} if _is_number(value) else value for name, value in times.items() if name not in flat
+    }
+    if flat and isinstance(nested.get(first, {}), dict):
+        nested[first] = nested.get(first, {}) | flat
+    return nested
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

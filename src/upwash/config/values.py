@@ -1,0 +1,72 @@
+"""The kinds of value that configuration files hold.
+
+Each kind carries its own description, which is what an error message says was expected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+Name = Annotated[
+    str,
+    Meta(pattern=r"^[A-Za-z0-9._-]+\Z", description="a name of letters, digits, '.', '_' and '-'"),
+]
+Text = Annotated[str, Meta(min_length=1, description="a string that is not empty")]
+Names = Annotated[tuple[str, ...], Meta(description="an array of names")]
+ImportPath = Annotated[
+    str,
+    Meta(
+        pattern=r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*\Z",
+        description='an import path like "package.module:Class"',
+    ),
+]
+FilePath = Annotated[Path, Meta(description="a file's path, absolute or from this file's folder")]
+
+Positive = Annotated[float, Meta(gt=0, description="a number above 0")]
+NotNegative = Annotated[float, Meta(ge=0, description="a number of at least 0")]
+Fraction = Annotated[float, Meta(ge=0, le=1, description="a number from 0 to 1")]
+Latitude = Annotated[float, Meta(ge=-90, le=90, description="degrees from -90 to 90")]
+Longitude = Annotated[float, Meta(ge=-180, le=180, description="degrees from -180 to 180")]
+Count = Annotated[int, Meta(ge=1, description="an integer of at least 1")]
+GridCount = Annotated[int, Meta(ge=1, le=1000, description="an integer from 1 to 1000")]
+Bytes = Annotated[int, Meta(ge=0, description="an integer of at least 0, in bytes")]
+
+SecondsByKey = Annotated[
+    Mapping[str, NotNegative],
+    Meta(description="seconds of at least 0: one number, or one for each profile key"),
+]
+SecondsOfEachKey = Annotated[
+    Mapping[str, NotNegative],
+    Meta(min_length=1, description="seconds of at least 0: one number, or one for each profile key"),
+]
+SecondsByService = Annotated[
+    Mapping[str, SecondsByKey],
+    Meta(description="seconds of at least 0 for each profile key, or for each service and profile key"),
+]
+
+
+class KeysConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where the certificates and the private key lie, as absolute paths."""
+
+    authority: FilePath
+    certificate: FilePath
+    key: FilePath
+
+
+def is_address(text: str) -> bool:
+    """Whether the text is `host:port` or `unix:path`."""
+    host, _, port = text.rpartition(":")
+    if text.startswith("unix:"):
+        return len(text) > len("unix:")
+    is_ipv6 = host.startswith("[") and host.endswith("]")
+    is_port = port.isascii() and port.isdecimal() and len(port) <= 5 and int(port) <= 65535
+    return is_port and bool(host) and (is_ipv6 or ":" not in host)
+
+
+def repeated(names: list[str]) -> list[tuple[int, str]]:
+    """The names that were already there further up, each with its index."""
+    return [(index, name) for index, name in enumerate(names) if name in names[:index]]

@@ -1,0 +1,322 @@
+"""Puts the programs on things: the only place that does."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import inspect
+import itertools
+import signal
+import tempfile
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+from typing import cast
+
+from upwash.config import DaemonConfig, DroneConfig, KeysConfig, server_position, server_truth
+from upwash.core.geo import Circle, GeoPosition, LocalFrame
+from upwash.core.instances import Host, HostSettings, ServerOffer
+from upwash.drone import Flight, Mission, World
+from upwash.errors import CredentialsError, Refused, UsageError
+from upwash.loading import load
+from upwash.ports import Autopilot, InstanceSpec, Journal, Network
+from upwash.protocol import is_on_this_machine
+from upwash.real.autopilot import connect_autopilot
+from upwash.real.camera import FolderCamera
+from upwash.real.credentials import Credentials, read_credentials
+from upwash.real.journal import FileJournal, JournalNotifier, Watcher
+from upwash.real.link import GrpcDialer
+from upwash.real.listener import Caller, Listener
+from upwash.real.runtime import ProcessRuntime
+from upwash.server import EdgeServer
+from upwash.service import load_service, spec_of
+from upwash.sim.network import Cell, ModelNetwork, NoNetwork
+from upwash.vehicle import VehicleSettings, serve_vehicle
+
+BUNDLED_MISSIONS = {"survey": "upwash.missions.survey:survey"}
+BUNDLED_SERVICES = {"detector": "upwash.services.hotspots:HotSpotDetector"}
+
+_MAX_MESSAGE_BYTES = 16 * 2**20
+_TRACK_PERIOD_S = 1.0
+_SECOND_SIGNAL_S = 0.5  # a terminal and a parent may both pass on one Ctrl-C
+_DAEMON_THREADS = 16
+
+
+# --- a drone ------------------------------------------------------------------------------------------------
+
+
+async def fly(
+    config: DroneConfig, *, program: str | None = None, log: Path, watchers: tuple[Watcher, ...] = ()
+) -> None:
+    """Flies the configured mission with the configured vehicle, or another program with it.
+
+    The event log goes to `log`, and each event to the watchers too. Ctrl-C ends the mission: the vehicle returns
+    and lands; a second one ends the program at once. Raises what ended the mission early.
+    """
+    if config.mission.home is None:
+        raise UsageError("mission.home is missing: a flight needs the place where east and north are 0")
+    if config.autopilot is None:
+        raise UsageError(
+            "autopilot.connection is missing: say how the vehicle is reached, or use --autopilot"
+        )
+    if config.camera.folder is None:
+        raise UsageError("camera.folder is missing: say where the photos are")
+    mission = load_mission(program or config.mission.program, mode=config.mission.mode)
+    services = _load_services(config)
+    dialer = _dialer(config)
+    camera = FolderCamera(config.camera.folder, photo_s=config.camera.photo_s)
+    home = GeoPosition(config.mission.home.latitude_deg, config.mission.home.longitude_deg)
+    async with contextlib.AsyncExitStack() as stack:
+        journal = stack.enter_context(contextlib.closing(FileJournal(log, watchers=watchers)))
+        autopilot = await connect_autopilot(
+            config.autopilot.connection,
+            frame=LocalFrame(home),
+            ground_speed_m_s=config.mission.ground_speed_m_s,
+        )
+        stack.push_async_callback(autopilot.close)
+        sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="upwash-")))
+        flight = Flight(
+            mission,
+            config,
+            services=services,
+            world=World(
+                autopilot=autopilot,
+                network=_network(config, autopilot),
+                dialer=dialer,
+                onboard_dialer=GrpcDialer(config.name, None, max_message_bytes=_MAX_MESSAGE_BYTES),
+                onboard_runtime=ProcessRuntime(
+                    _sockets_in(sockets), credentials=None, max_message_bytes=_MAX_MESSAGE_BYTES
+                ),
+                camera=camera,
+                notifier=JournalNotifier(journal),
+                journal=journal,
+            ),
+            programs={name: _program(config, name) for name in services},
+        )
+        await stack.enter_async_context(_tracking(autopilot, journal))
+        stack.enter_context(_stopping_politely(flight.stop))
+        await flight.run()
+
+
+def load_mission(program: str, *, mode: str) -> Mission:
+    """The mission of that name or path; one with a parameter `mode` gets it."""
+    if ":" not in program and program not in BUNDLED_MISSIONS:
+        raise UsageError(
+            f"there is no mission {program!r}: the bundled ones are {', '.join(BUNDLED_MISSIONS)}; "
+            "a mission of your own is path/to/file.py:function"
+        )
+    mission = load(BUNDLED_MISSIONS.get(program, program))
+    if not callable(mission):
+        raise UsageError(f"mission {program!r} is not a function")
+    if "mode" in inspect.signature(mission).parameters:
+        mission = functools.partial(mission, mode=mode)
+    return cast(Mission, mission)
+
+
+def _load_services(config: DroneConfig) -> dict[str, type]:
+    services = {service.name: load_service(_program(config, service.name)) for service in config.services}
+    for name, cls in services.items():
+        own = spec_of(cls).name
+        if own != name:
+            raise UsageError(
+                f"service {name!r} runs {cls.__name__}, which is declared as {own!r}: use that name"
+            )
+    return services
+
+
+def _program(config: DroneConfig, service: str) -> str:
+    program = next(each.program for each in config.services if each.name == service)
+    return program or _bundled_service(service)
+
+
+def _bundled_service(name: str) -> str:
+    if name not in BUNDLED_SERVICES:
+        raise UsageError(
+            f"service {name!r} needs a program, package.module:Class; without one only "
+            f"{', '.join(BUNDLED_SERVICES)} are known"
+        )
+    return BUNDLED_SERVICES[name]
+
+
+def _dialer(config: DroneConfig) -> GrpcDialer:
+    for server in config.servers:
+        if not server.address:
+            raise UsageError(
+                f"server {server.name} has no address: a flight needs to know where its daemon is"
+            )
+        if config.keys is None and not is_on_this_machine(server.address):
+            raise UsageError(
+                f"server {server.name} at {server.address} needs certificates: make them with `upwash keys` "
+                "and name them in [keys]; only servers on this machine are called without"
+            )
+    credentials = _credentials(config.keys)
+    if credentials is not None and config.name not in credentials.names:
+        raise CredentialsError(
+            f"the certificate is for {', '.join(credentials.names)}, but this drone is called {config.name}"
+        )
+    return GrpcDialer(config.name, credentials, max_message_bytes=_MAX_MESSAGE_BYTES)
+
+
+def _credentials(keys: KeysConfig | None) -> Credentials | None:
+    return read_credentials(keys.authority, keys.certificate, keys.key) if keys else None
+
+
+def _network(config: DroneConfig, autopilot: Autopilot) -> Network:
+    if config.network.kind == "wired":
+        return NoNetwork()
+    cells: dict[str, list[Cell]] = {}
+    for server in config.servers:
+        area = Circle(server_position(server, config.mission.home), server.range_m)
+        join_s = server_truth(server, config.services).join_s
+        cells.setdefault(server.network, []).append(Cell(area, join_s))
+    return ModelNetwork(cells, lambda: autopilot.position)
+
+
+@contextlib.asynccontextmanager
+async def _tracking(autopilot: Autopilot, journal: Journal) -> AsyncIterator[None]:
+    """Logs where the drone is, every second."""
+
+    async def track() -> None:
+        while True:
+            position = autopilot.position
+            journal.record(
+                "position",
+                east_m=round(position.east_m, 2),
+                north_m=round(position.north_m, 2),
+                altitude_m=round(position.altitude_m, 2),
+            )
+            await asyncio.sleep(_TRACK_PERIOD_S)
+
+    task = asyncio.create_task(track())
+    try:
+        yield
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+
+# --- an edge server -----------------------------------------------------------------------------------------
+
+
+async def serve(config: DaemonConfig, *, ready: Callable[[str], None]) -> None:
+    """Runs the daemon until SIGTERM or Ctrl-C; `ready` is told the address once it answers."""
+    from grpc_health.v1 import health, health_pb2, health_pb2_grpc
+
+    programs = {image.name: image.program or _bundled_service(image.name) for image in config.images}
+    for name, program in programs.items():
+        if spec_of(load_service(program)).name != name:
+            raise UsageError(f"service {name!r}: {program} is declared under another name")
+    credentials = _server_credentials(config)
+    loop = asyncio.get_running_loop()
+    async with contextlib.AsyncExitStack() as stack:
+        sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="upwash-")))
+        edge = EdgeServer(
+            Host(
+                {each.name: ServerOffer(frozenset(each.images), each.slots) for each in config.identities},
+                HostSettings(lease_s=config.lease_s, idle_stop_s=config.idle_stop_s),
+            ),
+            programs=programs,
+            runtime=ProcessRuntime(
+                _beside(config.listen, sockets),
+                credentials=credentials,
+                max_message_bytes=config.max_message_bytes,
+            ),
+            start_timeout_s=config.start_timeout_s,
+        )
+
+        def handle(path: str, body: bytes, caller: Caller) -> bytes:
+            answer = asyncio.run_coroutine_threadsafe(edge.handle(path, body, caller.drone), loop)
+            try:
+                return answer.result(timeout=caller.time_left_s())
+            except TimeoutError:
+                answer.cancel()
+                raise Refused("the drone's deadline is over") from None
+
+        listener = Listener(
+            config.listen,
+            handle,
+            credentials=credentials,
+            max_message_bytes=config.max_message_bytes,
+            threads=_DAEMON_THREADS,
+            concurrent_requests=_DAEMON_THREADS,
+        )
+        status = health.HealthServicer()
+        health_pb2_grpc.add_HealthServicer_to_server(status, listener.grpc_server)
+        for name in ("", *(each.name for each in config.identities)):
+            status.set(name, health_pb2.HealthCheckResponse.SERVING)
+        stopped = asyncio.Event()
+        stack.enter_context(_stopping_politely(lambda _: stopped.set()))
+        listener.start()
+        stack.push_async_callback(edge.close)
+        stack.push_async_callback(asyncio.to_thread, listener.stop)
+        ready(listener.address)
+        watch = asyncio.create_task(edge.run())
+        stack.callback(watch.cancel)
+        await stopped.wait()
+        status.enter_graceful_shutdown()
+
+
+def _server_credentials(config: DaemonConfig) -> Credentials | None:
+    credentials = _credentials(config.keys)
+    if credentials is not None:
+        for identity in config.identities:
+            if identity.name not in credentials.names:
+                raise CredentialsError(
+                    f"the certificate is for {', '.join(credentials.names)}, but this daemon acts as "
+                    f"{identity.name}: make one with `upwash keys DIR --server "
+                    f"{','.join(each.name for each in config.identities)}`"
+                )
+    return None if config.listen.startswith("unix:") else credentials
+
+
+def _beside(listen: str, sockets: Path) -> Callable[[InstanceSpec], str]:
+    """Instances listen on the daemon's own interface, on ports of the system's choice."""
+    if listen.startswith("unix:"):
+        return _sockets_in(sockets)
+    host = listen.rpartition(":")[0]
+    return lambda _: f"{host}:0"
+
+
+def _sockets_in(folder: Path) -> Callable[[InstanceSpec], str]:
+    numbers = itertools.count()
+    return lambda spec: f"unix:{folder}/{spec.name}-{next(numbers)}.sock"
+
+
+# --- a stand-in vehicle -------------------------------------------------------------------------------------
+
+
+async def run_vehicle(listen: str, settings: VehicleSettings, *, ready: Callable[[str], None]) -> None:
+    """Runs a stand-in vehicle until SIGTERM or Ctrl-C; `ready` is told the address once it answers."""
+    vehicle = await serve_vehicle(listen, settings)
+    stopped = asyncio.Event()
+    with _stopping_politely(lambda _: stopped.set()):
+        try:
+            ready(vehicle.address)
+            await stopped.wait()
+        finally:
+            await vehicle.close()
+
+
+@contextlib.contextmanager
+def _stopping_politely(stop: Callable[[str], None]) -> Iterator[None]:
+    """The first SIGINT or SIGTERM asks to stop; the second cancels what runs."""
+    loop = asyncio.get_running_loop()
+    running = asyncio.current_task()
+    asked_s: list[float] = []
+
+    def on_signal(number: signal.Signals) -> None:
+        now_s = loop.time()
+        if not asked_s:
+            stop("Ctrl-C" if number is signal.SIGINT else number.name)
+        elif now_s - asked_s[0] > _SECOND_SIGNAL_S and running is not None:
+            running.cancel()
+        asked_s.append(now_s)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, on_signal, number)
+    try:
+        yield
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.remove_signal_handler(number)

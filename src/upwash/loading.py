@@ -1,0 +1,46 @@
+"""Missions and services named by the user: `package.module:Name`, or `path/to/file.py:Name`."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+from upwash.errors import UsageError
+
+
+def load(program: str) -> object:
+    """The object of that path; raises UsageError saying what is missing. Runs the module or file."""
+    module_path, _, name = program.rpartition(":")
+    if not module_path or not name:
+        raise UsageError(f"{program!r}: write it as package.module:Name or path/to/file.py:Name")
+    try:
+        module = _load_file(Path(module_path)) if module_path.endswith(".py") else _import(module_path)
+    except Exception as error:
+        raise UsageError(
+            f"{program!r} cannot be loaded from {module_path}: {type(error).__name__}: {error}"
+        ) from error
+    if not hasattr(module, name):
+        raise UsageError(f"{program!r}: there is no {name} in {module_path}")
+    return getattr(module, name)
+
+
+def _import(name: str) -> ModuleType:
+    return importlib.import_module(name)
+
+
+def _load_file(path: Path) -> ModuleType:
+    name = f"upwash_program_{path.stem}"  # the same in every process, so that exceptions are found again
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module

@@ -1,0 +1,114 @@
+"""What a flight starts from: the configuration's beliefs, as the core wants them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from upwash.config import DroneConfig, ServerConfig, ServiceConfig, server_position
+from upwash.core.estimates import Beliefs, Estimates, Operation, offline_remote_s
+from upwash.core.geo import Circle
+from upwash.core.policy import make_policy
+from upwash.core.selection import Selection, SelectionSettings
+from upwash.errors import UsageError
+from upwash.service import ServiceSpec
+from upwash.visit import Contact
+
+
+def make_selection(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Selection:
+    """The drone-side machine, with the beliefs of the configuration."""
+    policy = config.policy
+    return Selection(
+        {
+            server.name: Circle(server_position(server, config.mission.home), server.range_m)
+            for server in config.servers
+        },
+        estimates=make_estimates(config, specs),
+        policy=make_policy(policy.name, gain_switch=policy.gain_switch, gain_wait=policy.gain_wait),
+        settings=SelectionSettings(
+            blacklist_s=policy.blacklist_s, idle_s=policy.idle_s, retry_s=policy.retry_s
+        ),
+    )
+
+
+def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Estimates:
+    """The offline estimates of every operation that the configuration gives a local delay for."""
+    profiled = {service.name: dict(_profile(service, specs[service.name])) for service in config.services}
+    return Estimates(
+        local_s={
+            operation: config_service.local_call_s[key]
+            for config_service in config.services
+            for operation, key in profiled[config_service.name].items()
+        },
+        servers={
+            server.name: Beliefs(
+                check_s=server.check_s,
+                check_running_s=server.check_running_s,
+                remote_s={
+                    operation: delay_s
+                    for service in config.services
+                    for operation, key in profiled[service.name].items()
+                    if (delay_s := _remote_s(server, service, key)) is not None
+                },
+            )
+            for server in config.servers
+        },
+    )
+
+
+def contacts(config: DroneConfig, estimates: Estimates) -> dict[str, Contact]:
+    """How each server is reached, and the services wanted there: those whose delay there is believed known."""
+    return {
+        server.name: Contact(
+            name=server.name,
+            network=server.network,
+            address=server.address or "",
+            services=tuple(
+                service.name
+                for service in config.services
+                if any(
+                    operation.service == service.name
+                    and estimates.remote_s(server.name, operation) is not None
+                    for operation in estimates.operations
+                )
+            ),
+        )
+        for server in config.servers
+    }
+
+
+def _profile(service: ServiceConfig, spec: ServiceSpec) -> Iterator[tuple[Operation, str]]:
+    """Each operation that has a local delay, with the key of that delay.
+
+    A method with a profile argument has one operation per key; any other has its own name's, or else the single
+    number's.
+    """
+    method_names = set(spec.methods)
+    keys = [key for key in service.local_call_s if key and key not in method_names]
+    for method in spec.methods.values():
+        if method.profile_by is not None:
+            if not keys:
+                raise UsageError(
+                    f"service {service.name}: local_call_s must have one delay per {method.profile_by}, "
+                    f"as {method.name} is slower or faster by it"
+                )
+            for key in keys:
+                yield Operation(service.name, method.name, key), key
+        else:
+            for key in (method.name, ""):
+                if key in service.local_call_s:
+                    yield Operation(service.name, method.name), key
+                    break
+
+
+def _remote_s(server: ServerConfig, service: ServiceConfig, key: str) -> float | None:
+    measured_s = server.remote_call_s.get(service.name, {}).get(key)
+    if measured_s is not None:
+        return measured_s
+    processing_s = server.processing_s.get(service.name, {}).get(key)
+    if processing_s is None or server.bandwidth_bit_s is None:
+        return None
+    return offline_remote_s(
+        processing_s=processing_s,
+        data_bytes=service.request_bytes + service.reply_bytes,
+        bandwidth_bit_s=server.bandwidth_bit_s,
+    )

@@ -1,0 +1,1 @@
+"""Things: the ports of the programs, provided by hardware, processes and the network."""

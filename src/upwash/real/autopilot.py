@@ -1,0 +1,257 @@
+"""The autopilot over MAVLink: an ArduCopter, steered in GUIDED.
+
+The vehicle may be taken from the mission at any time by a pilot's switch or by its own fail-safe. It shows as a
+change of mode; the verb in progress then raises, and none takes the vehicle back except `arm`, `hold`, `land`
+and `return_home_and_land`, which are explicit about the mode they want.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.geo import Circle, LocalFrame, Position, distance_m, ground_distance_m
+from upwash.errors import AutopilotRefused, AutopilotTimeout, UsageError
+from upwash.real.copter import Copter, Patience
+
+_GUIDED = mavlink.COPTER_MODE_GUIDED
+_RTL = mavlink.COPTER_MODE_RTL
+_LAND = mavlink.COPTER_MODE_LAND
+_HOME = Position(0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class FlightSettings:
+    """When a verb is true, and when it has taken too long."""
+
+    arrival_distance_m: float = 1.0
+    arrival_speed_m_s: float = 0.5
+    progress_m: float = 0.5
+    progress_s: float = 3.0  # a target is repeated when the vehicle came not so much nearer in so long
+    ready_timeout_s: float = 120.0  # for the checks before arming
+    arm_again_s: float = 2.0
+    margin_s: float = 60.0  # a flight may take so long, plus its distance at the slowest speeds below
+    slowest_share: float = 1 / 3  # of the ground speed, against the wind
+    slowest_vertical_m_s: float = 0.4
+    return_altitude_m: float = 100.0  # the vehicle may climb so high before it returns
+    patience: Patience = field(default_factory=Patience)
+
+
+DEFAULT_SETTINGS = FlightSettings()
+
+
+async def connect_autopilot(
+    connection: str,
+    *,
+    frame: LocalFrame,
+    ground_speed_m_s: float,
+    heartbeat_timeout_s: float = 10.0,
+    settings: FlightSettings = DEFAULT_SETTINGS,
+) -> MavlinkAutopilot:
+    """Returns once an autopilot has been heard on the connection; raises AutopilotError if none is.
+
+    `connection` is `udpin:HOST:PORT`, `udpout:HOST:PORT`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD`.
+    """
+    _check_speed(ground_speed_m_s)
+    copter = Copter(connection, settings.patience)
+    try:
+        await copter.found(within_s=heartbeat_timeout_s)
+    except BaseException:
+        await copter.close()
+        raise
+    return MavlinkAutopilot(copter, frame=frame, ground_speed_m_s=ground_speed_m_s, settings=settings)
+
+
+class MavlinkAutopilot:
+    """ports.Autopilot for an ArduCopter that has been heard."""
+
+    def __init__(
+        self,
+        copter: Copter,
+        *,
+        frame: LocalFrame,
+        ground_speed_m_s: float,
+        settings: FlightSettings = DEFAULT_SETTINGS,
+    ) -> None:
+        self._copter = copter
+        self._vehicle = copter.telemetry
+        self._frame = frame
+        self._settings = settings
+        self._ground_speed_m_s = ground_speed_m_s
+        # ArduCopter accepts a speed before a flight's first target, and loses it: it is told once the first
+        # target is seen to be flown to.
+        self._obeys_speed = False
+
+    @property
+    def position(self) -> Position:
+        """The last known position, relative to the mission's home; home until the vehicle knows its own."""
+        geo = self._vehicle.position
+        return self._frame.position(geo) if geo else _HOME
+
+    async def arm(self) -> None:
+        """Waits until the vehicle is ready to fly, then arms its motors; AutopilotRefused has its reason if not."""
+        loop = asyncio.get_running_loop()
+        deadline_s = loop.time() + self._settings.ready_timeout_s
+        async with self._within("arm", self._settings.ready_timeout_s + self._settings.margin_s):
+            while True:
+                try:
+                    await self._copter.change_mode("arm", _GUIDED)
+                    await self._copter.arm("arm", armed=True)
+                    break
+                except AutopilotRefused:
+                    if loop.time() + self._settings.arm_again_s > deadline_s:
+                        raise
+                await asyncio.sleep(self._settings.arm_again_s)
+            await self._copter.until(
+                "arm", lambda: self._vehicle.armed and self._vehicle.position is not None
+            )
+
+    async def takeoff(self, altitude_m: float) -> None:
+        """Climbs to the altitude above home; returns when it is reached."""
+        step = f"takeoff to {altitude_m:g} m"
+        self._obeys_speed = False
+        async with self._within(step, self._vertical_s(altitude_m)):
+            await self._copter.command(step, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, altitude_m)
+            await self._flown(step, lambda: self._climbed(altitude_m), modes=(_GUIDED,))
+
+    async def set_ground_speed(self, ground_speed_m_s: float) -> None:
+        """Sets the speed of the legs that follow."""
+        _check_speed(ground_speed_m_s)
+        self._ground_speed_m_s = ground_speed_m_s
+        if self._obeys_speed:
+            await self._tell_speed("set ground speed")
+
+    async def goto(self, position: Position) -> None:
+        """Flies to the position; returns on arrival, at rest."""
+        step = f"goto {position.east_m:.1f} m east, {position.north_m:.1f} m north"
+        async with self._within(step, self._leg_s(position)):
+            self._require_mode(step, (_GUIDED,))
+            self._send_target(position)
+            await self._arrival(step, position)
+
+    async def hold(self) -> None:
+        """Stops and hovers where it is."""
+        async with self._within("hold", self._settings.margin_s):
+            if self._vehicle.mode != _GUIDED:
+                await self._copter.change_mode("hold", _GUIDED)
+            here = self.position
+            self._send_target(here)
+            await self._arrival("hold", here)
+
+    async def return_home_and_land(self) -> None:
+        """Flies back to where it took off and lands; returns on touchdown."""
+        altitude_m = max(self.position.altitude_m, self._settings.return_altitude_m)
+        home_s = self._leg_s(_HOME) + 2 * self._vertical_s(altitude_m)
+        await self._land_in("return home and land", _RTL, timeout_s=home_s)
+
+    async def land(self) -> None:
+        """Lands where it is; returns on touchdown."""
+        await self._land_in("land", _LAND, timeout_s=self._vertical_s(self.position.altitude_m))
+
+    async def disarm(self) -> None:
+        """Stops the motors; refused by the vehicle in flight."""
+        async with self._within("disarm", self._settings.margin_s):
+            await self._copter.arm("disarm", armed=False)
+
+    async def border_crossed(self, circles: Sequence[Circle]) -> None:
+        """Returns when the vehicle next enters or leaves any of the circles."""
+        before = self._inside(circles)
+        await self._copter.until("watch the borders", lambda: self._inside(circles) != before)
+
+    async def close(self) -> None:
+        """Gives up the connection to the vehicle; the vehicle is left as it is."""
+        await self._copter.close()
+
+    @asynccontextmanager
+    async def _within(self, step: str, timeout_s: float) -> AsyncIterator[None]:
+        try:
+            async with asyncio.timeout(timeout_s):
+                yield
+        except TimeoutError:
+            problem = f"not done within {timeout_s:.0f} s, in mode {self._vehicle.mode_name}"
+            raise AutopilotTimeout(step, problem, self._vehicle.said) from None
+
+    async def _land_in(self, step: str, mode: int, *, timeout_s: float) -> None:
+        async with self._within(step, timeout_s):
+            await self._copter.change_mode(step, mode)
+            await self._flown(step, self._landed, modes=(mode, _LAND))
+
+    async def _flown(self, step: str, done: Callable[[], bool], *, modes: tuple[int, ...]) -> None:
+        """Returns when it is done; raises if the vehicle leaves the modes or stops its motors first."""
+        vehicle = self._vehicle
+        await self._copter.until(step, lambda: done() or vehicle.mode not in modes or not vehicle.armed)
+        if done():
+            return
+        self._require_mode(step, modes)
+        raise AutopilotRefused(step, "the vehicle disarmed", vehicle.said)
+
+    async def _arrival(self, step: str, target: Position) -> None:
+        """Returns on arrival; repeats the target, which may have been lost, while the vehicle comes no nearer."""
+        while not self._arrived(target):
+            near_m = distance_m(self.position, target) - self._settings.progress_m
+
+            def changed(near_m: float = near_m) -> bool:
+                return (
+                    self._arrived(target)
+                    or self._vehicle.mode != _GUIDED
+                    or distance_m(self.position, target) <= near_m
+                )
+
+            progress = await self._copter.happens(step, changed, within_s=self._settings.progress_s)
+            self._require_mode(step, (_GUIDED,))
+            if not progress:
+                self._send_target(target)
+            elif not self._obeys_speed:
+                await self._tell_speed(step)
+                self._obeys_speed = True
+
+    def _arrived(self, target: Position) -> bool:
+        near = distance_m(self.position, target) <= self._settings.arrival_distance_m
+        return near and self._at_rest()
+
+    def _climbed(self, altitude_m: float) -> bool:
+        missing_m = altitude_m - self.position.altitude_m
+        return missing_m <= self._settings.arrival_distance_m and self._at_rest()
+
+    def _at_rest(self) -> bool:
+        return self._vehicle.speed_m_s < self._settings.arrival_speed_m_s
+
+    def _landed(self) -> bool:
+        return self._vehicle.on_ground or not self._vehicle.armed
+
+    def _inside(self, circles: Sequence[Circle]) -> list[bool]:
+        return [circle.contains(self.position) for circle in circles]
+
+    def _require_mode(self, step: str, modes: tuple[int, ...]) -> None:
+        if self._vehicle.mode not in modes:
+            problem = (
+                f"the vehicle is in mode {self._vehicle.mode_name}: the pilot or a fail-safe has taken over"
+            )
+            raise AutopilotRefused(step, problem, self._vehicle.said)
+
+    def _send_target(self, position: Position) -> None:
+        self._copter.send_target(self._frame.geo(position))
+
+    async def _tell_speed(self, step: str) -> None:
+        over_ground, same_throttle = mavlink.SPEED_TYPE_GROUNDSPEED, -1
+        await self._copter.command(
+            step, mavlink.MAV_CMD_DO_CHANGE_SPEED, over_ground, self._ground_speed_m_s, same_throttle
+        )
+
+    def _leg_s(self, end: Position) -> float:
+        """The longest that a flight to there may take."""
+        slowest_m_s = self._ground_speed_m_s * self._settings.slowest_share
+        rise_m = abs(end.altitude_m - self.position.altitude_m)
+        return ground_distance_m(self.position, end) / slowest_m_s + self._vertical_s(rise_m)
+
+    def _vertical_s(self, height_m: float) -> float:
+        return self._settings.margin_s + height_m / self._settings.slowest_vertical_m_s
+
+
+def _check_speed(ground_speed_m_s: float) -> None:
+    if not ground_speed_m_s > 0:
+        raise UsageError(f"the ground speed is {ground_speed_m_s} m/s; give a number above 0")

@@ -1,0 +1,110 @@
+"""One service instance: a process of its own that a runtime started.
+
+`python -m upwash.real.instance FD`, where FD is the control socket. It imports the service, pays its cold start,
+and serves one call after the other, as services need not be safe for threads.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import sys
+import threading
+import time
+from typing import NoReturn
+
+from upwash.errors import Refused, UsageError
+from upwash.protocol import service_path
+from upwash.real.control import Admit, Admitted, Begin, Called, Failed, Ready, line, to_instance
+from upwash.real.credentials import Credentials
+from upwash.real.listener import Caller, Listener
+from upwash.service import Method, load_service, spec_of
+
+_CONCURRENT_CALLS = 8  # one runs, the others queue until their deadlines
+
+
+class ServiceInstance:
+    """Serves the calls of one service object."""
+
+    def __init__(self, begin: Begin, control: socket.socket) -> None:
+        cls = load_service(begin.program)
+        self._target = cls()
+        self._methods: dict[str, Method] = {
+            service_path(begin.service, method.name): method for method in spec_of(cls).methods.values()
+        }
+        self._pace_s = begin.pace_s
+        self._control = control
+        self._reporting = threading.Lock()
+        self._admitted: frozenset[str] = frozenset()
+        credentials = (
+            Credentials(begin.authority.encode(), begin.certificate.encode(), begin.key.encode())
+            if begin.key
+            else None
+        )
+        self._listener = Listener(
+            begin.listen,
+            self._answer,
+            credentials=credentials,
+            max_message_bytes=begin.max_message_bytes,
+            threads=1,
+            concurrent_requests=_CONCURRENT_CALLS,
+        )
+
+    def serve(self) -> None:
+        """Begins to answer, and says so."""
+        self._listener.start()
+        self._report(Ready(self._listener.address))
+
+    def admit(self, drones: list[str]) -> None:
+        """From now on only these drones get an answer."""
+        self._admitted = frozenset(drones)
+        self._report(Admitted())
+
+    def _report(self, message: Ready | Admitted | Called) -> None:
+        with self._reporting:
+            self._control.sendall(line(message))
+
+    def _answer(self, path: str, body: bytes, caller: Caller) -> bytes:
+        method = self._methods.get(path)
+        if method is None:
+            raise Refused(f"no method {path} here")
+        if caller.drone not in self._admitted:
+            raise Refused(f"drone {caller.drone or '(unnamed)'} has no lease here")
+        if not caller.is_waiting():
+            raise Refused("nobody waits for this call any more")
+        self._report(Called(caller.drone))
+        began_s = time.monotonic()
+        key, reply = method.perform(self._target, body)
+        short_s = self._pace_s.get(key, 0.0) - (time.monotonic() - began_s)
+        if short_s > 0:
+            time.sleep(short_s)
+        return reply
+
+
+def main() -> NoReturn:
+    """Serves until the control socket says that whoever started this is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that started this
+    control = socket.socket(fileno=int(sys.argv[1]))
+    lines = control.makefile("rb")
+    first = to_instance.decode(lines.readline())
+    if not isinstance(first, Begin):
+        raise SystemExit("the first control message must say what to be")
+    try:
+        instance = ServiceInstance(first, control)
+    except UsageError as error:
+        control.sendall(line(Failed(str(error))))
+        raise SystemExit(1) from error
+    instance.serve()
+    for text in lines:
+        message = to_instance.decode(text)
+        if isinstance(message, Admit):
+            instance.admit(message.drones)
+    # The whole group, as the service may have started processes too; at once, as nobody is left to wait.
+    os.killpg(0, signal.SIGKILL)
+    threading.Event().wait()
+    raise AssertionError("killed")
+
+
+if __name__ == "__main__":
+    main()

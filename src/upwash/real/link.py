@@ -1,0 +1,120 @@
+"""Links over gRPC: the drone's end.
+
+The options are those that were measured on WiFi-like links. Without the keep-alive and reconnect settings a
+channel needs almost as long to recover from a black-out as the black-out lasted; without a pool of its own a new
+channel would share a dead connection with an old one. See docs/decisions/grpc.md.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from typing import Any
+
+import grpc
+
+from upwash.errors import DeadlineExceeded, LinkError, Refused, Unreachable
+from upwash.real.credentials import Credentials
+
+DRONE_METADATA = "upwash-drone"  # says who calls where no certificate does: on a unix socket or on loopback
+
+_OPTIONS: tuple[tuple[str, int], ...] = (
+    ("grpc.keepalive_time_ms", 2000),
+    ("grpc.keepalive_timeout_ms", 3000),
+    ("grpc.keepalive_permit_without_calls", 1),
+    ("grpc.http2.max_pings_without_data", 0),
+    ("grpc.initial_reconnect_backoff_ms", 100),
+    ("grpc.min_reconnect_backoff_ms", 1000),
+    ("grpc.max_reconnect_backoff_ms", 1000),
+    ("grpc.enable_http_proxy", 0),
+    ("grpc.use_local_subchannel_pool", 1),
+)
+
+
+class GrpcDialer:
+    """Opens links that show `drone`'s certificate and believe only servers of the same authority."""
+
+    def __init__(self, drone: str, credentials: Credentials | None, *, max_message_bytes: int) -> None:
+        self._drone = drone
+        self._max_message_bytes = max_message_bytes
+        self._credentials = (
+            grpc.ssl_channel_credentials(
+                root_certificates=credentials.authority,
+                private_key=credentials.key,
+                certificate_chain=credentials.certificate,
+            )
+            if credentials
+            else None
+        )
+
+    def dial(self, address: str, *, server: str) -> GrpcLink:
+        """A link to `HOST:PORT` or `unix:PATH` where only `server` is believed; connects when first used.
+
+        A unix socket carries no certificates: the folder that it lies in says who may use it.
+        """
+        options: list[tuple[str, int | str]] = [
+            *_OPTIONS,
+            ("grpc.max_receive_message_length", self._max_message_bytes),
+            ("grpc.max_send_message_length", self._max_message_bytes),
+        ]
+        if self._credentials is None or address.startswith("unix:"):
+            channel = grpc.insecure_channel(address, options)
+        else:
+            options.append(("grpc.ssl_target_name_override", server))
+            channel = grpc.secure_channel(address, self._credentials, options)
+        return GrpcLink(channel, address=address, server=server, drone=self._drone)
+
+
+class GrpcLink:
+    """One channel; requests are futures of the synchronous stack, settled on the event loop."""
+
+    def __init__(self, channel: grpc.Channel, *, address: str, server: str, drone: str) -> None:
+        self._channel = channel
+        self._methods: dict[str, Any] = {}
+        self._peer = f"{server} at {address}"
+        self._metadata = ((DRONE_METADATA, drone),)
+
+    async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
+        """Sends one request and returns its reply; raises LinkError. Cancelling it cancels the call."""
+        method = self._methods.get(path)
+        if method is None:
+            method = self._methods[path] = self._channel.unary_unary(path)
+        loop = asyncio.get_running_loop()
+        ended = loop.create_future()
+
+        def settle() -> None:
+            if not ended.done():
+                ended.set_result(None)
+
+        def wake(_: object) -> None:
+            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+                loop.call_soon_threadsafe(settle)
+
+        try:
+            call = method.future(body, timeout=timeout_s, metadata=self._metadata)
+        except ValueError as error:  # gRPC's word for a closed channel
+            raise Unreachable(f"{self._peer}: the link is closed") from error
+        call.add_done_callback(wake)
+        try:
+            await ended
+        except asyncio.CancelledError:
+            call.cancel()
+            raise
+        if call.code() is grpc.StatusCode.OK:
+            reply: bytes = call.result()
+            return reply
+        raise _error(call.code(), call.details(), self._peer, timeout_s)
+
+    async def close(self) -> None:
+        """Breaks the connection off, with every request under way."""
+        self._channel.close()
+
+
+def _error(code: grpc.StatusCode, details: str, peer: str, timeout_s: float) -> LinkError:
+    match code:
+        case grpc.StatusCode.DEADLINE_EXCEEDED:
+            return DeadlineExceeded(f"{peer}: no answer within {timeout_s:.1f} s")
+        case grpc.StatusCode.UNAVAILABLE | grpc.StatusCode.CANCELLED:
+            return Unreachable(f"{peer}: {details}")
+        case _:
+            return Refused(f"{peer}: {code.name}: {details}")

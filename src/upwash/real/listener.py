@@ -1,0 +1,139 @@
+"""Links over gRPC: the server's end, for the daemon and for each service instance."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import grpc
+
+from upwash.errors import Refused, UpwashError, UsageError
+from upwash.real.credentials import Credentials
+from upwash.real.link import DRONE_METADATA
+
+_log = logging.getLogger("upwash.listener")
+
+_OPTIONS: tuple[tuple[str, int], ...] = (
+    ("grpc.so_reuseport", 0),  # else two daemons could share a port, and each get half of the calls
+    ("grpc.http2.min_recv_ping_interval_without_data_ms", 500),
+    ("grpc.http2.max_ping_strikes", 0),
+    ("grpc.keepalive_permit_without_calls", 1),
+    ("grpc.keepalive_time_ms", 5000),
+    ("grpc.keepalive_timeout_ms", 3000),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """Who sent a request, and whether they still wait for the answer."""
+
+    drone: str
+    time_left_s: Callable[[], float | None]
+    is_waiting: Callable[[], bool]
+
+
+Handler = Callable[[str, bytes, Caller], bytes]
+
+
+class Listener:
+    """Answers requests at one address with `handler`, which runs in a thread of the listener's.
+
+    A handler refuses by raising `Refused`; any other error is a bug of the handler, logged, and answered as an
+    internal error without its text.
+    """
+
+    def __init__(
+        self,
+        listen: str,
+        handler: Handler,
+        *,
+        credentials: Credentials | None,
+        max_message_bytes: int,
+        threads: int,
+        concurrent_requests: int,
+    ) -> None:
+        self._server = grpc.server(
+            ThreadPoolExecutor(max_workers=threads, thread_name_prefix="upwash-request"),
+            maximum_concurrent_rpcs=concurrent_requests,
+            options=[
+                *_OPTIONS,
+                ("grpc.max_receive_message_length", max_message_bytes),
+                ("grpc.max_send_message_length", max_message_bytes),
+            ],
+        )
+        self._server.add_generic_rpc_handlers((_Requests(handler, certified=credentials is not None),))
+        self.address = self._bind(listen, credentials)
+
+    def add(self, handlers: grpc.GenericRpcHandler) -> None:
+        """Answers one more kind of requests at the same address, before `start`."""
+        self._server.add_generic_rpc_handlers((handlers,))
+
+    @property
+    def grpc_server(self) -> grpc.Server:
+        """The server beneath, for registering standard services."""
+        return self._server
+
+    def start(self) -> None:
+        """Begins to answer."""
+        self._server.start()
+
+    def stop(self, *, grace_s: float = 0.0) -> None:
+        """Refuses what is new, gives what is under way `grace_s`, and returns when all has ended."""
+        self._server.stop(grace_s).wait()
+
+    def _bind(self, listen: str, credentials: Credentials | None) -> str:
+        try:
+            if credentials is None:
+                port = self._server.add_insecure_port(listen)
+            else:
+                port = self._server.add_secure_port(
+                    listen,
+                    grpc.ssl_server_credentials(
+                        [(credentials.key, credentials.certificate)],
+                        root_certificates=credentials.authority,
+                        require_client_auth=True,
+                    ),
+                )
+        except RuntimeError as error:
+            raise UsageError(
+                f"cannot listen on {listen}: the address is in use or not this machine's; "
+                "stop the other program or choose another address"
+            ) from error
+        return listen if listen.startswith("unix:") else f"{listen.rpartition(':')[0]}:{port}"
+
+
+class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
+    """Hands every unary request below /upwash. to the handler."""
+
+    def __init__(self, handler: Handler, *, certified: bool) -> None:
+        self._handler = handler
+        self._certified = certified
+
+    def service(self, handler_call_details: Any) -> Any:
+        path: str = handler_call_details.method
+        if not path.startswith("/upwash."):
+            return None
+        return grpc.unary_unary_rpc_method_handler(lambda body, context: self._answer(path, body, context))
+
+    def _answer(self, path: str, body: bytes, context: grpc.ServicerContext) -> bytes:
+        caller = Caller(self._drone(context), context.time_remaining, context.is_active)
+        try:
+            return self._handler(path, body, caller)
+        except Refused as refusal:
+            _log.warning("refused %s to %s: %s", path, caller.drone or "an unnamed caller", refusal)
+            context.abort(grpc.StatusCode.FAILED_PRECONDITION, str(refusal))
+        except UpwashError as error:
+            context.abort(grpc.StatusCode.ABORTED, str(error))
+        except Exception:  # noqa: BLE001 - a bug of the handler must not end the listener
+            _log.exception("%s by %s failed", path, caller.drone)
+            context.abort(grpc.StatusCode.INTERNAL, "the server failed; its log says why")
+        raise AssertionError("abort raises")
+
+    def _drone(self, context: grpc.ServicerContext) -> str:
+        if self._certified:
+            names: list[bytes] = context.auth_context().get("x509_common_name", [])
+            return names[0].decode(errors="replace") if names else ""
+        return next((value for key, value in context.invocation_metadata() if key == DRONE_METADATA), "")

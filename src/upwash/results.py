@@ -1,0 +1,120 @@
+"""What a run came to, read from its events."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import msgspec
+
+
+class CallResult(msgspec.Struct, frozen=True):
+    """One service call, as the mission experienced it; `waypoint` is None before the first arrival."""
+
+    waypoint: int | None
+    operation: str
+    place: str
+    decision: str
+    delay_s: float
+    waited_s: float
+    at_s: float
+
+
+class Totals(msgspec.Struct, frozen=True):
+    """Sums over all calls; `remote` counts by server, `fallbacks` remote calls that ended on the drone."""
+
+    calls: int
+    local: int
+    remote: dict[str, int]
+    waits: int
+    waits_failed: int
+    switches: int
+    fallbacks: int
+    service_delay_s: float
+
+
+class RunResult(msgspec.Struct, frozen=True):
+    """One run."""
+
+    policy: str
+    mission_time_s: float
+    completed: bool
+    calls: list[CallResult]
+    totals: Totals
+
+    def local_only_time_s(self) -> float | None:
+        """How long the mission would have taken with every call at the mean measured local delay.
+
+        None where an operation was never run on the drone, so that nothing measured says.
+        """
+        local = _mean_local_delay_s(self.calls)
+        if any(call.operation not in local for call in self.calls):
+            return None
+        return self.mission_time_s + sum(local[call.operation] - call.delay_s for call in self.calls)
+
+
+def read_result(events: Iterable[Mapping[str, Any]]) -> RunResult:
+    """The result of the run that left these events, whether it was completed or not."""
+    policy, began_s, ended_s, completed = "", 0.0, 0.0, False
+    waypoint: int | None = None
+    calls: list[CallResult] = []
+    visited: list[str] = []
+    waits: list[str] = []
+    fallbacks = 0
+    for event in events:
+        ended_s = event["t"]
+        match event["event"]:
+            case "mission_started":
+                policy, began_s = event["policy"], event["t"]
+            case "mission_completed":
+                completed = True
+            case "arrived":
+                waypoint = event["waypoint"]
+            case "selected":
+                visited.append(event["server"])
+            case "call":
+                calls.append(_call(event, waypoint, began_s))
+                waits += [event["wait"]] if event["wait"] else []
+                fallbacks += event["fell_back"]
+        if completed:
+            break
+    remote: dict[str, int] = {}
+    for call in calls:
+        if call.place != "local":
+            remote[call.place] = remote.get(call.place, 0) + 1
+    return RunResult(
+        policy=policy,
+        mission_time_s=ended_s - began_s,
+        completed=completed,
+        calls=calls,
+        totals=Totals(
+            calls=len(calls),
+            local=len(calls) - sum(remote.values()),
+            remote=dict(sorted(remote.items())),
+            waits=len(waits),
+            waits_failed=waits.count("failed"),
+            switches=len(visited),
+            fallbacks=fallbacks,
+            service_delay_s=sum(call.delay_s for call in calls),
+        ),
+    )
+
+
+def _call(event: Mapping[str, Any], waypoint: int | None, began_s: float) -> CallResult:
+    return CallResult(
+        waypoint=waypoint,
+        operation=event["operation"],
+        place=event["place"],
+        decision=event["decision"],
+        delay_s=event["delay_s"],
+        waited_s=event["waited_s"],
+        at_s=event["t"] - event["delay_s"] - began_s,
+    )
+
+
+def _mean_local_delay_s(calls: Iterable[CallResult]) -> dict[str, float]:
+    delays: dict[str, list[float]] = {}
+    for call in calls:
+        if call.place == "local":
+            delays.setdefault(call.operation, []).append(call.delay_s - call.waited_s)
+    return {operation: sum(values) / len(values) for operation, values in delays.items()}

@@ -1,0 +1,304 @@
+"""Declaring a service: one class gives the local object, the instance on a server, and the typed stub.
+
+    @service(profile_by="mode")
+    class Detector:
+        def __init__(self) -> None: ...                                   # paid once per instance: the cold start
+        def process_photo(self, photo: bytes, mode: Mode) -> list[Detection]: ...
+
+Arguments and results travel as MessagePack, built and checked by the type hints: a request is a map from
+parameter name to value, a reply a map with either `value` or `fault`. Services keep no state between calls.
+"""
+
+from __future__ import annotations
+
+import enum
+import importlib
+import inspect
+import sys
+import typing
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, TypeVar, cast, overload
+
+import msgspec
+from msgspec import UNSET, UnsetType
+from msgspec import inspect as types
+
+from upwash.core.estimates import Operation
+from upwash.errors import DeclarationError, GarbledReply, ServiceError, UsageError
+from upwash.loading import load
+
+T = TypeVar("T")
+_PLAIN = (str, int, float, bool, type(None))
+_SPEC = "__upwash_service__"
+
+
+class Fault(msgspec.Struct, frozen=True):
+    """A service's own exception on its way to the caller; `type` is `module:qualified.name`."""
+
+    type: str
+    message: str
+    args: list[str | int | float | bool | None] | None = None
+
+
+@dataclass(frozen=True)
+class Method:
+    """One operation's wire form: what a stub sends and what an instance does with it."""
+
+    name: str
+    signature: inspect.Signature
+    profile_by: str | None
+    request: msgspec.msgpack.Decoder[Any]
+    reply_type: Callable[..., Any]
+    reply: msgspec.msgpack.Decoder[Any]
+    package: str  # where the service's own exceptions live
+
+    def encode(self, args: tuple[object, ...], kwargs: Mapping[str, object]) -> tuple[str, bytes]:
+        """The profile key and the request of a call with these arguments; raises TypeError as the call would."""
+        bound = self.signature.bind(*args, **kwargs)
+        bound.apply_defaults()
+        return self._key(bound.arguments), msgspec.msgpack.encode(bound.arguments)
+
+    def perform(self, target: object, request: bytes) -> tuple[str, bytes]:
+        """Runs the call on a service object; returns its profile key, and its value or exception as a reply."""
+        key = ""
+        try:
+            decoded = self.request.decode(request)
+            arguments = {name: getattr(decoded, name) for name in self.signature.parameters}
+            key = self._key(arguments)
+            value = getattr(target, self.name)(**arguments)
+            return key, msgspec.msgpack.encode(self.reply_type(value=value))
+        except msgspec.ValidationError as error:
+            return key, _encode_fault(TypeError(f"{self.name}(): {error}"))
+        except Exception as error:  # noqa: BLE001 - whatever the service raises belongs to the caller
+            return key, _encode_fault(error)
+
+    def decode(self, reply: bytes) -> Any:
+        """A reply, checked against the type hints; raises GarbledReply for anything else."""
+        try:
+            decoded = self.reply.decode(reply)
+        except msgspec.MsgspecError as error:
+            raise GarbledReply(f"{self.name}(): the reply cannot be decoded: {error}") from error
+        if decoded.value is UNSET and decoded.fault is UNSET:
+            raise GarbledReply(f"{self.name}(): the reply carries neither a value nor a fault")
+        return decoded
+
+    def result(self, decoded: Any) -> object:
+        """What a decoded reply means to the caller: its value, or the service's exception, raised."""
+        if decoded.fault is not UNSET:
+            raise _rebuild(decoded.fault, self.package)
+        return decoded.value
+
+    def _key(self, arguments: Mapping[str, object]) -> str:
+        if self.profile_by is None:
+            return ""
+        value = arguments[self.profile_by]
+        return str(value.value if isinstance(value, enum.Enum) else value)
+
+
+@dataclass(frozen=True)
+class ServiceSpec:
+    """What is known of a declared service."""
+
+    name: str
+    methods: Mapping[str, Method]
+
+
+Invoke = Callable[[Operation, Method, bytes], Any]  # runs a request somewhere; returns its decoded reply
+
+
+@overload
+def service(declared: type[T], /) -> type[T]: ...
+
+
+@overload
+def service(*, name: str | None = None, profile_by: str | None = None) -> Callable[[type[T]], type[T]]: ...
+
+
+def service(
+    declared: type[T] | None = None, /, *, name: str | None = None, profile_by: str | None = None
+) -> type[T] | Callable[[type[T]], type[T]]:
+    """Declares a class as a service, called `name` (by default the class's name in lower case).
+
+    Its public methods are its operations; `profile_by` names the parameter by whose value estimates are kept
+    apart. Raises DeclarationError where a parameter or a result cannot be sent.
+    """
+
+    def declare(cls: type[T]) -> type[T]:
+        setattr(cls, _SPEC, _describe(cls, name or cls.__name__.lower(), profile_by))
+        return cls
+
+    return declare if declared is None else declare(declared)
+
+
+def spec_of(cls: type) -> ServiceSpec:
+    """What is known of a class that was declared as a service; raises UsageError for any other class."""
+    spec = vars(cls).get(_SPEC)
+    if not isinstance(spec, ServiceSpec):
+        raise UsageError(f"{cls.__name__} is not a service: put @service above the class")
+    return spec
+
+
+def load_service(program: str) -> type:
+    """The service class of that path, `package.module:Class` or `path/to/file.py:Class`; raises UsageError."""
+    found = load(program)
+    if not isinstance(found, type):
+        raise UsageError(f"service {program!r} is not a class")
+    spec_of(found)
+    return found
+
+
+def make_stub(cls: type[T], invoke: Invoke) -> T:
+    """An object with the service's methods, each of which sends its call through `invoke`."""
+    spec = spec_of(cls)
+    methods = {method.name: _stub_method(spec.name, method, invoke) for method in spec.methods.values()}
+    return cast(T, type(f"{cls.__name__}Stub", (), methods)())
+
+
+def _stub_method(service_name: str, method: Method, invoke: Invoke) -> Callable[..., object]:
+    def call(_: object, *args: object, **kwargs: object) -> object:
+        key, request = method.encode(args, kwargs)
+        return method.result(invoke(Operation(service_name, method.name, key), method, request))
+
+    call.__name__ = method.name
+    return call
+
+
+def _describe(cls: type, name: str, profile_by: str | None) -> ServiceSpec:
+    _check_constructor(cls)
+    functions = {
+        function_name: function
+        for function_name, function in inspect.getmembers(cls, inspect.isfunction)
+        if not function_name.startswith("_")
+    }
+    if not functions:
+        raise DeclarationError(f"service {cls.__name__} has no public method to call")
+    methods = {
+        function_name: _describe_method(cls, function, profile_by)
+        for function_name, function in functions.items()
+    }
+    if profile_by is not None and all(method.profile_by is None for method in methods.values()):
+        raise DeclarationError(
+            f"service {cls.__name__}: no method has the parameter {profile_by!r} of profile_by"
+        )
+    return ServiceSpec(name, MappingProxyType(methods))
+
+
+def _check_constructor(cls: type) -> None:
+    for parameter in inspect.signature(cls).parameters.values():
+        if parameter.default is parameter.empty and parameter.kind not in (
+            parameter.VAR_POSITIONAL,
+            parameter.VAR_KEYWORD,
+        ):
+            raise DeclarationError(
+                f"service {cls.__name__}: __init__ needs {parameter.name!r}; a server starts it without arguments"
+            )
+
+
+def _describe_method(cls: type, function: Callable[..., object], profile_by: str | None) -> Method:
+    where = f"service {cls.__name__}, method {function.__name__}"
+    if inspect.iscoroutinefunction(function):
+        raise DeclarationError(f"{where}: declare it as a plain blocking method, not async")
+    try:
+        hints = typing.get_type_hints(function, include_extras=True)
+    except NameError as error:
+        raise DeclarationError(f"{where}: a type hint cannot be resolved: {error}") from error
+    signature = inspect.signature(function)
+    parameters = list(signature.parameters.values())[1:]
+    fields: list[tuple[str, Any]] = []
+    for parameter in parameters:
+        if parameter.kind not in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
+            raise DeclarationError(f"{where}: parameter {parameter.name!r} must be passable by its name")
+        if parameter.name not in hints:
+            raise DeclarationError(f"{where}: parameter {parameter.name!r} has no type hint")
+        _check_type(hints[parameter.name], f"{where}: parameter {parameter.name!r}")
+        fields.append((parameter.name, hints[parameter.name]))
+    if "return" not in hints:
+        raise DeclarationError(f"{where}: the result has no type hint; write -> None where there is none")
+    _check_type(hints["return"], f"{where}: the result")
+    reply_type = msgspec.defstruct(
+        f"{cls.__name__}_{function.__name__}_reply",
+        [("value", hints["return"] | UnsetType, UNSET), ("fault", Fault | UnsetType, UNSET)],
+    )
+    request_type = msgspec.defstruct(f"{cls.__name__}_{function.__name__}_request", fields)
+    return Method(
+        name=function.__name__,
+        signature=signature.replace(parameters=parameters),
+        profile_by=profile_by if profile_by in signature.parameters else None,
+        request=msgspec.msgpack.Decoder(request_type),
+        reply_type=reply_type,
+        reply=msgspec.msgpack.Decoder(reply_type),
+        package=cls.__module__.partition(".")[0],
+    )
+
+
+def _check_type(hint: Any, what: str) -> None:
+    """Refuses a type that would not arrive as it was sent."""
+    try:
+        found = types.type_info(hint)
+    except TypeError as error:
+        raise DeclarationError(f"{what} cannot be sent: {error}") from error
+    for part in _parts(found, set()):
+        if isinstance(part, types.AnyType):
+            raise DeclarationError(f"{what} cannot be sent as {hint}: say which types it may have")
+        if isinstance(part, (types.CustomType, types.RawType, types.ExtType)):
+            raise DeclarationError(
+                f"{what} cannot be sent: {getattr(part, 'cls', hint)} has no encoding; use dataclasses, msgspec "
+                "structs, enums, lists, dicts, numbers, strings, bytes or None"
+            )
+
+
+def _parts(found: types.Type, seen: set[type]) -> Iterator[types.Type]:
+    """The type and every type within it, recursive classes once."""
+    yield found
+    cls = getattr(found, "cls", None)
+    if cls is not None:
+        if cls in seen:
+            return
+        seen.add(cls)
+    inner = [
+        *getattr(found, "types", ()),
+        *getattr(found, "item_types", ()),
+        *(field.type for field in getattr(found, "fields", ())),
+    ]
+    inner += [
+        getattr(found, name) for name in ("item_type", "key_type", "value_type") if hasattr(found, name)
+    ]
+    for part in inner:
+        yield from _parts(part, seen)
+
+
+def _encode_fault(error: Exception) -> bytes:
+    cls = type(error)
+    plain = list(error.args) if all(isinstance(argument, _PLAIN) for argument in error.args) else None
+    fault = Fault(type=f"{cls.__module__}:{cls.__qualname__}", message=str(error), args=plain)
+    return msgspec.msgpack.encode({"fault": fault})
+
+
+def _rebuild(fault: Fault, package: str) -> Exception:
+    cls = _exception_class(fault.type, package)
+    if cls is None:
+        return ServiceError(fault.type.replace(":", "."), fault.message)
+    args = (fault.message,) if fault.args is None else tuple(fault.args)
+    # Not by calling the class: its constructor may want other arguments than those that an exception keeps.
+    error = cls.__new__(cls, *args)
+    error.args = args
+    return error if str(error) == fault.message else ServiceError(fault.type.replace(":", "."), fault.message)
+
+
+def _exception_class(type_path: str, package: str) -> type[Exception] | None:
+    """The exception class of that path, if this process may trust and has it.
+
+    A module is imported only out of the service's own package: a reply must not choose what runs here.
+    """
+    module_name, _, qualname = type_path.partition(":")
+    found: object = sys.modules.get(module_name)
+    if found is None and module_name.partition(".")[0] == package:
+        try:
+            found = importlib.import_module(module_name)
+        except ImportError:
+            return None
+    for name in qualname.split("."):
+        found = getattr(found, name, None)
+    return found if isinstance(found, type) and issubclass(found, Exception) else None

@@ -1,0 +1,1 @@
+"""Models: the ports of the programs, computed instead of provided by things."""

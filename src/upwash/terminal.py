@@ -1,0 +1,178 @@
+"""What a person sees of a flight in a terminal: progress while it lasts, a table at the end."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from upwash.config import DroneConfig
+from upwash.results import CallResult, RunResult
+
+_RECENT = 10
+_STATE_STYLES = {"READY": "green", "CHECK": "yellow", "CHECK-R": "yellow", "BLACKLISTED": "red"}
+
+
+class Progress:
+    """Follows the events of a flight: a live display on a terminal, a line per event elsewhere."""
+
+    def __init__(self, config: DroneConfig, waypoints: int, console: Console) -> None:
+        self._console = console
+        self._states = {server.name: ("AVL", "") for server in config.servers}
+        self._waypoints = waypoints
+        self._reached = 0
+        self._doing = "starting the services of the drone"
+        self._where = ""
+        self.started = False  # whether the mission has begun
+        self._recent: deque[Text] = deque(maxlen=_RECENT)
+        self._live = Live(console=console, get_renderable=self._picture, refresh_per_second=8)
+
+    def __enter__(self) -> Progress:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._console.is_terminal:
+            self._live.stop()
+
+    def follow(self, event: Mapping[str, Any]) -> None:
+        """Takes in one event."""
+        said = self._take_in(event)
+        if said is None:
+            return
+        line = Text(f"{event['t']:7.1f} s  ") + said
+        self._recent.append(line)
+        if not self._console.is_terminal:
+            self._console.print(line, soft_wrap=True)
+
+    def _take_in(self, event: Mapping[str, Any]) -> Text | None:
+        match event:
+            case {"event": "position", "east_m": east_m, "north_m": north_m, "altitude_m": altitude_m}:
+                self._where = f"{east_m:.0f} m east, {north_m:.0f} m north, {altitude_m:.0f} m up"
+                return None
+            case {"event": "call"}:
+                return _call_line(event, self._doing)
+            case {"server": server, "before": before, "after": after}:
+                self._states[server] = (after, event["why"])
+                why = f" ({event['why']})" if event["why"] else ""
+                return Text(f"{server}: {before} → {after}{why}", style=_STATE_STYLES.get(after, "dim"))
+            case _:
+                return self._flight_event(event)
+
+    def _flight_event(self, event: Mapping[str, Any]) -> Text | None:
+        said: Text | None = None
+        match event:
+            case {"event": "local_ready", "service": service}:
+                said = Text(f"{service} is ready on the drone")
+            case {"event": "mission_started", "policy": policy}:
+                self.started = True
+                self._doing = "taking off"
+                said = Text(f"mission started, policy {policy}")
+            case {"event": "leg", "waypoint": waypoint}:
+                self._doing = f"flying to waypoint {waypoint}"
+            case {"event": "arrived", "waypoint": waypoint}:
+                self._doing = f"at waypoint {waypoint}"
+                self._reached += 1
+            case {"event": "returning" | "landed" as doing}:
+                self._doing = doing
+                said = Text("returning home to land" if doing == "returning" else "landed")
+            case {"event": "notified", "message": message}:
+                said = Text(f"told the user: {_describe(message)}", style="bold magenta")
+            case {"event": "stopping" | "safe_return" | "mission_ended" as ending, "why": why}:
+                self._doing = "returning to land"
+                said = Text(f"{ending.replace('_', ' ')}: {why}", style="bold red")
+            case {"event": name, "why": why} if name.endswith("_failed"):
+                said = Text(f"{name.replace('_', ' ')}: {why}", style="red")
+            case {"event": "local_ended", "service": service, "how": how}:
+                said = Text(f"{service} on the drone ended ({how}); starting it again", style="red")
+        return said
+
+    def _picture(self) -> Group:
+        servers = Table(box=None, padding=(0, 2))
+        servers.add_column("server")
+        servers.add_column("state")
+        servers.add_column("why", style="dim")
+        for name, (state, why) in self._states.items():
+            servers.add_row(name, Text(state, style=_STATE_STYLES.get(state, "")), why)
+        head = Text(f"{self._doing} · {self._reached} of {self._waypoints} waypoints reached · {self._where}")
+        return Group(head, servers, *self._recent)
+
+
+def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
+    """Prints a table of the calls, the totals, and the mission time against what local calls would have made it."""
+    table = Table(title="Service calls")
+    for heading, justify in (
+        ("waypoint", "right"),
+        ("operation", "left"),
+        ("place", "left"),
+        ("delay", "right"),
+        ("waited", "right"),
+        ("decision", "left"),
+    ):
+        table.add_column(heading, justify="right" if justify == "right" else "left")
+    for call in result.calls:
+        table.add_row(*_call_row(call))
+    console.print(table)
+    totals = result.totals
+    servers = ", ".join(f"{count} on {server}" for server, count in totals.remote.items())
+    console.print(
+        f"{totals.calls} calls: {totals.local} on the drone{', ' + servers if servers else ''}; "
+        f"{totals.switches} selections, {totals.waits} waits of which {totals.waits_failed} in vain, "
+        f"{totals.fallbacks} fell back to the drone; {totals.service_delay_s:.1f} s spent in calls"
+    )
+    _print_times(result, console, paced=paced)
+
+
+def _print_times(result: RunResult, console: Console, *, paced: bool) -> None:
+    ended = "" if result.completed else ", not completed"
+    local_only_s = result.local_only_time_s()
+    if local_only_s is None or not result.calls:
+        console.print(f"mission time {result.mission_time_s:.1f} s{ended}")
+        return
+    saved = 100 * (1 - result.mission_time_s / local_only_s)
+    console.print(
+        f"mission time {result.mission_time_s:.1f} s{ended}; with every call on the drone, at the local delay "
+        f"measured in this flight, {local_only_s:.1f} s: {saved:.0f} % saved"
+    )
+    if paced:
+        console.print("Local calls were paced (local_pace_s) to stand in for a slower computer on the drone.")
+
+
+def _call_line(event: Mapping[str, Any], doing: str) -> Text:
+    place = "on the drone" if event["place"] == "local" else f"on {event['place']}"
+    waited = f" after waiting {event['waited_s']:.1f} s" if event["wait"] else ""
+    return Text(
+        f"{doing}: {event['operation']} {place}, {event['delay_s']:.2f} s{waited} ({event['decision']})",
+        style="" if event["place"] == "local" else "cyan",
+    )
+
+
+def _call_row(call: CallResult) -> tuple[str, ...]:
+    return (
+        "" if call.waypoint is None else str(call.waypoint),
+        call.operation,
+        "drone" if call.place == "local" else call.place,
+        f"{call.delay_s:.2f} s",
+        f"{call.waited_s:.1f} s" if call.waited_s >= 0.05 else "",
+        call.decision,
+    )
+
+
+def _describe(message: object) -> str:
+    """A message to the user in one line: detections by their number and labels, anything else as it is."""
+    if isinstance(message, list) and all(isinstance(item, dict) and "label" in item for item in message):
+        labels = [item["label"] for item in message]
+        return ", ".join(f"{labels.count(label)} {label}" for label in dict.fromkeys(labels))
+    return str(message)

@@ -1,0 +1,136 @@
+"""The stand-in on the network: MAVLink over UDP or TCP, with as many peers as care to ask."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+from typing import Any, Protocol
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.errors import UsageError
+from upwash.vehicle.conversation import Conversation, Vehicle
+from upwash.vehicle.copter import Copter, VehicleSettings
+from upwash.vehicle.telemetry import Message
+
+_FORGOTTEN_AFTER_S = 10.0
+_MOST_UNSENT_BYTES = 65_536
+
+
+async def serve_vehicle(listen: str, settings: VehicleSettings) -> VehicleServer:
+    """Switches a stand-in on at `udp:HOST:PORT` or `tcp:HOST:PORT` (0: a free port); UsageError if it cannot."""
+    kind, host, port = _parse(listen)
+    loop = asyncio.get_running_loop()
+    vehicle = Vehicle(Copter(settings, now_s=loop.time()))
+    endpoint: _Endpoint
+    try:
+        if kind == "udp":
+            endpoint, _ = await loop.create_datagram_endpoint(
+                lambda: _Datagrams(vehicle), local_addr=(host, port)
+            )
+            place = endpoint.get_extra_info("sockname")
+        else:
+            endpoint = server = await loop.create_server(lambda: _Stream(vehicle), host, port)
+            place = server.sockets[0].getsockname()
+    except OSError as error:
+        raise UsageError(
+            f"the vehicle cannot listen on {listen}: {error.strerror or error}; "
+            "stop the program that uses the address, or give another (port 0 takes a free one)"
+        ) from error
+    return VehicleServer(f"{kind}:{place[0]}:{place[1]}", vehicle, endpoint)
+
+
+def _parse(listen: str) -> tuple[str, str, int]:
+    kind, _, place = listen.partition(":")
+    host, _, port = place.rpartition(":")
+    if kind not in ("udp", "tcp") or not host or not port.isdecimal() or int(port) > 65_535:
+        raise UsageError(f'the vehicle cannot listen on "{listen}"; write udp:HOST:PORT or tcp:HOST:PORT')
+    return kind, host, int(port)
+
+
+class _Endpoint(Protocol):
+    def close(self) -> None: ...
+
+
+class VehicleServer:
+    """A stand-in that is switched on and reachable at `address`, such as `udp:127.0.0.1:14550`."""
+
+    def __init__(self, address: str, vehicle: Vehicle, endpoint: _Endpoint) -> None:
+        self.address = address
+        self._vehicle = vehicle
+        self._endpoint = endpoint
+        self._heartbeats = asyncio.create_task(vehicle.beat())
+
+    async def close(self) -> None:
+        """Switches it off, in flight too, and frees the address."""
+        self._heartbeats.cancel()
+        await asyncio.gather(self._heartbeats, return_exceptions=True)
+        self._endpoint.close()
+        for conversation in tuple(self._vehicle.conversations):
+            conversation.end()
+        await asyncio.sleep(0)  # transports close their sockets in the loop's next turn
+
+
+def _parser() -> Any:
+    codec = mavlink.MAVLink(None)
+    codec.robust_parsing = True  # what cannot be understood becomes a message of its own, not an exception
+    return codec
+
+
+class _Datagrams(asyncio.DatagramProtocol):
+    """UDP: a conversation with each address that has said something in MAVLink lately."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self._conversations: dict[Any, Conversation] = {}
+
+    def connection_made(self, transport: asyncio.DatagramTransport) -> None:  # type: ignore[override]
+        self._transport = transport
+
+    def datagram_received(self, data: bytes, address: Any) -> None:
+        # A datagram holds whole messages: read by itself, one peer's garbage cannot swallow another's message.
+        for message in _understood(_parser().parse_buffer(data)):
+            self._conversation(address).hear(message)
+
+    def _conversation(self, address: Any) -> Conversation:
+        if address not in self._conversations:
+            self._forget_the_silent()
+            self._conversations[address] = Conversation(
+                self._vehicle, write=lambda data: self._transport.sendto(data, address)
+            )
+        return self._conversations[address]
+
+    def _forget_the_silent(self) -> None:
+        horizon_s = self._vehicle.now_s() - _FORGOTTEN_AFTER_S
+        for address, conversation in tuple(self._conversations.items()):
+            if conversation.heard_s < horizon_s:
+                conversation.end()
+                del self._conversations[address]
+
+
+class _Stream(asyncio.Protocol):
+    """TCP: a conversation per connection."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self._parser = _parser()
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        self._transport = transport
+        self._conversation = Conversation(self._vehicle, write=self._write, hang_up=transport.close)
+
+    def data_received(self, data: bytes) -> None:
+        for message in _understood(self._parser.parse_buffer(data)):
+            self._conversation.hear(message)
+
+    def connection_lost(self, error: Exception | None) -> None:
+        self._conversation.end()
+
+    def _write(self, data: bytes) -> None:
+        # A peer that does not read loses messages, as on a serial line, instead of filling the memory.
+        if self._transport.get_write_buffer_size() < _MOST_UNSENT_BYTES:
+            self._transport.write(data)
+
+
+def _understood(messages: Iterable[Message] | None) -> Iterable[Message]:
+    return (message for message in messages or () if message.get_type() != "BAD_DATA")

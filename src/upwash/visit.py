@@ -1,0 +1,130 @@
+"""One visit to a server: join its network, ask, have the services started, call, leave."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from dataclasses import dataclass
+
+import msgspec
+
+from upwash.errors import LinkError, Refused, UpwashError
+from upwash.ports import Dialer, Link, Network
+from upwash.protocol import (
+    AVAILABILITY,
+    LEAVE,
+    START,
+    AvailabilityReply,
+    AvailabilityRequest,
+    LeaveRequest,
+    StartReply,
+    StartRequest,
+    decode_reply,
+    resolve,
+    service_path,
+)
+
+_ANSWER_S = 5.0  # a daemon answers at once or is in trouble
+_FAREWELL_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """How a server is reached, and which of the drone's services are wanted there."""
+
+    name: str
+    network: str
+    address: str
+    services: tuple[str, ...]
+
+
+class Visit:
+    """The drone's business with one server, from selection to de-selection."""
+
+    def __init__(self, contact: Contact, *, network: Network, dialer: Dialer) -> None:
+        self._contact = contact
+        self._network = network
+        self._dialer = dialer
+        self._daemon: Link | None = None
+        self._instances: dict[str, Link] = {}
+        self._lease_s = 0.0
+        self._calls = 0
+        self._quiet = asyncio.Event()
+        self._quiet.set()
+
+    async def ask(self) -> bool:
+        """Joins and asks; returns whether all wanted services run. Raises NetworkError or LinkError."""
+        await self._network.join(self._contact.network)
+        self._daemon = self._dialer.dial(self._contact.address, server=self._contact.name)
+        answer = await self._availability()
+        for service, endpoint in answer.endpoints.items():
+            self._dial(service, endpoint)
+        return all(service in self._instances for service in self._contact.services)
+
+    async def start(self, *, timeout_s: float) -> None:
+        """Has the services that do not run yet started, and learns their endpoints."""
+        for service in self._contact.services:
+            if service in self._instances:
+                continue
+            request = StartRequest(self._contact.name, service)
+            reply = decode_reply(
+                await self._tell(START, request, timeout_s=timeout_s), StartReply, sender=self._contact.name
+            )
+            if not reply.endpoint:
+                raise Refused(f"{self._contact.name} cannot start {service}: {reply.reason}")
+            self._dial(service, reply.endpoint)
+
+    async def keep_lease(self) -> None:
+        """Renews the lease, as the drone may be busy flying for longer than it lasts; until cancelled."""
+        while self._lease_s > 0:
+            await asyncio.sleep(self._lease_s / 3)
+            with contextlib.suppress(
+                UpwashError
+            ):  # whether the server can still be used, the next call tells
+                await self._availability()
+
+    async def call(self, service: str, method: str, request: bytes, *, deadline_s: float) -> bytes:
+        """Runs one call there; raises LinkError."""
+        instance = self._instances.get(service)
+        if instance is None:
+            raise Refused(f"{self._contact.name} does not run {service}")
+        self._calls += 1
+        self._quiet.clear()
+        try:
+            return await instance.request(service_path(service, method), request, timeout_s=deadline_s)
+        finally:
+            self._calls -= 1
+            if self._calls == 0:
+                self._quiet.set()
+
+    async def end(self, *, in_range: bool) -> None:
+        """Leaves: in range, after the calls under way and with a word to the daemon; else at once."""
+        if in_range:
+            await self._quiet.wait()  # each has its deadline
+            if self._daemon is not None:
+                with contextlib.suppress(LinkError):
+                    await self._tell(LEAVE, LeaveRequest(self._contact.name), timeout_s=_FAREWELL_S)
+        for link in (*self._instances.values(), self._daemon):
+            if link is not None:
+                await link.close()
+        await self._network.leave()
+
+    async def _availability(self) -> AvailabilityReply:
+        request = AvailabilityRequest(self._contact.name, list(self._contact.services))
+        answer = decode_reply(
+            await self._tell(AVAILABILITY, request, timeout_s=_ANSWER_S),
+            AvailabilityReply,
+            sender=self._contact.name,
+        )
+        if not answer.available:
+            raise Refused(f"{self._contact.name} is unavailable: {answer.reason}")
+        self._lease_s = answer.lease_s
+        return answer
+
+    async def _tell(self, path: str, message: msgspec.Struct, *, timeout_s: float) -> bytes:
+        assert self._daemon is not None  # noqa: S101 - dialled by ask()
+        return await self._daemon.request(path, msgspec.msgpack.encode(message), timeout_s=timeout_s)
+
+    def _dial(self, service: str, endpoint: str) -> None:
+        address = resolve(endpoint, self._contact.address)
+        self._instances[service] = self._dialer.dial(address, server=self._contact.name)

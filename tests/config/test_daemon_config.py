@@ -1,0 +1,89 @@
+"""The edge daemon's configuration: what a file means, and what is refused."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from upwash.config import DaemonConfig, ImageConfig, read_daemon_config
+from upwash.errors import ConfigError
+
+FULL = (Path(__file__).parent / "daemon.toml").read_text()
+KEYS = FULL[FULL.index("[keys]") : FULL.index("[[service]]")]
+REST = FULL[FULL.index("[[service]]") :]
+
+
+def read(tmp_path: Path, text: str) -> DaemonConfig:
+    file = tmp_path / "server.toml"
+    file.write_text(text)
+    return read_daemon_config(file)
+
+
+def test_every_printed_value_is_read(tmp_path: Path) -> None:
+    config = read(tmp_path, FULL)
+    assert config.images == (
+        ImageConfig(name="detector", program="upwash.services.hotspots:HotSpotDetector"),
+        ImageConfig(name="counter"),
+    )
+    assert [identity.images for identity in config.identities] == [("detector",), ("detector", "counter")]
+    assert config.keys is not None
+    assert config.keys.key == tmp_path / "keys/s1.key"
+
+
+def test_what_a_file_leaves_out_has_the_printed_defaults(tmp_path: Path) -> None:
+    assert read(tmp_path, KEYS + REST) == read(tmp_path, FULL)
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:0", "[::1]:7070", "localhost:7070", "unix:/run/upwash.sock"])
+def test_without_certificates_it_may_listen_where_only_this_machine_can_call(
+    tmp_path: Path, address: str
+) -> None:
+    config = read(tmp_path, f'listen = "{address}"\nallow_without_certificates = true\n{REST}')
+    assert (config.listen, config.keys) == (address, None)
+
+
+@pytest.mark.parametrize("address", ["0.0.0.0:7070", "[::]:7070", "10.0.0.1:7070", "edge.example:7070"])
+def test_without_certificates_it_may_not_listen_to_others(tmp_path: Path, address: str) -> None:
+    with pytest.raises(ConfigError, match=r"127\.0\.0\.1:7070") as refusal:
+        read(tmp_path, f'listen = "{address}"\nallow_without_certificates = true\n{REST}')
+    assert refusal.value.key == "allow_without_certificates"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "named"),
+    [
+        (KEYS, "", "keys", "allow_without_certificates = true on a loopback"),
+        ("certificates = false", "certificates = true", "allow_without_certificates", "remove one"),
+        ('key = "keys/s1.key"', "", "keys.key", "missing: add a file's path"),
+        ("0.0.0.0:7070", "7070", "listen", "host:port"),
+        ("0.0.0.0:7070", "unix:", "listen", "unix:path"),
+        ("16_777_216", "0", "max_message_bytes", "from 1024 to 2147483647"),
+        ("lease_s = 30.0", "lease_s = 0", "lease_s", "above 0"),
+        ("idle_stop_s", "idle_s", "idle_s", 'did you mean "idle_stop_s"?'),
+        ('images = ["detector"]', 'images = ["detecter"]', "server[0].images", 'did you mean "detector"?'),
+        ('images = ["detector"]', "images = [1]", "server[0].images[0]", "a string, found 1"),
+        ("slots = 1", "slots = 0.5", "server[0].slots", "an integer of at least 1"),
+        ('name = "s2"', 'name = "s1"', "server[1].name", 'a second server named "s1"'),
+        ('name = "counter"', 'name = "detector"', "service[1].name", 'a second service named "detector"'),
+        ('name = "counter"', 'name = "count er"', "service[1].name", "letters, digits"),
+        (REST, "", "service", "[[service]], at least one"),
+        (REST, '[[service]]\nname = "detector"\n', "server", "[[server]], at least one"),
+    ],
+)
+def test_a_refusal_names_the_key_and_the_remedy(
+    tmp_path: Path, old: str, new: str, key: str, named: str
+) -> None:
+    assert old in FULL
+    with pytest.raises(ConfigError) as refusal:
+        read(tmp_path, FULL.replace(old, new, 1))
+    assert refusal.value.key == key
+    assert named in refusal.value.problem
+
+
+def test_reading_configuration_imports_no_heavy_parts() -> None:
+    script = "import sys, upwash.config; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    assert not {"asyncio", "grpc", "cryptography", "numpy", "difflib", "upwash.ports"} & set(loaded.split())

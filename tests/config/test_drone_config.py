@@ -1,0 +1,372 @@
+"""The drone's configuration: what a file means, and what is refused."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from upwash.config import (
+    DroneConfig,
+    GridConfig,
+    MissionConfig,
+    read_drone_config,
+    server_position,
+    server_truth,
+    waypoints,
+)
+from upwash.core.geo import Position
+from upwash.errors import ConfigError
+
+FULL = (Path(__file__).parent / "full.toml").read_text()
+SHORT = (Path(__file__).parent / "several.toml").read_text()
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    file = tmp_path / "drone.toml"
+    file.write_text(text)
+    return file
+
+
+def read(tmp_path: Path, text: str) -> DroneConfig:
+    return read_drone_config(written(tmp_path, text))
+
+
+def test_every_printed_value_is_read(tmp_path: Path) -> None:
+    config = read(tmp_path, FULL)
+    server = config.servers[0]
+    assert (config.name, config.seed) == ("heron", 7)
+    assert config.mission.grid == GridConfig(columns=11, rows=11, spacing_m=20.0)
+    assert config.mission.home is not None
+    assert config.mission.home.longitude_deg == 22.9507
+    assert config.autopilot is not None
+    assert config.autopilot.connection == "udpout:127.0.0.1:14550"
+    assert config.network.kind == "wired"
+    assert config.services[0].local_call_s == {"light": 3.0, "heavy": 10.0}
+    assert config.services[0].local_pace_s == {"light": 3.0}
+    assert (server.network, server.address, server.bandwidth_bit_s) == ("s1-net", "10.10.1.1:7070", 54e6)
+    assert server.remote_call_s == {"detector": {"light": 0.3, "heavy": 0.7}}
+    assert server.processing_s == {"detector": {"light": 0.2, "heavy": 0.6}}
+    assert server.truth.remote_call_s == {"detector": {"light": 0.3, "heavy": 7.7}}
+    assert config.heat is not None
+    assert config.faults[0].to_s == 420.0
+
+
+def test_what_a_file_leaves_out_has_the_printed_defaults(tmp_path: Path) -> None:
+    full, short = read(tmp_path, FULL), read(tmp_path, SHORT)
+    assert (short.name, short.seed) == ("drone", 1)
+    assert short.policy == full.policy
+    assert short.vehicle == full.vehicle
+    assert short.noise == full.noise
+    assert (short.mission.program, short.mission.mode) == ("survey", "heavy")
+    assert (short.mission.altitude_m, short.mission.ground_speed_m_s) == (20.0, 4.0)
+    assert short.services[0].request_bytes == 425_000
+    assert (short.servers[0].check_s, short.servers[0].check_running_s) == (11.5, 3.5)
+    assert short.network.kind == "stand-in"
+    assert short.servers[0].network == "s1"
+    assert (short.heat, short.autopilot, short.keys, short.faults) == (None, None, None, ())
+
+
+def test_paths_count_from_the_files_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written(tmp_path, FULL.replace('program = "survey"', 'program = "missions/mine.py:fly"'))
+    monkeypatch.chdir(tmp_path)
+    config = read_drone_config(Path("drone.toml"))
+    assert config.keys is not None
+    assert config.keys.authority == tmp_path / "keys/authority.pem"
+    assert config.keys.key == Path("/etc/upwash/heron.key")
+    assert config.camera.folder == tmp_path / "photos"
+    assert config.mission.program == f"{tmp_path}/missions/mine.py:fly"
+
+
+def test_a_radio_table_counts_from_the_files_folder(tmp_path: Path) -> None:
+    (tmp_path / "goodput.csv").write_text("distance_m,goodput_bit_s\n")
+    config = read(tmp_path, FULL.replace('radio = "fixed"', 'radio = "goodput.csv"'))
+    assert config.servers[0].truth.radio == str(tmp_path / "goodput.csv")
+
+
+def test_times_are_written_by_service_and_key_in_any_shorthand(tmp_path: Path) -> None:
+    config = read(tmp_path, SHORT)
+    assert config.services[1].local_call_s == {"": 1.5}
+    assert config.servers[0].remote_call_s == {"detector": {"light": 0.3, "heavy": 0.7}, "counter": {"": 0.2}}
+    assert config.servers[1].processing_s == {"detector": {"light": 0.2, "heavy": 0.6}}
+
+
+def test_one_number_is_the_first_services_time(tmp_path: Path) -> None:
+    text = SHORT.replace("{ light = 3.0, heavy = 10.0 }", "3")
+    text = text.replace("{ light = 0.2, heavy = 0.6 }", "0.2")
+    text = text.replace("{ detector = { light = 0.3, heavy = 0.7 }, counter = 0.2 }", "0.4")
+    config = read(tmp_path, text)
+    assert config.servers[0].remote_call_s == {"detector": {"": 0.4}}
+    assert config.servers[1].processing_s == {"detector": {"": 0.2}}
+
+
+def test_a_flat_time_stands_beside_a_nested_one_in_either_order(tmp_path: Path) -> None:
+    nested = "{ detector = { light = 0.3, heavy = 0.7 }, counter = 0.2 }"
+    for mixed in (
+        "{ light = 0.3, detector = { heavy = 0.7 } }",
+        "{ detector = { heavy = 0.7 }, light = 0.3 }",
+    ):
+        config = read(tmp_path, SHORT.replace(nested, mixed))
+        assert config.servers[0].remote_call_s == {"detector": {"light": 0.3, "heavy": 0.7}}
+
+
+def test_what_is_true_is_what_is_believed_unless_told(tmp_path: Path) -> None:
+    config = read(tmp_path, SHORT)
+    truth = server_truth(config.servers[0], config.services)
+    assert (truth.join_s, truth.start_s, truth.slots, truth.radio) == (3.5, 8.0, 1, "fixed")
+    assert truth.images == ("detector", "counter")
+    assert truth.remote_call_s == config.servers[0].remote_call_s
+
+
+def test_a_true_time_replaces_only_the_believed_one_of_its_operation(tmp_path: Path) -> None:
+    config = read(tmp_path, SHORT + "[server.truth]\nremote_call_s = { heavy = 7.7 }\njoin_s = 0\n")
+    truth = server_truth(config.servers[1], config.services)
+    assert truth.remote_call_s == {"detector": {"heavy": 7.7}}
+    assert truth.processing_s == {"detector": {"light": 0.2, "heavy": 0.6}}
+    assert truth.join_s == 0.0
+
+
+def test_a_radio_or_a_true_processing_time_replaces_the_believed_delay(tmp_path: Path) -> None:
+    truth = 'remote_call_s = { light = 0.3, heavy = 7.7 }\nradio = "fixed"'
+    by_radio = read(tmp_path, FULL.replace(truth, 'radio = "disc54"'))
+    assert server_truth(by_radio.servers[0], by_radio.services).remote_call_s == {}
+    by_processing = read(tmp_path, FULL.replace(truth, "processing_s = { heavy = 7.6 }"))
+    told = server_truth(by_processing.servers[0], by_processing.services)
+    assert told.remote_call_s == {"detector": {"light": 0.3}}
+    assert told.processing_s == {"detector": {"light": 0.2, "heavy": 7.6}}
+
+
+def test_a_server_stands_where_metres_or_degrees_say(tmp_path: Path) -> None:
+    in_metres = read(tmp_path, FULL)
+    assert server_position(in_metres.servers[0], in_metres.mission.home) == Position(80.0, 80.0)
+    in_degrees = read(
+        tmp_path,
+        FULL.replace("east_m = 80.0\nnorth_m = 80.0", "latitude_deg = 39.3676\nlongitude_deg = 22.9507"),
+    )
+    place = server_position(in_degrees.servers[0], in_degrees.mission.home)
+    assert place.east_m == pytest.approx(0.0)
+    assert place.north_m == pytest.approx(111.3, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("start", "alternate", "expected"),
+    [
+        ("top-left", True, [(0, 10), (10, 10), (20, 10), (20, 0), (10, 0), (0, 0)]),
+        ("top-left", False, [(0, 10), (10, 10), (20, 10), (0, 0), (10, 0), (20, 0)]),
+        ("top-right", True, [(20, 10), (10, 10), (0, 10), (0, 0), (10, 0), (20, 0)]),
+        ("bottom-left", True, [(0, 0), (10, 0), (20, 0), (20, 10), (10, 10), (0, 10)]),
+        ("bottom-right", False, [(20, 0), (10, 0), (0, 0), (20, 10), (10, 10), (0, 10)]),
+    ],
+)
+def test_a_grid_is_flown_row_by_row_away_from_its_start(
+    start: Any, alternate: bool, expected: list[tuple[float, float]]
+) -> None:
+    grid = GridConfig(columns=3, rows=2, spacing_m=10, start=start, rows_alternate=alternate)
+    flown = waypoints(MissionConfig(grid=grid, altitude_m=30))
+    assert [(place.position.east_m, place.position.north_m) for place in flown] == expected
+    assert [place.index for place in flown] == list(range(6))
+    assert {place.position.altitude_m for place in flown} == {30}
+
+
+def test_the_thesis_grid_has_legs_of_20_m_only(tmp_path: Path) -> None:
+    flown = [place.position for place in waypoints(read(tmp_path, FULL).mission)]
+    legs = [math.dist((a.east_m, a.north_m), (b.east_m, b.north_m)) for a, b in itertools.pairwise(flown)]
+    assert len(flown) == 121
+    assert set(legs) == {20.0}
+
+
+def test_listed_waypoints_are_flown_as_listed(tmp_path: Path) -> None:
+    first, second = waypoints(read(tmp_path, SHORT).mission)
+    assert (first.position, second.position) == (Position(0, 0, 20), Position(20, 0, 20))
+
+
+REFUSED = [
+    # old text, new text, key, what the message has to name
+    ("range_m = 100.0", "range_m = 0", "server[0].range_m", "a number above 0, found 0"),
+    ("range_m = 100.0", "range_m = -5.5", "server[0].range_m", "a number above 0, found -5.5"),
+    ("range_m = 100.0", "range_m = inf", "server[0].range_m", "a finite number"),
+    ("range_m = 100.0", "range_m = nan", "server[0].range_m", "a finite number"),
+    ("range_m = 100.0", 'range_m = "far"', "server[0].range_m", 'a number above 0, found "far"'),
+    ("range_m = 100.0", "", "server[0].range_m", "missing: add a number above 0"),
+    ("range_m = 100.0", "rangem = 100.0", "server[0].rangem", 'did you mean "range_m"?'),
+    ("range_m = 100.0", "quux = 1", "server[0].quux", "allowed: name, east_m, north_m"),
+    ("seed = 7", "seed = 1e3", "seed", "an integer, found 1000.0"),
+    ("seed = 7", f"seed = {2**64}", "seed", "fits 64 bits"),
+    ("seed = 7", "sede = 7", "sede", 'did you mean "seed"?'),
+    ('name = "heron"', 'name = ""', "name", "letters, digits"),
+    ('name = "heron"', 'name = "grey heron"', "name", "letters, digits"),
+    ('name = "heron"', 'name = "heron\\n"', "name", "letters, digits"),
+    ('name = "s1"', 'name = "s/1"', "server[0].name", "letters, digits"),
+    ('name = "detector"', "name = 3", "service[0].name", "letters, digits"),
+    ("ground_speed_m_s = 4.0", "ground_speed_m_s = 0", "mission.ground_speed_m_s", "above 0"),
+    ("altitude_m = 20.0", "altitude_m = -1", "mission.altitude_m", "above 0"),
+    ("columns = 11", "columns = 0", "mission.grid.columns", "from 1 to 1000"),
+    (
+        'start = "top-left"',
+        'start = "middle"',
+        "mission.grid.start",
+        '"top-left", "top-right", found "middle"',
+    ),
+    ("rows_alternate = true", "rows_alternate = 1", "mission.grid.rows_alternate", "true or false, found 1"),
+    ("latitude_deg = 39.3666", "latitude_deg = 93", "mission.home.latitude_deg", "from -90 to 90"),
+    ("grid = {", "plan = 'a.plan'\ngrid = {", "mission.plan", "unknown key"),
+    ("grid = {", "waypoints_m = [[0, 0]]\ngrid = {", "mission", "either grid or waypoints_m, found both"),
+    ("grid = {", "#", "mission", "either grid or waypoints_m, found neither"),
+    ("grid = {", "waypoints_m = [] #", "mission.waypoints_m", "at least one"),
+    ("grid = {", "waypoints_m = [[0, 0], [1]] #", "mission.waypoints_m[1]", "[east, north] in metres"),
+    ('mode = "heavy"', 'mode = "hevy"', "mission.mode", 'did you mean "heavy"? allowed: light, heavy'),
+    ("acceleration_m_s2 = 1.0", "acceleration_m_s2 = 0", "vehicle.acceleration_m_s2", "above 0"),
+    ("takeoff_s = 10.0", "takeoff_s = -1", "vehicle.takeoff_s", "at least 0"),
+    ("takeoff_s = 10.0", 'profile = "plane"', "vehicle.profile", '"arducopter"'),
+    ('connection = "udpout:127.0.0.1:14550"', "", "autopilot.connection", "missing"),
+    ('kind = "wired"', 'kind = "wifi"', "network.kind", '"stand-in", "wired"'),
+    ('authority = "keys/authority.pem"', "authority = 3", "keys.authority", "a file's path"),
+    ('authority = "keys/authority.pem"', 'authority = ""', "keys.authority", "a file's path"),
+    ("photo_s = 1.0", "photo_s = -1.0", "camera.photo_s", "at least 0"),
+    (
+        'name = "location-aware"',
+        'name = "greedy"',
+        "policy.name",
+        '"local-only", "location-aware", "opportunistic", found "greedy"',
+    ),
+    ("gain_switch = 0.25", "gain_switch = 1.1", "policy.gain_switch", "from 0 to 1, found 1.1"),
+    ("gain_wait = 0.25", "gain_wait = -0.1", "policy.gain_wait", "from 0 to 1"),
+    ("period_s = 1.0", "period_s = 0", "policy.period_s", "above 0"),
+    ("blacklist_s = 60.0", "blacklist_s = -60", "policy.blacklist_s", "at least 0"),
+    ("HotSpotDetector", "", "service[0].program", "package.module:Class"),
+    ("request_bytes = 425_000", "request_bytes = -1", "service[0].request_bytes", "at least 0"),
+    ("local_call_s = { light = 3.0, heavy = 10.0 }", "", "service[0].local_call_s", "missing: add seconds"),
+    ("{ light = 3.0, heavy = 10.0 }", "{}", "service[0].local_call_s", "one for each profile key"),
+    ("{ light = 3.0, heavy = 10.0 }", "true", "service[0].local_call_s", "seconds of at least 0"),
+    ("light = 3.0, heavy", "light = -3.0, heavy", "service[0].local_call_s", '"light": -3.0'),
+    ("local_pace_s = { light", "local_pace_s = { lihgt", "service[0].local_pace_s", 'did you mean "light"?'),
+    ("[[server]]", "[[service]]\nname='detector'\nlocal_call_s=1\n[[server]]", "service[1].name", "its own"),
+    (
+        "[server.truth]",
+        '[[server]]\nname="s1"\neast_m=0\nnorth_m=0\nrange_m=1\nremote_call_s={light=1,heavy=1}\n[server.truth]',
+        "server[1].name",
+        'a second server named "s1"',
+    ),
+    ("[[server]]", "[[server]]\nlatitude_deg = 39.0", "server[0].east_m", "either east_m and north_m, or"),
+    ("north_m = 80.0", "", "server[0].east_m", "either east_m and north_m, or"),
+    ("10.10.1.1:7070", "10.10.1.1", "server[0].address", "host:port"),
+    ("10.10.1.1:7070", "10.10.1.1:70707", "server[0].address", "host:port"),
+    ("check_s = 11.5", "check_s = 1", "server[0].check_s", "check_running_s = 3.5"),
+    ("bandwidth_bit_s = 54e6", "bandwidth_bit_s = 0", "server[0].bandwidth_bit_s", "above 0"),
+    ("{ light = 0.2, heavy = 0.6 }", "{ detectr = { light = 1 } }", "server[0].processing_s", '"detector"?'),
+    ("{ light = 0.2, heavy = 0.6 }", "{ lihgt = 0.2 }", "server[0].processing_s", 'did you mean "light"?'),
+    ("{ light = 0.3, heavy = 0.7 }", "{ night = 0.3 }", "server[0].remote_call_s", "allowed: light, heavy"),
+    ("{ light = 0.3, heavy = 0.7 }", "{ light = 'x' }", "server[0].remote_call_s", "seconds of at least 0"),
+    ("{ light = 0.3, heavy = 0.7 }", "'x'", "server[0].remote_call_s", 'found "x"'),
+    ("{ light = 0.3, heavy = 7.7 }", "{ detector = { light = -1 } }", "server[0].truth.remote_call_s", "-1"),
+    ("{ light = 0.3, heavy = 7.7 }", "{ night = 1 }", "server[0].truth.remote_call_s", "light, heavy"),
+    ('radio = "fixed"', 'radio = "disk54"', "server[0].truth.radio", "fixed, disc54, disc12 or a csv file"),
+    ("slots = 1", "slots = 0", "server[0].truth.slots", "at least 1"),
+    ('images = ["detector"]', 'images = ["dtector"]', "server[0].truth.images", 'did you mean "detector"?'),
+    ("join_s = 3.5", "join_s = -1", "server[0].truth.join_s", "at least 0"),
+    ("load_w = 4.0", "load_w = -4.0", "heat.load_w", "at least 0"),
+    ("leg = 0.0", "leg = -0.1", "noise.leg", "at least 0"),
+    ('target = "s1"', 'target = "link:s2"', "fault[0].target", "allowed: s1, link:s1, autopilot"),
+    ('kind = "stuck"', 'kind = "broken"', "fault[0].kind", '"flapping"'),
+    ("to_s = 420.0", "to_s = 200.0", "fault[0].to_s", "before from_s = 300"),
+    ("[[server]]", "[server]", "server", "[[server]]"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "key", "named"), REFUSED)
+def test_a_refusal_names_the_key_and_the_remedy(
+    tmp_path: Path, old: str, new: str, key: str, named: str
+) -> None:
+    assert old in FULL
+    text = FULL.replace(old, new, 1)
+    if new == "[server]":
+        text = text.replace("[server.truth]", "[other]")
+    file = written(tmp_path, text)
+    with pytest.raises(ConfigError) as refusal:
+        read_drone_config(file)
+    assert refusal.value.key == key
+    assert named in refusal.value.problem
+    assert refusal.value.file == str(file)
+
+
+REFUSED_SHORT = [
+    (
+        "{ light = 3.0, heavy = 10.0 }",
+        "3\nlocal_pace_s = { x = 1 }",
+        "service[0].local_pace_s",
+        "give one number",
+    ),
+    ("heavy = 10.0 }", "heavy = 10.0 }\nlocal_pace_s = 3", "service[0].local_pace_s", "each of light, heavy"),
+    ("bandwidth_bit_s = 54e6", "", "server[1].bandwidth_bit_s", "detector[light] has no remote_call_s"),
+    (
+        "processing_s = { light = 0.2, heavy = 0.6 }",
+        "",
+        "server[1].remote_call_s",
+        "processing_s and bandwidth",
+    ),
+    ("light = 0.2, heavy = 0.6", "light = 0.2", "server[1].remote_call_s", "nothing for detector[heavy]"),
+    ("counter = 0.2", "counter = { x = 1 }", "server[0].remote_call_s", "counter has no profile keys"),
+    (
+        "east_m = 80\nnorth_m = 80",
+        "latitude_deg = 1\nlongitude_deg = 2",
+        "server[0].latitude_deg",
+        "mission.home",
+    ),
+    ("[[server]]", "[server]\n[[server]]", "", "not valid TOML"),
+    ("[[service]]", "x = 2021-01-01\n[[service]]", "mission.x", "unknown key"),
+    ("range_m = 100", "range_m = 2021-01-01", "server[0].range_m", "2021-01-01"),
+    (
+        "remote_call_s",
+        'truth = { radio = "disc54" }\nremote_call_s',
+        "server[0].truth.processing_s",
+        'detector[light], as radio = "disc54" needs it',
+    ),
+    (
+        "remote_call_s",
+        "truth = { processing_s = { heavy = 3 } }\nremote_call_s",
+        "server[0].bandwidth_bit_s",
+        "detector[heavy] has no truth.remote_call_s",
+    ),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "key", "named"), REFUSED_SHORT)
+def test_a_refusal_among_several_services_or_servers(
+    tmp_path: Path, old: str, new: str, key: str, named: str
+) -> None:
+    assert old in SHORT
+    with pytest.raises(ConfigError) as refusal:
+        read(tmp_path, SHORT.replace(old, new, 1))
+    assert refusal.value.key == key
+    assert named in refusal.value.problem
+
+
+def test_a_missing_file_a_folder_and_foreign_bytes_are_refused(tmp_path: Path) -> None:
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"seed = 1 # \xff")
+    for file, problem in [
+        (tmp_path / "none.toml", "no such file"),
+        (tmp_path, "cannot be read"),
+        (binary, "not UTF-8 text (byte 11): save it as UTF-8"),
+    ]:
+        with pytest.raises(ConfigError, match=r".") as refusal:
+            read_drone_config(file)
+        assert problem in refusal.value.problem
+        assert refusal.value.key == ""
+
+
+def test_a_syntax_error_names_the_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="line 3"):
+        read(tmp_path, "\nseed = 1\nname = \n")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["x = " + "[" * 5000, ".".join(["a"] * 5000) + " = 1", "seed = " + "9" * 5000, f"seed = 0x{'f' * 9000}"],
+)
+def test_a_monstrous_file_is_refused_like_any_other(tmp_path: Path, text: str) -> None:
+    with pytest.raises(ConfigError):
+        read(tmp_path, text)

@@ -1,0 +1,281 @@
+"""Requests in, answers and commands out: what the server-side machine grants, starts and stops."""
+
+from __future__ import annotations
+
+import pytest
+
+from upwash.core.instances import (
+    Admit,
+    Available,
+    Denied,
+    Host,
+    HostSettings,
+    InstanceState,
+    Pending,
+    Running,
+    ServerOffer,
+    StartInstance,
+    StopInstance,
+)
+
+ABSENT, STARTING, RUNNING, STOPPING = InstanceState
+
+
+def host(*, slots: int = 1) -> Host:
+    """s1 can run a detector and a counter, s2 a detector; a lease lasts 30 s, an instance 600 s without a call."""
+    offers = {
+        "s1": ServerOffer(frozenset({"detector", "counter"}), slots),
+        "s2": ServerOffer(frozenset({"detector"}), slots),
+    }
+    return Host(offers, HostSettings(lease_s=30.0, idle_stop_s=600.0))
+
+
+def with_detector_running(*, slots: int = 1) -> Host:
+    """The host with instance 1, a detector on s1 that drone d1 had started, ready at 8 s."""
+    machine = host(slots=slots)
+    machine.start("s1", "detector", "d1", now_s=0.0)
+    machine.ready("s1", "detector", 1, "10.0.0.1:9000", now_s=8.0)
+    assert machine.state("s1", "detector") is RUNNING
+    return machine
+
+
+def admit(*drones: str, server: str = "s1") -> Admit:
+    return Admit(server, frozenset(drones))
+
+
+# ---- slots and leases
+
+
+def test_a_free_slot_is_held_for_the_drone_that_asked() -> None:
+    machine = host()
+    answer, commands = machine.availability("s1", ["detector"], "d1", now_s=0.0)
+    assert answer == Available({})  # nothing runs yet
+    assert commands == [admit("d1")]
+    assert machine.leases("s1") == {"d1"}
+
+
+@pytest.mark.parametrize(
+    ("server", "services", "why"),
+    [
+        ("s3", ["detector"], "no server s3 here; this daemon is s1, s2"),
+        ("s2", ["detector", "counter"], "s2 has no image of counter"),
+        ("s1", ["detector"], "s1 has no free slot: 1 of 1 in use"),
+    ],
+)
+def test_a_denial_says_why_and_changes_nothing(server: str, services: list[str], why: str) -> None:
+    machine = with_detector_running()
+    answer, commands = machine.availability(server, services, "d2", now_s=9.0)
+    assert answer == Denied(why)
+    assert commands == []
+    assert machine.leases("s1") == {"d1"}
+    assert machine.leases("s2") == set()
+
+
+@pytest.mark.parametrize(("server", "service"), [("s3", "detector"), ("s2", "counter"), ("s1", "counter")])
+def test_a_start_is_denied_for_the_same_reasons(server: str, service: str) -> None:
+    machine = with_detector_running()
+    answer, commands = machine.start(server, service, "d2", now_s=9.0)
+    assert isinstance(answer, Denied)
+    assert commands == []
+    assert machine.state("s1", "counter") is ABSENT
+
+
+def test_a_drone_that_holds_a_slot_needs_no_other() -> None:
+    machine = host()
+    machine.availability("s1", ["detector"], "d1", now_s=0.0)
+    answer, commands = machine.availability("s1", ["counter"], "d1", now_s=1.0)
+    assert isinstance(answer, Available)
+    assert commands == []  # admitted already
+
+
+def test_as_many_drones_as_slots() -> None:
+    machine = host(slots=2)
+    machine.availability("s1", ["detector"], "d1", now_s=0.0)
+    _, commands = machine.availability("s1", ["detector"], "d2", now_s=0.0)
+    assert commands == [admit("d1", "d2")]
+    assert isinstance(machine.availability("s1", ["detector"], "d3", now_s=0.0)[0], Denied)
+
+
+def test_each_server_of_a_daemon_has_its_own_slots_and_instances() -> None:
+    machine = with_detector_running()
+    answer, commands = machine.start("s2", "detector", "d2", now_s=9.0)
+    assert isinstance(answer, Pending)
+    assert commands == [admit("d2", server="s2"), StartInstance("s2", "detector", 2)]
+    assert machine.state("s1", "detector") is RUNNING
+
+
+def test_the_lease_of_a_drone_that_is_heard_of_no_more_ends_by_itself() -> None:
+    machine = host()
+    machine.availability("s1", ["detector"], "d1", now_s=0.0)
+    assert machine.look(now_s=29.9) == []
+    assert machine.look(now_s=30.0) == [admit()]
+    assert machine.leases("s1") == set()
+
+
+def test_a_lease_that_is_over_makes_room_without_anyone_looking() -> None:
+    machine = host()
+    machine.availability("s1", ["detector"], "d1", now_s=0.0)
+    answer, commands = machine.availability("s1", ["detector"], "d2", now_s=30.0)
+    assert isinstance(answer, Available)
+    assert commands == [admit(), admit("d2")]
+
+
+def test_a_denied_request_still_ends_the_leases_that_are_over() -> None:
+    machine = host()
+    machine.availability("s1", ["detector"], "d1", now_s=0.0)
+    answer, commands = machine.availability("s3", ["detector"], "d2", now_s=30.0)
+    assert isinstance(answer, Denied)
+    assert commands == [admit()]
+
+
+def test_every_request_renews_the_lease() -> None:
+    machine = host()
+    machine.availability("s1", ["detector"], "d1", now_s=0.0)
+    machine.availability("s1", ["detector"], "d1", now_s=20.0)
+    assert machine.look(now_s=49.9) == []
+    machine.start("s1", "detector", "d1", now_s=49.9)
+    assert machine.look(now_s=79.8) == []
+    machine.ready("s1", "detector", 1, "10.0.0.1:9000", now_s=79.8)
+    machine.called("s1", "detector", "d1", now_s=79.8)
+    assert machine.look(now_s=109.7) == []
+    assert machine.look(now_s=109.8) == [admit()]
+
+
+def test_a_call_gives_no_lease_to_a_drone_without_one() -> None:
+    machine = with_detector_running(slots=2)
+    machine.called("s1", "detector", "d2", now_s=9.0)
+    assert machine.leases("s1") == {"d1"}
+
+
+def test_a_drone_that_leaves_frees_its_slot_at_once() -> None:
+    machine = with_detector_running()
+    assert machine.leave("s1", "d1") == [admit()]
+    answer, _ = machine.availability("s1", ["detector"], "d2", now_s=9.0)
+    assert isinstance(answer, Available)
+
+
+@pytest.mark.parametrize(("server", "drone"), [("s1", "d2"), ("s2", "d1"), ("s3", "d1")])
+def test_leaving_where_one_never_was_changes_nothing(server: str, drone: str) -> None:
+    machine = with_detector_running()
+    assert machine.leave(server, drone) == []
+    assert machine.leases("s1") == {"d1"}
+
+
+# ---- instances
+
+
+def test_a_start_makes_an_instance_and_holds_a_slot() -> None:
+    machine = host()
+    answer, commands = machine.start("s1", "detector", "d1", now_s=0.0)
+    assert answer == Pending(1, stopping=False)
+    assert commands == [admit("d1"), StartInstance("s1", "detector", 1)]
+    assert machine.state("s1", "detector") is STARTING
+
+
+def test_two_starts_of_one_service_make_one_instance() -> None:
+    machine = host(slots=2)
+    machine.start("s1", "detector", "d1", now_s=0.0)
+    answer, commands = machine.start("s1", "detector", "d2", now_s=1.0)
+    assert answer == Pending(1, stopping=False)
+    assert commands == [admit("d1", "d2")]
+
+
+def test_an_instance_that_starts_is_not_offered_before_it_is_ready() -> None:
+    machine = host()
+    machine.start("s1", "detector", "d1", now_s=0.0)
+    assert machine.availability("s1", ["detector"], "d1", now_s=1.0)[0] == Available({})
+    assert machine.ready("s1", "detector", 1, "10.0.0.1:9000", now_s=8.0) == [admit("d1")]
+    endpoints = {"detector": "10.0.0.1:9000"}
+    assert machine.availability("s1", ["detector", "counter"], "d1", now_s=9.0)[0] == Available(endpoints)
+    assert machine.availability("s1", ["counter"], "d1", now_s=9.0)[0] == Available({})
+    assert machine.start("s1", "detector", "d1", now_s=9.0) == (Running("10.0.0.1:9000"), [])
+
+
+def test_an_instance_that_becomes_ready_after_the_drone_left_admits_nobody() -> None:
+    machine = host()
+    machine.start("s1", "detector", "d1", now_s=0.0)
+    machine.leave("s1", "d1")
+    assert machine.ready("s1", "detector", 1, "10.0.0.1:9000", now_s=8.0) == [admit()]
+
+
+def test_an_instance_that_crashed_is_absent_and_started_again_on_request() -> None:
+    machine = with_detector_running()
+    machine.gone("s1", "detector", 1)
+    assert machine.availability("s1", ["detector"], "d1", now_s=9.0)[0] == Available({})
+    answer, commands = machine.start("s1", "detector", "d1", now_s=9.0)
+    assert answer == Pending(2, stopping=False)
+    assert commands == [StartInstance("s1", "detector", 2)]
+
+
+def test_an_instance_that_did_not_start_can_be_started_again() -> None:
+    machine = host()
+    machine.start("s1", "detector", "d1", now_s=0.0)
+    machine.gone("s1", "detector", 1)
+    assert machine.start("s1", "detector", "d1", now_s=1.0)[1] == [StartInstance("s1", "detector", 2)]
+
+
+def test_what_is_told_of_an_earlier_instance_changes_nothing() -> None:
+    machine = with_detector_running()
+    machine.gone("s1", "detector", 1)
+    assert machine.ready("s1", "detector", 1, "10.0.0.1:9000", now_s=9.0) == []
+    assert machine.state("s1", "detector") is ABSENT
+    machine.start("s1", "detector", "d1", now_s=10.0)
+    assert machine.ready("s1", "detector", 1, "10.0.0.1:9000", now_s=11.0) == []
+    machine.gone("s1", "detector", 1)
+    assert machine.state("s1", "detector") is STARTING
+    machine.ready("s1", "detector", 2, "10.0.0.1:9001", now_s=12.0)
+    machine.gone("s1", "detector", 1)
+    assert machine.start("s1", "detector", "d1", now_s=13.0)[0] == Running("10.0.0.1:9001")
+
+
+def test_an_instance_that_nobody_uses_is_stopped_once() -> None:
+    machine = with_detector_running()
+    machine.called("s1", "detector", "d1", now_s=100.0)
+    machine.leave("s1", "d1")
+    assert machine.look(now_s=699.9) == []
+    assert machine.look(now_s=700.0) == [StopInstance("s1", "detector", 1)]
+    assert machine.look(now_s=800.0) == []
+    assert machine.state("s1", "detector") is STOPPING
+
+
+def test_an_instance_that_was_never_called_is_idle_from_when_it_was_ready() -> None:
+    machine = with_detector_running()
+    machine.leave("s1", "d1")
+    assert machine.look(now_s=607.9) == []
+    assert machine.look(now_s=608.0) == [StopInstance("s1", "detector", 1)]
+
+
+def test_an_instance_that_starts_for_long_is_not_idle() -> None:
+    machine = host()
+    machine.start("s1", "detector", "d1", now_s=0.0)
+    assert machine.look(now_s=1000.0) == [admit()]
+    assert machine.state("s1", "detector") is STARTING
+
+
+def test_nothing_is_stopped_under_a_drone_with_a_lease() -> None:
+    machine = with_detector_running()
+    machine.availability("s1", ["detector"], "d1", now_s=20.0)
+    for now_s in range(40, 1000, 20):
+        answer, commands = machine.availability("s1", ["detector"], "d1", now_s=float(now_s))
+        assert isinstance(answer, Available)
+        assert commands == []
+    assert machine.look(now_s=1100.0) == [admit(), StopInstance("s1", "detector", 1)]
+
+
+def test_the_lease_of_one_server_does_not_keep_the_instances_of_another() -> None:
+    machine = with_detector_running()
+    machine.leave("s1", "d1")
+    machine.availability("s2", ["detector"], "d1", now_s=607.0)
+    assert machine.look(now_s=608.0) == [StopInstance("s1", "detector", 1)]
+
+
+def test_an_instance_that_stops_is_started_again_only_once_it_is_gone() -> None:
+    machine = with_detector_running()
+    machine.leave("s1", "d1")
+    machine.look(now_s=608.0)
+    assert machine.availability("s1", ["detector"], "d1", now_s=609.0)[0] == Available({})
+    answer, commands = machine.start("s1", "detector", "d1", now_s=609.0)
+    assert answer == Pending(1, stopping=True)
+    assert commands == []
+    machine.gone("s1", "detector", 1)
+    assert machine.start("s1", "detector", "d1", now_s=610.0)[1] == [StartInstance("s1", "detector", 2)]

@@ -1,0 +1,223 @@
+"""Promise 11 under random requests, crashes and late news, with time passing.
+
+Beside the machine under test stands a model of the daemon: it carries out the commands and knows from them alone
+which processes live and whom they answer.
+"""
+
+from __future__ import annotations
+
+import copy
+
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from upwash.core.instances import (
+    Admit,
+    Available,
+    Command,
+    Denied,
+    Host,
+    HostSettings,
+    InstanceState,
+    Pending,
+    Running,
+    ServerOffer,
+    StartInstance,
+    StopInstance,
+)
+
+OFFERED = {"s1": ["counter", "detector"], "s2": ["detector"]}
+SETTINGS = HostSettings(lease_s=30.0, idle_stop_s=100.0)
+
+servers = st.sampled_from(list(OFFERED))
+services = st.sampled_from(["counter", "detector"])
+drones = st.sampled_from(["d1", "d2", "d3"])
+
+
+class Daemon(RuleBasedStateMachine):
+    """Drones come, ask, call, leave or fall silent; instances start, fail, crash and stop."""
+
+    @initialize(slots=st.fixed_dictionaries({"s1": st.integers(1, 2), "s2": st.integers(0, 2)}))
+    def boot(self, slots: dict[str, int]) -> None:
+        self.slots = slots
+        self.host = Host(
+            {name: ServerOffer(frozenset(images), slots[name]) for name, images in OFFERED.items()}, SETTINGS
+        )
+        self.now_s = 0.0
+        self.admitted: dict[str, frozenset[str]] = dict.fromkeys(OFFERED, frozenset())
+        self.lease_ends_s: dict[tuple[str, str], float] = {}
+        self.living: dict[tuple[str, str], int] = {}
+        self.serving: dict[tuple[str, str], str] = {}
+        self.stopping: set[tuple[str, str]] = set()
+        self.used_s: dict[tuple[str, str], float] = {}
+        self.born: list[tuple[str, str, int]] = []
+
+    # ---- what happens
+
+    @rule(step_s=st.sampled_from([0.0, 1.0, 14.0, 29.0, 30.0, 100.0]))
+    def time_passes(self, step_s: float) -> None:
+        self.now_s += step_s
+
+    @rule()
+    def look(self) -> None:
+        self.carry_out(self.host.look(now_s=self.now_s))
+        assert all(end_s > self.now_s for end_s in self.lease_ends_s.values()), "a lease outlived its time"
+        for place in self.serving.keys() - self.stopping:
+            if not self.admitted[place[0]]:
+                assert self.now_s - self.used_s[place] < SETTINGS.idle_stop_s, "an idle instance still runs"
+
+    @rule(server=servers, wanted=st.lists(services, max_size=2), drone=drones)
+    def drone_asks(self, server: str, wanted: list[str], drone: str) -> None:
+        before = self.after_a_look()
+        answer, commands = self.host.availability(server, wanted, drone, now_s=self.now_s)
+        self.answered(
+            server, wanted, drone, granted=isinstance(answer, Available), before=before, commands=commands
+        )
+        if isinstance(answer, Available):
+            assert answer.endpoints == {
+                service: self.serving[server, service]
+                for service in wanted
+                if (server, service) in self.serving.keys() - self.stopping
+            }
+
+    @rule(server=servers, service=services, drone=drones)
+    def drone_has_started(self, server: str, service: str, drone: str) -> None:
+        place, before, lived = (server, service), self.after_a_look(), dict(self.living)
+        answer, commands = self.host.start(server, service, drone, now_s=self.now_s)
+        self.answered(
+            server, [service], drone, granted=not isinstance(answer, Denied), before=before, commands=commands
+        )
+        started = [command for command in commands if isinstance(command, StartInstance)]
+        match answer:
+            case Running(endpoint):
+                assert self.serving[place] == endpoint
+                assert place not in self.stopping
+                assert started == []
+            case Pending(number, stopping):
+                assert self.living[place] == number
+                assert stopping == (place in self.stopping)
+                assert started == ([] if place in lived else [StartInstance(server, service, number)])
+            case Denied():
+                assert started == []
+
+    @rule(server=servers, drone=drones)
+    def drone_leaves(self, server: str, drone: str) -> None:
+        self.lease_ends_s.pop((server, drone), None)
+        self.carry_out(self.host.leave(server, drone))
+
+    @precondition(lambda self: self.serving)
+    @rule(data=st.data(), drone=drones)
+    def drone_calls(self, data: st.DataObject, drone: str) -> None:
+        server, service = data.draw(st.sampled_from(sorted(self.serving)))
+        self.host.called(server, service, drone, now_s=self.now_s)
+        self.used_s[server, service] = self.now_s
+        if (server, drone) in self.lease_ends_s:
+            self.lease_ends_s[server, drone] = self.now_s + SETTINGS.lease_s
+
+    @precondition(lambda self: self.born)
+    @rule(data=st.data())
+    def instance_is_ready(self, data: st.DataObject) -> None:
+        server, service, number = data.draw(st.sampled_from(self.born))
+        place, endpoint = (server, service), f"{server}:{9000 + number}"
+        commands = self.host.ready(server, service, number, endpoint, now_s=self.now_s)
+        if self.living.get(place) == number and place not in self.serving:
+            assert commands == [Admit(server, self.admitted[server])], "the new instance knows nobody yet"
+            self.serving[place] = endpoint
+            self.used_s[place] = self.now_s
+        else:
+            assert commands == [], "news of another instance, or no news"
+
+    @precondition(lambda self: self.born)
+    @rule(data=st.data())
+    def instance_is_gone(self, data: st.DataObject) -> None:
+        server, service, number = data.draw(st.sampled_from(self.born))
+        self.host.gone(server, service, number)
+        if self.living.get((server, service)) == number:
+            del self.living[server, service]
+            self.serving.pop((server, service), None)
+            self.stopping.discard((server, service))
+
+    # ---- the daemon
+
+    def after_a_look(self) -> tuple[Host, list[Command]]:
+        """The host as a mere look at this moment would leave it, and what the look wants done."""
+        looked = copy.deepcopy(self.host)
+        return looked, looked.look(now_s=self.now_s)
+
+    def answered(
+        self,
+        server: str,
+        wanted: list[str],
+        drone: str,
+        *,
+        granted: bool,
+        before: tuple[Host, list[Command]],
+        commands: list[Command],
+    ) -> None:
+        """A request is granted where there are images and a slot; one that is denied is worth no more than a look."""
+        looked, expected = before
+        holders = looked.leases(server)
+        room = drone in holders or len(holders) < self.slots[server]
+        assert granted == (room and set(wanted) <= set(OFFERED[server]))
+        self.carry_out(commands)
+        if granted:
+            self.lease_ends_s[server, drone] = self.now_s + SETTINGS.lease_s
+        else:
+            assert commands == expected
+            for name, images in OFFERED.items():
+                assert self.host.leases(name) == looked.leases(name)
+                for service in images:
+                    assert self.host.state(name, service) is looked.state(name, service)
+
+    def carry_out(self, commands: list[Command]) -> None:
+        for command in commands:
+            match command:
+                case Admit(server, admitted):
+                    for drone in self.admitted[server] - admitted:
+                        end_s = self.lease_ends_s.pop((server, drone), self.now_s)
+                        assert end_s <= self.now_s, "a lease ended before its time"
+                    self.admitted[server] = admitted
+                case StartInstance(server, service, number):
+                    assert (server, service) not in self.living, "two instances of one service"
+                    assert all(number != earlier for _, _, earlier in self.born)
+                    self.living[server, service] = number
+                    self.born.append((server, service, number))
+                case StopInstance(server, service, number):
+                    place = (server, service)
+                    assert self.living[place] == number
+                    assert place in self.serving.keys() - self.stopping
+                    assert not self.admitted[server], "stopped under a drone"
+                    assert self.now_s - self.used_s[place] >= SETTINGS.idle_stop_s
+                    self.stopping.add(place)
+
+    # ---- what always holds
+
+    @invariant()
+    def no_more_leases_than_slots(self) -> None:
+        for server, slots in self.slots.items():
+            assert len(self.host.leases(server)) <= slots
+
+    @invariant()
+    def those_with_a_lease_and_no_others_are_admitted(self) -> None:
+        for server, admitted in self.admitted.items():
+            assert self.host.leases(server) == admitted
+            assert {drone for name, drone in self.lease_ends_s if name == server} == admitted
+
+    @invariant()
+    def every_instance_is_where_it_is_believed_to_be(self) -> None:
+        for server, images in OFFERED.items():
+            for service in images:
+                place = (server, service)
+                expected = InstanceState.ABSENT
+                if place in self.stopping:
+                    expected = InstanceState.STOPPING
+                elif place in self.serving:
+                    expected = InstanceState.RUNNING
+                elif place in self.living:
+                    expected = InstanceState.STARTING
+                assert self.host.state(server, service) is expected
+
+
+TestDaemon = Daemon.TestCase
+TestDaemon.settings = settings(max_examples=250, stateful_step_count=40, deadline=None)

@@ -1,0 +1,493 @@
+"""Events in, commands out: what the drone-side machine wants done, step by step."""
+
+from __future__ import annotations
+
+import pytest
+
+from upwash.core.estimates import Beliefs, Estimates, Operation
+from upwash.core.geo import Circle, Position
+from upwash.core.policy import Local, LocalOnly, LocationAware, Opportunistic, Policy, Remote, Wait
+from upwash.core.selection import (
+    Check,
+    CheckAnswered,
+    CheckFailed,
+    Command,
+    Leave,
+    LocalCallEnded,
+    Looked,
+    MissionEnded,
+    RemoteCallEnded,
+    RemoteCallFailed,
+    Selection,
+    ServicesStarted,
+    Start,
+)
+from upwash.core.servers import Change, State
+from upwash.errors import TransitionError
+
+HEAVY = Operation("detector", "process_photo", "heavy")
+AREAS = {"s1": Circle(Position(80.0, 80.0), 100.0), "s2": Circle(Position(120.0, 120.0), 100.0)}
+UNDER_S1 = Position(0.0, 80.0)
+UNDER_S2 = Position(200.0, 120.0)
+UNDER_BOTH = Position(100.0, 100.0)
+NOWHERE = Position(0.0, 200.0)
+
+
+def selection(policy: Policy | None = None, *, s1_s: float = 0.75, s2_s: float = 2.0) -> Selection:
+    """A heavy call takes 8 s on the drone; a check is believed to take 11.5 s, and 3.5 s with the service running."""
+    beliefs = {name: Beliefs(11.5, 3.5, {HEAVY: delay_s}) for name, delay_s in (("s1", s1_s), ("s2", s2_s))}
+    estimates = Estimates(local_s={HEAVY: 8.0}, servers=beliefs)
+    return Selection(AREAS, estimates=estimates, policy=policy or LocationAware())
+
+
+def written(commands: list[Command]) -> list[str]:
+    """The commands in words, without their reasons."""
+    words = []
+    for command in commands:
+        match command:
+            case Change(server, _, before, after):
+                words.append(f"{server} {before} {after}")
+            case Leave(server):
+                words.append(f"leave {server}")
+            case Check(server, check):
+                words.append(f"check {server} {check}")
+            case Start(server, check):
+                words.append(f"start {server} {check}")
+    return words
+
+
+def with_s1_ready(machine: Selection, *, position: Position = UNDER_S1) -> Selection:
+    """The machine with s1 selected at 0 s by check 1, and READY at 10 s."""
+    machine.handle(Looked(), now_s=0.0, position=position)
+    machine.handle(CheckAnswered(1, running=False), now_s=2.0, position=position)
+    machine.handle(ServicesStarted(1), now_s=10.0, position=position)
+    assert machine.servers["s1"].state is State.READY
+    return machine
+
+
+def with_s1_left_running(machine: Selection) -> Selection:
+    """The machine after s1 was READY and its range was left at 20 s: s1 is AVL-R, nothing is selected."""
+    with_s1_ready(machine).handle(Looked(), now_s=20.0, position=NOWHERE)
+    assert machine.servers["s1"].state is State.AVL_R
+    return machine
+
+
+# ---- checks
+
+
+def test_a_server_in_range_is_selected_and_checked() -> None:
+    machine = selection()
+    assert written(machine.handle(Looked(), now_s=5.0, position=UNDER_S1)) == ["s1 AVL CHECK", "check s1 1"]
+    assert machine.current is machine.servers["s1"]
+    assert machine.is_checking(1)
+
+
+def test_out_of_every_range_nothing_is_wanted() -> None:
+    machine = selection()
+    assert machine.handle(Looked(), now_s=0.0, position=NOWHERE) == []
+    assert machine.current is None
+
+
+def test_looking_again_does_not_check_again() -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    assert machine.handle(Looked(), now_s=1.0, position=UNDER_S1) == []
+
+
+def test_a_service_that_does_not_run_is_started_once() -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    not_running = CheckAnswered(1, running=False)
+    assert written(machine.handle(not_running, now_s=2.0, position=UNDER_S1)) == ["start s1 1"]
+    assert machine.handle(not_running, now_s=3.0, position=UNDER_S1) == []
+
+
+def test_started_services_make_the_server_ready_and_teach_how_long_a_check_takes() -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=5.0, position=UNDER_S1)
+    machine.handle(CheckAnswered(1, running=False), now_s=7.0, position=UNDER_S1)
+    assert written(machine.handle(ServicesStarted(1), now_s=22.5, position=UNDER_S1)) == ["s1 CHECK READY"]
+    assert machine.estimates.check_s("s1", running=False) == pytest.approx((11.5 + 11.5 + 17.5) / 3)
+    assert machine.estimates.check_s("s1", running=True) == 3.5
+
+
+def test_a_service_found_running_makes_the_server_ready_at_once() -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=5.0, position=UNDER_S1)
+    running = CheckAnswered(1, running=True)
+    assert written(machine.handle(running, now_s=11.0, position=UNDER_S1)) == ["s1 CHECK READY"]
+    assert machine.estimates.check_s("s1", running=True) == pytest.approx((3.5 + 3.5 + 6.0) / 3)
+    assert machine.estimates.check_s("s1", running=False) == 11.5
+
+
+def test_a_server_left_running_is_believed_to_run() -> None:
+    machine = with_s1_left_running(selection())
+    again = machine.handle(Looked(), now_s=30.0, position=UNDER_S1)
+    assert written(again) == ["s1 AVL-R CHECK-R", "check s1 2"]
+    ready = machine.handle(CheckAnswered(2, running=True), now_s=33.0, position=UNDER_S1)
+    assert written(ready) == ["s1 CHECK-R READY"]
+    assert machine.estimates.check_s("s1", running=True) == pytest.approx((3.5 + 3.5 + 3.0) / 3)
+
+
+def test_a_belief_that_proves_wrong_falls_back_without_starting_the_clock_again() -> None:
+    machine = with_s1_left_running(selection())
+    machine.handle(Looked(), now_s=30.0, position=UNDER_S1)
+    fallback = machine.handle(CheckAnswered(2, running=False), now_s=33.0, position=UNDER_S1)
+    assert written(fallback) == ["s1 CHECK-R CHECK", "start s1 2"]
+    decision, _ = machine.decide(HEAVY, now_s=33.0, position=UNDER_S1)
+    assert isinstance(decision, Local)  # 3 s of the 11 s of a check with a start are over: 8 s more
+
+    check_s = machine.estimates.check_s("s1", running=False)
+    machine.handle(ServicesStarted(2), now_s=42.0, position=UNDER_S1)
+    assert machine.estimates.check_s("s1", running=True) == 3.5  # it was no such check after all
+    assert machine.estimates.check_s("s1", running=False) == pytest.approx(check_s + (12.0 - 11.5) / 3)
+
+
+def test_after_a_failed_check_the_next_best_is_selected_in_the_same_step() -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=0.0, position=UNDER_BOTH)
+    failed = CheckFailed(1, "no slot")
+    assert written(machine.handle(failed, now_s=3.0, position=UNDER_BOTH)) == [
+        "s1 CHECK BLACKLISTED",
+        "leave s1",
+        "s2 AVL CHECK",
+        "check s2 2",
+    ]
+
+
+def test_when_all_servers_are_blacklisted_the_drone_is_on_its_own() -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=0.0, position=UNDER_BOTH)
+    machine.handle(CheckFailed(1, "no slot"), now_s=3.0, position=UNDER_BOTH)
+    last = machine.handle(CheckFailed(2, "no answer"), now_s=8.0, position=UNDER_BOTH)
+    assert written(last) == ["s2 CHECK BLACKLISTED", "leave s2"]
+    assert machine.current is None
+
+
+def test_the_reason_of_a_failure_is_kept() -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    change = machine.handle(CheckFailed(1, "no slot"), now_s=3.0, position=UNDER_S1)[0]
+    assert isinstance(change, Change)
+    assert (change.why, change.at_s) == ("no slot", 3.0)
+
+
+def test_a_check_that_leaves_the_range_is_no_failure_of_the_server() -> None:
+    for happening in (Looked(), CheckFailed(1, "no answer")):
+        machine = selection()
+        machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+        commands = machine.handle(happening, now_s=3.0, position=NOWHERE)
+        assert written(commands) == ["s1 CHECK AVL", "leave s1"]
+
+
+def test_a_check_that_leaves_the_range_after_the_start_was_requested() -> None:
+    for happening in (Looked(), CheckFailed(1, "no answer")):
+        machine = selection()
+        machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+        machine.handle(CheckAnswered(1, running=False), now_s=2.0, position=UNDER_S1)
+        commands = machine.handle(happening, now_s=3.0, position=NOWHERE)
+        assert written(commands) == ["s1 CHECK AVL-R", "leave s1"]
+
+
+def test_a_check_of_a_running_server_that_leaves_the_range() -> None:
+    machine = with_s1_left_running(selection())
+    machine.handle(Looked(), now_s=30.0, position=UNDER_S1)
+    commands = machine.handle(CheckFailed(2, "no answer"), now_s=31.0, position=NOWHERE)
+    assert written(commands) == ["s1 CHECK-R AVL-R", "leave s1"]
+
+
+def test_a_start_that_failed_is_a_failed_check() -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    machine.handle(CheckAnswered(1, running=False), now_s=2.0, position=UNDER_S1)
+    failed = machine.handle(CheckFailed(1, "no image"), now_s=3.0, position=UNDER_S1)
+    assert written(failed) == ["s1 CHECK BLACKLISTED", "leave s1"]
+
+
+@pytest.mark.parametrize(
+    "stale",
+    [
+        CheckAnswered(1, running=True),
+        CheckAnswered(1, running=False),
+        ServicesStarted(1),
+        CheckFailed(1, "late"),
+    ],
+)
+def test_a_result_of_an_earlier_check_changes_nothing(
+    stale: CheckAnswered | ServicesStarted | CheckFailed,
+) -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    machine.handle(Looked(), now_s=1.0, position=NOWHERE)
+    assert machine.handle(stale, now_s=2.0, position=NOWHERE) == []
+    machine.handle(Looked(), now_s=3.0, position=UNDER_S1)
+    assert machine.handle(stale, now_s=4.0, position=UNDER_S1) == []
+    assert machine.servers["s1"].state is State.CHECK
+    assert machine.is_checking(2)
+    assert not machine.is_checking(1)
+
+
+def test_a_result_that_comes_again_changes_nothing() -> None:
+    machine = with_s1_ready(selection())
+    check_s = machine.estimates.check_s("s1", running=False)
+    for again in (CheckAnswered(1, running=True), ServicesStarted(1), CheckFailed(1, "late")):
+        assert machine.handle(again, now_s=11.0, position=UNDER_S1) == []
+    assert machine.estimates.check_s("s1", running=False) == check_s
+
+
+def test_services_cannot_be_started_by_a_check_that_asked_for_no_start() -> None:
+    machine = with_s1_left_running(selection())
+    machine.handle(Looked(), now_s=30.0, position=UNDER_S1)
+    with pytest.raises(TransitionError, match="started is impossible in CHECK-R"):
+        machine.handle(ServicesStarted(2), now_s=31.0, position=UNDER_S1)
+
+
+# ---- calls that end
+
+
+def test_a_call_that_fails_in_range_blacklists_and_the_next_best_is_selected() -> None:
+    machine = with_s1_ready(selection(), position=UNDER_BOTH)
+    failed = machine.handle(RemoteCallFailed("s1", 1, "deadline"), now_s=20.0, position=UNDER_BOTH)
+    assert written(failed) == ["s1 READY BLACKLISTED", "leave s1", "s2 AVL CHECK", "check s2 2"]
+
+
+def test_a_call_that_fails_out_of_range_is_no_failure_of_the_server() -> None:
+    machine = with_s1_ready(selection())
+    failed = machine.handle(RemoteCallFailed("s1", 1, "deadline"), now_s=20.0, position=NOWHERE)
+    assert written(failed) == ["s1 READY AVL-R", "leave s1"]
+
+
+@pytest.mark.parametrize("failed", [RemoteCallFailed("s1", 0, "late"), RemoteCallFailed("s2", 1, "late")])
+def test_a_failed_call_of_an_earlier_visit_changes_nothing(failed: RemoteCallFailed) -> None:
+    machine = with_s1_ready(selection())
+    assert machine.handle(failed, now_s=20.0, position=UNDER_S1) == []
+    assert machine.servers["s1"].state is State.READY
+
+
+def test_a_failed_call_of_the_last_visit_does_not_end_the_check_of_this_one() -> None:
+    machine = with_s1_left_running(selection())
+    machine.handle(Looked(), now_s=21.0, position=UNDER_S1)
+    assert machine.handle(RemoteCallFailed("s1", 1, "deadline"), now_s=22.0, position=UNDER_S1) == []
+    assert machine.is_checking(2)
+
+
+def test_a_server_whose_calls_became_slower_than_local_is_left_even_with_nothing_better() -> None:
+    machine = with_s1_ready(selection())
+    assert machine.handle(RemoteCallEnded("s1", HEAVY, 8.0), now_s=20.0, position=UNDER_S1) == []
+    slow = machine.handle(RemoteCallEnded("s1", HEAVY, 20.0), now_s=40.0, position=UNDER_S1)
+    assert written(slow) == ["s1 READY AVL-R", "leave s1"]
+
+
+def test_a_server_left_for_its_slow_calls_is_tried_again() -> None:
+    machine = with_s1_ready(selection())
+    machine.handle(RemoteCallEnded("s1", HEAVY, 30.0), now_s=40.0, position=UNDER_S1)
+    assert machine.current is None
+    before = machine.handle(Looked(), now_s=339.9, position=UNDER_S1)
+    assert written(before) == ["s1 AVL-R AVL"]
+    again = machine.handle(Looked(), now_s=340.0, position=UNDER_S1)
+    assert written(again) == ["s1 AVL CHECK", "check s1 2"]
+
+
+def test_a_server_is_selected_once_the_drone_itself_became_slower() -> None:
+    machine = selection(s1_s=8.5)
+    assert machine.handle(Looked(), now_s=0.0, position=UNDER_S1) == []
+    hot = machine.handle(LocalCallEnded(HEAVY, 14.0), now_s=14.0, position=UNDER_S1)
+    assert written(hot) == ["s1 AVL CHECK", "check s1 1"]
+
+
+# ---- switching
+
+
+def test_the_old_server_is_left_before_the_new_one_is_joined() -> None:
+    machine = with_s1_ready(selection(s1_s=2.0, s2_s=0.5))
+    assert machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH) == []  # 1.5 of 8 s: not enough
+    slower = machine.handle(RemoteCallEnded("s1", HEAVY, 5.0), now_s=21.0, position=UNDER_BOTH)
+    assert written(slower) == ["s1 READY AVL-R", "leave s1", "s2 AVL CHECK", "check s2 2"]
+
+
+def test_from_range_to_range_in_one_step() -> None:
+    machine = with_s1_ready(selection())
+    crossed = machine.handle(Looked(), now_s=20.0, position=UNDER_S2)
+    assert written(crossed) == ["s1 READY AVL-R", "leave s1", "s2 AVL CHECK", "check s2 2"]
+
+
+def test_a_check_under_way_is_given_up_for_a_much_better_server() -> None:
+    machine = selection(s1_s=4.0, s2_s=0.5)
+    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    better = machine.handle(Looked(), now_s=1.0, position=UNDER_BOTH)
+    assert written(better) == ["s1 CHECK AVL", "leave s1", "s2 AVL CHECK", "check s2 2"]
+
+
+def test_opportunistic_stays_where_it_came_first() -> None:
+    machine = with_s1_ready(selection(Opportunistic(), s1_s=7.0, s2_s=0.5))
+    assert machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH) == []
+    assert machine.handle(RemoteCallEnded("s1", HEAVY, 30.0), now_s=21.0, position=UNDER_BOTH) == []
+    crossed = machine.handle(Looked(), now_s=30.0, position=UNDER_S2)
+    assert written(crossed) == ["s1 READY AVL-R", "leave s1", "s2 AVL CHECK", "check s2 2"]
+
+
+def test_opportunistic_counts_from_when_a_range_was_entered() -> None:
+    machine = selection(Opportunistic())
+    machine.handle(Looked(), now_s=0.0, position=UNDER_S2)
+    machine.handle(Looked(), now_s=1.0, position=UNDER_BOTH)
+    machine.handle(CheckFailed(1, "no slot"), now_s=2.0, position=UNDER_BOTH)  # s2; s1 is being checked
+    machine.handle(CheckFailed(2, "no slot"), now_s=3.0, position=UNDER_BOTH)
+    both_back = machine.handle(Looked(), now_s=63.0, position=UNDER_BOTH)
+    assert written(both_back) == ["s1 BLACKLISTED AVL", "s2 BLACKLISTED AVL", "s2 AVL CHECK", "check s2 3"]
+
+
+def test_local_only_contacts_nobody() -> None:
+    machine = selection(LocalOnly())
+    for now_s, position in enumerate([UNDER_S1, UNDER_BOTH, UNDER_S2]):
+        assert machine.handle(Looked(), now_s=float(now_s), position=position) == []
+
+
+def test_a_server_without_the_drones_services_is_no_candidate() -> None:
+    estimates = Estimates(local_s={HEAVY: 8.0}, servers={"s1": Beliefs(11.5, 3.5, {})})
+    machine = Selection({"s1": AREAS["s1"]}, estimates=estimates, policy=LocationAware())
+    assert machine.handle(Looked(), now_s=0.0, position=UNDER_S1) == []
+
+
+# ---- memory
+
+
+def test_a_blacklisted_server_is_left_alone_for_its_time() -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    machine.handle(CheckFailed(1, "no slot"), now_s=3.0, position=UNDER_S1)
+    assert machine.handle(Looked(), now_s=62.9, position=UNDER_S1) == []
+    over = machine.handle(Looked(), now_s=63.0, position=UNDER_S1)
+    assert written(over) == ["s1 BLACKLISTED AVL", "s1 AVL CHECK", "check s1 2"]
+
+
+def test_a_server_not_selected_for_long_is_no_longer_believed_to_run() -> None:
+    machine = with_s1_left_running(selection())
+    assert machine.handle(Looked(), now_s=199.9, position=NOWHERE) == []
+    assert written(machine.handle(Looked(), now_s=200.0, position=NOWHERE)) == ["s1 AVL-R AVL"]
+
+
+def test_a_selected_server_is_never_idle() -> None:
+    machine = with_s1_ready(selection())
+    assert machine.handle(Looked(), now_s=5000.0, position=UNDER_S1) == []
+
+
+# ---- where a call shall run
+
+
+def test_without_a_server_a_call_runs_here() -> None:
+    decision, commands = selection().decide(HEAVY, now_s=0.0, position=UNDER_S1)
+    assert isinstance(decision, Local)
+    assert commands == []
+
+
+def test_a_ready_server_in_range_gets_the_call() -> None:
+    decision, commands = with_s1_ready(selection()).decide(HEAVY, now_s=20.0, position=UNDER_S1)
+    assert isinstance(decision, Remote)
+    assert (decision.server, decision.deadline_s) == ("s1", 3.0)
+    assert commands == []
+
+
+def test_a_ready_server_out_of_range_is_given_up_and_the_call_runs_here() -> None:
+    machine = with_s1_ready(selection())
+    decision, commands = machine.decide(HEAVY, now_s=20.0, position=NOWHERE)
+    assert isinstance(decision, Local)
+    assert written(commands) == ["s1 READY AVL-R", "leave s1"]
+    assert machine.current is None
+
+
+def test_an_operation_without_estimates_runs_here() -> None:
+    unknown = Operation("counter", "count")
+    for policy in (LocationAware(), Opportunistic()):
+        decision, commands = with_s1_ready(selection(policy)).decide(unknown, now_s=20.0, position=UNDER_S1)
+        assert isinstance(decision, Local)
+        assert commands == []
+
+
+@pytest.mark.parametrize(
+    ("elapsed_s", "decision_class"),
+    [
+        (0.0, Local),  # X = 8 * 0.75 - 0.75 = 5.25 s; READY is expected in 11.5 s
+        (6.25, Local),  # in 5.25 s
+        (6.5, Wait),
+        (11.5, Wait),
+        (90.0, Wait),  # late
+    ],
+)
+def test_a_call_during_a_check_waits_if_the_server_is_ready_soon(
+    elapsed_s: float, decision_class: type
+) -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=100.0, position=UNDER_S1)
+    decision, commands = machine.decide(HEAVY, now_s=100.0 + elapsed_s, position=UNDER_S1)
+    assert isinstance(decision, decision_class)
+    assert commands == []
+    if isinstance(decision, Wait):
+        assert (decision.server, decision.at_most_s) == ("s1", 5.25)
+
+
+def test_a_check_of_a_running_service_is_awaited_from_its_start() -> None:
+    machine = with_s1_left_running(selection())
+    machine.handle(Looked(), now_s=30.0, position=UNDER_S1)
+    decision, _ = machine.decide(HEAVY, now_s=30.0, position=UNDER_S1)
+    assert isinstance(decision, Wait)  # 3.5 s, not 11.5 s
+
+
+def test_a_check_out_of_range_is_not_awaited() -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    decision, commands = machine.decide(HEAVY, now_s=10.0, position=NOWHERE)
+    assert isinstance(decision, Local)
+    assert written(commands) == ["s1 CHECK AVL", "leave s1"]
+
+
+def test_after_a_wait_the_server_that_became_ready_gets_the_call() -> None:
+    machine = with_s1_ready(selection())
+    decision, commands = machine.decide_after_wait(HEAVY, 1, now_s=10.0, position=UNDER_S1)
+    assert isinstance(decision, Remote)
+    assert (decision.server, decision.deadline_s) == ("s1", 3.0)
+    assert commands == []
+
+
+def test_after_a_wait_that_was_too_short_the_call_runs_here() -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    decision, commands = machine.decide_after_wait(HEAVY, 1, now_s=15.25, position=UNDER_S1)
+    assert isinstance(decision, Local)  # it does not wait twice
+    assert commands == []
+    assert machine.is_checking(1)
+
+
+def test_after_a_wait_for_a_check_that_failed_the_call_runs_here() -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    machine.handle(CheckFailed(1, "no slot"), now_s=3.0, position=UNDER_S1)
+    decision, _ = machine.decide_after_wait(HEAVY, 1, now_s=3.0, position=UNDER_S1)
+    assert isinstance(decision, Local)
+
+
+def test_after_a_wait_for_one_check_the_outcome_of_another_does_not_count() -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=0.0, position=UNDER_BOTH)
+    machine.handle(CheckFailed(1, "no slot"), now_s=3.0, position=UNDER_BOTH)
+    machine.handle(CheckAnswered(2, running=True), now_s=4.0, position=UNDER_BOTH)
+    assert machine.servers["s2"].state is State.READY
+    decision, _ = machine.decide_after_wait(HEAVY, 1, now_s=4.0, position=UNDER_BOTH)
+    assert isinstance(decision, Local)
+
+
+def test_after_a_wait_out_of_range_the_call_runs_here() -> None:
+    machine = with_s1_ready(selection())
+    decision, commands = machine.decide_after_wait(HEAVY, 1, now_s=10.0, position=NOWHERE)
+    assert isinstance(decision, Local)
+    assert written(commands) == ["s1 READY AVL-R", "leave s1"]
+
+
+# ---- the end
+
+
+def test_after_the_mission_nobody_is_selected_any_more() -> None:
+    machine = with_s1_ready(selection())
+    ended = machine.handle(MissionEnded(), now_s=20.0, position=UNDER_S1)
+    assert written(ended) == ["s1 READY AVL-R", "leave s1"]
+    assert machine.handle(Looked(), now_s=21.0, position=UNDER_BOTH) == []
+    assert machine.current is None

@@ -1,0 +1,313 @@
+"""Promises 5, 6 and 7 and the bounds of waits and calls, under random flights, servers, failures and late answers.
+
+Beside the machine under test flies a model of the drone program: it carries out the commands one after the other,
+with one radio, and objects where they make no sense.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from upwash.core.estimates import Beliefs, Estimates, Operation
+from upwash.core.geo import Circle, Position
+from upwash.core.policy import (
+    Decision,
+    Local,
+    LocalOnly,
+    LocationAware,
+    Opportunistic,
+    Policy,
+    Remote,
+    Wait,
+    WaitRule,
+)
+from upwash.core.selection import (
+    Check,
+    CheckAnswered,
+    CheckFailed,
+    Command,
+    Happening,
+    Leave,
+    LocalCallEnded,
+    Looked,
+    MissionEnded,
+    RemoteCallEnded,
+    RemoteCallFailed,
+    Selection,
+    SelectionSettings,
+    ServicesStarted,
+    Start,
+)
+from upwash.core.servers import SELECTED, TRANSITIONS, Change, State
+
+OPERATIONS = [Operation("detector", "process_photo", "heavy"), Operation("counter", "count")]
+GAIN_SWITCH = GAIN_WAIT = 0.25
+POLICIES: list[Policy] = [
+    LocationAware(gain_switch=GAIN_SWITCH, wait=WaitRule(GAIN_WAIT)),
+    Opportunistic(wait=WaitRule(GAIN_WAIT)),
+    LocalOnly(),
+]
+SETTINGS = SelectionSettings(blacklist_s=60.0, idle_s=180.0, retry_s=300.0)
+
+# Small numbers of values, so that ranges overlap, estimates tie, and times meet the limits.
+coordinates_m = st.sampled_from([0.0, 30.0, 60.0, 90.0])
+positions = st.builds(Position, coordinates_m, coordinates_m)
+areas = st.builds(Circle, positions, st.sampled_from([30.0, 60.0, 90.0]))
+delays_s = st.integers(1, 40).map(lambda quarters: quarters / 4)
+steps_s = st.sampled_from([0.0, 0.5, 1.0, 2.0, 5.0, 59.5, 60.0, 180.0, 300.0])
+operations = st.sampled_from(OPERATIONS)
+BACK = st.sampled_from([0, 0, 0, 1, 2])  # how old a check an answer is for, how old a call that ends
+beliefs = st.builds(
+    Beliefs,
+    check_s=st.sampled_from([2.0, 5.0, 11.5]),
+    check_running_s=st.sampled_from([1.0, 3.5]),
+    remote_s=st.dictionaries(operations, st.sampled_from([0.25, 1.0, 2.0, 4.0, 9.0]), min_size=1),
+)
+
+
+@dataclass(frozen=True)
+class CallUnderWay:
+    server: str
+    check: int
+    operation: Operation
+
+
+class Flights(RuleBasedStateMachine):
+    """A drone that flies about, checks servers and calls services, while everything that can go wrong does."""
+
+    @initialize(
+        servers=st.lists(st.tuples(areas, beliefs), min_size=1, max_size=4),
+        local_s=st.dictionaries(operations, st.sampled_from([3.0, 8.0, 10.0]), min_size=1),
+        policy=st.sampled_from([*POLICIES[:2], *POLICIES]),
+        position=positions,
+    )
+    def take_off(
+        self,
+        servers: list[tuple[Circle, Beliefs]],
+        local_s: dict[Operation, float],
+        policy: Policy,
+        position: Position,
+    ) -> None:
+        self.areas = {f"s{number}": area for number, (area, _) in enumerate(servers, start=1)}
+        believed = {f"s{number}": belief for number, (_, belief) in enumerate(servers, start=1)}
+        self.selection = Selection(
+            self.areas,
+            estimates=Estimates(local_s=local_s, servers=believed),
+            policy=policy,
+            settings=SETTINGS,
+        )
+        self.now_s = 0.0
+        self.position = position
+        self.ended = False
+        self.states = dict.fromkeys(self.areas, State.AVL)
+        self.joined: str | None = None
+        self.blacklisted_at_s: dict[str, float] = {}
+        self.checks: list[int] = []
+        self.starts: list[int] = []
+        self.calls: list[CallUnderWay] = []
+        self.waits: list[tuple[Operation, int]] = []
+
+    # ---- what happens
+
+    @rule(position=positions)
+    def fly(self, position: Position) -> None:
+        self.position = position
+
+    @rule(step_s=steps_s)
+    def time_passes(self, step_s: float) -> None:
+        self.now_s += step_s
+
+    @rule(position=positions, step_s=steps_s)
+    def fly_and_look(self, position: Position, step_s: float) -> None:
+        self.fly(position)
+        self.time_passes(step_s)
+        self.happens(Looked())
+
+    @rule()
+    def look(self) -> None:
+        self.happens(Looked())
+
+    @precondition(lambda self: self.checks and self.selection.is_checking(self.checks[-1]))
+    @rule(running=st.booleans())
+    def check_goes_on(self, *, running: bool) -> None:
+        check = self.checks[-1]
+        self.happens(ServicesStarted(check) if check in self.starts else CheckAnswered(check, running))
+
+    @precondition(lambda self: self.checks)
+    @rule(running=st.booleans(), back=BACK)
+    def daemon_answers(self, back: int, *, running: bool) -> None:
+        check = self.checks[-1 - back % len(self.checks)]
+        self.happens(CheckAnswered(check, running), check=check)
+
+    @precondition(lambda self: self.starts)
+    @rule(back=BACK)
+    def daemon_has_started(self, back: int) -> None:
+        check = self.starts[-1 - back % len(self.starts)]
+        self.happens(ServicesStarted(check), check=check)
+
+    @precondition(lambda self: self.checks)
+    @rule(back=BACK)
+    def check_fails(self, back: int) -> None:
+        check = self.checks[-1 - back % len(self.checks)]
+        self.happens(CheckFailed(check, "no answer"), check=check)
+
+    @rule(operation=operations, delay_s=delays_s)
+    def local_call_ends(self, operation: Operation, delay_s: float) -> None:
+        self.happens(LocalCallEnded(operation, delay_s))
+
+    @precondition(lambda self: self.calls)
+    @rule(back=BACK, delay_s=delays_s, failed=st.booleans())
+    def remote_call_ends(self, back: int, delay_s: float, *, failed: bool) -> None:
+        call = self.calls.pop(-1 - back % len(self.calls))
+        if failed:
+            self.happens(RemoteCallFailed(call.server, call.check, "deadline"))
+        else:
+            self.happens(RemoteCallEnded(call.server, call.operation, delay_s))
+
+    @precondition(lambda self: len(self.checks) > 5)
+    @rule()
+    def mission_ends(self) -> None:
+        self.ended = True
+        self.happens(MissionEnded())
+
+    @rule(operation=operations)
+    def program_calls(self, operation: Operation) -> None:
+        decision, commands = self.selection.decide(operation, now_s=self.now_s, position=self.position)
+        self.carry_out(commands)
+        self.judge(decision, operation)
+        if isinstance(decision, Remote):
+            self.calls.append(CallUnderWay(decision.server, self.selection.check, operation))
+        if isinstance(decision, Wait):
+            self.waits.append((operation, self.selection.check))
+
+    @precondition(lambda self: self.waits)
+    @rule(back=BACK)
+    def wait_is_over(self, back: int) -> None:
+        operation, check = self.waits.pop(-1 - back % len(self.waits))
+        decision, commands = self.selection.decide_after_wait(
+            operation, check, now_s=self.now_s, position=self.position
+        )
+        self.carry_out(commands)
+        assert not isinstance(decision, Wait), "waits twice"
+        self.judge(decision, operation)
+        if isinstance(decision, Remote):
+            assert check == self.checks[-1], "the server became ready by another check"
+            self.calls.append(CallUnderWay(decision.server, check, operation))
+
+    # ---- the drone program
+
+    def happens(self, happening: Happening, *, check: int | None = None) -> None:
+        """The machine takes it in; what belongs to a check that is over must be worth no more than a look."""
+        if check is not None and not self.selection.is_checking(check):
+            looked = copy.deepcopy(self.selection)
+            expected = looked.handle(Looked(), now_s=self.now_s, position=self.position)
+            commands = self.selection.handle(happening, now_s=self.now_s, position=self.position)
+            assert commands == expected
+            assert self.selection.servers == looked.servers
+        else:
+            commands = self.selection.handle(happening, now_s=self.now_s, position=self.position)
+        self.carry_out(commands)
+        self.nothing_better_is_left()
+
+    def carry_out(self, commands: list[Command]) -> None:
+        for command in commands:
+            match command:
+                case Change(server, event, before, after, at_s):
+                    assert self.states[server] is before
+                    assert TRANSITIONS[before, event] is after
+                    assert at_s == self.now_s
+                    self.states[server] = after
+                    if after is State.BLACKLISTED:
+                        self.blacklisted_at_s[server] = at_s
+                case Leave(server):
+                    assert self.joined == server, "left what was not joined"
+                    assert self.states[server] not in SELECTED
+                    self.joined = None
+                case Check(server, check):
+                    assert self.joined is None, "joined a second network"
+                    assert self.states[server] in {State.CHECK, State.CHECK_R}
+                    assert self.areas[server].contains(self.position)
+                    assert check not in self.checks
+                    self.contact(server)
+                    self.joined = server
+                    self.checks.append(check)
+                case Start(server, check):
+                    assert self.joined == server
+                    assert check == self.checks[-1]
+                    assert check not in self.starts, "started twice"
+                    self.starts.append(check)
+
+    def contact(self, server: str) -> None:
+        """Promise 7: a blacklisted server is not contacted before its time."""
+        since_s = self.blacklisted_at_s.get(server)
+        assert since_s is None or self.now_s - since_s >= SETTINGS.blacklist_s
+
+    def judge(self, decision: Decision, operation: Operation) -> None:
+        if isinstance(decision, Local):
+            return
+        local_s = self.selection.estimates.local_s(operation)
+        remote_s = self.selection.estimates.remote_s(decision.server, operation)
+        assert local_s is not None
+        assert remote_s is not None
+        assert self.joined == decision.server
+        assert self.areas[decision.server].contains(self.position)
+        if isinstance(decision, Remote):
+            self.contact(decision.server)
+            assert self.states[decision.server] is State.READY
+            assert decision.deadline_s == max(1.0, min(4 * remote_s, local_s))
+        else:
+            assert self.states[decision.server] in {State.CHECK, State.CHECK_R}
+            assert 0 < decision.at_most_s <= local_s * (1 - GAIN_WAIT) - remote_s
+
+    def nothing_better_is_left(self) -> None:
+        """After whatever happened the policy has its way at once."""
+        estimates, policy, current = self.selection.estimates, self.selection.policy, self.selection.current
+        local_s = estimates.mean_call_s()
+        reachable = {
+            name
+            for name, area in self.areas.items()
+            if area.contains(self.position) and self.states[name] is not State.BLACKLISTED
+        }
+        if isinstance(policy, LocationAware):
+            reachable = {name for name in reachable if estimates.mean_call_s(name) < local_s}
+        if self.ended or isinstance(policy, LocalOnly):
+            reachable = set()
+        assert (current is None) == (not reachable)
+        if current is not None:
+            assert current.name in reachable
+            if isinstance(policy, LocationAware):
+                best_s = min(estimates.mean_call_s(name) for name in reachable)
+                assert (estimates.mean_call_s(current.name) - best_s) / local_s <= GAIN_SWITCH
+
+    # ---- what always holds
+
+    @invariant()
+    def at_most_one_server_is_selected(self) -> None:
+        selected = [name for name, state in self.states.items() if state in SELECTED]
+        current = self.selection.current
+        assert selected == ([current.name] if current else [])
+
+    @invariant()
+    def the_drone_is_joined_to_the_selected_server_alone(self) -> None:
+        assert self.joined == (self.selection.current.name if self.selection.current else None)
+
+    @invariant()
+    def every_change_was_told(self) -> None:
+        assert {name: server.state for name, server in self.selection.servers.items()} == self.states
+
+    @invariant()
+    def nobody_is_forgotten_on_the_blacklist(self) -> None:
+        for name, server in self.selection.servers.items():
+            if server.state is State.BLACKLISTED:
+                assert self.blacklisted_at_s[name] == server.since_s
+
+
+TestFlights = Flights.TestCase
+TestFlights.settings = settings(
+    max_examples=500, stateful_step_count=50, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)

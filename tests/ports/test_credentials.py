@@ -1,0 +1,294 @@
+"""Certificates: how they are made, which are refused, and whom they let in over a real connection."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import grpc
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import (
+    BestAvailableEncryption,
+    Encoding,
+    PrivateFormat,
+    load_pem_private_key,
+)
+from cryptography.x509.oid import ExtendedKeyUsageOID
+
+from upwash.errors import CredentialsError, UsageError
+from upwash.real import credentials as module
+from upwash.real.credentials import Credentials, make_keys, read_credentials
+
+
+def read(folder: Path, name: str, *, authority: Path | None = None) -> Credentials:
+    return read_credentials(
+        (authority or folder) / "authority.pem", folder / f"{name}.pem", folder / f"{name}.key"
+    )
+
+
+def certificate(folder: Path, name: str) -> x509.Certificate:
+    return x509.load_pem_x509_certificate((folder / f"{name}.pem").read_bytes())
+
+
+@pytest.fixture
+def keys(tmp_path: Path) -> Path:
+    """A folder with an authority, a daemon that is two servers, and a drone."""
+    make_keys(tmp_path, servers=[["s1", "s2"]], drones=["heron"])
+    return tmp_path
+
+
+def test_the_files_written_are_returned(tmp_path: Path) -> None:
+    files = make_keys(tmp_path / "new", servers=[["s1"]], drones=["heron"])
+    names = ["authority.pem", "authority.key", "s1.pem", "s1.key", "heron.pem", "heron.key"]
+    assert files == [tmp_path / "new" / name for name in names]
+
+
+def test_a_certificate_is_good_for_all_its_names_and_one_purpose(keys: Path) -> None:
+    assert read(keys, "s1").names == ("s1", "s2")
+    assert read(keys, "heron").names == ("heron",)
+    for name, purpose in (
+        ("s1", ExtendedKeyUsageOID.SERVER_AUTH),
+        ("heron", ExtendedKeyUsageOID.CLIENT_AUTH),
+    ):
+        made = certificate(keys, name)
+        usage = made.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+        assert list(usage) == [purpose]
+        assert not made.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+        public_key = made.public_key()
+        assert isinstance(public_key, ec.EllipticCurvePublicKey)
+        assert public_key.curve.name == "secp256r1"
+
+
+def test_the_authority_signs_certificates_and_no_further_authorities(keys: Path) -> None:
+    extensions = certificate(keys, "authority").extensions
+    constraints = extensions.get_extension_for_class(x509.BasicConstraints)
+    assert (constraints.critical, constraints.value.ca, constraints.value.path_length) == (True, True, 0)
+    assert extensions.get_extension_for_class(x509.KeyUsage).value.key_cert_sign
+
+
+def test_certificates_last_two_years_the_authority_ten_and_clocks_may_be_a_day_off(keys: Path) -> None:
+    now = datetime.now(UTC)
+    for name, years in (("authority", 10), ("s1", 2), ("heron", 2)):
+        made = certificate(keys, name)
+        assert made.not_valid_before_utc < now - timedelta(hours=23)
+        assert abs(made.not_valid_after_utc - now - timedelta(days=365.25 * years)) < timedelta(days=2)
+
+
+def test_keys_are_never_readable_by_others_not_even_while_they_are_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    modes_at_birth: dict[str, int] = {}
+    fdopen = os.fdopen
+
+    def watched(descriptor: int, mode: str) -> Any:
+        status = os.fstat(descriptor)
+        modes_at_birth[str(Path(f"/proc/self/fd/{descriptor}").readlink())] = status.st_mode & 0o777
+        return fdopen(descriptor, mode)
+
+    monkeypatch.setattr(os, "fdopen", watched)
+    previous = os.umask(0)
+    try:
+        make_keys(tmp_path, servers=[["s1"]])
+    finally:
+        os.umask(previous)
+    for name in ("authority.key", "s1.key"):
+        file = str((tmp_path / name).resolve())
+        assert modes_at_birth[file] == 0o600
+        assert Path(file).stat().st_mode & 0o777 == 0o600
+
+
+def test_an_authority_that_is_there_signs_later_certificates_too(keys: Path) -> None:
+    before = (keys / "authority.pem").read_bytes()
+    files = make_keys(keys, drones=["stork"])
+    assert files == [keys / "stork.pem", keys / "stork.key"]
+    assert (keys / "authority.pem").read_bytes() == before
+    assert read(keys, "stork").names == ("stork",)
+
+
+def test_nothing_is_overwritten_and_nothing_written_if_one_file_is_there(keys: Path) -> None:
+    before = (keys / "heron.key").read_bytes()
+    with pytest.raises(UsageError, match=r"heron\.key: already there.*move it away"):
+        make_keys(keys, drones=["stork", "heron"])
+    assert (keys / "heron.key").read_bytes() == before
+    assert not (keys / "stork.key").exists()
+
+
+@pytest.mark.parametrize("lost", ["authority.key", "authority.pem"])
+def test_half_an_authority_is_not_replaced(keys: Path, lost: str) -> None:
+    (keys / lost).unlink()
+    with pytest.raises(UsageError, match=rf"{lost}: missing beside .*restore it"):
+        make_keys(keys, drones=["stork"])
+    assert not (keys / lost).exists()
+
+
+def test_an_authority_with_the_key_of_another_signs_nothing(keys: Path, tmp_path: Path) -> None:
+    make_keys(tmp_path / "other")
+    (keys / "authority.key").write_bytes((tmp_path / "other/authority.key").read_bytes())
+    with pytest.raises(CredentialsError, match=r"authority\.key: not the elliptic-curve key of"):
+        make_keys(keys, drones=["stork"])
+
+
+@pytest.mark.parametrize("name", ["", "a b", "../s1", "s/1", "s1\n", "ü", "*", "x" * 65, "authority"])
+def test_a_name_that_cannot_be_a_file_and_a_host_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(UsageError, match="name"):
+        make_keys(tmp_path / "new", servers=[["s1", name]])
+    with pytest.raises(UsageError, match="name"):
+        make_keys(tmp_path / "new", drones=[name])
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_name_given_twice_or_not_at_all_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="named twice"):
+        make_keys(tmp_path, servers=[["s1"]], drones=["s1"])
+    with pytest.raises(UsageError, match="without a name"):
+        make_keys(tmp_path, servers=[[]])
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match=r"file: cannot be made.*name another folder"):
+        make_keys(tmp_path / "file", drones=["heron"])
+
+
+@pytest.mark.parametrize("name", ["authority.pem", "heron.pem", "heron.key"])
+def test_a_missing_or_unreadable_or_foreign_file_is_named(keys: Path, name: str) -> None:
+    file = keys / name
+    file.write_bytes(b"\x00 not PEM")
+    with pytest.raises(CredentialsError, match=rf"{name}: not a PEM .*give the"):
+        read(keys, "heron")
+    file.unlink()
+    with pytest.raises(CredentialsError, match=rf"{name}: no such file: check the path"):
+        read(keys, "heron")
+    file.mkdir()
+    with pytest.raises(CredentialsError, match=rf"{name}: cannot be read"):
+        read(keys, "heron")
+
+
+def test_a_key_with_a_password_is_refused(keys: Path) -> None:
+    key = load_pem_private_key((keys / "heron.key").read_bytes(), None)
+    locked = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, BestAvailableEncryption(b"secret"))
+    (keys / "heron.key").write_bytes(locked)
+    with pytest.raises(CredentialsError, match="without a password"):
+        read(keys, "heron")
+
+
+def test_the_key_of_another_certificate_is_refused(keys: Path) -> None:
+    with pytest.raises(CredentialsError, match=r"s1\.key: not the key of .*heron\.pem"):
+        read_credentials(keys / "authority.pem", keys / "heron.pem", keys / "s1.key")
+
+
+def test_a_certificate_of_another_authority_is_refused(keys: Path, tmp_path: Path) -> None:
+    make_keys(tmp_path / "other")
+    with pytest.raises(CredentialsError, match=r"heron\.pem: not issued by .*other/authority\.pem"):
+        read(keys, "heron", authority=tmp_path / "other")
+
+
+def test_an_outdated_certificate_says_since_when(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made_for = timedelta(days=-3)
+    monkeypatch.setattr(module, "_CLOCKS_MAY_DIFFER", timedelta(days=10))
+    monkeypatch.setattr(module, "_CERTIFICATE_LASTS", made_for)
+    make_keys(tmp_path, drones=["heron"])
+    day = (datetime.now(UTC) + made_for).strftime("%Y-%m-%d")
+    with pytest.raises(CredentialsError, match=rf"heron\.pem: expired since {day}.*make a new one"):
+        read(tmp_path, "heron")
+
+
+def test_a_certificate_from_the_future_is_the_clocks_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_CLOCKS_MAY_DIFFER", timedelta(days=-1))
+    make_keys(tmp_path, drones=["heron"])
+    with pytest.raises(CredentialsError, match=r"not valid before .*set this computer's clock"):
+        read(tmp_path, "heron")
+
+
+def test_the_key_is_not_shown_in_a_trace(keys: Path) -> None:
+    assert "PRIVATE KEY" not in repr(read(keys, "heron"))
+
+
+def test_importing_the_module_is_light() -> None:
+    script = "import sys, upwash.real.credentials; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    assert not {"cryptography", "grpc", "asyncio"} & set(loaded.split())
+
+
+class _Echo(grpc.GenericRpcHandler):  # type: ignore[misc]  # grpc has no types
+    def service(self, handler_call_details: Any) -> Any:
+        return grpc.unary_unary_rpc_method_handler(lambda body, _: body)
+
+
+@contextmanager
+def echo_server(shown: Credentials) -> Iterator[int]:
+    """A server that demands a certificate of the authority; gives its port."""
+    with ThreadPoolExecutor(max_workers=1) as threads:
+        server = grpc.server(threads, handlers=[_Echo()])
+        demanded = grpc.ssl_server_credentials(
+            [(shown.key, shown.certificate)], root_certificates=shown.authority, require_client_auth=True
+        )
+        port = server.add_secure_port("127.0.0.1:0", demanded)
+        server.start()
+        try:
+            yield port
+        finally:
+            server.stop(grace=None).wait()
+
+
+def answer(port: int, channel_credentials: grpc.ChannelCredentials, server: str) -> bytes | grpc.StatusCode:
+    """What a call to that server brings: the reply, or the code of the failure."""
+    options = [("grpc.ssl_target_name_override", server), ("grpc.enable_http_proxy", 0)]
+    with grpc.secure_channel(f"127.0.0.1:{port}", channel_credentials, options) as channel:
+        try:
+            reply: bytes = channel.unary_unary("/upwash/echo")(b"hello", timeout=10)
+        except grpc.RpcError as error:
+            code: grpc.StatusCode = error.code()
+            return code
+        return reply
+
+
+def client(shown: Credentials) -> grpc.ChannelCredentials:
+    return grpc.ssl_channel_credentials(shown.authority, shown.key, shown.certificate)
+
+
+@pytest.mark.parametrize("server", ["s1", "s2"])
+def test_a_drone_is_answered_under_each_of_the_servers_names(keys: Path, server: str) -> None:
+    with echo_server(read(keys, "s1")) as port:
+        assert answer(port, client(read(keys, "heron")), server) == b"hello"
+
+
+def test_a_caller_without_a_certificate_gets_no_answer(keys: Path) -> None:
+    nobody = grpc.ssl_channel_credentials(read(keys, "heron").authority)
+    with echo_server(read(keys, "s1")) as port:
+        assert answer(port, nobody, "s1") is grpc.StatusCode.UNAVAILABLE
+
+
+def test_a_drone_of_another_authority_gets_no_answer(keys: Path, tmp_path: Path) -> None:
+    make_keys(tmp_path / "other", drones=["heron"])
+    stranger = read(tmp_path / "other", "heron")
+    believing = Credentials(read(keys, "heron").authority, stranger.certificate, stranger.key)
+    with echo_server(read(keys, "s1")) as port:
+        assert answer(port, client(believing), "s1") is grpc.StatusCode.UNAVAILABLE
+
+
+def test_a_server_that_shows_a_drones_certificate_is_not_believed(keys: Path) -> None:
+    make_keys(keys, drones=["stork"])
+    with echo_server(read(keys, "stork")) as port:
+        assert answer(port, client(read(keys, "heron")), "stork") is grpc.StatusCode.UNAVAILABLE
+
+
+def test_a_server_that_shows_a_servers_certificate_as_a_client_gets_no_answer(keys: Path) -> None:
+    with echo_server(read(keys, "s1")) as port:
+        assert answer(port, client(read(keys, "s1")), "s1") is grpc.StatusCode.UNAVAILABLE
+
+
+def test_a_server_is_not_believed_under_another_servers_name(keys: Path) -> None:
+    with echo_server(read(keys, "s1")) as port:
+        assert answer(port, client(read(keys, "heron")), "s3") is grpc.StatusCode.UNAVAILABLE
