@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -19,10 +20,21 @@ from upwash.errors import UpwashError
 from upwash.flying import fly_with_progress
 from upwash.real.credentials import make_keys
 from upwash.results import RunResult
-from upwash.services.solar_park import render_folder
+from upwash.services import Box, Detection
+from upwash.services.solar_park import read_truth, render_folder
 
 _PHOTO_SEED = 1
 _STOP_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Hot-spots in the photos of a flight: how many there truly are, were found, and were imagined."""
+
+    photos: int
+    true: int
+    found: int
+    false: int
 
 
 def fly_demonstration(folder: Path) -> RunResult:
@@ -37,8 +49,43 @@ def fly_demonstration(folder: Path) -> RunResult:
         vehicle = processes.enter_context(_vehicle(config, folder))
         daemons = {name: processes.enter_context(_daemon(name, folder)) for name in names}
         here = _fill_in(config, folder, vehicle=vehicle, daemons=daemons)
-        console.print(f"the vehicle is at {vehicle}, the servers at {', '.join(daemons.values())}")
-        return fly_with_progress(here, log=folder / "events.jsonl", console=console)
+        console.print(
+            f"the vehicle is at {vehicle}, the servers at {', '.join(daemons.values())}", soft_wrap=True
+        )
+        result = fly_with_progress(here, log=folder / "events.jsonl", console=console)
+    score = score_photos(folder)
+    console.print(
+        f"hot-spots: {score.found} of {score.true} found, {score.false} false alarms, in {score.photos} photos",
+        soft_wrap=True,
+    )
+    return result
+
+
+def score_photos(folder: Path) -> Score:
+    """What the flight in the folder told the user, held against what its photos truly show."""
+    truth = list(read_truth(folder / "photos").values())  # the camera returned them in this order
+    told: list[list[Detection]] = []
+    with (folder / "events.jsonl").open("rb") as lines:
+        for event in map(msgspec.json.decode, lines):
+            match event:
+                case {"event": "call"}:
+                    told.append([])
+                case {"event": "notified", "message": message}:
+                    told[-1] = msgspec.convert(message, list[Detection])
+    found = false = 0
+    for hot_spots, detections in zip(truth, told, strict=False):
+        hits = {spot for spot in hot_spots for each in detections if _contains(spot, each)}
+        found += len(hits)
+        false += sum(not any(_contains(spot, each) for spot in hot_spots) for each in detections)
+    return Score(photos=len(told), true=sum(map(len, truth[: len(told)])), found=found, false=false)
+
+
+def _contains(spot: Box, detection: Detection) -> bool:
+    x = detection.left_px + detection.width_px / 2
+    y = detection.top_px + detection.height_px / 2
+    return (
+        spot.left_px <= x <= spot.left_px + spot.width_px and spot.top_px <= y <= spot.top_px + spot.height_px
+    )
 
 
 def _read_config() -> DroneConfig:

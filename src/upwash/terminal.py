@@ -13,9 +13,10 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.config import DroneConfig
-from upwash.results import CallResult, RunResult
+from upwash.results import RunResult
 
 _RECENT = 10
+_WORTH_SHOWING_S = 0.05
 _STATE_STYLES = {"READY": "green", "CHECK": "yellow", "CHECK-R": "yellow", "BLACKLISTED": "red"}
 
 
@@ -112,42 +113,55 @@ class Progress:
 
 def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
     """Prints a table of the calls, the totals, and the mission time against what local calls would have made it."""
-    table = Table(title="Service calls")
-    for heading, justify in (
-        ("waypoint", "right"),
-        ("operation", "left"),
-        ("place", "left"),
-        ("delay", "right"),
-        ("waited", "right"),
-        ("decision", "left"),
-    ):
-        table.add_column(heading, justify="right" if justify == "right" else "left")
-    for call in result.calls:
-        table.add_row(*_call_row(call))
-    console.print(table)
+    _print_calls(result, console)
     totals = result.totals
     servers = ", ".join(f"{count} on {server}" for server, count in totals.remote.items())
     console.print(
         f"{totals.calls} calls: {totals.local} on the drone{', ' + servers if servers else ''}; "
         f"{totals.switches} selections, {totals.waits} waits of which {totals.waits_failed} in vain, "
-        f"{totals.fallbacks} fell back to the drone; {totals.service_delay_s:.1f} s spent in calls"
+        f"{totals.fallbacks} fell back to the drone; {totals.service_delay_s:.1f} s spent in calls",
+        soft_wrap=True,
     )
     _print_times(result, console, paced=paced)
+
+
+def _print_calls(result: RunResult, console: Console) -> None:
+    operations = sorted({call.operation for call in result.calls})
+    several = len(operations) > 1
+    table = Table(title="Service calls" if several else f"Calls of {''.join(operations)}")
+    table.add_column("waypoint", justify="right")
+    if several:
+        table.add_column("operation")
+    table.add_column("place")
+    table.add_column("delay", justify="right")
+    table.add_column("waited", justify="right")
+    table.add_column("decision")
+    for call in result.calls:
+        waypoint = "" if call.waypoint is None else str(call.waypoint)
+        operation = [call.operation] if several else []
+        place = "drone" if call.place == "local" else call.place
+        waited = f"{call.waited_s:.1f} s" if call.waited_s >= _WORTH_SHOWING_S else ""
+        table.add_row(waypoint, *operation, place, f"{call.delay_s:.2f} s", waited, call.decision)
+    console.print(table)
 
 
 def _print_times(result: RunResult, console: Console, *, paced: bool) -> None:
     ended = "" if result.completed else ", not completed"
     local_only_s = result.local_only_time_s()
     if local_only_s is None or not result.calls:
-        console.print(f"mission time {result.mission_time_s:.1f} s{ended}")
+        console.print(f"mission time {result.mission_time_s:.1f} s{ended}", soft_wrap=True)
         return
     saved = 100 * (1 - result.mission_time_s / local_only_s)
     console.print(
         f"mission time {result.mission_time_s:.1f} s{ended}; with every call on the drone, at the local delay "
-        f"measured in this flight, {local_only_s:.1f} s: {saved:.0f} % saved"
+        f"measured in this flight, {local_only_s:.1f} s: {saved:.0f} % saved",
+        soft_wrap=True,
     )
     if paced:
-        console.print("Local calls were paced (local_pace_s) to stand in for a slower computer on the drone.")
+        console.print(
+            "Calls on the drone were paced (local_pace_s) to take as long as on a slower computer.",
+            soft_wrap=True,
+        )
 
 
 def _call_line(event: Mapping[str, Any], doing: str) -> Text:
@@ -159,20 +173,9 @@ def _call_line(event: Mapping[str, Any], doing: str) -> Text:
     )
 
 
-def _call_row(call: CallResult) -> tuple[str, ...]:
-    return (
-        "" if call.waypoint is None else str(call.waypoint),
-        call.operation,
-        "drone" if call.place == "local" else call.place,
-        f"{call.delay_s:.2f} s",
-        f"{call.waited_s:.1f} s" if call.waited_s >= 0.05 else "",
-        call.decision,
-    )
-
-
 def _describe(message: object) -> str:
     """A message to the user in one line: detections by their number and labels, anything else as it is."""
     if isinstance(message, list) and all(isinstance(item, dict) and "label" in item for item in message):
         labels = [item["label"] for item in message]
-        return ", ".join(f"{labels.count(label)} {label}" for label in dict.fromkeys(labels))
+        return ", ".join(f"{labels.count(label)} x {label}" for label in dict.fromkeys(labels))
     return str(message)

@@ -82,7 +82,7 @@ class Daemon(RuleBasedStateMachine):
             }
 
     @rule(server=servers, service=services, drone=drones)
-    def drone_has_started(self, server: str, service: str, drone: str) -> None:
+    def drone_wants_a_start(self, server: str, service: str, drone: str) -> None:
         place, before, lived = (server, service), self.after_a_look(), dict(self.living)
         answer, commands = self.host.start(server, service, drone, now_s=self.now_s)
         self.answered(

@@ -106,6 +106,7 @@ class Flights(RuleBasedStateMachine):
         self.ended = False
         self.states = dict.fromkeys(self.areas, State.AVL)
         self.joined: str | None = None
+        self.entered_s = dict.fromkeys(self.areas, 0.0)
         self.blacklisted_at_s: dict[str, float] = {}
         self.checks: list[int] = []
         self.starts: list[int] = []
@@ -212,6 +213,7 @@ class Flights(RuleBasedStateMachine):
         else:
             commands = self.selection.handle(happening, now_s=self.now_s, position=self.position)
         self.carry_out(commands)
+        self.nothing_is_remembered_too_long()
         self.nothing_better_is_left()
 
     def carry_out(self, commands: list[Command]) -> None:
@@ -222,6 +224,7 @@ class Flights(RuleBasedStateMachine):
                     assert TRANSITIONS[before, event] is after
                     assert at_s == self.now_s
                     self.states[server] = after
+                    self.entered_s[server] = at_s
                     if after is State.BLACKLISTED:
                         self.blacklisted_at_s[server] = at_s
                 case Leave(server):
@@ -264,6 +267,12 @@ class Flights(RuleBasedStateMachine):
             assert self.states[decision.server] in {State.CHECK, State.CHECK_R}
             assert 0 < decision.at_most_s <= local_s * (1 - GAIN_WAIT) - remote_s
 
+    def nothing_is_remembered_too_long(self) -> None:
+        for name, state in self.states.items():
+            age_s = self.now_s - self.entered_s[name]
+            assert state is not State.BLACKLISTED or age_s < SETTINGS.blacklist_s
+            assert state is not State.AVL_R or age_s < SETTINGS.idle_s
+
     def nothing_better_is_left(self) -> None:
         """After whatever happened the policy has its way at once."""
         estimates, policy, current = self.selection.estimates, self.selection.policy, self.selection.current
@@ -299,12 +308,6 @@ class Flights(RuleBasedStateMachine):
     @invariant()
     def every_change_was_told(self) -> None:
         assert {name: server.state for name, server in self.selection.servers.items()} == self.states
-
-    @invariant()
-    def nobody_is_forgotten_on_the_blacklist(self) -> None:
-        for name, server in self.selection.servers.items():
-            if server.state is State.BLACKLISTED:
-                assert self.blacklisted_at_s[name] == server.since_s
 
 
 TestFlights = Flights.TestCase

@@ -30,7 +30,7 @@ HOME = GeoPosition(39.3666, 22.9507)
 FRAME = LocalFrame(HOME)
 AGILE = VehicleSettings(
     home=HOME,
-    acceleration_m_s2=100.0,
+    acceleration_m_s2=300.0,
     climb_m_s=100.0,
     descent_m_s=100.0,
     return_speed_m_s=100.0,
@@ -42,6 +42,10 @@ IMPATIENT = FlightSettings(
     arm_again_s=0.2,
     progress_s=0.5,
     patience=Patience(answer_s=0.2, attempts=4, quiet_after_s=0.4, lost_after_s=1.5),
+)
+
+SHORT_OF_HEARING = FlightSettings(
+    progress_s=0.5, patience=Patience(answer_s=0.1, attempts=4, quiet_after_s=0.3, lost_after_s=1.0)
 )
 
 
@@ -101,30 +105,32 @@ def test_the_ground_speed_holds_from_the_first_leg_on() -> None:
         async with connected(ground_speed_m_s=30.0) as (_, autopilot):
             await take_off(autopilot)
             begun_s = clock()
-            await autopilot.goto(Position(15.0, 0.0, 5.0))
-            assert clock() - begun_s < 2.2  # at the speed that the vehicle has by itself: 3 s
+            await autopilot.goto(Position(12.0, 0.0, 5.0))
+            assert clock() - begun_s < 1.8  # at the speed that the vehicle has by itself: 2.4 s
             await autopilot.set_ground_speed(10.0)
             begun_s = clock()
             await autopilot.goto(Position(0.0, 0.0, 5.0))
-            assert 1.2 < clock() - begun_s < 2.5
+            assert 1.0 < clock() - begun_s < 2.2
 
     asyncio.run(mission())
 
 
-def test_hold_stops_on_the_way() -> None:
+def test_hold_stops_on_the_way_and_disarming_is_refused_until_it_has_landed() -> None:
     async def mission() -> None:
         async with connected(ground_speed_m_s=10.0) as (_, autopilot):
             await take_off(autopilot, 3.0)
             with pytest.raises(TimeoutError):
-                async with asyncio.timeout(0.7):
+                async with asyncio.timeout(0.4):
                     await autopilot.goto(Position(500.0, 0.0, 3.0))
             await autopilot.hold()
             stopped = autopilot.position
             assert 0 < stopped.east_m < 50
-            await asyncio.sleep(0.3)
+            with pytest.raises(AutopilotRefused, match=r"disarm: .*MAV_RESULT_FAILED"):
+                await autopilot.disarm()
             assert near(autopilot.position, stopped)
             await autopilot.land()
             assert near(autopilot.position, Position(stopped.east_m, stopped.north_m, 0.0))
+            await autopilot.disarm()
 
     asyncio.run(mission())
 
@@ -149,17 +155,6 @@ def test_a_refusal_to_arm_says_the_vehicles_reason() -> None:
         assert caught.value.step == "arm"
         assert caught.value.vehicle_said == "PreArm: Need Position Estimate"
         assert "MAV_CMD_COMPONENT_ARM_DISARM" in caught.value.problem
-
-    asyncio.run(mission())
-
-
-def test_disarming_in_flight_is_refused_and_the_flight_goes_on() -> None:
-    async def mission() -> None:
-        async with connected() as (_, autopilot):
-            await take_off(autopilot, 5.0)
-            with pytest.raises(AutopilotRefused, match="disarm"):
-                await autopilot.disarm()
-            await autopilot.goto(Position(5.0, 0.0, 5.0))
 
     asyncio.run(mission())
 
@@ -196,16 +191,16 @@ def test_when_the_pilot_takes_over_the_leg_ends_and_the_vehicle_is_left_to_the_p
 def test_entering_and_leaving_a_circle_is_noticed() -> None:
     async def mission() -> None:
         circles = (
-            Circle(Position(15.0, 0.0), 5.0),
+            Circle(Position(9.0, 0.0), 4.0),
             Circle(Position(0.0, 500.0), 10.0),
         )
         async with connected(ground_speed_m_s=20.0) as (_, autopilot):
             await take_off(autopilot, 3.0)
-            leg = asyncio.create_task(autopilot.goto(Position(30.0, 0.0, 3.0)))
+            leg = asyncio.create_task(autopilot.goto(Position(17.0, 0.0, 3.0)))
             await autopilot.border_crossed(circles)
-            assert 10.0 <= autopilot.position.east_m < 15.0
+            assert 5.0 <= autopilot.position.east_m < 10.0
             await autopilot.border_crossed(circles)
-            assert 20.0 < autopilot.position.east_m < 25.0
+            assert 13.0 < autopilot.position.east_m <= 17.5
             await leg
             with pytest.raises(TimeoutError):
                 async with asyncio.timeout(0.3):
@@ -242,7 +237,7 @@ async def connected_through_a_relay() -> AsyncIterator[tuple[Relay, MavlinkAutop
     )
     port = transport.get_extra_info("sockname")[1]
     autopilot = await connect_autopilot(
-        f"udpout:127.0.0.1:{port}", frame=FRAME, ground_speed_m_s=20.0, settings=IMPATIENT
+        f"udpout:127.0.0.1:{port}", frame=FRAME, ground_speed_m_s=20.0, settings=SHORT_OF_HEARING
     )
     try:
         yield relay, autopilot
@@ -252,24 +247,18 @@ async def connected_through_a_relay() -> AsyncIterator[tuple[Relay, MavlinkAutop
         await vehicle.close()
 
 
-def test_a_short_silence_is_survived() -> None:
+def test_a_short_silence_is_survived_and_a_long_one_ends_the_verb_in_progress() -> None:
     async def mission() -> None:
         async with connected_through_a_relay() as (relay, autopilot):
             await take_off(autopilot, 3.0)
-            relay.broken = True  # the target and the first commands are lost: more than the attempts cover
-            asyncio.get_running_loop().call_later(1.2, setattr, relay, "broken", False)
-            await autopilot.goto(Position(10.0, 0.0, 3.0))
-            assert near(autopilot.position, Position(10.0, 0.0, 3.0))
-
-    asyncio.run(mission())
-
-
-def test_a_long_silence_ends_the_verb_in_progress() -> None:
-    async def mission() -> None:
-        async with connected_through_a_relay() as (relay, autopilot):
-            await take_off(autopilot, 3.0)
+            relay.broken = True  # the target is lost
+            asyncio.get_running_loop().call_later(0.8, setattr, relay, "broken", False)
+            await autopilot.goto(Position(5.0, 0.0, 3.0))
             relay.broken = True
-            with pytest.raises(AutopilotLost, match=r"goto .* udpout:127\.0\.0\.1:\d+ for 1\.5 s"):
+            asyncio.get_running_loop().call_later(0.8, setattr, relay, "broken", False)
+            await autopilot.set_ground_speed(40.0)  # the silence is longer than all attempts
+            relay.broken = True
+            with pytest.raises(AutopilotLost, match=r"goto .* udpout:127\.0\.0\.1:\d+ for 1 s"):
                 await autopilot.goto(Position(100.0, 0.0, 3.0))
 
     asyncio.run(mission())
@@ -290,7 +279,15 @@ def test_nobody_there_names_the_connection_and_what_to_check(kind: str) -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    ["", "127.0.0.1:14550", "udp:127.0.0.1:14550", "tcp:5760", "tcp:host:port", "serial:/dev/ttyAMA0:921"],
+    [
+        "",
+        "127.0.0.1:14550",
+        "udp:127.0.0.1:14550",
+        "tcp:5760",
+        "tcp:host:port",
+        "tcp:127.0.0.1:65536",
+        "serial:/dev/ttyAMA0:921",
+    ],
 )
 def test_a_connection_that_cannot_be_meant_is_refused_at_once(wrong: str) -> None:
     async def mission() -> None:

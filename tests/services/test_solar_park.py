@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
-import msgspec
 import numpy as np
 import pytest
 
 from upwash.services.hotspots import Box
-from upwash.services.solar_park import LARGE_FROM_PX, RenderedPhoto, render_folder, render_photo
+from upwash.services.solar_park import LARGE_FROM_PX, RenderedPhoto, read_truth, render_folder, render_photo
 
 Pixels = np.ndarray[tuple[int, ...], np.dtype[np.int16]]
 
@@ -77,7 +76,7 @@ def test_a_folder_holds_the_photos_of_its_seeds_and_their_truth(tmp_path: Path) 
     folder = tmp_path / "new" / "photos"
     render_folder(folder, count=2, seed=4)
     assert sorted(path.name for path in folder.iterdir()) == ["photo-000.jpg", "photo-001.jpg", "truth.json"]
-    truth = msgspec.json.decode((folder / "truth.json").read_bytes(), type=dict[str, tuple[Box, ...]])
+    truth = read_truth(folder)
     for index, name in enumerate(truth):
         photo = render_photo(4 + index)
         assert (folder / name).read_bytes() == photo.jpeg

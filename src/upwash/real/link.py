@@ -18,7 +18,7 @@ from upwash.real.credentials import Credentials
 
 DRONE_METADATA = "upwash-drone"  # says who calls where no certificate does: on a unix socket or on loopback
 
-_OPTIONS: tuple[tuple[str, int], ...] = (
+CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.keepalive_time_ms", 2000),
     ("grpc.keepalive_timeout_ms", 3000),
     ("grpc.keepalive_permit_without_calls", 1),
@@ -53,7 +53,7 @@ class GrpcDialer:
         A unix socket carries no certificates: the folder that it lies in says who may use it.
         """
         options: list[tuple[str, int | str]] = [
-            *_OPTIONS,
+            *CHANNEL_OPTIONS,
             ("grpc.max_receive_message_length", self._max_message_bytes),
             ("grpc.max_send_message_length", self._max_message_bytes),
         ]

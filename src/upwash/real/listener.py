@@ -16,7 +16,7 @@ from upwash.real.link import DRONE_METADATA
 
 _log = logging.getLogger("upwash.listener")
 
-_OPTIONS: tuple[tuple[str, int], ...] = (
+SERVER_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.so_reuseport", 0),  # else two daemons could share a port, and each get half of the calls
     ("grpc.http2.min_recv_ping_interval_without_data_ms", 500),
     ("grpc.http2.max_ping_strikes", 0),
@@ -59,7 +59,7 @@ class Listener:
             ThreadPoolExecutor(max_workers=threads, thread_name_prefix="upwash-request"),
             maximum_concurrent_rpcs=concurrent_requests,
             options=[
-                *_OPTIONS,
+                *SERVER_OPTIONS,
                 ("grpc.max_receive_message_length", max_message_bytes),
                 ("grpc.max_send_message_length", max_message_bytes),
             ],

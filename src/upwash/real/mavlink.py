@@ -26,6 +26,7 @@ COMPANION = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 _OPEN_WITHIN_S = 5.0
 _REOPEN_AFTER_S = 1.0
 _MOST_UNSENT_BYTES = 65_536
+_NOT_UNDERSTOOD = (mavlink.MAVLink_bad_data, mavlink.MAVLink_unknown)  # garbage, or no checksum to verify
 
 
 class MavlinkLink:
@@ -121,13 +122,13 @@ class _Line(asyncio.Protocol, asyncio.DatagramProtocol):
 
     def _take(self, parser: Any, data: bytes) -> None:
         for message in parser.parse_buffer(data) or ():
-            if message.get_type() != "BAD_DATA":
+            if not isinstance(message, _NOT_UNDERSTOOD):
                 self._heard(message)
 
 
 def _parser() -> Any:
     parser = mavlink.MAVLink(None)
-    parser.robust_parsing = True  # what cannot be understood becomes a BAD_DATA message, not an exception
+    parser.robust_parsing = True  # what cannot be understood becomes a message of its own, not an exception
     return parser
 
 
@@ -213,6 +214,8 @@ def _opener(connection: str) -> Callable[[_Line], Awaitable[None]]:
             f'the autopilot cannot be reached at "{connection}"; '
             "write udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
         )
+    if kind != "serial" and int(number) > 65_535:
+        raise UsageError(f'"{connection}": {number} is no port; ports end at 65535')
     if kind == "serial" and not _speed(int(number)):
         raise UsageError(f'"{connection}": {number} is no speed of a serial port; usual are 57600 and 921600')
     return partial(_OPENERS[kind], place, int(number))

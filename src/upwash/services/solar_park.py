@@ -84,6 +84,11 @@ def render_folder(folder: Path, count: int, seed: int) -> None:
     (folder / "truth.json").write_bytes(msgspec.json.format(msgspec.json.encode(truth)))
 
 
+def read_truth(folder: Path) -> dict[str, tuple[Box, ...]]:
+    """The hot-spots of each photo of a rendered folder, by file, in the order of the photos."""
+    return msgspec.json.decode((folder / "truth.json").read_bytes(), type=dict[str, tuple[Box, ...]])
+
+
 # --- the camera ------------------------------------------------------------------------------------
 
 

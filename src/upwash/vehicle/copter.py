@@ -16,7 +16,7 @@ from upwash.vehicle.kinematics import Motion, Phase, Velocity, braking, leg
 
 _FARTHEST_M = 10_000.0
 _HIGHEST_M = 1_000.0
-_FASTEST_M_S = 100.0
+_FASTEST_M_S = 300.0  # a report holds 327 m/s at most
 _RATES = ("acceleration_m_s2", "ground_speed_m_s", "climb_m_s", "descent_m_s", "return_speed_m_s")
 
 
@@ -75,7 +75,7 @@ class VehicleSettings:
         for name in _RATES:
             if not 0 < getattr(self, name) <= _FASTEST_M_S:
                 raise UsageError(
-                    f"vehicle: {name} is {getattr(self, name)}; give a number above 0, at most 100"
+                    f"vehicle: {name} is {getattr(self, name)}; give a number above 0, at most {_FASTEST_M_S:g}"
                 )
 
 
@@ -171,7 +171,10 @@ class Copter:
         return _ACCEPTED
 
     def change_speed(self, now_s: float, speed_m_s: float) -> Answer:
-        """Sets the speed of the legs; as in ArduCopter, accepted and then lost before the first target."""
+        """Sets the speed of the legs; as in ArduCopter, accepted and then lost before the first target.
+
+        Unlike an ArduCopter, it brakes to rest before it goes on at the new speed.
+        """
         if not 0 < speed_m_s <= _FASTEST_M_S:
             return Answer(Result.DENIED)
         if self._target is not None:

@@ -117,7 +117,7 @@ class _Stream(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         self._transport = transport
-        self._conversation = Conversation(self._vehicle, write=self._write, hang_up=transport.close)
+        self._conversation = Conversation(self._vehicle, write=self._write, hang_up=transport.abort)
 
     def data_received(self, data: bytes) -> None:
         for message in _understood(self._parser.parse_buffer(data)):
@@ -133,4 +133,6 @@ class _Stream(asyncio.Protocol):
 
 
 def _understood(messages: Iterable[Message] | None) -> Iterable[Message]:
-    return (message for message in messages or () if message.get_type() != "BAD_DATA")
+    """Without garbage, and without unknown messages, whose checksums cannot be verified."""
+    garbage = mavlink.MAVLink_bad_data, mavlink.MAVLink_unknown
+    return (message for message in messages or () if not isinstance(message, garbage))

@@ -1,0 +1,66 @@
+"""The server ends that upwash is compared with: `servers.py raw|grpc HOST FOLDER`.
+
+Each prints its address once it answers, and serves one client after the other until it is ended.
+"""
+
+from __future__ import annotations
+
+import socket
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import NoReturn
+
+import grpc
+from echo import answer
+
+from upwash.real.credentials import read_credentials
+from upwash.real.listener import SERVER_OPTIONS
+
+LENGTH_BYTES = 4  # before each raw request, big-endian
+GRPC_PATH = "/bench.Echo/Measure"
+
+
+def serve_raw(host: str) -> NoReturn:
+    """Serves length-prefixed requests over TCP."""
+    with socket.create_server((host, 0)) as listener:
+        _announce(f"{host}:{listener.getsockname()[1]}")
+        while True:
+            connection, _ = listener.accept()
+            with connection, connection.makefile("rb") as requests:
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                while length := requests.read(LENGTH_BYTES):
+                    connection.sendall(answer(requests.read(int.from_bytes(length))))
+
+
+def serve_grpc(host: str, folder: Path) -> NoReturn:
+    """Serves unary requests of plain bytes over gRPC with mutual TLS, with the options that upwash uses."""
+    credentials = read_credentials(folder / "authority.pem", folder / "s1.pem", folder / "s1.key")
+    server = grpc.server(ThreadPoolExecutor(max_workers=1), options=SERVER_OPTIONS)
+    service, _, method = GRPC_PATH[1:].partition("/")
+    measure = grpc.unary_unary_rpc_method_handler(lambda body, _: answer(body))
+    server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(service, {method: measure}),))
+    port = server.add_secure_port(
+        f"{host}:0",
+        grpc.ssl_server_credentials(
+            [(credentials.key, credentials.certificate)],
+            root_certificates=credentials.authority,
+            require_client_auth=True,
+        ),
+    )
+    server.start()
+    _announce(f"{host}:{port}")
+    threading.Event().wait()
+    raise AssertionError("it serves until it is ended")
+
+
+def _announce(address: str) -> None:
+    print(f"ready at {address}", flush=True)
+
+
+if __name__ == "__main__":
+    kind, host, folder = sys.argv[1:]
+    if kind == "raw":
+        serve_raw(host)
+    serve_grpc(host, Path(folder))
