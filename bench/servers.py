@@ -1,4 +1,4 @@
-"""The server ends that upwash is compared with: `servers.py raw|grpc HOST FOLDER`.
+"""The server ends that upwash is compared with: `python -m bench.servers raw|grpc HOST FOLDER`.
 
 Each prints its address once it answers, and serves one client after the other until it is ended.
 """
@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import NoReturn
 
 import grpc
-from echo import answer
+
+from bench.echo import answer
 
 from upwash.real.credentials import read_credentials
 from upwash.real.listener import SERVER_OPTIONS

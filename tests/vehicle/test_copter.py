@@ -96,6 +96,27 @@ def test_a_speed_before_the_first_target_is_accepted_and_lost() -> None:
     assert copter.change_speed(now_s, math.nan).result is Result.DENIED
 
 
+def test_a_higher_speed_on_the_way_does_not_stop_it() -> None:
+    copter, now_s = flying()
+    target = Position(100.0, 0.0, 20.0)
+    copter.steer(now_s, target)
+    copter.change_speed(now_s + 4.0, 5.0)  # after 8 m, at 4 m/s
+    assert copter.velocity(now_s + 4.0).speed_m_s == pytest.approx(4.0)
+    assert copter.velocity(now_s + 5.0).speed_m_s == pytest.approx(5.0)
+    arrives_s = now_s + 5.0 + (92.0 - 4.5 - 12.5) / 5.0 + 5.0
+    assert copter.velocity(arrives_s - 0.1).speed_m_s == pytest.approx(0.1)
+    assert copter.position(arrives_s) == target
+
+
+def test_a_lower_speed_on_the_way_is_kept_too() -> None:
+    copter, now_s = flying()
+    target = Position(100.0, 0.0, 20.0)
+    copter.steer(now_s, target)
+    copter.change_speed(now_s + 10.0, 2.0)
+    assert copter.velocity(now_s + 20.0).speed_m_s == pytest.approx(2.0)
+    assert copter.position(now_s + 100.0) == target
+
+
 def test_a_new_target_on_the_way_brakes_first() -> None:
     copter, now_s = flying()
     copter.steer(now_s, Position(100.0, 0.0, 20.0))

@@ -150,7 +150,6 @@ class Estimates:
                 continue
             if self._remote[place].mean_s >= self._local[operation].mean_s:
                 self._remote[place] = Window.filled(offline_s)
-                del self._last_remote_call_s[place]
 
     def _weights(self) -> dict[Operation, float]:
         calls = sum(self._calls.values())

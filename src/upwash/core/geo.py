@@ -1,8 +1,8 @@
 """Positions and distances in metres around the mission's home.
 
-The mission area is small, so upwash computes on a plane that touches the Earth at home. One degree of
-latitude is taken as a constant length, one of longitude as that times the cosine of home's latitude; within
-10 km of home the error stays below 0.1 % of the distance.
+The mission area is small, so upwash computes on a plane that touches the Earth (the WGS 84 ellipsoid) at home:
+a degree of latitude and one of longitude have the lengths there that they have at home. Within 10 km of a home
+up to 60 degrees of latitude the error stays below 0.1 % of the distance.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-_METRES_PER_DEGREE = 111_319.490_793  # 2 pi 6378137 / 360 (WGS 84 equatorial radius)
+_EQUATORIAL_RADIUS_M = 6_378_137.0  # WGS 84
+_ECCENTRICITY_SQUARED = 6.694_379_990_141e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,22 +60,27 @@ class LocalFrame:
 
     def position(self, geo: GeoPosition) -> Position:
         """The position, relative to home, of a place on the Earth."""
-        return Position(
-            east_m=(geo.longitude_deg - self.home.longitude_deg) * self._metres_per_degree_east(),
-            north_m=(geo.latitude_deg - self.home.latitude_deg) * _METRES_PER_DEGREE,
-            altitude_m=geo.altitude_m,
-        )
+        east_deg = math.remainder(geo.longitude_deg - self.home.longitude_deg, 360)
+        north_deg = geo.latitude_deg - self.home.latitude_deg
+        east_m, north_m = self._metres_per_degree()
+        return Position(east_deg * east_m, north_deg * north_m, geo.altitude_m)
 
     def geo(self, position: Position) -> GeoPosition:
         """The place on the Earth of a position relative to home."""
+        east_m, north_m = self._metres_per_degree()
         return GeoPosition(
-            latitude_deg=self.home.latitude_deg + position.north_m / _METRES_PER_DEGREE,
-            longitude_deg=self.home.longitude_deg + position.east_m / self._metres_per_degree_east(),
+            latitude_deg=self.home.latitude_deg + position.north_m / north_m,
+            longitude_deg=math.remainder(self.home.longitude_deg + position.east_m / east_m, 360),
             altitude_m=position.altitude_m,
         )
 
-    def _metres_per_degree_east(self) -> float:
-        return _METRES_PER_DEGREE * math.cos(math.radians(self.home.latitude_deg))
+    def _metres_per_degree(self) -> tuple[float, float]:
+        """Lengths at home's latitude of a degree eastwards and of one northwards."""
+        latitude = math.radians(self.home.latitude_deg)
+        flattening = 1 - _ECCENTRICITY_SQUARED * math.sin(latitude) ** 2
+        normal_m = _EQUATORIAL_RADIUS_M / math.sqrt(flattening)
+        meridian_m = normal_m * (1 - _ECCENTRICITY_SQUARED) / flattening
+        return math.radians(normal_m * math.cos(latitude)), math.radians(meridian_m)
 
 
 def ground_distance_m(a: Position, b: Position) -> float:

@@ -130,7 +130,7 @@ class Host:
         self, server: str, services: Iterable[str], drone: str, *, now_s: float
     ) -> tuple[Available | Denied, list[Command]]:
         """Whether the drone can be served now; if so it holds a slot until its lease ends."""
-        commands = self.look(now_s=now_s)
+        commands = self._end_leases(now_s)
         wanted = sorted(set(services))
         denied = self._deny(server, wanted, drone)
         if denied is not None:
@@ -148,7 +148,7 @@ class Host:
         self, server: str, service: str, drone: str, *, now_s: float
     ) -> tuple[Running | Pending | Denied, list[Command]]:
         """Has the service running for the drone; two starts of one service make one instance."""
-        commands = self.look(now_s=now_s)
+        commands = self._end_leases(now_s)
         denied = self._deny(server, [service], drone)
         if denied is not None:
             return denied, commands
@@ -184,7 +184,7 @@ class Host:
         """The drone called the service: its lease is renewed."""
         state = self._servers[server]
         state.instances[service].used_s = now_s
-        if drone in state.leases:
+        if state.leases.get(drone, now_s) > now_s:
             state.leases[drone] = now_s + self.settings.lease_s
 
     def leave(self, server: str, drone: str) -> list[Command]:
@@ -196,13 +196,8 @@ class Host:
 
     def look(self, *, now_s: float) -> list[Command]:
         """Ends the leases whose time is over, and stops the instances that nobody uses."""
-        commands: list[Command] = []
+        commands = self._end_leases(now_s)
         for name, server in self._servers.items():
-            over = [drone for drone, until_s in server.leases.items() if until_s <= now_s]
-            for drone in over:
-                del server.leases[drone]
-            if over:
-                commands.append(self._admission(name))
             if not server.leases:
                 commands += self._stop_idle(name, now_s)
         return commands
@@ -231,6 +226,16 @@ class Host:
         new = drone not in leases
         leases[drone] = now_s + self.settings.lease_s
         return [self._admission(name)] if new else []
+
+    def _end_leases(self, now_s: float) -> list[Command]:
+        commands: list[Command] = []
+        for name, server in self._servers.items():
+            over = [drone for drone, until_s in server.leases.items() if until_s <= now_s]
+            for drone in over:
+                del server.leases[drone]
+            if over:
+                commands.append(self._admission(name))
+        return commands
 
     def _admission(self, name: str) -> Admit:
         return Admit(name, self.leases(name))

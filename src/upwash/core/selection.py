@@ -3,7 +3,7 @@
 Laws:
 - at most one server is selected, and every change of a state is one of `servers.TRANSITIONS`;
 - a check is known by its number, and what arrives for another check than the current one changes nothing;
-- after whatever happened, the selection is looked at again at once;
+- after whatever it is told, the selection is looked at again at once; a decision only leaves, it selects nothing;
 - commands are to be carried out in their order; selecting a new server comes after leaving the old one.
 """
 
@@ -189,7 +189,7 @@ class Selection:
             return Local("the check failed or was given up"), commands
         if isinstance(decision, Remote):
             return Remote(decision.server, decision.deadline_s, "server became ready"), commands
-        return Local("not ready in time"), commands
+        return decision if isinstance(decision, Local) else Local("not ready in time"), commands
 
     def is_checking(self, check: int) -> bool:
         """Whether that check is the current one and still under way."""
@@ -233,6 +233,8 @@ class Selection:
         server = self._selected()
         if running:
             return [self._ready(Event.FOUND_RUNNING, now_s)]
+        if not server.in_range:
+            return []  # about to be de-selected: nothing is started for a drone that is gone
         commands: list[Command] = []
         if server.state is State.CHECK_R:
             commands.append(server.apply(Event.FOUND_STOPPED, now_s=now_s))

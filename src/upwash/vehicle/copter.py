@@ -12,7 +12,7 @@ from enum import Enum, IntEnum, auto
 
 from upwash.core.geo import GeoPosition, Position, distance_m, ground_distance_m
 from upwash.errors import UsageError
-from upwash.vehicle.kinematics import Motion, Phase, Velocity, braking, leg
+from upwash.vehicle.kinematics import Motion, Phase, Velocity, braking, duration_s, leg
 
 _FARTHEST_M = 10_000.0
 _HIGHEST_M = 1_000.0
@@ -102,6 +102,7 @@ class Copter:
         self._motors_started = False
         self._doing = _Doing.NOTHING
         self._motion = Motion(now_s, (), Position(0.0, 0.0))
+        self._on_leg_from_s = now_s
         self._descends_s = math.inf
         self._target: Position | None = None
         self._speed_m_s = settings.ground_speed_m_s
@@ -173,13 +174,13 @@ class Copter:
     def change_speed(self, now_s: float, speed_m_s: float) -> Answer:
         """Sets the speed of the legs; as in ArduCopter, accepted and then lost before the first target.
 
-        Unlike an ArduCopter, it brakes to rest before it goes on at the new speed.
+        Unlike an ArduCopter, it brakes to rest first if the new speed is below the present one.
         """
         if not 0 < speed_m_s <= _FASTEST_M_S:
             return Answer(Result.DENIED)
         if self._target is not None:
             self._speed_m_s = speed_m_s
-            self._depart(now_s, self._target)
+            self._resume(now_s, self._target)
         return _ACCEPTED
 
     def steer(self, now_s: float, target: Position) -> None:
@@ -231,25 +232,40 @@ class Copter:
         phases = [*braking(here, self.velocity(now_s), acceleration_m_s2=brake)]
         if phases:
             here = phases[-1].end
+        self._on_leg_from_s = now_s + duration_s(phases)
         for stop in stops:
             phases += self._leg(here, stop)
             here = stop
         self._motion = Motion(now_s, tuple(phases), here)
 
-    def _leg(self, start: Position, end: Position) -> tuple[Phase, ...]:
-        """The leg at the speed that neither the ground speed nor the climb or descent exceeds."""
+    def _resume(self, now_s: float, target: Position) -> None:
+        """Goes on to the target at the present speed limits, without a stop where that can be."""
+        here = self.position(now_s)
+        speed_m_s = self.velocity(now_s).speed_m_s
+        on_the_leg = now_s >= self._on_leg_from_s
+        if on_the_leg and speed_m_s <= self._cruise_m_s(here, target):
+            self._motion = Motion(now_s, self._leg(here, target, speed_m_s=speed_m_s), target)
+        else:
+            self._depart(now_s, target)
+
+    def _leg(self, start: Position, end: Position, *, speed_m_s: float = 0.0) -> tuple[Phase, ...]:
+        return leg(
+            start,
+            end,
+            cruise_m_s=self._cruise_m_s(start, end),
+            acceleration_m_s2=self.settings.acceleration_m_s2,
+            speed_m_s=speed_m_s,
+        )
+
+    def _cruise_m_s(self, start: Position, end: Position) -> float:
+        """The speed on the way at which neither the ground speed nor the climb or descent is exceeded."""
         settings = self.settings
-        rise_m = end.altitude_m - start.altitude_m
-        ground_m = ground_distance_m(start, end)
         length_m = distance_m(start, end)
-        returning = self._doing is _Doing.LANDING
-        limits_m_s = []
-        if ground_m > 0:
-            limit = settings.return_speed_m_s if returning else self._speed_m_s
-            limits_m_s.append(limit * length_m / ground_m)
-        if rise_m != 0:
-            limit = settings.climb_m_s if rise_m > 0 else settings.descent_m_s
-            limits_m_s.append(limit * length_m / abs(rise_m))
-        if not limits_m_s:
-            return ()
-        return leg(start, end, cruise_m_s=min(limits_m_s), acceleration_m_s2=settings.acceleration_m_s2)
+        ground_m = ground_distance_m(start, end)
+        rise_m = end.altitude_m - start.altitude_m
+        ground_m_s = settings.return_speed_m_s if self._doing is _Doing.LANDING else self._speed_m_s
+        vertical_m_s = settings.climb_m_s if rise_m > 0 else settings.descent_m_s
+        return min(
+            ground_m_s * length_m / ground_m if ground_m else _FASTEST_M_S,
+            vertical_m_s * length_m / abs(rise_m) if rise_m else _FASTEST_M_S,
+        )

@@ -98,8 +98,13 @@ def duration_s(phases: Sequence[Phase]) -> float:
     return sum(phase.duration_s for phase in phases)
 
 
-def leg(start: Position, end: Position, *, cruise_m_s: float, acceleration_m_s2: float) -> tuple[Phase, ...]:
-    """From rest to rest on a straight line, speeding up and braking alike; a short leg never reaches cruise."""
+def leg(
+    start: Position, end: Position, *, cruise_m_s: float, acceleration_m_s2: float, speed_m_s: float = 0.0
+) -> tuple[Phase, ...]:
+    """A straight line to rest, speeding up and braking alike; a short leg never reaches cruise.
+
+    It begins at `speed_m_s`, which must be no faster than cruise and slow enough to stop at the end.
+    """
     if not (cruise_m_s > 0 and acceleration_m_s2 > 0):
         raise ValueError(
             f"a leg needs a speed and an acceleration above 0, not {cruise_m_s} m/s and {acceleration_m_s2} m/s²"
@@ -112,12 +117,12 @@ def leg(start: Position, end: Position, *, cruise_m_s: float, acceleration_m_s2:
         north_m_s=(end.north_m - start.north_m) / length_m,
         up_m_s=(end.altitude_m - start.altitude_m) / length_m,
     )
-    top_m_s = min(cruise_m_s, math.sqrt(acceleration_m_s2 * length_m))
-    ramp_s = top_m_s / acceleration_m_s2
-    cruise_s = max(0.0, length_m / top_m_s - ramp_s)
-    faster = Phase(start, heading, 0.0, acceleration_m_s2, ramp_s)
+    top_m_s = min(cruise_m_s, math.sqrt(acceleration_m_s2 * length_m + speed_m_s**2 / 2))
+    ramps_m = (2 * top_m_s**2 - speed_m_s**2) / (2 * acceleration_m_s2)
+    cruise_s = max(0.0, (length_m - ramps_m) / top_m_s)
+    faster = Phase(start, heading, speed_m_s, acceleration_m_s2, (top_m_s - speed_m_s) / acceleration_m_s2)
     steady = Phase(faster.end, heading, top_m_s, 0.0, cruise_s)
-    slower = Phase(steady.end, heading, top_m_s, -acceleration_m_s2, ramp_s)
+    slower = Phase(steady.end, heading, top_m_s, -acceleration_m_s2, top_m_s / acceleration_m_s2)
     return faster, steady, slower
 
 

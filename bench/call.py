@@ -1,0 +1,182 @@
+"""What a call costs: a 430 KB request with a small reply, over loopback and over an emulated 54 Mbit/s link.
+
+Four ways, in turn: raw TCP, bare gRPC with mutual TLS, a service call of a mission that runs on an edge server, and
+one that runs on the drone. See docs/performance.md.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+import msgspec
+
+from upwash.real.credentials import make_keys
+
+ROOT = Path(__file__).resolve().parent.parent
+REQUEST_BYTES = 430_000
+LOOPBACK_ROUNDS = 200
+LINK_ROUNDS = 15
+RATE_BIT_S = 54e6
+BITS_OVER_RATE_S = 8 * REQUEST_BYTES / RATE_BIT_S
+MOST_OVER_GRPC = 1.25
+MOST_OVER_RATE = 1.10
+CLIENT_TIMEOUT_S = 50.0
+STOP_S = 5.0
+
+CONTENDERS = {
+    "raw": "raw TCP",
+    "grpc": "bare gRPC, mutual TLS",
+    "remote": "upwash, on the server, mutual TLS",
+    "local": "upwash, on the drone, unix socket",
+}
+DAEMON = """\
+listen = "{host}:0"
+service = [{{ name = "echo", program = "bench.echo:Echo" }}]
+server = [{{ name = "s1" }}]
+keys = {{ authority = "authority.pem", certificate = "s1.pem", key = "s1.key" }}
+"""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the two ends run: the command that each is started with, and the server's address."""
+
+    host: str
+    server: tuple[str, ...] = ()
+    drone: tuple[str, ...] = ()
+
+
+def main() -> None:
+    """Measures and prints; a missed limit is printed as such and is no failure."""
+    load = ", ".join(f"{load:.2f}" for load in os.getloadavg())
+    print(f"request {REQUEST_BYTES} bytes, reply 100 bytes; {os.cpu_count()} cores, load {load}")
+    print(f"\nloopback, {LOOPBACK_ROUNDS} rounds")
+    report(measure(Place("127.0.0.1"), LOOPBACK_ROUNDS))
+    print(f"\nemulated link of {RATE_BIT_S / 1e6:.0f} Mbit/s, {LINK_ROUNDS} rounds")
+    if why := no_link():
+        print(f"skipped: {why}")
+        return
+    with emulated_link() as place:
+        delays_s = measure(place, LINK_ROUNDS)
+    report(delays_s)
+    over_rate = median(delays_s["remote"]) / BITS_OVER_RATE_S
+    print(f"bits / rate: {BITS_OVER_RATE_S * 1e3:.2f} ms")
+    print(verdict("upwash on the server / (bits / rate)", over_rate, MOST_OVER_RATE))
+
+
+def report(delays_s: dict[str, list[float]]) -> None:
+    """Prints a table of medians, and of the medians of each round's ratio to bare gRPC."""
+    print(f"{'':36}{'median':>10}{'/ bare gRPC':>14}")
+    for name, title in CONTENDERS.items():
+        print(f"{title:36}{median(delays_s[name]) * 1e3:>7.2f} ms{over_grpc(delays_s, name):>14.2f}")
+    print(verdict("upwash on the server / bare gRPC", over_grpc(delays_s, "remote"), MOST_OVER_GRPC))
+
+
+def over_grpc(delays_s: dict[str, list[float]], name: str) -> float:
+    """The median of a contender's delay over bare gRPC's in the same round."""
+    return median(own / bare for own, bare in zip(delays_s[name], delays_s["grpc"], strict=True))
+
+
+def verdict(what: str, ratio: float, most: float) -> str:
+    """One line that says whether a limit holds."""
+    return f"{'PASS' if ratio <= most else 'MISS'}: {what} = {ratio:.3f}, at most {most:.2f}"
+
+
+# --- one measurement ----------------------------------------------------------------------------------------
+
+
+def measure(place: Place, rounds: int) -> dict[str, list[float]]:
+    """The delays of each contender, round by round, with every server in a process of its own."""
+    with tempfile.TemporaryDirectory(prefix="upwash-bench-") as name, contextlib.ExitStack() as servers:
+        folder = Path(name)
+        make_keys(folder, servers=[["s1"]], drones=["drone"])
+        (folder / "photo.jpg").write_bytes(os.urandom(REQUEST_BYTES))
+        (folder / "daemon.toml").write_text(DAEMON.format(host=place.host))
+        addresses = [
+            servers.enter_context(running((*place.server, sys.executable, "-m", *command)))
+            for command in (
+                ("bench.servers", "raw", place.host, name),
+                ("bench.servers", "grpc", place.host, name),
+                ("upwash", "serve", "--config", f"{name}/daemon.toml"),
+            )
+        ]
+        client = subprocess.run(
+            (*place.drone, sys.executable, "-m", "bench.client", name, str(rounds), *addresses),
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            timeout=CLIENT_TIMEOUT_S,
+            check=True,
+        )
+    return msgspec.json.decode(client.stdout, type=dict[str, list[float]])
+
+
+@contextlib.contextmanager
+def running(command: tuple[str, ...]) -> Iterator[str]:
+    """A server's process, as the address that it printed once it answered; ended at the end."""
+    with subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        assert process.stdout is not None
+        try:
+            words = process.stdout.readline().split()
+            if not words:
+                raise SystemExit(f"{' '.join(command)} did not start")
+            yield words[-1]
+        finally:
+            process.terminate()
+            try:
+                process.wait(STOP_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+
+# --- the emulated link --------------------------------------------------------------------------------------
+
+
+def no_link() -> str:
+    """Why a link cannot be emulated here; empty where it can."""
+    if not sys.platform.startswith("linux"):
+        return "network namespaces are Linux's"
+    if os.geteuid() != 0:
+        return "network namespaces need root"
+    missing = [tool for tool in ("ip", "tc") if shutil.which(tool) is None]
+    return f"no {' and no '.join(missing)} here: install iproute2" if missing else ""
+
+
+@contextlib.contextmanager
+def emulated_link() -> Iterator[Place]:
+    """Two network namespaces joined by a cable that carries 54 Mbit/s each way."""
+    drone, server = (f"upwash-{os.getpid()}-{end}" for end in ("drone", "server"))
+    try:
+        for namespace in (drone, server):
+            _do(f"ip netns add {namespace}")
+        _do(f"ip link add radio netns {drone} type veth peer name radio netns {server}")
+        for namespace, address in ((drone, "10.54.0.1"), (server, "10.54.0.2")):
+            _do(f"ip -n {namespace} address add {address}/24 dev radio")
+            _do(f"ip -n {namespace} link set radio up")
+            # The burst is small, as whatever it holds is sent faster than the link; the queue takes a whole request.
+            _do(
+                f"tc -n {namespace} qdisc add dev radio root tbf "
+                f"rate {RATE_BIT_S / 1e6:.0f}mbit burst 3200 latency 100ms"
+            )
+        yield Place("10.54.0.2", server=("ip", "netns", "exec", server), drone=("ip", "netns", "exec", drone))
+    finally:
+        for namespace in (drone, server):
+            subprocess.run(("ip", "netns", "delete", namespace), check=False, stderr=subprocess.DEVNULL)
+
+
+def _do(command: str) -> None:
+    subprocess.run(command.split(), check=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,182 @@
+"""The drone's end of every contender, timed call by call, in one mission.
+
+`python -m bench.client FOLDER ROUNDS RAW GRPC DAEMON`, with the addresses of the three servers, prints the delays as
+JSON: seconds by contender, round by round.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn, cast
+
+import grpc
+import msgspec
+
+from bench.echo import REPLY_BYTES, Echo, OnboardEcho
+from bench.servers import GRPC_PATH, LENGTH_BYTES
+from upwash.config import DroneConfig, MissionConfig, NetworkConfig, PolicyConfig, ServerConfig, ServiceConfig
+from upwash.core.geo import Circle, Position
+from upwash.drone import Drone, Flight, World
+from upwash.ports import Autopilot
+from upwash.real.camera import FolderCamera
+from upwash.real.credentials import Credentials, read_credentials
+from upwash.real.journal import FileJournal, JournalNotifier
+from upwash.real.link import CHANNEL_OPTIONS, GrpcDialer
+from upwash.real.runtime import ProcessRuntime
+from upwash.sim.network import NoNetwork
+
+MAX_MESSAGE_BYTES = 16 * 2**20
+READY_S = 20.0
+WARM_UP_ROUNDS = 20
+SERVICES: dict[str, type] = {"echo": Echo, "onboardecho": OnboardEcho}
+
+Call = Callable[[bytes], bytes]
+
+
+class ParkedAutopilot:
+    """A vehicle that stays at home."""
+
+    position = Position(0.0, 0.0)
+
+    async def border_crossed(self, _: Sequence[Circle]) -> NoReturn:
+        """Never: it does not move."""
+        await asyncio.get_running_loop().create_future()
+        raise AssertionError("this future is never settled")
+
+
+@dataclass(frozen=True)
+class Addresses:
+    """Where the three servers are."""
+
+    raw: str
+    grpc: str
+    daemon: str
+
+
+@contextlib.contextmanager
+def raw_call(address: str) -> Iterator[Call]:
+    """A length-prefixed request over TCP."""
+    host, _, port = address.rpartition(":")
+    with socket.create_connection((host, int(port))) as connection, connection.makefile("rb") as replies:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+        def call(body: bytes) -> bytes:
+            connection.sendall(len(body).to_bytes(LENGTH_BYTES))
+            connection.sendall(body)
+            return replies.read(REPLY_BYTES)
+
+        yield call
+
+
+@contextlib.contextmanager
+def grpc_call(address: str, credentials: Credentials) -> Iterator[Call]:
+    """A unary call with a blocking stub, with the certificates and options that upwash uses."""
+    channel_credentials = grpc.ssl_channel_credentials(
+        credentials.authority, credentials.key, credentials.certificate
+    )
+    options = [*CHANNEL_OPTIONS, ("grpc.ssl_target_name_override", "s1")]
+    with grpc.secure_channel(address, channel_credentials, options) as channel:
+        stub = channel.unary_unary(GRPC_PATH)
+        yield lambda body: cast(bytes, stub(body, timeout=10.0))
+
+
+async def fly(folder: Path, rounds: int, addresses: Addresses) -> dict[str, list[float]]:
+    """The delays of every contender, measured by a mission of a drone that stays on the ground."""
+    credentials = read_credentials(folder / "authority.pem", folder / "drone.pem", folder / "drone.key")
+    delays_s: dict[str, list[float]] = {}
+    ready = threading.Event()
+
+    def watch(entry: Mapping[str, Any]) -> None:
+        if entry.get("after") == "READY":
+            ready.set()
+
+    def mission(drone: Drone) -> None:
+        photo = drone.camera.take_photo()
+        if not ready.wait(READY_S):
+            raise SystemExit(f"the edge server was not ready within {READY_S:.0f} s")
+        with raw_call(addresses.raw) as raw, grpc_call(addresses.grpc, credentials) as bare:
+            contenders: dict[str, Call] = {
+                "raw": raw,
+                "grpc": bare,
+                "remote": drone.service(Echo).measure,
+                "local": drone.service(OnboardEcho).measure,
+            }
+            _interleaved(contenders, photo, rounds=WARM_UP_ROUNDS)
+            delays_s.update(_interleaved(contenders, photo, rounds=rounds))
+
+    with contextlib.closing(FileJournal(folder / "events.jsonl", watchers=(watch,))) as journal:
+        world = World(
+            autopilot=cast(Autopilot, ParkedAutopilot()),
+            network=NoNetwork(),
+            dialer=GrpcDialer("drone", credentials, max_message_bytes=MAX_MESSAGE_BYTES),
+            onboard_dialer=GrpcDialer("drone", None, max_message_bytes=MAX_MESSAGE_BYTES),
+            onboard_runtime=ProcessRuntime(
+                lambda spec: f"unix:{folder}/{spec.name}.sock",
+                credentials=None,
+                max_message_bytes=MAX_MESSAGE_BYTES,
+            ),
+            camera=FolderCamera(folder, photo_s=0.0),
+            notifier=JournalNotifier(journal),
+            journal=journal,
+        )
+        programs = {name: f"{cls.__module__}:{cls.__name__}" for name, cls in SERVICES.items()}
+        await Flight(
+            mission, _config(addresses.daemon), services=SERVICES, programs=programs, world=world
+        ).run()
+    _check_places(journal.path, rounds + WARM_UP_ROUNDS)
+    return delays_s
+
+
+def _config(daemon: str) -> DroneConfig:
+    """One server that is always in range, and expected to be far faster than the drone."""
+    server = ServerConfig(
+        name="s1",
+        east_m=0.0,
+        north_m=0.0,
+        range_m=1000.0,
+        network="wired",
+        address=daemon,
+        remote_call_s={"echo": {"": 1.0}},
+    )
+    return DroneConfig(
+        mission=MissionConfig(),
+        network=NetworkConfig(kind="wired"),
+        policy=PolicyConfig(name="opportunistic"),
+        services=tuple(ServiceConfig(name=name, local_call_s={"": 10.0}) for name in SERVICES),
+        servers=(server,),
+    )
+
+
+def _interleaved(contenders: Mapping[str, Call], photo: bytes, *, rounds: int) -> dict[str, list[float]]:
+    delays_s: dict[str, list[float]] = {name: [] for name in contenders}
+    for _ in range(rounds):
+        for name, call in contenders.items():
+            began_s = time.perf_counter()
+            reply = call(photo)
+            delays_s[name].append(time.perf_counter() - began_s)
+            if len(reply) != REPLY_BYTES or int(reply) != len(photo):
+                raise SystemExit(f"{name} answered {reply!r} to {len(photo)} bytes")
+    return delays_s
+
+
+def _check_places(journal: Path, calls: int) -> None:
+    """Ends with an error if a call ran elsewhere than where it was to be measured."""
+    with journal.open("rb") as lines:
+        events = [msgspec.json.decode(line) for line in lines]
+    places = Counter((event["operation"], event["place"]) for event in events if event["event"] == "call")
+    if places != {("echo.measure", "s1"): calls, ("onboardecho.measure", "local"): calls}:
+        raise SystemExit(f"the calls ran elsewhere: {dict(places)}")
+
+
+if __name__ == "__main__":
+    measured = asyncio.run(fly(Path(sys.argv[1]), int(sys.argv[2]), Addresses(*sys.argv[3:])))
+    print(msgspec.json.encode(measured).decode())
