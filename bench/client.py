@@ -20,9 +20,9 @@ from typing import Any, NoReturn, cast
 
 import grpc
 import msgspec
-
 from bench.echo import REPLY_BYTES, Echo, OnboardEcho
 from bench.servers import GRPC_PATH, LENGTH_BYTES
+
 from upwash.config import DroneConfig, MissionConfig, NetworkConfig, PolicyConfig, ServerConfig, ServiceConfig
 from upwash.core.geo import Circle, Position
 from upwash.drone import Drone, Flight, World

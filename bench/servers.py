@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import NoReturn
 
 import grpc
-
 from bench.echo import answer
 
 from upwash.real.credentials import read_credentials

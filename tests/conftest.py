@@ -1,0 +1,36 @@
+"""What tests of several folders share: certificates, and services that other processes can import."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from upwash.real.credentials import Credentials, make_keys, read_credentials
+
+
+@pytest.fixture(scope="session")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An authority, a daemon that is s1 and s2, the drones heron and stork; below `other`, a stranger's heron."""
+    folder = tmp_path_factory.mktemp("keys")
+    make_keys(folder, servers=[["s1", "s2"]], drones=["heron", "stork"])
+    make_keys(folder / "other", servers=[["s1", "s2"]], drones=["heron"])
+    return folder
+
+
+@pytest.fixture(scope="session")
+def credentials(keys: Path) -> Callable[[str], Credentials]:
+    """The credentials of a holder, such as `heron` or `other/heron`."""
+
+    def read(holder: str) -> Credentials:
+        certificate = keys / f"{holder}.pem"
+        return read_credentials(certificate.parent / "authority.pem", certificate, keys / f"{holder}.key")
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def services() -> Path:
+    """The file of the services that tests start in processes of their own."""
+    return Path(__file__).parent / "services_for_tests.py"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import traceback
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -60,14 +60,12 @@ class Pilot:
 
     def arm(self) -> None:
         """Waits until the vehicle is ready to fly, then arms its motors."""
-        self._thread.call(self._autopilot.arm())
-        self._journal.record("armed")
+        self._thread.call(self._logged(self._autopilot.arm, "armed"))
 
     def takeoff(self, altitude_m: float) -> None:
         """Climbs to the altitude above home."""
         self._in_the_air = True  # from the attempt on: it may fail half-way up
-        self._thread.call(self._autopilot.takeoff(altitude_m))
-        self._journal.record("took_off", altitude_m=altitude_m)
+        self._thread.call(self._takeoff(altitude_m))
 
     def set_ground_speed(self, ground_speed_m_s: float) -> None:
         """Sets the speed of the legs that follow."""
@@ -75,34 +73,44 @@ class Pilot:
 
     def goto(self, place: Waypoint | Position) -> None:
         """Flies to a waypoint or position; returns on arrival, at rest."""
-        position, index = (place.position, place.index) if isinstance(place, Waypoint) else (place, None)
-        self._journal.record("leg", waypoint=index, east_m=position.east_m, north_m=position.north_m)
-        self._thread.call(self._autopilot.goto(position))
-        self._journal.record("arrived", waypoint=index, east_m=position.east_m, north_m=position.north_m)
+        self._thread.call(self._goto(place))
 
     def hold(self) -> None:
         """Stops and hovers."""
-        self._thread.call(self._autopilot.hold())
+        self._thread.call(self._logged(self._autopilot.hold, "holding"))
 
     def return_home_and_land(self) -> None:
         """Flies back to where it took off and lands."""
-        self._journal.record("returning")
-        self._thread.call(self._autopilot.return_home_and_land())
-        self._landed()
+        self._thread.call(self._logged(self._autopilot.return_home_and_land, "landed", before="returning"))
+        self._in_the_air = False
 
     def land(self) -> None:
         """Lands where it is."""
-        self._thread.call(self._autopilot.land())
-        self._landed()
+        self._thread.call(self._logged(self._autopilot.land, "landed", before="landing"))
+        self._in_the_air = False
 
     def disarm(self) -> None:
         """Stops the motors."""
-        self._thread.call(self._autopilot.disarm())
-        self._journal.record("disarmed")
+        self._thread.call(self._logged(self._autopilot.disarm, "disarmed"))
 
-    def _landed(self) -> None:
-        self._in_the_air = False
-        self._journal.record("landed")
+    async def _goto(self, place: Waypoint | Position) -> None:
+        position, index = (place.position, place.index) if isinstance(place, Waypoint) else (place, None)
+        where = {"waypoint": index, "east_m": position.east_m, "north_m": position.north_m}
+        self._journal.record("leg", **where)
+        await self._autopilot.goto(position)
+        self._journal.record("arrived", **where)
+
+    async def _takeoff(self, altitude_m: float) -> None:
+        await self._autopilot.takeoff(altitude_m)
+        self._journal.record("took_off", altitude_m=altitude_m)
+
+    async def _logged(
+        self, verb: Callable[[], Coroutine[Any, Any, None]], event: str, *, before: str = ""
+    ) -> None:
+        if before:
+            self._journal.record(before)
+        await verb()
+        self._journal.record(event)
 
 
 class Photographer:

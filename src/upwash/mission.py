@@ -1,20 +1,30 @@
 """Runs a blocking mission program in a thread of its own beside the event loop.
 
 A mission is plain Python that calls blocking verbs. Each verb is a coroutine on the loop; the mission's thread
-sleeps until it has ended. See docs/decisions/blocking-missions.md.
+sleeps until it has ended. On a loop of virtual time the two take turns: the loop stands still while mission code
+runs, so that the code takes no time and every run is the same. See docs/decisions/blocking-missions.md.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 from collections.abc import Callable, Coroutine
-from concurrent.futures import CancelledError, Future
-from typing import Any, TypeVar
+from queue import SimpleQueue
+from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 from upwash.errors import MissionStopped
 
 T = TypeVar("T")
+
+
+@runtime_checkable
+class TurnTaking(Protocol):
+    """An event loop whose clock stands still while a mission's code runs."""
+
+    def stand_still(self, until: threading.Event) -> None:
+        """Does nothing, on the loop's own thread, until the event is set by another."""
 
 
 class MissionThread:
@@ -23,7 +33,9 @@ class MissionThread:
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._stopped = ""  # why, once it is
-        self._verb: Future[Any] | None = None
+        self._verb: asyncio.Task[Any] | None = None
+        self._ended_verbs: SimpleQueue[asyncio.Task[Any]] = SimpleQueue()
+        self._turn_over = threading.Event()  # the mission's code has come to its next verb, or to its end
 
     def call(self, verb: Coroutine[Any, Any, T]) -> T:
         """Runs a verb on the loop and returns its result; for the mission's thread only.
@@ -33,39 +45,57 @@ class MissionThread:
         if self._stopped:
             verb.close()
             raise MissionStopped(self._stopped)
-        running = asyncio.run_coroutine_threadsafe(verb, self._loop)
-        self._verb = running
-        try:
-            return running.result()
-        except CancelledError:
-            raise MissionStopped(self._stopped or "the program is ending") from None
+        self._loop.call_soon_threadsafe(self._begin, verb)
+        self._turn_over.set()
+        ended = self._ended_verbs.get()
+        if ended.cancelled():
+            raise MissionStopped(self._stopped or "the program is ending")
+        return cast(T, ended.result())
 
     async def run(self, program: Callable[[], None]) -> None:
         """Runs the program to its end; raises what it raises. A daemon thread: it cannot hold up the exit."""
-        ended = self._loop.create_future()
+        ended: asyncio.Future[Exception | None] = self._loop.create_future()
 
-        def report(error: BaseException | None) -> None:
-            if ended.done():
-                return
-            if error is None:
-                ended.set_result(None)
-            else:
-                ended.set_exception(error)
+        def settle(failure: Exception | None) -> None:
+            if not ended.done():
+                ended.set_result(failure)
 
         def body() -> None:
-            error: BaseException | None = None
+            failure: Exception | None = None
             try:
                 program()
-            except BaseException as raised:  # noqa: BLE001 - carried over to the loop, not swallowed
-                error = raised
-            if not self._loop.is_closed():
-                self._loop.call_soon_threadsafe(report, error)
+            except Exception as error:  # noqa: BLE001 - carried over to the loop, not swallowed
+                failure = error
+            except BaseException as error:  # noqa: BLE001 - sys.exit() ends the mission, not the program
+                failure = MissionStopped(f"the mission raised {error!r}")
+            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+                self._loop.call_soon_threadsafe(settle, failure)
+            self._turn_over.set()
 
-        threading.Thread(target=body, name="mission", daemon=True).start()
-        await ended
+        thread = threading.Thread(target=body, name="mission", daemon=True)
+        self._give_turn(thread.start)
+        failure = await ended
+        if failure is not None:
+            raise failure
 
     def stop(self, why: str) -> None:
         """Ends the mission at its next verb, or in the one under way; for the loop's thread only."""
         self._stopped = self._stopped or why
         if self._verb is not None:
             self._verb.cancel()
+
+    def _begin(self, verb: Coroutine[Any, Any, Any]) -> None:
+        self._verb = self._loop.create_task(verb)
+        self._verb.add_done_callback(self._end)
+        if self._stopped:  # between the call and now
+            self._verb.cancel()
+
+    def _end(self, verb: asyncio.Task[Any]) -> None:
+        self._verb = None
+        self._give_turn(lambda: self._ended_verbs.put(verb))
+
+    def _give_turn(self, wake: Callable[[], None]) -> None:
+        self._turn_over.clear()
+        wake()
+        if isinstance(self._loop, TurnTaking):
+            self._loop.stand_still(self._turn_over)

@@ -1,0 +1,89 @@
+"""An asyncio event loop on virtual time: instead of waiting for the next timer, its clock jumps there.
+
+Everything else is asyncio's own. What would wait for the outside world (sockets, processes, threads) is refused,
+as the clock would have jumped past it; and where nothing is scheduled at all, the loop says so instead of
+hanging.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from asyncio import base_events
+from collections.abc import Callable, Coroutine
+from typing import Any, NoReturn, TypeVar
+
+from upwash.errors import UpwashError
+
+T = TypeVar("T")
+
+
+class DeadlockError(UpwashError):
+    """Every task waits, and nothing is scheduled that could wake one."""
+
+
+class OutsideWorldError(UpwashError):
+    """Something was asked for that does not exist on virtual time."""
+
+
+def run_virtually(main: Coroutine[Any, Any, T]) -> T:
+    """Runs a coroutine to its end on a virtual clock that starts at 0; returns or raises what it does."""
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        return runner.run(main)
+
+
+class VirtualLoop(base_events.BaseEventLoop):
+    """Runs what is ready in the order in which it became so, timers by their time."""
+
+    def __init__(self) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]
+        self._now_s = 0.0
+        self._clock_resolution = 1e-9  # the base class runs what is due before now plus this
+        self._selector = self  # the base class asks its selector for events: here, time is the only one
+
+    def time(self) -> float:
+        """The virtual time in seconds."""
+        return self._now_s
+
+    def stand_still(self, until: threading.Event) -> None:
+        """Lets a mission's code run while time does not: returns when the event is set."""
+        until.wait()
+
+    # --- what the base class calls --------------------------------------------------------------------------
+
+    def select(self, timeout: float | None) -> list[NoReturn]:
+        """Jumps to the next timer instead of waiting for it."""
+        if timeout is None:
+            raise DeadlockError(f"everything waits and nothing is scheduled: {self._waiting()}")
+        if timeout > 0:
+            self._now_s = max(self._now_s, self._scheduled[0].when())
+        return []
+
+    def _process_events(self, events: list[NoReturn]) -> None:
+        pass
+
+    def _write_to_self(self) -> None:
+        pass  # nothing sleeps that another thread would have to wake
+
+    def _waiting(self) -> str:
+        return ", ".join(sorted(f"{task.get_name()} ({task.get_coro()!r})" for task in asyncio.all_tasks(self)))
+
+    # --- what does not exist here ---------------------------------------------------------------------------
+
+    def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> Any:
+        """Refused."""
+        raise OutsideWorldError(f"a thread for {func!r} would run on another clock than the simulation")
+
+    async def create_connection(self, *_: Any, **__: Any) -> Any:
+        """Refused."""
+        raise OutsideWorldError("there are no sockets on virtual time")
+
+    create_server = create_connection
+    create_datagram_endpoint = create_connection
+    sock_connect = create_connection
+
+    async def subprocess_exec(self, *_: Any, **__: Any) -> Any:
+        """Refused."""
+        raise OutsideWorldError("there are no processes on virtual time")
+
+    subprocess_shell = subprocess_exec

@@ -1,0 +1,136 @@
+"""The event log as a file."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from upwash.core.geo import Position
+from upwash.errors import UsageError
+from upwash.real.journal import FileJournal, JournalNotifier
+
+
+class Found(msgspec.Struct):
+    label: str
+
+
+def events(log: Path) -> list[dict[str, Any]]:
+    return [msgspec.json.decode(line) for line in log.read_bytes().splitlines()]
+
+
+def journalled(log: Path, write: Callable[[FileJournal], None], **settings: Any) -> None:
+    """Lets `write` use a journal on an event loop."""
+
+    async def use() -> None:
+        with closing(FileJournal(log, **settings)) as journal:
+            write(journal)
+
+    asyncio.run(use())
+
+
+def test_an_event_is_in_the_file_as_soon_as_it_is_recorded(tmp_path: Path) -> None:
+    log = tmp_path / "new/folder/events.jsonl"
+
+    def write(journal: FileJournal) -> None:
+        journal.record("arrived", waypoint=3)
+        assert [each["event"] for each in events(log)] == ["log_opened", "arrived"]
+        assert events(log)[1]["waypoint"] == 3
+
+    journalled(log, write)
+
+
+def test_each_event_is_one_line_in_one_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[bytes] = []
+    write = os.write
+
+    def watched(file: int, data: bytes) -> int:
+        written.append(data)
+        return write(file, data)
+
+    monkeypatch.setattr(os, "write", watched)
+    journalled(tmp_path / "log", lambda journal: journal.record("said", text="two\nlines\r\u2028"))
+    assert len(written) == 2
+    assert all(data.count(b"\n") == 1 and data.endswith(b"\n") for data in written)
+
+
+def test_time_counts_from_the_opening_which_tells_the_time_of_day(tmp_path: Path) -> None:
+    def write(journal: FileJournal) -> None:
+        journal.record("first")
+        journal.record("second")
+
+    journalled(tmp_path / "log", write)
+    opened, first, second = events(tmp_path / "log")
+    assert 0.0 <= opened["t"] <= first["t"] <= second["t"] < 5.0
+    assert abs(datetime.fromisoformat(opened["time"]) - datetime.now(UTC)) < timedelta(minutes=1)
+
+
+def test_a_log_that_is_there_is_added_to(tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        journalled(tmp_path / "log", lambda journal, name=name: journal.record(name))  # type: ignore[misc]
+    assert [each["event"] for each in events(tmp_path / "log")] == [
+        "log_opened",
+        "first",
+        "log_opened",
+        "second",
+    ]
+
+
+def test_watchers_see_what_is_written(tmp_path: Path) -> None:
+    seen: list[Mapping[str, Any]] = []
+    journalled(tmp_path / "log", lambda journal: journal.record("landed", at="home"), watchers=(seen.append,))
+    assert [dict(each) for each in seen] == events(tmp_path / "log")
+
+
+@pytest.mark.parametrize("place", ["file/events.jsonl", "."])
+def test_a_log_that_cannot_be_written_is_named(tmp_path: Path, place: str) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match=r"cannot write the event log .*: \w+"):
+        journalled(tmp_path / place, lambda _: None)
+
+
+def test_a_log_without_room_for_its_first_line_is_named() -> None:
+    with pytest.raises(UsageError, match="cannot write the event log /dev/full: No space left"):
+        journalled(Path("/dev/full"), lambda _: None)
+
+
+def test_a_disk_that_fills_up_in_flight_does_not_end_the_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Any] = []
+
+    def write(journal: FileJournal) -> None:
+        monkeypatch.setattr(os, "write", full)
+        journal.record("safe_return", why="the battery is low")
+
+    def full(_file: int, _data: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    journalled(tmp_path / "log", write, watchers=(seen.append,))
+    assert seen[-1]["event"] == "safe_return"
+
+
+def test_a_text_that_is_not_unicode_does_not_end_the_flight(tmp_path: Path) -> None:
+    name = os.fsdecode(b"photo\xff.jpg")
+    journalled(tmp_path / "log", lambda journal: journal.record("remote_failed", why=f"{name} is missing"))
+    assert events(tmp_path / "log")[-1]["event"] == "remote_failed"
+
+
+def test_the_user_is_told_through_the_log(tmp_path: Path) -> None:
+    found = [Found("hot-spot")]
+
+    async def use() -> None:
+        with closing(FileJournal(tmp_path / "log")) as journal:
+            await JournalNotifier(journal).notify(found, Position(1.0, 2.0, 3.0))
+
+    asyncio.run(use())
+    told = events(tmp_path / "log")[-1]
+    assert (told["event"], told["at"]) == ("notified", {"east_m": 1.0, "north_m": 2.0, "altitude_m": 3.0})
+    assert told["message"] == [{"label": "hot-spot"}]

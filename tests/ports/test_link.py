@@ -1,0 +1,390 @@
+"""A drone's link against a server's listener, over real sockets."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import threading
+import time
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from upwash.errors import DeadlineExceeded, LinkError, Refused, Unreachable, UpwashError, UsageError
+from upwash.real.credentials import Credentials
+from upwash.real.link import GrpcDialer, GrpcLink
+from upwash.real.listener import Caller, Handler, Listener
+
+MAX_MESSAGE_BYTES = 100_000
+PATH = "/upwash.test/echo"
+
+ReadCredentials = Callable[[str], Credentials]
+
+
+def echo(_path: str, body: bytes, _caller: Caller) -> bytes:
+    return body
+
+
+@contextmanager
+def listening(
+    handler: Handler, *, shown: Credentials | None = None, listen: str = "127.0.0.1:0", threads: int = 16
+) -> Iterator[Listener]:
+    listener = Listener(
+        listen,
+        handler,
+        credentials=shown,
+        max_message_bytes=MAX_MESSAGE_BYTES,
+        threads=threads,
+        concurrent_requests=threads,
+    )
+    listener.start()
+    try:
+        yield listener
+    finally:
+        listener.stop()
+
+
+@asynccontextmanager
+async def linked(
+    address: str, *, drone: str = "heron", server: str = "s1", shown: Credentials | None = None
+) -> AsyncIterator[GrpcLink]:
+    link = GrpcDialer(drone, shown, max_message_bytes=2 * MAX_MESSAGE_BYTES).dial(address, server=server)
+    try:
+        yield link
+    finally:
+        await link.close()
+
+
+def request(
+    address: str, body: bytes = b"photo", *, path: str = PATH, timeout_s: float = 5.0, **dialled: Any
+) -> bytes:
+    """One request over a link of its own."""
+
+    async def ask() -> bytes:
+        async with linked(address, **dialled) as link:
+            return await link.request(path, body, timeout_s=timeout_s)
+
+    return asyncio.run(ask())
+
+
+class Stuck:
+    """A handler that hangs until it is let go, and knows whether its callers still wait."""
+
+    def __init__(self) -> None:
+        self.callers: list[Caller] = []
+        self.entered = threading.Event()
+        self.let_go = threading.Event()
+
+    def __call__(self, _path: str, body: bytes, caller: Caller) -> bytes:
+        if body == b"quick":
+            return body
+        self.callers.append(caller)
+        self.entered.set()
+        self.let_go.wait(10.0)
+        return body
+
+
+@contextmanager
+def stuck() -> Iterator[tuple[Stuck, str]]:
+    handler = Stuck()
+    with listening(handler) as listener:
+        try:
+            yield handler, listener.address
+        finally:
+            handler.let_go.set()
+
+
+def until(true: Callable[[], bool]) -> None:
+    """Returns when it is true; fails if that takes long."""
+    give_up_s = time.monotonic() + 5.0
+    while not true():
+        assert time.monotonic() < give_up_s
+        time.sleep(0.005)
+
+
+def entering(handler: Stuck) -> Coroutine[Any, Any, bool]:
+    return asyncio.to_thread(handler.entered.wait, 5.0)
+
+
+# --- answers ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("body", [b"", b"\x00\xff" * 40_000])
+def test_a_request_gets_its_reply(body: bytes) -> None:
+    with listening(echo) as listener:
+        assert request(listener.address, body) == body
+
+
+def test_a_request_gets_its_reply_over_a_unix_socket(tmp_path: Path) -> None:
+    with listening(echo, listen=f"unix:{tmp_path}/socket") as listener:
+        assert listener.address == f"unix:{tmp_path}/socket"
+        assert request(listener.address) == b"photo"
+
+
+def test_a_unix_socket_carries_no_certificates_even_for_a_drone_that_has_some(
+    tmp_path: Path, credentials: ReadCredentials
+) -> None:
+    with listening(echo, listen=f"unix:{tmp_path}/socket") as listener:
+        assert request(listener.address, shown=credentials("heron")) == b"photo"
+
+
+def test_requests_on_one_link_do_not_wait_for_each_other() -> None:
+    async def ask_all(handler: Stuck, address: str) -> None:
+        async with linked(address) as link:
+            hanging = [asyncio.create_task(link.request(PATH, b"", timeout_s=30.0)) for _ in range(12)]
+            await asyncio.to_thread(until, lambda: len(handler.callers) == 12)
+            assert await link.request(PATH, b"quick", timeout_s=3.0) == b"quick"
+            handler.let_go.set()
+            assert await asyncio.gather(*hanging) == [b""] * 12
+
+    with stuck() as (handler, address):
+        asyncio.run(ask_all(handler, address))
+
+
+def test_the_handler_learns_how_much_time_is_left() -> None:
+    left_s: list[float | None] = []
+
+    def handler(_path: str, body: bytes, caller: Caller) -> bytes:
+        left_s.append(caller.time_left_s())
+        return body
+
+    with listening(handler) as listener:
+        request(listener.address, timeout_s=4.0)
+    assert left_s[0] is not None
+    assert 2.0 < left_s[0] <= 4.1
+
+
+# --- no answer ----------------------------------------------------------------------------------------------
+
+
+def test_no_answer_in_time_is_said_in_time() -> None:
+    with stuck() as (handler, address):
+        began_s = time.monotonic()
+        with pytest.raises(DeadlineExceeded, match=rf"s1 at {address}: no answer within 0\.3 s"):
+            request(address, timeout_s=0.3)
+        assert 0.25 < time.monotonic() - began_s < 2.0
+        until(lambda: not handler.callers[0].is_waiting())
+
+
+def test_nobody_at_the_address_is_said_at_once(tmp_path: Path) -> None:
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        port = unused.getsockname()[1]
+    for address in (f"127.0.0.1:{port}", f"unix:{tmp_path}/nobody"):
+        began_s = time.monotonic()
+        with pytest.raises(Unreachable, match="s1 at"):
+            request(address, timeout_s=10.0)
+        assert time.monotonic() - began_s < 5.0
+
+
+def test_a_server_that_stops_ends_the_request_under_way() -> None:
+    async def ask() -> None:
+        handler = Stuck()
+        with listening(handler) as listener:
+            async with linked(listener.address) as link:
+                asking = asyncio.create_task(link.request(PATH, b"", timeout_s=30.0))
+                await entering(handler)
+                stopping = asyncio.create_task(asyncio.to_thread(listener.stop))
+                with pytest.raises(Unreachable):
+                    await asyncio.wait_for(asking, 5.0)
+                handler.let_go.set()
+                await stopping
+
+    asyncio.run(ask())
+
+
+def test_a_cancelled_request_tells_the_server() -> None:
+    async def ask(handler: Stuck, address: str) -> None:
+        async with linked(address) as link:
+            asking = asyncio.create_task(link.request(PATH, b"", timeout_s=30.0))
+            await entering(handler)
+            assert handler.callers[0].is_waiting()
+            asking.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await asking
+            await asyncio.to_thread(until, lambda: not handler.callers[0].is_waiting())
+            assert await link.request(PATH, b"quick", timeout_s=5.0) == b"quick"
+
+    with stuck() as (handler, address):
+        asyncio.run(ask(handler, address))
+
+
+def test_closing_a_link_ends_its_requests_and_it_takes_no_more() -> None:
+    async def ask(handler: Stuck, address: str) -> None:
+        async with linked(address) as link:
+            asking = asyncio.create_task(link.request(PATH, b"", timeout_s=30.0))
+            await entering(handler)
+            await link.close()
+            with pytest.raises(Unreachable):
+                await asyncio.wait_for(asking, 5.0)
+            for path in (PATH, "/upwash.test/another"):
+                with pytest.raises(Unreachable, match="closed"):
+                    await link.request(path, b"", timeout_s=5.0)
+            await asyncio.to_thread(until, lambda: not handler.callers[0].is_waiting())
+
+    with stuck() as (handler, address):
+        asyncio.run(ask(handler, address))
+
+
+@pytest.mark.parametrize("greeting", [b"", b"\x00garbage" * 100, b"HTTP/1.1 200 OK\r\n\r\n"])
+def test_something_else_at_the_address_is_no_server(greeting: bytes) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+
+        def answer() -> None:
+            with other.accept()[0] as connection:
+                connection.sendall(greeting)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        try:
+            with pytest.raises((Unreachable, DeadlineExceeded)):
+                request(f"127.0.0.1:{other.getsockname()[1]}", timeout_s=1.0)
+        finally:
+            thread.join()
+
+
+# --- refusals -----------------------------------------------------------------------------------------------
+
+
+def test_a_refusal_arrives_with_its_reason() -> None:
+    def refuse(_path: str, _body: bytes, caller: Caller) -> bytes:
+        raise Refused(f"drone {caller.drone} has no lease here")
+
+    with listening(refuse) as listener, pytest.raises(Refused, match="drone heron has no lease here"):
+        request(listener.address)
+
+
+def test_another_error_of_upwash_arrives_as_a_refusal_too() -> None:
+    def fail(_path: str, _body: bytes, _caller: Caller) -> bytes:
+        raise UpwashError("no room on the disk")
+
+    with listening(fail) as listener, pytest.raises(Refused, match="no room on the disk"):
+        request(listener.address)
+
+
+@pytest.mark.parametrize("error", [RuntimeError("the password is 1234"), SystemExit("the password is 1234")])
+def test_a_bug_of_the_handler_is_logged_and_its_text_kept_from_the_caller(
+    error: BaseException, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(_path: str, _body: bytes, _caller: Caller) -> bytes:
+        raise error
+
+    with (
+        caplog.at_level(logging.ERROR, "upwash.listener"),
+        listening(fail) as listener,
+        pytest.raises(LinkError) as caught,
+    ):
+        request(listener.address, timeout_s=2.0)
+    assert isinstance(caught.value, Refused)
+    assert "1234" not in str(caught.value)
+    assert "1234" in caplog.text
+
+
+def test_a_path_that_is_not_upwashs_is_refused() -> None:
+    with listening(echo) as listener, pytest.raises(Refused, match="UNIMPLEMENTED"):
+        request(listener.address, path="/another.package/echo")
+
+
+def test_a_message_that_is_too_large_is_refused_by_either_end() -> None:
+    def grow(_path: str, _body: bytes, _caller: Caller) -> bytes:
+        return bytes(3 * MAX_MESSAGE_BYTES)
+
+    with listening(grow) as listener:
+        for body in (bytes(MAX_MESSAGE_BYTES + 1), bytes(2 * MAX_MESSAGE_BYTES + 1), b"grow"):
+            with pytest.raises(Refused, match="larger than max"):
+                request(listener.address, body)
+
+
+def test_more_requests_than_the_listener_takes_are_refused_at_once() -> None:
+    async def ask(handler: Stuck, address: str) -> None:
+        async with linked(address) as link:
+            asking = asyncio.create_task(link.request(PATH, b"", timeout_s=30.0))
+            await entering(handler)
+            with pytest.raises(Refused):
+                await link.request(PATH, b"quick", timeout_s=5.0)
+            handler.let_go.set()
+            await asking
+
+    handler = Stuck()
+    with listening(handler, threads=1) as listener:
+        asyncio.run(ask(handler, listener.address))
+
+
+# --- who is who ---------------------------------------------------------------------------------------------
+
+
+def name_of_caller(_path: str, _body: bytes, caller: Caller) -> bytes:
+    return caller.drone.encode()
+
+
+def test_the_drone_is_who_its_certificate_says_whatever_it_calls_itself(credentials: ReadCredentials) -> None:
+    with listening(name_of_caller, shown=credentials("s1")) as listener:
+        for server in ("s1", "s2"):
+            shown = credentials("heron")
+            assert request(listener.address, drone="stork", server=server, shown=shown) == b"heron"
+
+
+def test_without_certificates_the_drone_is_who_it_says() -> None:
+    with listening(name_of_caller) as listener:
+        assert request(listener.address, drone="stork") == b"stork"
+
+
+def test_strangers_and_impostors_get_no_answer(credentials: ReadCredentials) -> None:
+    ours, theirs = credentials("heron"), credentials("other/heron")
+    believing = Credentials(ours.authority, theirs.certificate, theirs.key)
+    with listening(echo, shown=credentials("s1")) as listener:
+        for dialled in (
+            {"shown": ours, "server": "s3"},  # the server is another one
+            {"shown": theirs},  # of another authority, which does not believe the server
+            {"shown": believing},  # of another authority, and believes the server
+            {"shown": None},
+        ):
+            with pytest.raises(Unreachable):
+                request(listener.address, timeout_s=2.0, **dialled)
+        assert request(listener.address, shown=ours) == b"photo"
+
+
+def test_a_server_of_another_authority_is_not_believed(credentials: ReadCredentials) -> None:
+    with listening(echo, shown=credentials("other/s1")) as listener, pytest.raises(Unreachable):
+        request(listener.address, timeout_s=2.0, shown=credentials("heron"))
+
+
+# --- listening ----------------------------------------------------------------------------------------------
+
+
+def test_an_address_in_use_is_named(credentials: ReadCredentials) -> None:
+    with listening(echo) as listener:
+        for shown in (None, credentials("s1")):
+            with (
+                pytest.raises(UsageError, match=rf"cannot listen on {listener.address}: .*in use"),
+                listening(echo, shown=shown, listen=listener.address),
+            ):
+                """Not reached."""
+        assert request(listener.address) == b"photo"
+
+
+def test_a_unix_socket_in_use_is_not_taken_over(tmp_path: Path) -> None:
+    address = f"unix:{tmp_path}/socket"
+    with (
+        listening(echo, listen=address),
+        pytest.raises(UsageError, match=r"cannot listen on .*in use"),
+        listening(echo, listen=address),
+    ):
+        """Not reached."""
+
+
+def test_an_address_that_is_not_this_machines_is_named() -> None:
+    with (
+        pytest.raises(UsageError, match=r"cannot listen on 192\.0\.2\.1:7070"),
+        listening(echo, listen="192.0.2.1:7070"),
+    ):
+        """Not reached."""
+
+
+def test_an_ipv6_address_is_told_as_it_can_be_dialled() -> None:
+    with listening(echo, listen="[::1]:0") as listener:
+        assert request(listener.address) == b"photo"

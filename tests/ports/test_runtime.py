@@ -1,0 +1,436 @@
+"""Instances as processes of their own: started, admitted to, called, killed."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from upwash.errors import InstanceError, Refused, Unreachable
+from upwash.ports import InstanceSpec
+from upwash.protocol import service_path
+from upwash.real.credentials import Credentials
+from upwash.real.link import GrpcDialer, GrpcLink
+from upwash.real.runtime import ProcessInstance, ProcessRuntime
+from upwash.service import load_service, spec_of
+
+MAX_MESSAGE_BYTES = 1_000_000
+HERON = frozenset({"heron"})
+
+
+def runtime(folder: Path) -> ProcessRuntime:
+    """Starts instances that listen at unix sockets in the folder, which need no certificates."""
+    return ProcessRuntime(
+        lambda spec: f"unix:{folder}/{spec.name}.sock", credentials=None, max_message_bytes=MAX_MESSAGE_BYTES
+    )
+
+
+def spec(services: Path, cls: str = "Workbench", pace_s: dict[str, float] | None = None) -> InstanceSpec:
+    return InstanceSpec("s1", cls.lower(), f"{services}:{cls}", pace_s or {})
+
+
+class Bench:
+    """A workbench that runs in a process, and a drone's link to it."""
+
+    def __init__(self, instance: ProcessInstance, link: GrpcLink, program: str) -> None:
+        self.instance = instance
+        self.link = link
+        self.called: list[str] = []  # by whom
+        self.busy = asyncio.Event()  # set from the first call on
+        self._methods = spec_of(load_service(program)).methods
+
+    async def call(self, name: str, *arguments: object, timeout_s: float = 10.0) -> Any:
+        method = self._methods[name]
+        _, request = method.encode(arguments, {})
+        reply = await self.link.request(service_path("workbench", name), request, timeout_s=timeout_s)
+        return method.result(method.decode(reply))
+
+
+@asynccontextmanager
+async def running(
+    services: Path,
+    folder: Path,
+    *,
+    admitted: frozenset[str] = HERON,
+    pace_s: dict[str, float] | None = None,
+) -> AsyncIterator[Bench]:
+    """A workbench until the end of the block; nothing of it may be left then."""
+    what = spec(services, pace_s=pace_s)
+    calls: list[str] = []
+    busy = asyncio.Event()
+
+    def called(drone: str) -> None:
+        calls.append(drone)
+        busy.set()
+
+    instance = await runtime(folder).start(what, called=called)
+    link = GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES).dial(instance.endpoint, server="s1")
+    try:
+        await instance.admit(admitted)
+        bench = Bench(instance, link, what.program)
+        bench.called, bench.busy = calls, busy
+        yield bench
+    finally:
+        await link.close()
+        await instance.stop()
+    expect_no_child()
+
+
+def expect_no_child() -> None:
+    """Neither a process nor a zombie is left of what this process started."""
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
+
+
+def with_bench(
+    services: Path, folder: Path, use: Callable[[Bench], Coroutine[Any, Any, None]], **settings: Any
+) -> None:
+    async def run() -> None:
+        async with running(services, folder, **settings) as bench:
+            await use(bench)
+
+    asyncio.run(run())
+
+
+def is_alive(process_id: int) -> bool:
+    try:
+        status = Path(f"/proc/{process_id}/stat").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return status.rpartition(")")[2].split()[0] not in "ZX"
+
+
+def gone(*process_ids: int) -> bool:
+    """Whether all of these end within a few seconds."""
+    give_up_s = time.monotonic() + 5.0
+    while any(map(is_alive, process_ids)):
+        if time.monotonic() > give_up_s:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+# --- starting -----------------------------------------------------------------------------------------------
+
+
+def test_an_instance_answers_from_a_process_in_a_session_of_its_own(services: Path, tmp_path: Path) -> None:
+    async def use(bench: Bench) -> None:
+        assert await bench.call("echo", b"photo") == b"photo"
+        process_id = await bench.call("process_id")
+        assert process_id != os.getpid()
+        assert os.getsid(process_id) == os.getpgid(process_id) == process_id
+
+    with_bench(services, tmp_path, use)
+
+
+def test_an_instance_with_certificates_is_told_by_its_port(
+    services: Path, credentials: Callable[[str], Credentials]
+) -> None:
+    async def use() -> None:
+        certified = ProcessRuntime(
+            lambda _: "127.0.0.1:0", credentials=credentials("s1"), max_message_bytes=MAX_MESSAGE_BYTES
+        )
+        instance = await certified.start(spec(services), called=lambda _: None)
+        dialer = GrpcDialer("stork", credentials("heron"), max_message_bytes=MAX_MESSAGE_BYTES)
+        link = dialer.dial(f"127.0.0.1{instance.endpoint}", server="s1")
+        try:
+            assert int(instance.endpoint.removeprefix(":")) > 0
+            await instance.admit(HERON)
+            assert await Bench(instance, link, spec(services).program).call("echo", b"photo") == b"photo"
+        finally:
+            await link.close()
+            await instance.stop()
+
+    asyncio.run(use())
+
+
+@pytest.mark.parametrize(
+    ("cls", "said"),
+    [
+        ("Unstartable", "unstartable@s1 did not start: .*model.onnx is missing"),
+        ("Missing", "missing@s1 did not start: .*there is no Missing"),
+        ("Overheated", "overheated@s1 did not start: .*put @service above"),
+    ],
+)
+def test_a_service_that_cannot_start_says_why_and_leaves_nothing(
+    services: Path, tmp_path: Path, cls: str, said: str
+) -> None:
+    async def use() -> None:
+        with pytest.raises(InstanceError, match=said):
+            await runtime(tmp_path).start(spec(services, cls), called=lambda _: None)
+        expect_no_child()
+
+    asyncio.run(use())
+
+
+def test_a_reason_of_any_length_is_an_instance_error(tmp_path: Path) -> None:
+    program = tmp_path / "wordy.py"
+    program.write_text("raise ValueError('x' * 200_000)")
+
+    async def use() -> None:
+        with pytest.raises(InstanceError, match="did not start"):
+            await runtime(tmp_path).start(
+                InstanceSpec("s1", "wordy", f"{program}:Wordy"), called=lambda _: None
+            )
+
+    asyncio.run(use())
+
+
+def test_a_start_that_is_cancelled_leaves_nothing(
+    services: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = tmp_path / "process_id"
+    monkeypatch.setenv("PROCESS_ID_FILE", str(told))
+
+    async def use() -> None:
+        starting = asyncio.create_task(
+            runtime(tmp_path).start(spec(services, "SlowToStart"), called=lambda _: None)
+        )
+        process_id = await asyncio.to_thread(read_when_written, told)
+        starting.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await starting
+        assert not is_alive(process_id)
+
+    asyncio.run(use())
+
+
+def read_when_written(file: Path) -> int:
+    give_up_s = time.monotonic() + 10.0
+    while not file.exists() or not file.read_text().endswith("\n"):
+        assert time.monotonic() < give_up_s
+        time.sleep(0.01)
+    return int(file.read_text())
+
+
+# --- admitting and calling ----------------------------------------------------------------------------------
+
+
+def test_only_admitted_drones_are_answered_from_the_moment_that_admit_returns(
+    services: Path, tmp_path: Path
+) -> None:
+    async def use(bench: Bench) -> None:
+        for _ in range(50):
+            for admitted in (frozenset({"stork"}), frozenset({"stork", "heron"}), frozenset[str]()):
+                await bench.instance.admit(admitted)
+                if "heron" in admitted:
+                    assert await bench.call("echo", b"photo") == b"photo"
+                else:
+                    with pytest.raises(Refused, match="drone heron has no lease here"):
+                        await bench.call("echo", b"photo")
+
+    with_bench(services, tmp_path, use, admitted=frozenset())
+
+
+def test_admissions_at_the_same_time_end_in_the_order_in_which_they_began(
+    services: Path, tmp_path: Path
+) -> None:
+    async def use(bench: Bench) -> None:
+        admitted = [frozenset({"stork"}), HERON] * 20
+        await asyncio.gather(*(bench.instance.admit(each) for each in admitted))
+        assert await bench.call("echo", b"photo") == b"photo"
+
+    with_bench(services, tmp_path, use)
+
+
+def test_each_call_that_is_let_in_is_reported(services: Path, tmp_path: Path) -> None:
+    async def use(bench: Bench) -> None:
+        await bench.call("echo", b"photo")
+        await bench.call("echo", b"photo")
+        await bench.instance.admit(frozenset())
+        with pytest.raises(Refused):
+            await bench.call("echo", b"photo")
+        await bench.instance.admit(HERON)  # what the instance reported before it has been heard by now
+        assert bench.called == ["heron", "heron"]
+
+    with_bench(services, tmp_path, use)
+
+
+def test_a_call_that_nobody_waits_for_any_more_is_not_run(services: Path, tmp_path: Path) -> None:
+    async def use(bench: Bench) -> None:
+        first = asyncio.create_task(bench.call("pause", 0.5))
+        await asyncio.sleep(0.1)
+        second = asyncio.create_task(bench.call("crash"))
+        await asyncio.sleep(0.1)
+        second.cancel()
+        await first
+        assert await bench.call("echo", b"still here") == b"still here"
+
+    with_bench(services, tmp_path, use)
+
+
+def test_a_call_of_a_method_that_is_not_there_is_refused(services: Path, tmp_path: Path) -> None:
+    async def use(bench: Bench) -> None:
+        for path in (service_path("workbench", "__init__"), service_path("another", "echo")):
+            with pytest.raises(Refused, match="no method"):
+                await bench.link.request(path, b"", timeout_s=5.0)
+
+    with_bench(services, tmp_path, use)
+
+
+def test_the_services_own_exception_arrives_as_its_class(services: Path, tmp_path: Path) -> None:
+    async def use(bench: Bench) -> None:
+        with pytest.raises(Exception, match=r"91\.5 °C") as caught:
+            await bench.call("fail")
+        assert type(caught.value).__name__ == "Overheated"
+
+    with_bench(services, tmp_path, use)
+
+
+def test_a_service_that_wants_to_exit_answers_and_goes_on(services: Path, tmp_path: Path) -> None:
+    async def use(bench: Bench) -> None:
+        with pytest.raises(Exception, match="the service wants to end"):
+            await bench.call("leave", timeout_s=2.0)
+        assert await bench.call("echo", b"photo") == b"photo"
+
+    with_bench(services, tmp_path, use)
+
+
+def test_a_paced_call_takes_its_time_and_no_longer(services: Path, tmp_path: Path) -> None:
+    async def use(bench: Bench) -> None:
+        for mode, at_least_s, at_most_s in (("heavy", 0.3, 1.0), ("light", 0.0, 0.25)):
+            began_s = time.monotonic()
+            assert await bench.call("work", mode) == mode
+            assert at_least_s <= time.monotonic() - began_s < at_most_s
+
+    with_bench(services, tmp_path, use, pace_s={"heavy": 0.3})
+
+
+@pytest.mark.parametrize("length", [10, 1_000_000])
+def test_a_service_may_print_without_ending_the_line(services: Path, tmp_path: Path, length: int) -> None:
+    async def use(bench: Bench) -> None:
+        await bench.call("print_without_end", length, timeout_s=3.0)
+        assert await bench.call("echo", b"photo", timeout_s=3.0) == b"photo"
+
+    with_bench(services, tmp_path, use)
+
+
+# --- ending -------------------------------------------------------------------------------------------------
+
+
+def test_a_killed_instance_says_so_with_its_last_words(services: Path, tmp_path: Path) -> None:
+    async def use(bench: Bench) -> None:
+        await bench.call("say", "the camera is wet")
+        os.kill(await bench.call("process_id"), signal.SIGKILL)
+        how = await asyncio.wait_for(bench.instance.exited(), 5.0)
+        assert how == "killed by SIGKILL: the camera is wet"
+        with pytest.raises(Unreachable):
+            await bench.call("echo", b"photo")
+
+    with_bench(services, tmp_path, use)
+
+
+def test_a_crash_in_a_call_ends_the_call_and_is_told_by_its_code(services: Path, tmp_path: Path) -> None:
+    async def use(bench: Bench) -> None:
+        with pytest.raises(Unreachable):
+            await bench.call("crash")
+        assert await asyncio.wait_for(bench.instance.exited(), 5.0) == "ended with code 3"
+
+    with_bench(services, tmp_path, use)
+
+
+def test_an_instance_that_is_gone_admits_nobody_and_says_so_at_once(services: Path, tmp_path: Path) -> None:
+    async def use(bench: Bench) -> None:
+        os.kill(await bench.call("process_id"), signal.SIGKILL)
+        for _ in range(2):
+            with pytest.raises(InstanceError, match="gone"):
+                await asyncio.wait_for(bench.instance.admit(HERON), 2.0)
+        await bench.instance.exited()
+        with pytest.raises(InstanceError, match="gone"):
+            await asyncio.wait_for(bench.instance.admit(HERON), 2.0)
+
+    with_bench(services, tmp_path, use)
+
+
+@pytest.mark.parametrize("crash", [True, False])
+def test_what_a_service_started_ends_with_it(services: Path, tmp_path: Path, crash: bool) -> None:
+    async def use(bench: Bench) -> None:
+        child = await bench.call("spawn")
+        assert is_alive(child)
+        if crash:
+            os.kill(await bench.call("process_id"), signal.SIGKILL)
+            await asyncio.wait_for(bench.instance.exited(), 5.0)
+        else:
+            await bench.instance.stop()
+        assert await asyncio.to_thread(gone, child)
+
+    with_bench(services, tmp_path, use)
+
+
+def test_stopping_ends_the_call_under_way_and_can_be_repeated(services: Path, tmp_path: Path) -> None:
+    async def use(bench: Bench) -> None:
+        process_id = await bench.call("process_id")
+        bench.busy.clear()
+        calling = asyncio.create_task(bench.call("pause", 60.0))
+        await bench.busy.wait()
+        began_s = time.monotonic()
+        await asyncio.gather(bench.instance.stop(), bench.instance.stop())
+        await bench.instance.stop()
+        assert time.monotonic() - began_s < 5.0
+        assert not is_alive(process_id)
+        with pytest.raises(Unreachable):
+            await calling
+        assert "SIGTERM" in await bench.instance.exited()
+
+    with_bench(services, tmp_path, use)
+
+
+PARENT = """
+import asyncio, sys
+from pathlib import Path
+from upwash.ports import InstanceSpec
+from upwash.real.runtime import ProcessRuntime
+
+async def run(folder, program):
+    runtime = ProcessRuntime(lambda _: f"unix:{folder}/socket", credentials=None, max_message_bytes=1_000_000)
+    instance = await runtime.start(InstanceSpec("s1", "workbench", program), called=print)
+    await instance.admit(frozenset({"heron"}))
+    print(instance.endpoint, flush=True)
+    await asyncio.sleep(60)
+
+asyncio.run(run(*sys.argv[1:]))
+"""
+
+
+def test_an_instance_and_its_children_end_when_whoever_started_them_is_killed(
+    services: Path, tmp_path: Path
+) -> None:
+    async def family(endpoint: str, program: str) -> list[int]:
+        link = GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES).dial(endpoint, server="s1")
+        try:
+            bench = Bench(None, link, program)  # type: ignore[arg-type]  # it is another process's
+            return [await bench.call("process_id"), await bench.call("spawn")]
+        finally:
+            await link.close()
+
+    program = f"{services}:Workbench"
+    command = [sys.executable, "-c", PARENT, str(tmp_path), program]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        process_ids = asyncio.run(family(parent.stdout.readline().strip(), program))
+        parent.kill()
+    assert gone(*process_ids)
+
+
+def test_an_instance_that_is_still_starting_ends_when_whoever_started_it_is_killed(
+    services: Path, tmp_path: Path
+) -> None:
+    told = tmp_path / "process_id"
+    command = [sys.executable, "-c", PARENT, str(tmp_path), f"{services}:SlowToStart"]
+    with subprocess.Popen(command, env={**os.environ, "PROCESS_ID_FILE": str(told)}) as parent:
+        process_id = read_when_written(told)
+        parent.kill()
+    try:
+        assert gone(process_id)
+    finally:
+        if is_alive(process_id):
+            os.killpg(process_id, signal.SIGKILL)

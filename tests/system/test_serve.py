@@ -1,0 +1,556 @@
+"""The edge daemon as a process: what drones get from it, and what is left of it."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import grpc
+import msgspec
+import pytest
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+
+from upwash.errors import LinkError, Refused, Unreachable
+from upwash.protocol import (
+    AVAILABILITY,
+    LEAVE,
+    START,
+    AvailabilityReply,
+    AvailabilityRequest,
+    LeaveReply,
+    LeaveRequest,
+    StartReply,
+    StartRequest,
+    decode_reply,
+    resolve,
+    service_path,
+)
+from upwash.real.credentials import Credentials
+from upwash.real.link import GrpcDialer, GrpcLink
+from upwash.service import load_service, spec_of
+
+pytestmark = pytest.mark.system
+
+T = TypeVar("T")
+ReadCredentials = Callable[[str], Credentials]
+MAX_MESSAGE_BYTES = 1_000_000
+
+CONFIG = """
+[[service]]
+name = "workbench"
+program = "services_for_tests:Workbench"
+
+[[service]]
+name = "unstartable"
+program = "services_for_tests:Unstartable"
+
+[[service]]
+name = "slowtostart"
+program = "services_for_tests:SlowToStart"
+
+[[server]]
+name = "s1"
+
+[[server]]
+name = "s2"
+"""
+
+
+def config(keys: Path | None, listen: str = "127.0.0.1:0", **settings: Any) -> str:
+    """A daemon that is s1 and s2; without a folder of keys it lets anyone of this machine in."""
+    lines = [f'listen = "{listen}"', *(f"{name} = {value}" for name, value in settings.items())]
+    if keys is None:
+        lines.append("allow_without_certificates = true")
+    else:
+        lines += ["[keys]", f'authority = "{keys}/authority.pem"']
+        lines += [f'certificate = "{keys}/s1.pem"', f'key = "{keys}/s1.key"']
+    return "\n".join(lines) + CONFIG
+
+
+def started(folder: Path, text: str) -> subprocess.Popen[str]:
+    (folder / "server.toml").write_text(text)
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(Path(__file__).parents[1]),  # where services_for_tests lies
+        "PROCESS_ID_FILE": str(folder / "process_id"),
+    }
+    command = [sys.executable, "-m", "upwash", "serve", "--config", str(folder / "server.toml")]
+    with (folder / "stderr").open("w") as stderr:
+        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, env=environment, text=True)
+
+
+class Daemon:
+    """A daemon's process that is ready at its address."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        self.process = process
+        names, _, self.address = process.stdout.readline().strip().partition(" ready at ")
+        assert names == "s1, s2"
+
+    def instances(self) -> list[int]:
+        return children(self.process.pid)
+
+    def end(self, number: signal.Signals = signal.SIGTERM) -> int:
+        self.process.send_signal(number)
+        return self.process.wait(timeout=10.0)
+
+
+@contextmanager
+def daemon(folder: Path, text: str) -> Iterator[Daemon]:
+    """A daemon until the end of the block, by which it and all of its instances must have ended."""
+    with started(folder, text) as process:
+        try:
+            running = Daemon(process)
+            yield running
+            instances = running.instances()
+            if process.poll() is None:
+                assert running.end() == 0
+            assert not re.search("^Traceback", (folder / "stderr").read_text(), re.MULTILINE)
+            until(lambda: not any(map(is_alive, instances)))
+        finally:
+            process.kill()
+
+
+def children(process_id: int) -> list[int]:
+    """The living processes that the process started."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, parent = status.read_text().rpartition(")")[2].split()[:2]
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if int(parent) == process_id and state not in "ZX":
+            found.append(int(status.parent.name))
+    return found
+
+
+def is_alive(process_id: int) -> bool:
+    try:
+        status = Path(f"/proc/{process_id}/stat").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return status.rpartition(")")[2].split()[0] not in "ZX"
+
+
+def until(true: Callable[[], bool]) -> None:
+    """Returns when it is true; fails if that takes long."""
+    give_up_s = time.monotonic() + 8.0
+    while not true():
+        assert time.monotonic() < give_up_s
+        time.sleep(0.02)
+
+
+class Guest:
+    """A drone's links to one server of a daemon, and to the instances that it was told of."""
+
+    def __init__(self, dialer: GrpcDialer, server: str, address: str, program: str) -> None:
+        self._dialer = dialer
+        self._server = server
+        self._address = address
+        self._methods = spec_of(load_service(program)).methods
+        self.daemon = dialer.dial(address, server=server)
+        self.instances: dict[str, GrpcLink] = {}
+
+    async def availability(self, *services: str) -> AvailabilityReply:
+        return await self._tell(
+            AVAILABILITY, AvailabilityRequest(self._server, list(services)), AvailabilityReply
+        )
+
+    async def start(self, service: str = "workbench") -> StartReply:
+        return await self._tell(START, StartRequest(self._server, service), StartReply)
+
+    async def leave(self) -> LeaveReply:
+        return await self._tell(LEAVE, LeaveRequest(self._server), LeaveReply)
+
+    async def call(self, endpoint: str, name: str, *arguments: object) -> Any:
+        """A call of the workbench that listens at the endpoint."""
+        if endpoint not in self.instances:
+            address = resolve(endpoint, self._address)
+            self.instances[endpoint] = self._dialer.dial(address, server=self._server)
+        method = self._methods[name]
+        _, request = method.encode(arguments, {})
+        path = service_path("workbench", name)
+        reply = await self.instances[endpoint].request(path, request, timeout_s=10.0)
+        return method.result(method.decode(reply))
+
+    async def close(self) -> None:
+        for link in (self.daemon, *self.instances.values()):
+            await link.close()
+
+    async def _tell(self, path: str, message: msgspec.Struct, reply: type[T]) -> T:
+        answer = await self.daemon.request(path, msgspec.msgpack.encode(message), timeout_s=10.0)
+        return decode_reply(answer, reply, sender=self._server)
+
+
+@asynccontextmanager
+async def guests(
+    at: Daemon, services: Path, *who: tuple[str, Credentials | None, str]
+) -> AsyncIterator[list[Guest]]:
+    """Drones, each by its name, what it shows, and the server that it visits."""
+    async with AsyncExitStack() as stack:
+        each = []
+        for name, shown, server in who:
+            dialer = GrpcDialer(name, shown, max_message_bytes=MAX_MESSAGE_BYTES)
+            guest = Guest(dialer, server, at.address, f"{services}:Workbench")
+            stack.push_async_callback(guest.close)
+            each.append(guest)
+        yield each
+
+
+async def eventually(ask: Callable[[], Awaitable[T]], true: Callable[[T], object]) -> None:
+    """Asks again and again, until what is true of the answer should be; fails if that takes long."""
+    async with asyncio.timeout(8.0):
+        while not true(await ask()):
+            await asyncio.sleep(0.05)
+
+
+# --- what drones get ----------------------------------------------------------------------------------------
+
+
+def test_a_drone_asks_has_a_service_started_calls_it_and_leaves(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
+            before = await heron.availability("workbench")
+            assert (before.available, before.endpoints, before.lease_s) == (True, {}, 30.0)
+            endpoint = (await heron.start()).endpoint
+            assert endpoint.startswith(":")
+            assert await heron.call(endpoint, "echo", b"photo") == b"photo"
+            assert (await heron.availability("workbench")).endpoints == {"workbench": endpoint}
+            await heron.leave()
+            with pytest.raises(Refused, match="heron has no lease"):
+                await heron.call(endpoint, "echo", b"photo")
+            assert (await heron.availability("workbench")).endpoints == {"workbench": endpoint}
+            assert await heron.call(endpoint, "echo", b"photo") == b"photo"
+
+    with daemon(tmp_path, config(keys)) as at:
+        asyncio.run(visit(at))
+
+
+def test_a_slot_serves_one_drone_until_it_leaves_and_each_server_has_its_own(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    who = [(name, credentials(name), server) for name in ("heron", "stork") for server in ("s1", "s2")]
+
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, *who) as (heron1, heron2, stork1, stork2):
+            first, second = await heron1.start(), await stork2.start()
+            process_ids = {
+                await heron1.call(first.endpoint, "process_id"),
+                await stork2.call(second.endpoint, "process_id"),
+            }
+            assert process_ids == set(at.instances())
+            assert len(process_ids) == 2
+            for guest in (stork1, heron2):
+                refused = await guest.availability("workbench")
+                assert (refused.available, refused.endpoints) == (False, {})
+                assert "has no free slot: 1 of 1 in use" in refused.reason
+                assert "has no free slot" in (await guest.start()).reason
+            with pytest.raises(Refused):
+                await stork1.call(first.endpoint, "echo", b"photo")
+            await heron1.leave()
+            assert (await stork1.availability("workbench")).endpoints == {"workbench": first.endpoint}
+            assert await stork1.call(first.endpoint, "echo", b"photo") == b"photo"
+            with pytest.raises(Refused):
+                await heron1.call(first.endpoint, "echo", b"photo")
+
+    with daemon(tmp_path, config(keys)) as at:
+        asyncio.run(visit(at))
+
+
+def test_a_lease_ends_by_itself_and_calls_keep_it(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    who = [(name, credentials(name), "s1") for name in ("heron", "stork")]
+
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, *who) as (heron, stork):
+            endpoint = (await heron.start()).endpoint
+            for _ in range(15):  # for longer than a lease
+                await heron.call(endpoint, "pause", 0.1)
+            assert not (await stork.availability()).available
+            await eventually(stork.availability, lambda answer: answer.available)
+            with pytest.raises(Refused, match="heron has no lease"):
+                await heron.call(endpoint, "echo", b"photo")
+
+    with daemon(tmp_path, config(keys, lease_s=1.0)) as at:
+        asyncio.run(visit(at))
+
+
+def test_starts_at_the_same_time_make_one_instance(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
+            replies = await asyncio.gather(*(heron.start() for _ in range(5)))
+            assert len({reply.endpoint for reply in replies}) == 1
+            assert replies[0].endpoint
+            assert len(at.instances()) == 1
+
+    with daemon(tmp_path, config(keys)) as at:
+        asyncio.run(visit(at))
+
+
+def test_a_killed_instance_is_reported_absent_and_started_again_on_request(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
+            endpoint = (await heron.start()).endpoint
+            first = await heron.call(endpoint, "process_id")
+            os.kill(first, signal.SIGKILL)
+            await eventually(lambda: heron.availability("workbench"), lambda answer: not answer.endpoints)
+            endpoint = (await heron.start()).endpoint
+            assert await heron.call(endpoint, "process_id") != first
+
+    with daemon(tmp_path, config(keys)) as at:
+        asyncio.run(visit(at))
+
+
+def test_an_instance_that_nobody_uses_is_stopped_and_started_again_on_request(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
+            await heron.start()
+            assert len(at.instances()) == 1
+            await asyncio.to_thread(until, lambda: not at.instances())
+            endpoint = (await heron.start()).endpoint
+            assert await heron.call(endpoint, "echo", b"photo") == b"photo"
+
+    with daemon(tmp_path, config(keys, lease_s=0.3, idle_stop_s=0.3)) as at:
+        asyncio.run(visit(at))
+
+
+def test_a_service_that_cannot_start_is_refused_with_its_reason(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
+            for _ in range(2):
+                reply = await heron.start("unstartable")
+                assert (reply.endpoint, "model.onnx is missing" in reply.reason) == ("", True)
+            assert "not ready within" in (await heron.start("slowtostart")).reason
+            assert at.instances() == []
+            assert "s1 has no image of submarine" in (await heron.start("submarine")).reason
+
+    with daemon(tmp_path, config(keys, start_timeout_s=1.5)) as at:
+        asyncio.run(visit(at))
+
+
+def test_a_server_that_the_daemon_is_not_is_refused_by_name(tmp_path: Path, services: Path) -> None:
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("heron", None, "s3")) as (heron,):
+            refused = await heron.availability("workbench")
+            assert (refused.available, refused.reason) == (False, "no server s3 here; this daemon is s1, s2")
+
+    with daemon(tmp_path, config(None)) as at:
+        asyncio.run(visit(at))
+
+
+def test_a_daemon_on_a_unix_socket_needs_no_certificates(tmp_path: Path, services: Path) -> None:
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("heron", None, "s1")) as (heron,):
+            endpoint = (await heron.start()).endpoint
+            assert endpoint.startswith("unix:")
+            assert await heron.call(endpoint, "echo", b"photo") == b"photo"
+
+    with daemon(tmp_path, config(None, listen=f"unix:{tmp_path}/socket")) as at:
+        asyncio.run(visit(at))
+
+
+def test_the_standard_health_service_answers(
+    tmp_path: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    shown = credentials("heron")
+    channel_credentials = grpc.ssl_channel_credentials(shown.authority, shown.key, shown.certificate)
+    options = [("grpc.ssl_target_name_override", "s2"), ("grpc.enable_http_proxy", 0)]
+    with (
+        daemon(tmp_path, config(keys)) as at,
+        grpc.secure_channel(at.address, channel_credentials, options) as channel,
+    ):
+        health = health_pb2_grpc.HealthStub(channel)
+        for name in ("", "s1", "s2"):
+            reply = health.Check(health_pb2.HealthCheckRequest(service=name), timeout=5.0)
+            assert reply.status == health_pb2.HealthCheckResponse.SERVING
+        with pytest.raises(grpc.RpcError) as refusal:
+            health.Check(health_pb2.HealthCheckRequest(service="s3"), timeout=5.0)
+        assert refusal.value.code() is grpc.StatusCode.NOT_FOUND
+
+
+# --- whom it does not serve ---------------------------------------------------------------------------------
+
+
+def test_a_drone_of_another_authority_gets_no_answer(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    ours, theirs = credentials("heron"), credentials("other/heron")
+    believing = Credentials(ours.authority, theirs.certificate, theirs.key)
+
+    async def visit(at: Daemon) -> None:
+        who = [("heron", shown, "s1") for shown in (ours, theirs, believing, None)]
+        async with guests(at, services, *who) as (heron, *strangers):
+            endpoint = (await heron.start()).endpoint
+            for stranger in strangers:
+                with pytest.raises(Unreachable):
+                    await stranger.availability("workbench")
+                with pytest.raises(Unreachable):
+                    await stranger.call(endpoint, "echo", b"photo")
+
+    with daemon(tmp_path, config(keys)) as at:
+        asyncio.run(visit(at))
+
+
+def test_garbage_does_not_harm_it(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
+            for path in (AVAILABILITY, START, LEAVE, "/upwash.Daemon/Nonsense"):
+                for body in (b"", b"\xff" * 100, b"\x81\xa6server\xa2\xff\xfe", b"\x91" * 50_000):
+                    with pytest.raises(Refused) as refusal:
+                        await heron.daemon.request(path, body, timeout_s=5.0)
+                    assert "log says why" not in str(refusal.value)
+            assert (await heron.availability("workbench")).available
+
+    with daemon(tmp_path, config(keys)) as at:
+        host, _, port = at.address.rpartition(":")
+        for garbage in (
+            b"",
+            b"\x00" * 10_000,
+            b"GET / HTTP/1.1\r\n\r\n",
+            b"\x16\x03\x01\xff\xff" + b"x" * 500,
+        ):
+            with socket.create_connection((host, int(port))) as connection:
+                connection.sendall(garbage)
+        asyncio.run(visit(at))
+
+
+def test_a_drone_without_a_name_is_refused(tmp_path: Path, services: Path) -> None:
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("", None, "s1")) as (nobody,):
+            with pytest.raises(Refused, match="names no drone"):
+                await nobody.availability("workbench")
+
+    with daemon(tmp_path, config(None)) as at:
+        asyncio.run(visit(at))
+
+
+# --- how it ends --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_with_a_call_under_way_and_leaves_nothing(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials, number: signal.Signals
+) -> None:
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
+            endpoint = (await heron.start()).endpoint
+            child = await heron.call(endpoint, "spawn")
+            calling = asyncio.create_task(heron.call(endpoint, "pause", 60.0))
+            await asyncio.sleep(0.2)
+            instances = at.instances()
+            assert await asyncio.to_thread(at.end, number) == 0
+            assert not any(map(is_alive, [*instances, child]))
+            with pytest.raises(LinkError):
+                await calling
+
+    with daemon(tmp_path, config(keys)) as at:
+        asyncio.run(visit(at))
+
+
+def test_a_signal_ends_it_while_a_service_starts(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
+            starting = asyncio.create_task(heron.start("slowtostart"))
+            await asyncio.to_thread(until, (tmp_path / "process_id").exists)
+            instances = at.instances()
+            assert await asyncio.to_thread(at.end) == 0
+            assert not any(map(is_alive, instances))
+            await asyncio.gather(starting, return_exceptions=True)
+
+    with daemon(tmp_path, config(keys)) as at:
+        asyncio.run(visit(at))
+
+
+def test_its_instances_end_when_it_is_killed(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    async def visit(at: Daemon) -> list[int]:
+        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
+            endpoint = (await heron.start()).endpoint
+            return [await heron.call(endpoint, "spawn"), *at.instances()]
+
+    with daemon(tmp_path, config(keys)) as at:
+        processes = asyncio.run(visit(at))
+        assert at.end(signal.SIGKILL) == -signal.SIGKILL
+        until(lambda: not any(map(is_alive, processes)))
+
+
+# --- when it cannot start -----------------------------------------------------------------------------------
+
+
+def refused(folder: Path, text: str) -> str:
+    """What a daemon that does not start says; it must be one line, with exit code 2."""
+    with started(folder, text) as process:
+        assert process.wait(timeout=10.0) == 2
+        assert process.stdout is not None
+        assert process.stdout.read() == ""
+    said = (folder / "stderr").read_text()
+    assert said.startswith("upwash: ")
+    assert said.count("\n") == 1
+    return said
+
+
+def test_a_port_in_use_is_named_in_one_line(tmp_path: Path, keys: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        address = f"127.0.0.1:{other.getsockname()[1]}"
+        assert f"cannot listen on {address}" in refused(tmp_path, config(keys, listen=address))
+
+
+def test_the_port_of_another_daemon_is_not_shared(tmp_path: Path, keys: Path) -> None:
+    (tmp_path / "first").mkdir()
+    with daemon(tmp_path / "first", config(keys)) as at:
+        assert "cannot listen on" in refused(tmp_path, config(keys, listen=at.address))
+
+
+def test_certificates_are_left_out_on_purpose_only(tmp_path: Path) -> None:
+    text = config(None).replace("allow_without_certificates = true", "")
+    assert "server.toml: keys: missing" in refused(tmp_path, text)
+
+
+def test_a_certificate_for_another_server_is_refused(tmp_path: Path, keys: Path) -> None:
+    said = refused(tmp_path, config(keys) + '\n[[server]]\nname = "s3"\n')
+    assert "the certificate is for s1, s2, but this daemon acts as s3" in said
+
+
+def test_a_foreign_certificate_is_refused(tmp_path: Path, keys: Path) -> None:
+    text = config(keys).replace(f"{keys}/authority.pem", f"{keys}/other/authority.pem")
+    assert "s1.pem: not issued by" in refused(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("program", "said"),
+    [
+        ("no_such_package:Workbench", "no_such_package"),
+        ("services_for_tests:NoSuchClass", "NoSuchClass"),
+        ("services_for_tests:Overheated", "put @service above the class"),
+        ("services_for_tests:Unstartable", "declared under another name"),
+    ],
+)
+def test_a_service_that_is_not_there_is_named(tmp_path: Path, program: str, said: str) -> None:
+    assert said in refused(tmp_path, config(None).replace("services_for_tests:Workbench", program))
