@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import functools
-import inspect
 import itertools
 import signal
 import tempfile
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
-from typing import cast
 
+from upwash.bundled import bundled_service, load_configured_services, load_mission, service_program
 from upwash.config import DaemonConfig, DroneConfig, KeysConfig, server_position, server_truth
 from upwash.core.geo import Circle, GeoPosition, LocalFrame
 from upwash.core.instances import Host, HostSettings, ServerOffer
-from upwash.drone import Flight, Mission, World
+from upwash.drone import Flight, World
 from upwash.errors import CredentialsError, Refused, UsageError
-from upwash.loading import load
 from upwash.ports import Autopilot, InstanceSpec, Journal, Network
 from upwash.protocol import is_on_this_machine
 from upwash.real.autopilot import connect_autopilot
@@ -32,9 +29,6 @@ from upwash.server import EdgeServer
 from upwash.service import load_service, spec_of
 from upwash.sim.network import Cell, ModelNetwork, NoNetwork
 from upwash.vehicle import VehicleSettings, serve_vehicle
-
-BUNDLED_MISSIONS = {"survey": "upwash.missions.survey:survey"}
-BUNDLED_SERVICES = {"detector": "upwash.services.hotspots:HotSpotDetector"}
 
 _MAX_MESSAGE_BYTES = 16 * 2**20
 _TRACK_PERIOD_S = 1.0
@@ -62,7 +56,7 @@ async def fly(
     if config.camera.folder is None:
         raise UsageError("camera.folder is missing: say where the photos are")
     mission = load_mission(program or config.mission.program, mode=config.mission.mode)
-    services = _load_services(config)
+    services = load_configured_services(config)
     dialer = _dialer(config)
     camera = FolderCamera(config.camera.folder, photo_s=config.camera.photo_s)
     home = GeoPosition(config.mission.home.latitude_deg, config.mission.home.longitude_deg)
@@ -91,51 +85,11 @@ async def fly(
                 notifier=JournalNotifier(journal),
                 journal=journal,
             ),
-            programs={name: _program(config, name) for name in services},
+            programs={name: service_program(config, name) for name in services},
         )
         await stack.enter_async_context(_tracking(autopilot, journal))
         stack.enter_context(_stopping_politely(flight.stop))
         await flight.run()
-
-
-def load_mission(program: str, *, mode: str) -> Mission:
-    """The mission of that name or path; one with a parameter `mode` gets it."""
-    if ":" not in program and program not in BUNDLED_MISSIONS:
-        raise UsageError(
-            f"there is no mission {program!r}: the bundled ones are {', '.join(BUNDLED_MISSIONS)}; "
-            "a mission of your own is path/to/file.py:function"
-        )
-    mission = load(BUNDLED_MISSIONS.get(program, program))
-    if not callable(mission):
-        raise UsageError(f"mission {program!r} is not a function")
-    if "mode" in inspect.signature(mission).parameters:
-        mission = functools.partial(mission, mode=mode)
-    return cast(Mission, mission)
-
-
-def _load_services(config: DroneConfig) -> dict[str, type]:
-    services = {service.name: load_service(_program(config, service.name)) for service in config.services}
-    for name, cls in services.items():
-        own = spec_of(cls).name
-        if own != name:
-            raise UsageError(
-                f"service {name!r} runs {cls.__name__}, which is declared as {own!r}: use that name"
-            )
-    return services
-
-
-def _program(config: DroneConfig, service: str) -> str:
-    program = next(each.program for each in config.services if each.name == service)
-    return program or _bundled_service(service)
-
-
-def _bundled_service(name: str) -> str:
-    if name not in BUNDLED_SERVICES:
-        raise UsageError(
-            f"service {name!r} needs a program, package.module:Class; without one only "
-            f"{', '.join(BUNDLED_SERVICES)} are known"
-        )
-    return BUNDLED_SERVICES[name]
 
 
 def _dialer(config: DroneConfig) -> GrpcDialer:
@@ -203,7 +157,7 @@ async def serve(config: DaemonConfig, *, ready: Callable[[str], None]) -> None:
     """Runs the daemon until SIGTERM or Ctrl-C; `ready` is told the address once it answers."""
     from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 
-    programs = {image.name: image.program or _bundled_service(image.name) for image in config.images}
+    programs = {image.name: image.program or bundled_service(image.name) for image in config.images}
     for name, program in programs.items():
         if spec_of(load_service(program)).name != name:
             raise UsageError(f"service {name!r}: {program} is declared under another name")

@@ -61,7 +61,7 @@ def contacts(config: DroneConfig, estimates: Estimates) -> dict[str, Contact]:
         server.name: Contact(
             name=server.name,
             network=server.network,
-            address=server.address or "",
+            address=server.address or server.name,
             services=tuple(
                 service.name
                 for service in config.services

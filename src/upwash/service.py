@@ -74,6 +74,11 @@ class Method:
         except Exception as error:  # noqa: BLE001 - whatever the service raises belongs to the caller
             return key, _encode_fault(error)
 
+    def key_of(self, request: bytes) -> str:
+        """The profile key of a request; raises msgspec.MsgspecError for anything else."""
+        decoded = self.request.decode(request)
+        return self._key({name: getattr(decoded, name) for name in self.signature.parameters})
+
     def decode(self, reply: bytes) -> Any:
         """A reply, checked against the type hints; raises GarbledReply for anything else."""
         try:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import gc
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator, Callable, Coroutine
+import warnings
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -202,6 +205,48 @@ def test_a_start_that_is_cancelled_leaves_nothing(
         assert not is_alive(process_id)
 
     asyncio.run(use())
+
+
+@pytest.mark.parametrize("turns", range(1, 6))
+def test_a_start_that_is_cancelled_early_leaves_nothing(services: Path, tmp_path: Path, turns: int) -> None:
+    async def use() -> None:
+        starting = asyncio.create_task(runtime(tmp_path).start(spec(services), called=lambda _: None))
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        starting.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await starting
+        expect_no_child()
+
+    with nothing_left_open():
+        asyncio.run(use())
+
+
+def test_a_process_that_cannot_be_made_is_an_instance_error(
+    services: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "no-such-python"))
+
+    async def use() -> str:
+        try:
+            await runtime(tmp_path).start(spec(services), called=lambda _: None)
+        except Exception as error:  # noqa: BLE001 - its frames would keep open what should be closed
+            return f"{type(error).__name__}: {error}"
+        return "started"
+
+    with nothing_left_open():
+        said = asyncio.run(use())
+    assert said.startswith("InstanceError: workbench@s1 did not start")
+
+
+@contextlib.contextmanager
+def nothing_left_open() -> Iterator[None]:
+    """Fails if a socket or file is left for the garbage collector to close."""
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        yield
+        gc.collect()
+    assert not [str(each.message) for each in warned]
 
 
 def read_when_written(file: Path) -> int:

@@ -211,7 +211,9 @@ async def guests(
 async def eventually(ask: Callable[[], Awaitable[T]], true: Callable[[T], object]) -> None:
     """Asks again and again, until what is true of the answer should be; fails if that takes long."""
     async with asyncio.timeout(8.0):
-        while not true(await ask()):
+        while True:
+            if true(await ask()):
+                return
             await asyncio.sleep(0.05)
 
 

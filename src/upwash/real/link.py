@@ -8,12 +8,12 @@ channel would share a dead connection with an old one. See docs/decisions/grpc.m
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import Any
 
 import grpc
-from grpc.experimental import ChannelOptions
 
-from upwash.errors import DeadlineExceeded, GarbledReply, LinkError, Refused, Unreachable
+from upwash.errors import DeadlineExceeded, LinkError, Refused, Unreachable
 from upwash.real.credentials import Credentials
 
 DRONE_METADATA = "upwash-drone"  # says who calls where no certificate does: on a unix socket or on loopback
@@ -28,7 +28,6 @@ CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.max_reconnect_backoff_ms", 1000),
     ("grpc.enable_http_proxy", 0),
     ("grpc.use_local_subchannel_pool", 1),
-    (ChannelOptions.SingleThreadedUnaryStream, 1),
 )
 
 
@@ -67,7 +66,7 @@ class GrpcDialer:
 
 
 class GrpcLink:
-    """One channel; each request is sent from the event loop, and a thread of the loop's waits for its reply."""
+    """One channel; requests are futures of the synchronous stack, settled on the event loop."""
 
     def __init__(self, channel: grpc.Channel, *, address: str, server: str, drone: str) -> None:
         self._channel = channel
@@ -79,21 +78,32 @@ class GrpcLink:
         """Sends one request and returns its reply; raises LinkError. Cancelling it cancels the call."""
         method = self._methods.get(path)
         if method is None:
-            method = self._methods[path] = self._channel.unary_stream(path)
+            method = self._methods[path] = self._channel.unary_unary(path)
+        loop = asyncio.get_running_loop()
+        ended = loop.create_future()
+
+        def settle() -> None:
+            if not ended.done():
+                ended.set_result(None)
+
+        def wake(_: object) -> None:
+            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+                loop.call_soon_threadsafe(settle)
+
         try:
-            call = method(body, timeout=timeout_s, metadata=self._metadata)
+            call = method.future(body, timeout=timeout_s, metadata=self._metadata)
         except ValueError as error:  # gRPC's word for a closed channel
             raise Unreachable(f"{self._peer}: the link is closed") from error
+        call.add_done_callback(wake)
         try:
-            replies: list[bytes] = await asyncio.get_running_loop().run_in_executor(None, list, call)
+            await ended
         except asyncio.CancelledError:
             call.cancel()
             raise
-        except grpc.RpcError as error:
-            raise _error(error.code(), error.details(), self._peer, timeout_s) from error
-        if len(replies) != 1:
-            raise GarbledReply(f"{self._peer}: {len(replies)} replies to one request")
-        return replies[0]
+        if call.code() is grpc.StatusCode.OK:
+            reply: bytes = call.result()
+            return reply
+        raise _error(call.code(), call.details(), self._peer, timeout_s)
 
     async def close(self) -> None:
         """Breaks the connection off, with every request under way."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from asyncio import base_events
-from collections.abc import Callable, Coroutine
+from collections.abc import Coroutine
 from typing import Any, NoReturn, TypeVar
 
 from upwash.errors import UpwashError
@@ -36,7 +36,7 @@ class VirtualLoop(base_events.BaseEventLoop):
     """Runs what is ready in the order in which it became so, timers by their time."""
 
     def __init__(self) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]
+        super().__init__()
         self._now_s = 0.0
         self._clock_resolution = 1e-9  # the base class runs what is due before now plus this
         self._selector = self  # the base class asks its selector for events: here, time is the only one
@@ -56,7 +56,7 @@ class VirtualLoop(base_events.BaseEventLoop):
         if timeout is None:
             raise DeadlockError(f"everything waits and nothing is scheduled: {self._waiting()}")
         if timeout > 0:
-            self._now_s = max(self._now_s, self._scheduled[0].when())
+            self._now_s = max(self._now_s, self._scheduled[0].when())  # type: ignore[attr-defined]
         return []
 
     def _process_events(self, events: list[NoReturn]) -> None:
@@ -66,24 +66,27 @@ class VirtualLoop(base_events.BaseEventLoop):
         pass  # nothing sleeps that another thread would have to wake
 
     def _waiting(self) -> str:
-        return ", ".join(sorted(f"{task.get_name()} ({task.get_coro()!r})" for task in asyncio.all_tasks(self)))
+        return ", ".join(
+            sorted(f"{task.get_name()} ({task.get_coro()!r})" for task in asyncio.all_tasks(self))
+        )
 
     # --- what does not exist here ---------------------------------------------------------------------------
 
-    def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> Any:
+    def run_in_executor(self, executor: Any, func: Any, *args: Any) -> Any:  # type: ignore[override]
         """Refused."""
         raise OutsideWorldError(f"a thread for {func!r} would run on another clock than the simulation")
 
     async def create_connection(self, *_: Any, **__: Any) -> Any:
-        """Refused."""
+        """Refused, as every way to the network is."""
         raise OutsideWorldError("there are no sockets on virtual time")
 
     create_server = create_connection
     create_datagram_endpoint = create_connection
-    sock_connect = create_connection
+    create_unix_connection = create_connection
+    create_unix_server = create_connection
 
     async def subprocess_exec(self, *_: Any, **__: Any) -> Any:
-        """Refused."""
+        """Refused, as every process is."""
         raise OutsideWorldError("there are no processes on virtual time")
 
     subprocess_shell = subprocess_exec

@@ -1,0 +1,1 @@
+"""The laboratory: the programs on models, on virtual time."""

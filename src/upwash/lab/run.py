@@ -1,0 +1,149 @@
+"""Puts the programs on models: the counterpart of launch.py."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from upwash.bundled import load_configured_services, load_mission, service_program
+from upwash.config import DroneConfig, server_position, server_truth, waypoints
+from upwash.core.geo import Circle
+from upwash.core.instances import Host, ServerOffer
+from upwash.drone import Flight, World
+from upwash.errors import UpwashError
+from upwash.results import RunResult, read_result
+from upwash.server import EdgeServer
+from upwash.service import ServiceSpec, spec_of
+from upwash.sim.autopilot import ModelAutopilot
+from upwash.sim.camera import ModelCamera
+from upwash.sim.chance import Chance
+from upwash.sim.heat import Heat
+from upwash.sim.journal import MemoryJournal
+from upwash.sim.link import ModelDialer, Switchboard
+from upwash.sim.loop import run_virtually
+from upwash.sim.network import Cell, ModelNetwork
+from upwash.sim.radio import read_goodput
+from upwash.sim.runtime import ModelRuntime
+from upwash.sim.world import DroneComputer, Faults, Radio, ServerComputer, Wire
+
+_LONGEST_S = 48 * 3600.0  # of virtual time: a mission that takes longer never ends
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One simulated mission: its events, and what they came to. `failure` says why it was not completed."""
+
+    events: list[dict[str, Any]]
+    result: RunResult
+    failure: str = ""
+
+    def log(self) -> bytes:
+        """The event log, as the flying drone would have written it."""
+        return b"".join(msgspec.json.encode(event) + b"\n" for event in self.events)
+
+
+def simulate(config: DroneConfig) -> Run:
+    """Flies the scenario's mission on virtual time; the same scenario and seed give the same run."""
+    journal = MemoryJournal()
+    failure = ""
+    try:
+        run_virtually(_fly(config, journal))
+    except UpwashError as error:
+        failure = str(error)
+    return Run(journal.events, read_result(journal.events), failure)
+
+
+async def _fly(config: DroneConfig, journal: MemoryJournal) -> None:
+    journal.begin()
+    mission = load_mission(config.mission.program, mode=config.mission.mode)
+    classes = load_configured_services(config)
+    specs = {name: spec_of(cls) for name, cls in classes.items()}
+    chance, faults, switchboard = Chance(config.seed), Faults(config.faults), Switchboard({})
+    autopilot = _autopilot(config, chance)
+    areas = {
+        server.name: Circle(server_position(server, config.mission.home), server.range_m)
+        for server in config.servers
+    }
+    truths = {server.name: server_truth(server, config.services) for server in config.servers}
+    radio = Radio(
+        areas,
+        {name: read_goodput(truth.radio) for name, truth in truths.items()},
+        config.services,
+        faults=faults,
+        position=lambda: autopilot.position,
+    )
+    cells: dict[str, list[Cell]] = {}
+    for server in config.servers:
+        cells.setdefault(server.network, []).append(Cell(areas[server.name], truths[server.name].join_s))
+    heat = Heat(config.heat.ambient_c, config.heat.load_w) if config.heat else None
+    computer = DroneComputer(config.services, heat=heat, noise=config.noise.call, chance=chance)
+    onboard = Switchboard({})
+    flight = Flight(
+        mission,
+        config,
+        services=classes,
+        programs={name: service_program(config, name) for name in classes},
+        world=World(
+            autopilot=autopilot,
+            network=ModelNetwork(cells, lambda: autopilot.position),
+            dialer=ModelDialer(config.name, switchboard, radio),
+            onboard_dialer=ModelDialer(config.name, onboard, Wire()),
+            onboard_runtime=ModelRuntime(specs, computer, onboard),
+            camera=ModelCamera(photo_s=config.camera.photo_s),
+            notifier=journal,
+            journal=journal,
+        ),
+    )
+    async with contextlib.AsyncExitStack() as stack:
+        for server in config.servers:
+            edge = _edge_server(config, server.name, specs, switchboard, faults=faults, chance=chance)
+            stack.push_async_callback(edge.close)
+            watch = asyncio.create_task(edge.run(), name=f"daemon of {server.name}")
+            stack.callback(watch.cancel)
+        try:
+            async with asyncio.timeout(_LONGEST_S):
+                await flight.run()
+        except TimeoutError:
+            raise UpwashError(
+                f"the mission did not end within {_LONGEST_S / 3600:.0f} h of virtual time; "
+                "a verb of the mission never returned, or it flies in circles"
+            ) from None
+
+
+def _autopilot(config: DroneConfig, chance: Chance) -> ModelAutopilot:
+    vehicle = config.vehicle
+    return ModelAutopilot(
+        waypoints(config.mission)[0].position,
+        ground_speed_m_s=config.mission.ground_speed_m_s,
+        acceleration_m_s2=vehicle.acceleration_m_s2,
+        takeoff_s=vehicle.takeoff_s,
+        return_and_land_s=vehicle.return_and_land_s,
+        stretch=lambda: chance.factor("leg", config.noise.leg),
+    )
+
+
+def _edge_server(
+    config: DroneConfig,
+    name: str,
+    specs: Mapping[str, ServiceSpec],
+    switchboard: Switchboard,
+    *,
+    faults: Faults,
+    chance: Chance,
+) -> EdgeServer:
+    server = next(each for each in config.servers if each.name == name)
+    truth = server_truth(server, config.services)
+    computer = ServerComputer(name, truth, faults=faults, noise=config.noise.call, chance=chance)
+    edge = EdgeServer(
+        Host({name: ServerOffer(frozenset(truth.images), truth.slots)}),
+        programs={service: service_program(config, service) for service in specs},
+        runtime=ModelRuntime(specs, computer, switchboard),
+        start_timeout_s=60.0,
+    )
+    switchboard.plug(server.address or name, edge.handle)
+    return edge

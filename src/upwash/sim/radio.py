@@ -1,0 +1,58 @@
+"""Goodput by distance, from tables that a network simulator computed."""
+
+from __future__ import annotations
+
+import bisect
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+
+from upwash.errors import UsageError
+
+_BUNDLED = {"disc54": "goodput_54.csv", "disc12": "goodput_12.csv"}
+
+
+@dataclass(frozen=True)
+class GoodputTable:
+    """Goodput in bit/s at distances in metres, ascending; between them it is linear, beyond them nothing."""
+
+    distances_m: Sequence[float]
+    goodput_bit_s: Sequence[float]
+
+    def transfer_s(self, data_bytes: int, distance_m: float) -> float:
+        """How long the bytes need over the distance; infinitely long where nothing gets through."""
+        goodput_bit_s = self._at(distance_m)
+        return 8 * data_bytes / goodput_bit_s if goodput_bit_s > 0 else float("inf")
+
+    def _at(self, distance_m: float) -> float:
+        after = bisect.bisect_left(self.distances_m, distance_m)
+        if after == 0:
+            return self.goodput_bit_s[0]
+        if after == len(self.distances_m):
+            return 0.0
+        before = after - 1
+        span_m = self.distances_m[after] - self.distances_m[before]
+        share = (distance_m - self.distances_m[before]) / span_m
+        return self.goodput_bit_s[before] * (1 - share) + self.goodput_bit_s[after] * share
+
+
+@lru_cache
+def read_goodput(radio: str) -> GoodputTable | None:
+    """The table of that name or csv file; None for "fixed", where delays are given end to end."""
+    if radio == "fixed":
+        return None
+    bundled = _BUNDLED.get(radio)
+    source = files("upwash.sim") / bundled if bundled else Path(radio)
+    try:
+        rows = list(csv.DictReader(source.read_text(encoding="utf-8").splitlines()))
+        return GoodputTable(
+            [float(row["distance_m"]) for row in rows], [1e6 * float(row["goodput_mbit_s"]) for row in rows]
+        )
+    except (OSError, KeyError, ValueError) as error:
+        raise UsageError(
+            f"radio {radio!r}: {type(error).__name__}: {error}; it must be a csv file with the columns "
+            "distance_m and goodput_mbit_s"
+        ) from error

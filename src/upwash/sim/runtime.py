@@ -1,0 +1,147 @@
+"""Service instances that compute nothing and take their time over it."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import msgspec
+from msgspec import inspect as types
+
+from upwash.core.estimates import Operation
+from upwash.errors import InstanceError, Refused
+from upwash.ports import InstanceSpec
+from upwash.protocol import service_path
+from upwash.service import Method, ServiceSpec
+from upwash.sim.link import Switchboard
+
+
+class Computer(Protocol):
+    """What instances run on."""
+
+    async def start(self, spec: InstanceSpec) -> None:
+        """Takes the time that a service needs from its start to being ready."""
+
+    async def compute(self, spec: InstanceSpec, operation: Operation) -> None:
+        """Takes the time that a call of the operation needs."""
+
+
+class ModelRuntime:
+    """Starts modelled instances of the services on a computer, plugged in at addresses of their own."""
+
+    def __init__(
+        self, services: Mapping[str, ServiceSpec], computer: Computer, switchboard: Switchboard
+    ) -> None:
+        self._services = services
+        self._computer = computer
+        self._switchboard = switchboard
+        self._numbers = itertools.count()
+
+    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> ModelInstance:
+        """Returns when the instance is ready to serve."""
+        await self._computer.start(spec)
+        endpoint = f"{spec.name}#{next(self._numbers)}"
+        return ModelInstance(
+            spec,
+            self._services[spec.service],
+            endpoint,
+            called=called,
+            computer=self._computer,
+            switchboard=self._switchboard,
+        )
+
+
+class ModelInstance:
+    """One instance: takes calls one after the other, as the real one does, and returns empty results."""
+
+    def __init__(
+        self,
+        spec: InstanceSpec,
+        service: ServiceSpec,
+        endpoint: str,
+        *,
+        called: Callable[[str], None],
+        computer: Computer,
+        switchboard: Switchboard,
+    ) -> None:
+        self.endpoint = endpoint
+        self._spec = spec
+        self._methods = {service_path(spec.service, name): method for name, method in service.methods.items()}
+        self._called = called
+        self._computer = computer
+        self._switchboard = switchboard
+        self._admitted: frozenset[str] = frozenset()
+        self._busy = asyncio.Lock()
+        self._ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        switchboard.plug(endpoint, self._answer)
+
+    async def admit(self, drones: frozenset[str]) -> None:
+        """Has only these drones get an answer."""
+        self._admitted = drones
+
+    async def exited(self) -> str:
+        """Returns how the instance ended, when it does."""
+        return await asyncio.shield(self._ended)
+
+    async def stop(self) -> None:
+        """Ends the instance."""
+        self.crash("stopped")
+
+    def crash(self, how: str) -> None:
+        """Ends the instance at once, with the call that it runs."""
+        self._switchboard.unplug(self.endpoint)
+        if not self._ended.done():
+            self._ended.set_result(how)
+
+    async def _answer(self, path: str, body: bytes, drone: str) -> bytes:
+        method = self._methods.get(path)
+        if method is None:
+            raise Refused(f"no method {path} here")
+        if drone not in self._admitted:
+            raise Refused(f"drone {drone} has no lease here")
+        async with self._busy:
+            self._called(drone)
+            operation = Operation(self._spec.service, method.name, method.key_of(body))
+            await self._computer.compute(self._spec, operation)
+        if self._ended.done():
+            raise InstanceError(f"{self._spec.name} {self._ended.result()}")
+        return empty_reply(method)
+
+
+def empty_reply(method: Method) -> bytes:
+    """A reply that carries the emptiest value of the method's result type."""
+    reply = types.type_info(method.reply.type)
+    assert isinstance(reply, types.StructType)  # noqa: S101 - made by service.py
+    value = next(field.type for field in reply.fields if field.name == "value")
+    return msgspec.msgpack.encode({"value": _empty(value)})
+
+
+def _empty(found: types.Type) -> Any:
+    match found:
+        case types.NoneType():
+            return None
+        case types.ListType() | types.VarTupleType() | types.SetType() | types.FrozenSetType():
+            return []
+        case types.DictType():
+            return {}
+        case types.BoolType():
+            return False
+        case types.IntType() | types.FloatType():
+            return 0
+        case types.StrType():
+            return ""
+        case types.BytesType() | types.ByteArrayType() | types.MemoryViewType():
+            return b""
+        case types.UnionType(options):
+            return None if any(isinstance(each, types.NoneType) for each in options) else _empty(options[0])
+        case types.EnumType(cls):
+            return next(iter(cls)).value
+        case types.LiteralType(values):
+            return values[0]
+        case types.TupleType(items):
+            return [_empty(item) for item in items]
+        case types.StructType() | types.DataclassType() | types.TypedDictType() | types.NamedTupleType():
+            return {field.encode_name: _empty(field.type) for field in found.fields if field.required}
+    raise TypeError(f"no empty value of {found}")

@@ -1,0 +1,168 @@
+"""What is true in a simulated world: the air between drone and servers, their computers, and what goes wrong."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from typing import NoReturn, Protocol
+
+from upwash.config import FaultConfig, ServerTruth, ServiceConfig
+from upwash.core.estimates import Operation
+from upwash.core.geo import Circle, Position, ground_distance_m
+from upwash.ports import InstanceSpec
+from upwash.sim.chance import Chance
+from upwash.sim.heat import Heat
+
+_FLAP_S = 5.0
+
+
+class Goodput(Protocol):
+    """A radio's speed by distance."""
+
+    def transfer_s(self, data_bytes: int, distance_m: float) -> float:
+        """How long the bytes need over the distance."""
+
+
+class Faults:
+    """What goes wrong, where and when."""
+
+    def __init__(self, faults: Sequence[FaultConfig]) -> None:
+        self._faults = faults
+
+    def now(self, target: str) -> FaultConfig | None:
+        """The fault of the target that is on now, the first one where there are several."""
+        now_s = asyncio.get_running_loop().time()
+        for fault in self._faults:
+            if fault.target == target and fault.from_s <= now_s < fault.to_s and _is_on(fault, now_s):
+                return fault
+        return None
+
+
+def _is_on(fault: FaultConfig, now_s: float) -> bool:
+    return fault.kind != "flapping" or int((now_s - fault.from_s) / _FLAP_S) % 2 == 0
+
+
+class Wire:
+    """Between the drone and its own services: no distance, no time."""
+
+    def connected(self, server: str) -> bool:
+        """Always."""
+        return True
+
+    async def send(self, server: str, path: str, *, reply: bool) -> None:
+        """At once."""
+
+
+class Radio:
+    """Between the drone and the servers: nothing arrives out of range, and bytes take their time."""
+
+    def __init__(
+        self,
+        areas: Mapping[str, Circle],
+        goodputs: Mapping[str, Goodput | None],
+        services: Sequence[ServiceConfig],
+        *,
+        faults: Faults,
+        position: Callable[[], Position],
+    ) -> None:
+        self._areas = areas
+        self._goodputs = goodputs
+        self._services = {f"/upwash.service.{service.name}/": service for service in services}
+        self._faults = faults
+        self._position = position
+
+    def connected(self, server: str) -> bool:
+        """Whether the drone is in range and the link is not down."""
+        fault = self._faults.now(f"link:{server}")
+        down = fault is not None and fault.kind != "slow"
+        return not down and self._areas[server].contains(self._position())
+
+    async def send(self, server: str, path: str, *, reply: bool) -> None:
+        """The transfer time at the drone's distance; what is no service's call is too small to count."""
+        fault = self._faults.now(f"link:{server}")
+        if fault is not None and fault.kind == "slow":
+            await asyncio.sleep(fault.extra_s / 2)
+        goodput = self._goodputs[server]
+        service = self._services.get(path[: path.rfind("/") + 1])
+        if goodput is None or service is None:
+            return
+        distance_m = ground_distance_m(self._position(), self._areas[server].centre)
+        data_bytes = service.reply_bytes if reply else service.request_bytes
+        await asyncio.sleep(goodput.transfer_s(data_bytes, distance_m))
+
+
+class DroneComputer:
+    """Runs the drone's own services: at the profiled delays, slower the hotter it gets."""
+
+    def __init__(
+        self, services: Sequence[ServiceConfig], *, heat: Heat | None, noise: float, chance: Chance
+    ) -> None:
+        self._services = {service.name: service for service in services}
+        self._cold = set(self._services)
+        self._heat = heat
+        self._noise = noise
+        self._chance = chance
+
+    async def start(self, spec: InstanceSpec) -> None:
+        """Before the mission: no time of it."""
+
+    async def compute(self, spec: InstanceSpec, operation: Operation) -> None:
+        """The profiled delay, with the extra of the first call."""
+        service = self._services[spec.service]
+        call_s = delay_of(operation, service.local_call_s)
+        call_s *= self._chance.factor(f"call/local/{operation}", self._noise)
+        if spec.service in self._cold:
+            self._cold.remove(spec.service)
+            call_s += service.local_first_extra_s
+        if self._heat is not None:
+            call_s = self._heat.work(call_s, now_s=asyncio.get_running_loop().time())
+        await asyncio.sleep(call_s)
+
+
+class ServerComputer:
+    """Runs the services of one server: as true as the scenario says, and as faulty."""
+
+    def __init__(
+        self, name: str, truth: ServerTruth, *, faults: Faults, noise: float, chance: Chance
+    ) -> None:
+        self._name = name
+        self._truth = truth
+        self._faults = faults
+        self._noise = noise
+        self._chance = chance
+
+    async def start(self, spec: InstanceSpec) -> None:
+        """The cold start."""
+        await self._suffer()
+        await asyncio.sleep(self._truth.start_s)
+
+    async def compute(self, spec: InstanceSpec, operation: Operation) -> None:
+        """The true delay of a call: end to end where the scenario says it so, else the processing alone."""
+        await self._suffer()
+        told = self._truth.remote_call_s.get(spec.service, {})
+        source = told or self._truth.processing_s[spec.service]
+        call_s = delay_of(operation, source)
+        await asyncio.sleep(call_s * self._chance.factor(f"call/{self._name}/{operation}", self._noise))
+
+    async def _suffer(self) -> None:
+        fault = self._faults.now(self._name)
+        if fault is None:
+            return
+        if fault.kind == "slow":
+            await asyncio.sleep(fault.extra_s)
+        else:
+            await never()
+
+
+async def never() -> NoReturn:
+    """Waits until it is cancelled."""
+    await asyncio.get_running_loop().create_future()
+    raise AssertionError("nobody settles this future")
+
+
+def delay_of(operation: Operation, delays_s: Mapping[str, float]) -> float:
+    """The delay of an operation in a table by profile key, by method, or of a single number."""
+    for key in (operation.key, operation.method, ""):
+        if key in delays_s:
+            return delays_s[key]
+    raise KeyError(f"no delay of {operation} among {', '.join(delays_s)}")

@@ -1,0 +1,295 @@
+"""The command line: what it prints, and how it ends, above all when something is wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.system
+
+COMMANDS = ("fly", "serve", "keys", "vehicle", "demo")
+HEAVY = {"cv2", "numpy", "grpc", "pymavlink", "onnxruntime", "matplotlib", "cryptography", "rich"}
+
+DRONE = """
+name = "heron"
+[mission]
+home = { latitude_deg = 39.3666, longitude_deg = 22.9507 }
+waypoints_m = [[0, 0]]
+[autopilot]
+connection = "tcp:127.0.0.1:1"
+[camera]
+folder = "photos"
+[[service]]
+name = "detector"
+local_call_s = { light = 1.0, heavy = 3.0 }
+[[server]]
+name = "s1"
+east_m = 0.0
+north_m = 0.0
+range_m = 50.0
+network = "s1-net"
+address = "127.0.0.1:7070"
+check_s = 3.5
+check_running_s = 1.0
+remote_call_s = { light = 0.3, heavy = 0.3 }
+"""
+
+
+def upwash(*arguments: str, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Runs the command to its end, in the folder."""
+    command = [sys.executable, "-m", "upwash", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=folder, check=False)
+
+
+def complaint(ended: subprocess.CompletedProcess[str], code: int = 2) -> str:
+    """The one line that a command which could not do its work says, and nothing else."""
+    assert (ended.stdout, ended.returncode) == ("", code), ended.stderr
+    assert ended.stderr.startswith("upwash: ")
+    assert ended.stderr.count("\n") == 1
+    return ended.stderr.removeprefix("upwash: ").strip()
+
+
+@pytest.fixture
+def drone(tmp_path: Path) -> Path:
+    """A drone's configuration that can be flown but for its autopilot, which is not there."""
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos/0.jpg").write_bytes(b"a photo")
+    file = tmp_path / "drone.toml"
+    file.write_text(DRONE)
+    return file
+
+
+def loaded_by(code: str) -> set[str]:
+    script = f"{code}\nimport sys, json\nprint(json.dumps([name.partition('.')[0] for name in sys.modules]))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+# --- help and weight ----------------------------------------------------------------------------------------
+
+
+def test_help_names_every_command() -> None:
+    done = upwash("--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    for command in COMMANDS:
+        assert f"\n    {command} " in done.stdout
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_each_command_has_help(command: str) -> None:
+    done = upwash(command, "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"usage: upwash {command}")
+
+
+def test_the_installed_command_is_the_same() -> None:
+    script = Path(sys.executable).with_name("upwash")
+    done = subprocess.run([script, "--help"], capture_output=True, text=True, check=True)
+    assert done.stdout == upwash("--help").stdout
+
+
+def test_the_package_and_its_help_load_nothing_heavy() -> None:
+    assert not HEAVY & loaded_by("import upwash")
+    assert not HEAVY & loaded_by(
+        "from upwash.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass"
+    )
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (),
+        ("submarine",),
+        ("fly",),
+        ("serve",),
+        ("fly", "survey", "--config", "drone.toml", "--colour", "red"),
+        ("vehicle", "--home", "Volos"),
+        ("vehicle", "--home", "39.4"),
+        ("vehicle", "--acceleration", "fast"),
+    ],
+    ids=" ".join,
+)
+def test_arguments_that_do_not_fit_are_refused_with_the_usage(arguments: tuple[str, ...]) -> None:
+    done = upwash(*arguments)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("usage: upwash")
+    assert "Traceback" not in done.stderr
+
+
+# --- flying -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("mission", "said"),
+    [
+        ("surwey", "there is no mission 'surwey': the bundled ones are survey"),
+        ("missing.py:fly", "missing.py: FileNotFoundError"),
+        ("mission.py:land", "there is no land in mission.py"),
+        ("mission.py:HEIGHT_M", "is not a function"),
+        ("broken.py:fly", "SyntaxError"),
+        ("exiting.py:fly", "cannot be loaded from exiting.py"),
+    ],
+)
+def test_a_mission_that_is_not_there_is_named(drone: Path, mission: str, said: str) -> None:
+    (drone.parent / "mission.py").write_text("HEIGHT_M = 3\n")
+    (drone.parent / "broken.py").write_text("def fly(:\n")
+    (drone.parent / "exiting.py").write_text("import sys\nsys.exit()\n")
+    assert said in complaint(upwash("fly", mission, "--config", "drone.toml", folder=drone.parent))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[mission]", "[mission", "drone.toml: not valid TOML: "),
+        ("range_m", "rangem", "drone.toml: server[0].rangem: "),
+        ("range_m = 50.0", "range_m = -1", "drone.toml: server[0].range_m: "),
+        ("home = ", "#", "home"),
+        ("[autopilot]\nconnection = ", "#", "--autopilot"),
+        ("tcp:127.0.0.1:1", "pigeon", 'the autopilot cannot be reached at "pigeon"; write udpin:'),
+        ('folder = "photos"', 'folder = "paintings"', "there is no folder"),
+        ('name = "detector"', 'name = "submarine"', "service 'submarine' needs a program"),
+        ("127.0.0.1:7070", "10.10.1.1:7070", "server s1 at 10.10.1.1:7070 needs certificates"),
+        ('address = "127.0.0.1:7070"', "", "server s1 has no address"),
+        ("{ light = 1.0, heavy = 3.0 }", "1.0", "detector"),
+    ],
+)
+def test_a_configuration_that_cannot_be_flown_is_refused_before_anything_starts(
+    drone: Path, old: str, new: str, said: str
+) -> None:
+    assert old in DRONE
+    drone.write_text(DRONE.replace(old, new))
+    assert said in complaint(upwash("fly", "--config", "drone.toml", folder=drone.parent))
+
+
+def test_a_configuration_that_is_not_there_is_named(tmp_path: Path) -> None:
+    for command in ("fly", "serve"):
+        for name in ("missing.toml", "."):
+            assert complaint(upwash(command, "--config", name, folder=tmp_path)).startswith(f"{name}: ")
+
+
+@pytest.mark.parametrize(
+    ("authority", "name", "said"),
+    [
+        ("authority.pem", "stork", "the certificate is for stork, but this drone is called heron"),
+        ("other/authority.pem", "heron", "heron.pem: not issued by"),
+        ("missing.pem", "heron", "missing.pem: no such file"),
+        ("heron.key", "heron", "heron.key: not a PEM certificate"),
+    ],
+)
+def test_a_certificate_that_does_not_fit_is_refused(
+    drone: Path, keys: Path, authority: str, name: str, said: str
+) -> None:
+    lines = [
+        "[keys]",
+        f'authority = "{keys}/{authority}"',
+        f'certificate = "{keys}/{name}.pem"',
+        f'key = "{keys}/{name}.key"',
+    ]
+    drone.write_text(DRONE + "\n".join(lines))
+    assert said in complaint(upwash("fly", "--config", "drone.toml", folder=drone.parent))
+
+
+def test_a_log_that_cannot_be_written_is_named(drone: Path) -> None:
+    said = complaint(upwash("fly", "--config", "drone.toml", "--log", "drone.toml/log", folder=drone.parent))
+    assert said.startswith("cannot write the event log drone.toml/log: ")
+
+
+@pytest.mark.timeout(90)
+def test_an_autopilot_that_is_not_there_is_a_failure(drone: Path) -> None:
+    said = complaint(upwash("fly", "--config", "drone.toml", "--log", "log", folder=drone.parent), code=1)
+    assert "tcp:127.0.0.1:1" in said
+    assert not [file.name for file in drone.parent.iterdir() if file.suffix == ".sock"]
+
+
+# --- a vehicle ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_vehicle_says_where_it_listens_until_it_is_told_to_end(number: signal.Signals) -> None:
+    command = [sys.executable, "-m", "upwash", "vehicle", "--listen", "udp:127.0.0.1:0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as vehicle:
+        assert vehicle.stdout is not None
+        assert vehicle.stderr is not None
+        assert vehicle.stdout.readline().startswith("vehicle ready at udp:127.0.0.1:")
+        vehicle.send_signal(number)
+        assert vehicle.wait(timeout=10.0) == 0
+        assert vehicle.stderr.read() == ""
+
+
+def test_a_vehicle_that_cannot_listen_says_so() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert str(port) in complaint(upwash("vehicle", "--listen", f"tcp:127.0.0.1:{port}"))
+    assert "pigeon" in complaint(upwash("vehicle", "--listen", "pigeon"))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--acceleration", "0"),
+        ("--acceleration", "nan"),
+        ("--climb", "-1"),
+        ("--home", "91,0"),
+        ("--home", "nan,0"),
+    ],
+    ids=" ".join,
+)
+def test_a_vehicle_that_could_not_fly_is_refused(arguments: tuple[str, ...]) -> None:
+    command = [sys.executable, "-m", "upwash", "vehicle", "--listen", "udp:127.0.0.1:0", *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as vehicle:
+        assert vehicle.stdout is not None
+        said = vehicle.stdout.readline()
+        vehicle.terminate()
+        assert vehicle.wait(timeout=10.0) == 2
+        assert said == ""
+
+
+# --- keys ---------------------------------------------------------------------------------------------------
+
+
+def test_keys_prints_the_files_that_it_made_and_only_the_owner_reads_the_keys(tmp_path: Path) -> None:
+    previous = os.umask(0)
+    try:
+        done = upwash(
+            "keys", "keys", "--server", "s1,s2", "--drone", "heron", "--drone", "stork", folder=tmp_path
+        )
+    finally:
+        os.umask(previous)
+    assert (done.returncode, done.stderr) == (0, "")
+    names = [
+        f"{holder}{ending}" for holder in ("authority", "s1", "heron", "stork") for ending in (".pem", ".key")
+    ]
+    assert done.stdout.splitlines() == [f"keys/{name}" for name in names]
+    assert (tmp_path / "keys").stat().st_mode & 0o777 == 0o700
+    for name in names:
+        mode = (tmp_path / "keys" / name).stat().st_mode & 0o777
+        assert mode == (0o600 if name.endswith(".key") else 0o644)
+
+
+def test_keys_of_a_second_run_are_of_the_same_authority_and_nothing_is_overwritten(tmp_path: Path) -> None:
+    assert upwash("keys", ".", "--drone", "heron", folder=tmp_path).returncode == 0
+    second = upwash("keys", ".", "--server", "s1", folder=tmp_path)
+    assert second.stdout.splitlines() == ["s1.pem", "s1.key"]
+    assert "heron.key: already there" in complaint(upwash("keys", ".", "--drone", "heron", folder=tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "name at least one --server or --drone"),
+        (("--drone", "../heron"), '"../heron" cannot be a name'),
+        (("--drone", ""), '"" cannot be a name'),
+        (("--server", "s1,,s2"), '"" cannot be a name'),
+        (("--server", "s1", "--drone", "s1"), '"s1" is named twice'),
+    ],
+)
+def test_keys_that_cannot_be_made_are_refused(tmp_path: Path, arguments: tuple[str, ...], said: str) -> None:
+    assert said in complaint(upwash("keys", "keys", *arguments, folder=tmp_path))
+    assert list(tmp_path.iterdir()) == []
