@@ -1,0 +1,169 @@
+"""The demonstration, flown for real: real processes, real calls, real images, and real kills."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from upwash.demo import score_photos
+from upwash.flying import read_log
+from upwash.results import RunResult
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+
+WAYPOINTS = 12
+MARK = "UPWASH_TEST_MARK"
+
+
+@dataclass(frozen=True)
+class Process:
+    pid: int
+    parent: int
+    command: str
+
+
+@dataclass
+class Demonstration:
+    """`upwash demo` as a process, and everything that descends from it."""
+
+    folder: Path
+    mark: str
+    process: subprocess.Popen[bytes]
+
+    def events(self) -> list[dict[str, Any]]:
+        log = self.folder / "events.jsonl"
+        return [msgspec.json.decode(line) for line in log.read_bytes().splitlines()] if log.exists() else []
+
+    def wait_for(self, wanted: Callable[[dict[str, Any]], bool]) -> None:
+        while not any(map(wanted, self.events())):
+            assert self.process.poll() is None, "the demonstration ended too early"
+            time.sleep(0.05)
+
+    def processes(self) -> list[Process]:
+        """What runs of the demonstration, known by a mark in its environment."""
+        found = []
+        for entry in Path("/proc").iterdir():
+            if not entry.name.isdigit():
+                continue
+            try:
+                if f"{MARK}={self.mark}".encode() not in (entry / "environ").read_bytes():
+                    continue
+                command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+                state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
+            except OSError:
+                continue
+            if state != "Z":
+                found.append(Process(int(entry.name), int(parent), command))
+        return found
+
+    def daemons(self) -> list[Process]:
+        return [process for process in self.processes() if " serve " in process.command]
+
+    def instances(self, *, of: list[Process]) -> list[Process]:
+        parents = {process.pid for process in of}
+        return [
+            process
+            for process in self.processes()
+            if "upwash.real.instance" in process.command and process.parent in parents
+        ]
+
+    def finish(self) -> RunResult:
+        """Waits for the end; checks that the mission was whole and that nothing is left."""
+        output = self.process.communicate()[0].decode()
+        assert self.process.returncode == 0, output
+        assert "Traceback" not in output
+        assert self.processes() == []
+        result = read_log(self.folder / "events.jsonl")
+        assert result.completed
+        assert [call.waypoint for call in result.calls] == list(range(WAYPOINTS)), (
+            "one result for every photo"
+        )
+        score = score_photos(self.folder)
+        assert score.photos == WAYPOINTS
+        assert (score.found, score.false) == (score.true, 0), "each photo's own hot-spots were found"
+        return result
+
+
+@pytest.fixture
+def demonstration(tmp_path: Path) -> Iterator[Demonstration]:
+    mark = uuid.uuid4().hex
+    process = subprocess.Popen(
+        [sys.executable, "-m", "upwash", "demo", "--folder", str(tmp_path / "run")],
+        env={**os.environ, MARK: mark},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+    )
+    running = Demonstration(tmp_path / "run", mark, process)
+    try:
+        yield running
+    finally:
+        for each in running.processes():
+            os.kill(each.pid, signal.SIGKILL)
+        process.wait()
+        assert process.stdout is not None
+        process.stdout.close()
+
+
+def test_calls_run_on_the_drone_and_on_both_servers(demonstration: Demonstration) -> None:
+    result = demonstration.finish()
+    totals = result.totals
+    assert totals.local >= 1
+    assert set(totals.remote) == {"s1", "s2"}
+    assert totals.fallbacks == 0
+    local_only_s = result.local_only_time_s()
+    assert local_only_s is not None and result.mission_time_s < local_only_s
+
+
+def test_the_mission_survives_the_kill_of_both_daemons(demonstration: Demonstration) -> None:
+    demonstration.wait_for(lambda event: event["event"] == "arrived" and event["waypoint"] == 7)
+    daemons = demonstration.daemons()
+    assert len(daemons) == 2
+    for daemon in daemons:
+        os.kill(daemon.pid, signal.SIGKILL)
+    result = demonstration.finish()
+    after = [call for call in result.calls if call.waypoint is not None and call.waypoint >= 8]
+    assert {call.place for call in after} == {"local"}
+    assert any(call.place != "local" for call in result.calls[:7])
+
+
+def test_the_mission_survives_the_kill_of_instances(demonstration: Demonstration) -> None:
+    demonstration.wait_for(lambda event: event["event"] == "arrived" and event["waypoint"] == 2)
+    servers_instances = demonstration.instances(of=demonstration.daemons())
+    assert servers_instances, "s1 runs its detector by now"
+    for instance in servers_instances:
+        os.kill(instance.pid, signal.SIGKILL)
+    demonstration.wait_for(lambda event: event["event"] == "leg" and event["waypoint"] == 5)
+    (onboard,) = demonstration.instances(
+        of=[each for each in demonstration.processes() if each.pid == demonstration.process.pid]
+    )
+    os.kill(onboard.pid, signal.SIGKILL)
+    result = demonstration.finish()
+    assert result.totals.fallbacks == 1, "the call to the killed instance was answered on the drone"
+    events = [event["event"] for event in demonstration.events()]
+    assert "local_ended" in events
+    assert events.count("local_ready") == 2
+
+
+def test_ctrl_c_lands_the_drone_and_leaves_nothing_behind(demonstration: Demonstration) -> None:
+    demonstration.wait_for(lambda event: event["event"] == "arrived" and event["waypoint"] == 1)
+    demonstration.process.send_signal(signal.SIGINT)
+    output = demonstration.process.communicate()[0].decode()
+    assert demonstration.process.returncode == 130, output
+    assert "Traceback" not in output
+    assert demonstration.processes() == []
+    events = [event["event"] for event in demonstration.events()]
+    assert events[-1] == "mission_ended"
+    assert events.index("stopping") < events.index("safe_return") < events.index("landed")
