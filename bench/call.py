@@ -69,8 +69,13 @@ def main() -> None:
         delays_s = measure(place, LINK_ROUNDS)
     report(delays_s)
     over_rate = median(delays_s["remote"]) / BITS_OVER_RATE_S
-    print(f"bits / rate: {BITS_OVER_RATE_S * 1e3:.2f} ms")
-    print(verdict("upwash on the server / (bits / rate)", over_rate, MOST_OVER_RATE))
+    print(
+        verdict(
+            f"upwash on the server / {BITS_OVER_RATE_S * 1e3:.1f} ms of bits / rate",
+            over_rate,
+            MOST_OVER_RATE,
+        )
+    )
 
 
 def report(delays_s: dict[str, list[float]]) -> None:
@@ -102,7 +107,9 @@ def measure(place: Place, rounds: int) -> dict[str, list[float]]:
         (folder / "photo.jpg").write_bytes(os.urandom(REQUEST_BYTES))
         (folder / "daemon.toml").write_text(DAEMON.format(host=place.host))
         addresses = [
-            servers.enter_context(running((*place.server, sys.executable, "-m", *command)))
+            servers.enter_context(
+                running((*place.server, sys.executable, "-m", *command), log=folder / "servers.log")
+            )
             for command in (
                 ("bench.servers", "raw", place.host, name),
                 ("bench.servers", "grpc", place.host, name),
@@ -120,16 +127,17 @@ def measure(place: Place, rounds: int) -> dict[str, list[float]]:
 
 
 @contextlib.contextmanager
-def running(command: tuple[str, ...]) -> Iterator[str]:
+def running(command: tuple[str, ...], *, log: Path) -> Iterator[str]:
     """A server's process, as the address that it printed once it answered; ended at the end."""
-    with subprocess.Popen(
-        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    ) as process:
+    with (
+        log.open("a") as errors,
+        subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=errors, text=True) as process,
+    ):
         assert process.stdout is not None
         try:
             words = process.stdout.readline().split()
             if not words:
-                raise SystemExit(f"{' '.join(command)} did not start")
+                raise SystemExit(f"{' '.join(command)} did not start:\n{log.read_text()}")
             yield words[-1]
         finally:
             process.terminate()

@@ -102,7 +102,7 @@ async def fly(folder: Path, rounds: int, addresses: Addresses) -> dict[str, list
     def mission(drone: Drone) -> None:
         photo = drone.camera.take_photo()
         if not ready.wait(READY_S):
-            raise SystemExit(f"the edge server was not ready within {READY_S:.0f} s")
+            raise RuntimeError(f"the edge server was not ready within {READY_S:.0f} s")
         with raw_call(addresses.raw) as raw, grpc_call(addresses.grpc, credentials) as bare:
             contenders: dict[str, Call] = {
                 "raw": raw,
@@ -164,7 +164,7 @@ def _interleaved(contenders: Mapping[str, Call], photo: bytes, *, rounds: int) -
             reply = call(photo)
             delays_s[name].append(time.perf_counter() - began_s)
             if len(reply) != REPLY_BYTES or int(reply) != len(photo):
-                raise SystemExit(f"{name} answered {reply!r} to {len(photo)} bytes")
+                raise RuntimeError(f"{name} answered {reply!r} to {len(photo)} bytes")
     return delays_s
 
 
@@ -174,7 +174,7 @@ def _check_places(journal: Path, calls: int) -> None:
         events = [msgspec.json.decode(line) for line in lines]
     places = Counter((event["operation"], event["place"]) for event in events if event["event"] == "call")
     if places != {("echo.measure", "s1"): calls, ("onboardecho.measure", "local"): calls}:
-        raise SystemExit(f"the calls ran elsewhere: {dict(places)}")
+        raise RuntimeError(f"the calls ran elsewhere: {dict(places)}")
 
 
 if __name__ == "__main__":

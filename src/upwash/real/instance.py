@@ -6,6 +6,7 @@ and serves one call after the other, as services need not be safe for threads.
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import socket
@@ -22,6 +23,7 @@ from upwash.real.listener import Caller, Listener
 from upwash.service import Method, load_service, spec_of
 
 _CONCURRENT_CALLS = 8  # one runs, the others queue until their deadlines
+_REPORT_PERIOD_S = 1.0  # leases last far longer than this
 
 
 class ServiceInstance:
@@ -37,6 +39,7 @@ class ServiceInstance:
         self._control = control
         self._reporting = threading.Lock()
         self._admitted: frozenset[str] = frozenset()
+        self._reported_s: dict[str, float] = {}  # when each drone's calls were last reported
         credentials = (
             Credentials(begin.authority.encode(), begin.certificate.encode(), begin.key.encode())
             if begin.key
@@ -73,8 +76,10 @@ class ServiceInstance:
             raise Refused(f"drone {caller.drone or '(unnamed)'} has no lease here")
         if not caller.is_waiting():
             raise Refused("nobody waits for this call any more")
-        self._report(Called(caller.drone))
         began_s = time.monotonic()
+        if began_s - self._reported_s.get(caller.drone, -math.inf) >= _REPORT_PERIOD_S:
+            self._reported_s[caller.drone] = began_s
+            self._report(Called(caller.drone))
         key, reply = method.perform(self._target, body)
         short_s = self._pace_s.get(key, 0.0) - (time.monotonic() - began_s)
         if short_s > 0:

@@ -15,7 +15,7 @@ from upwash.errors import InstanceError, Refused
 from upwash.ports import InstanceSpec
 from upwash.protocol import service_path
 from upwash.service import Method, ServiceSpec
-from upwash.sim.link import Switchboard
+from upwash.sim.faults import Plugboard
 
 
 class Computer(Protocol):
@@ -32,18 +32,19 @@ class ModelRuntime:
     """Starts modelled instances of the services on a computer, plugged in at addresses of their own."""
 
     def __init__(
-        self, services: Mapping[str, ServiceSpec], computer: Computer, switchboard: Switchboard
+        self, services: Mapping[str, ServiceSpec], computer: Computer, switchboard: Plugboard
     ) -> None:
         self._services = services
         self._computer = computer
         self._switchboard = switchboard
         self._numbers = itertools.count()
+        self._instances: list[ModelInstance] = []
 
     async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> ModelInstance:
         """Returns when the instance is ready to serve."""
         await self._computer.start(spec)
         endpoint = f"{spec.name}#{next(self._numbers)}"
-        return ModelInstance(
+        instance = ModelInstance(
             spec,
             self._services[spec.service],
             endpoint,
@@ -51,6 +52,14 @@ class ModelRuntime:
             computer=self._computer,
             switchboard=self._switchboard,
         )
+        self._instances.append(instance)
+        return instance
+
+    def crash(self, how: str) -> None:
+        """Ends every instance at once."""
+        for instance in self._instances:
+            instance.crash(how)
+        self._instances.clear()
 
 
 class ModelInstance:
@@ -64,7 +73,7 @@ class ModelInstance:
         *,
         called: Callable[[str], None],
         computer: Computer,
-        switchboard: Switchboard,
+        switchboard: Plugboard,
     ) -> None:
         self.endpoint = endpoint
         self._spec = spec
@@ -103,8 +112,14 @@ class ModelInstance:
             raise Refused(f"drone {drone} has no lease here")
         async with self._busy:
             self._called(drone)
-            operation = Operation(self._spec.service, method.name, method.key_of(body))
-            await self._computer.compute(self._spec, operation)
+            try:
+                operation = Operation(self._spec.service, method.name, method.key_of(body))
+            except msgspec.MsgspecError:
+                return method.perform(None, body)[1]  # which says what is wrong with the arguments
+            try:
+                await self._computer.compute(self._spec, operation)
+            except InstanceError as error:
+                self.crash(str(error))
         if self._ended.done():
             raise InstanceError(f"{self._spec.name} {self._ended.result()}")
         return empty_reply(method)

@@ -1,0 +1,256 @@
+"""The edge daemon's program, on virtual time, with a runtime that does what a test tells it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
+
+import msgspec
+import pytest
+
+from upwash.core.instances import Host, HostSettings, ServerOffer
+from upwash.errors import InstanceError, Refused
+from upwash.ports import InstanceSpec
+from upwash.protocol import (
+    AVAILABILITY,
+    LEAVE,
+    START,
+    AvailabilityReply,
+    AvailabilityRequest,
+    LeaveRequest,
+    StartReply,
+    StartRequest,
+)
+from upwash.server import EdgeServer
+from upwash.sim.loop import run_virtually
+
+T = TypeVar("T")
+COLD_START_S = 8.0
+
+
+class Instance:
+    def __init__(self, endpoint: str) -> None:
+        self.endpoint = endpoint
+        self.admitted: frozenset[str] = frozenset()
+        self.ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        self.deaf = False
+
+    async def admit(self, drones: frozenset[str]) -> None:
+        if self.deaf:
+            raise InstanceError("does not answer its runtime")
+        self.admitted = drones
+
+    async def exited(self) -> str:
+        return await asyncio.shield(self.ended)
+
+    async def stop(self) -> None:
+        await asyncio.sleep(1.0)  # a real one takes its time as well
+        if not self.ended.done():
+            self.ended.set_result("stopped")
+
+
+class Runtime:
+    """Starts instances after COLD_START_S, unless `broken` says why it cannot."""
+
+    def __init__(self) -> None:
+        self.instances: list[Instance] = []
+        self.called: list[Callable[[str], None]] = []
+        self.broken = ""
+
+    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> Instance:
+        await asyncio.sleep(COLD_START_S)
+        if self.broken:
+            raise InstanceError(self.broken)
+        self.instances.append(Instance(f"{spec.name}#{len(self.instances)}"))
+        self.called.append(called)
+        return self.instances[-1]
+
+    def living(self) -> list[Instance]:
+        return [instance for instance in self.instances if not instance.ended.done()]
+
+
+class Daemon:
+    """An edge server and the drones that talk to it."""
+
+    def __init__(self, *, slots: int = 1, start_timeout_s: float = 60.0) -> None:
+        self.runtime = Runtime()
+        self.edge = EdgeServer(
+            Host(
+                {"s1": ServerOffer(frozenset({"detector"}), slots)}, HostSettings(lease_s=30, idle_stop_s=100)
+            ),
+            programs={"detector": "somewhere:Detector"},
+            runtime=self.runtime,
+            start_timeout_s=start_timeout_s,
+        )
+
+    async def ask(self, drone: str = "d1") -> AvailabilityReply:
+        request = AvailabilityRequest("s1", ["detector"])
+        reply = await self.edge.handle(AVAILABILITY, msgspec.msgpack.encode(request), drone)
+        return msgspec.msgpack.decode(reply, type=AvailabilityReply)
+
+    async def start(self, drone: str = "d1") -> StartReply:
+        request = StartRequest("s1", "detector")
+        reply = await self.edge.handle(START, msgspec.msgpack.encode(request), drone)
+        return msgspec.msgpack.decode(reply, type=StartReply)
+
+    async def leave(self, drone: str = "d1") -> None:
+        await self.edge.handle(LEAVE, msgspec.msgpack.encode(LeaveRequest("s1")), drone)
+
+
+def serve(story: Callable[[Daemon], Coroutine[Any, Any, T]], **settings: Any) -> T:
+    """Runs a story with a daemon that looks after itself, and checks that it leaves no instance."""
+
+    async def run() -> T:
+        daemon = Daemon(**settings)
+        looking = asyncio.create_task(daemon.edge.run())
+        try:
+            return await story(daemon)
+        finally:
+            looking.cancel()
+            await daemon.edge.close()
+            assert daemon.runtime.living() == [], "an instance outlived its daemon"
+
+    return run_virtually(run())
+
+
+def test_a_cold_start_is_answered_when_the_service_is_ready() -> None:
+    async def story(daemon: Daemon) -> None:
+        assert (await daemon.ask()).endpoints == {}
+        reply = await daemon.start()
+        assert asyncio.get_running_loop().time() == pytest.approx(COLD_START_S)
+        assert (await daemon.ask()).endpoints == {"detector": reply.endpoint}
+
+    serve(story)
+
+
+def test_two_starts_at_once_make_one_instance() -> None:
+    async def story(daemon: Daemon) -> None:
+        first, second = await asyncio.gather(daemon.start("d1"), daemon.start("d2"))
+        assert first.endpoint == second.endpoint != ""
+        assert len(daemon.runtime.instances) == 1
+
+    serve(story, slots=2)
+
+
+def test_an_instance_admits_exactly_those_with_a_lease() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        (instance,) = daemon.runtime.instances
+        assert instance.admitted == {"d1"}
+        await daemon.ask("d2")
+        assert instance.admitted == {"d1", "d2"}
+        await daemon.leave("d1")
+        assert instance.admitted == {"d2"}
+        await asyncio.sleep(31)
+        assert instance.admitted == frozenset(), "the lease of a silent drone ends by itself"
+
+    serve(story, slots=2)
+
+
+def test_calls_keep_a_lease_alive() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        for _ in range(10):
+            await asyncio.sleep(20)
+            daemon.runtime.called[0]("d1")
+        assert daemon.runtime.instances[0].admitted == {"d1"}
+
+    serve(story)
+
+
+def test_without_a_free_slot_the_answer_is_no_with_the_reason() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        refused = await daemon.ask("d2")
+        assert not refused.available
+        assert "no free slot" in refused.reason
+        assert "no free slot" in (await daemon.start("d2")).reason
+        await daemon.leave("d1")
+        assert (await daemon.ask("d2")).available
+
+    serve(story)
+
+
+def test_a_start_that_fails_is_answered_with_its_reason_and_may_be_tried_again() -> None:
+    async def story(daemon: Daemon) -> None:
+        daemon.runtime.broken = "no such model"
+        assert (await daemon.start()).reason == "no such model"
+        daemon.runtime.broken = ""
+        assert (await daemon.start()).endpoint
+
+    serve(story)
+
+
+def test_a_start_that_takes_too_long_is_given_up() -> None:
+    async def story(daemon: Daemon) -> None:
+        reply = await daemon.start()
+        assert "not ready within 5 s" in reply.reason
+        assert asyncio.get_running_loop().time() == pytest.approx(5.0)
+
+    serve(story, start_timeout_s=5.0)
+
+
+def test_a_crashed_instance_is_absent_and_started_again_on_request() -> None:
+    async def story(daemon: Daemon) -> None:
+        first = await daemon.start()
+        daemon.runtime.instances[0].ended.set_result("killed by SIGKILL")
+        await asyncio.sleep(0.1)
+        assert (await daemon.ask()).endpoints == {}
+        second = await daemon.start()
+        assert second.endpoint not in ("", first.endpoint)
+
+    serve(story)
+
+
+def test_an_idle_instance_is_stopped_and_a_start_meanwhile_waits_for_a_new_one() -> None:
+    async def story(daemon: Daemon) -> None:
+        first = await daemon.start()
+        await daemon.leave()
+        await asyncio.sleep(100.5)  # idle_stop_s, and a look; it takes another second to stop
+        assert len(daemon.runtime.living()) == 1
+        second = await daemon.start()
+        assert second.endpoint not in ("", first.endpoint)
+        assert len(daemon.runtime.living()) == 1
+
+    serve(story)
+
+
+def test_an_instance_that_cannot_be_told_whom_to_admit_is_stopped() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        daemon.runtime.instances[0].deaf = True
+        await daemon.ask("d2")
+        await asyncio.sleep(2)
+        assert daemon.runtime.living() == []
+
+    serve(story, slots=2)
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "drone", "reason"),
+    [
+        (AVAILABILITY, b"\xc1garbage", "d1", "undecodable"),
+        (AVAILABILITY, msgspec.msgpack.encode({"server": "s1"}), "d1", "undecodable"),
+        (AVAILABILITY, msgspec.msgpack.encode(AvailabilityRequest("s1", [])), "", "names no drone"),
+        ("/upwash.Daemon/Reboot", b"", "d1", "no such request"),
+    ],
+)
+def test_what_is_not_understood_is_refused(path: str, body: bytes, drone: str, reason: str) -> None:
+    async def story(daemon: Daemon) -> None:
+        with pytest.raises(Refused, match=reason):
+            await daemon.edge.handle(path, body, drone)
+
+    serve(story)
+
+
+def test_a_server_that_is_not_here_is_named_with_those_that_are() -> None:
+    async def story(daemon: Daemon) -> None:
+        request = msgspec.msgpack.encode(AvailabilityRequest("s9", ["detector"]))
+        reply = msgspec.msgpack.decode(
+            await daemon.edge.handle(AVAILABILITY, request, "d1"), type=AvailabilityReply
+        )
+        assert not reply.available
+        assert "s9" in reply.reason and "s1" in reply.reason
+
+    serve(story)

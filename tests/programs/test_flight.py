@@ -1,0 +1,157 @@
+"""Whole flights of the drone program, on virtual time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from upwash import Drone
+from upwash.config import read_drone_config
+from upwash.lab.run import Run, simulate
+from upwash.services import Detector
+
+# One server whose range holds the waypoints at 40 and 60 m; legs of 20 m take 9 s.
+SCENARIO = """
+[mission]
+program = "{program}"
+mode = "heavy"
+waypoints_m = [[0, 0], [20, 0], [40, 0], [60, 0], [80, 0], [100, 0]]
+[[service]]
+name = "detector"
+local_call_s = {{ light = 3.0, heavy = 10.0 }}
+[[server]]
+name = "s1"
+east_m = 50.0
+north_m = 0.0
+range_m = 20.0
+check_s = {check_s}
+check_running_s = 3.5
+remote_call_s = {{ light = 0.3, heavy = 0.7 }}
+[server.truth]
+{truth}
+"""
+
+
+def fly(
+    tmp_path: Path, program: str = "survey", *, truth: str = "", check_s: float = 11.5, more: str = ""
+) -> Run:
+    file = tmp_path / "scenario.toml"
+    file.write_text(SCENARIO.format(program=program, truth=truth, check_s=check_s) + more)
+    return simulate(read_drone_config(file))
+
+
+def events(run: Run, name: str) -> list[dict[str, Any]]:
+    return [event for event in run.events if event["event"] == name]
+
+
+def places(run: Run) -> list[str]:
+    return [call.place for call in run.result.calls]
+
+
+def test_calls_run_on_the_server_within_its_range_and_on_the_drone_elsewhere(tmp_path: Path) -> None:
+    run = fly(tmp_path, truth="join_s = 1.0\nstart_s = 1.0")
+    assert run.failure == ""
+    assert places(run) == ["local", "local", "s1", "s1", "local", "local"]
+    assert [round(call.delay_s, 3) for call in run.result.calls] == [10, 10, 0.7, 0.7, 10, 10]
+
+
+def test_a_call_waits_for_a_check_that_is_nearly_over(tmp_path: Path) -> None:
+    # The range begins 10 m before waypoint 2: 4.5 s of flight and 1 s of photo later the check has 6 s to go.
+    run = fly(tmp_path)
+    call = run.result.calls[2]
+    assert call.place == "s1"
+    assert call.waited_s == pytest.approx(6.0, abs=0.01)
+    assert call.delay_s == pytest.approx(call.waited_s + 0.7)
+    assert (run.result.totals.waits, run.result.totals.waits_failed) == (1, 0)
+
+
+def test_a_wait_in_vain_is_bounded_and_ends_on_the_drone(tmp_path: Path) -> None:
+    run = fly(tmp_path, truth="start_s = 25.0")
+    call = run.result.calls[2]
+    assert call.place == "local"
+    assert call.waited_s == pytest.approx(10 * 0.75 - 0.7)
+    assert call.delay_s == pytest.approx(call.waited_s + 10)
+    assert run.result.totals.waits_failed == 1
+
+
+def test_a_wait_that_cannot_pay_off_is_not_begun(tmp_path: Path) -> None:
+    run = fly(tmp_path, check_s=40.0, truth="join_s = 1.0\nstart_s = 30.0")
+    assert run.result.totals.waits == 0
+    assert run.result.calls[2].place == "local"
+
+
+def test_remote_calls_that_fail_are_answered_on_the_drone_and_blacklist_the_server(tmp_path: Path) -> None:
+    run = fly(
+        tmp_path,
+        truth="join_s = 1.0\nstart_s = 1.0",
+        more='[[fault]]\ntarget = "link:s1"\nkind = "off"\nfrom_s = 50.0\n',
+    )
+    call = run.result.calls[2]
+    assert call.place == "local"
+    assert run.result.totals.fallbacks == 1
+    assert call.delay_s == pytest.approx(4 * 0.7 + 10), "the deadline, and one local call"
+    (blacklisted,) = events(run, "call_failed_in_range")
+    assert blacklisted["after"] == "BLACKLISTED"
+    assert run.result.completed
+
+
+def test_a_server_without_the_image_is_left_alone(tmp_path: Path) -> None:
+    run = fly(tmp_path, truth="images = []")
+    assert set(places(run)) == {"local"}
+    assert "no image of detector" in events(run, "check_failed")[0]["why"]
+
+
+def test_every_decision_is_logged_with_its_inputs(tmp_path: Path) -> None:
+    run = fly(tmp_path)
+    decided = [event for event in events(run, "decided") if event["decision"] == "wait"]
+    assert len(decided) == 1
+    for name in ("local_s", "remote_s", "check_s", "check_elapsed_s", "state", "position", "at_most_s"):
+        assert decided[0][name] is not None, name
+
+
+def fail_in_the_air(drone: Drone) -> None:
+    drone.autopilot.arm()
+    drone.autopilot.takeoff(10)
+    drone.autopilot.goto(drone.plan[3])
+    raise ValueError("the mission has a bug")
+
+
+def fail_on_the_ground(drone: Drone) -> None:
+    raise ValueError("the mission has a bug")
+
+
+def forget_to_land(drone: Drone) -> None:
+    drone.autopilot.arm()
+    drone.autopilot.takeoff(10)
+
+
+def look_at_a_broken_photo(drone: Drone) -> None:
+    detector = drone.service(Detector)
+    with pytest.raises(TypeError, match="process_photo"):
+        detector.process_photo("no bytes", mode="heavy")  # type: ignore[arg-type]
+
+
+def here(mission: Any) -> str:
+    return f"{__file__}:{mission.__name__}"
+
+
+def test_a_mission_that_raises_in_the_air_is_brought_home(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="has a bug"):
+        fly(tmp_path, here(fail_in_the_air))
+
+
+def test_a_mission_that_raises_on_the_ground_moves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="has a bug"):
+        fly(tmp_path, here(fail_on_the_ground))
+
+
+def test_a_mission_that_ends_in_the_air_is_landed(tmp_path: Path) -> None:
+    run = fly(tmp_path, here(forget_to_land))
+    names = [event["event"] for event in run.events]
+    assert names.index("safe_return") < names.index("landed")
+
+
+def test_a_wrong_argument_is_the_missions_own_error(tmp_path: Path) -> None:
+    assert fly(tmp_path, here(look_at_a_broken_photo)).failure == ""
