@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import Literal
 
-from upwash import service as services
+from upwash.service import service
 
 Mode = Literal["light", "heavy"]
 
@@ -19,7 +19,7 @@ class Overheated(Exception):
         super().__init__(f"{temperature_c} °C")
 
 
-@services.service(profile_by="mode")
+@service(profile_by="mode")
 class Workbench:
     def echo(self, data: bytes) -> bytes:
         return data
@@ -73,7 +73,7 @@ class Workbench:
         sys.stdout.flush()
 
 
-@services.service
+@service
 class Unstartable:
     def __init__(self) -> None:
         raise OSError("model.onnx is missing")
@@ -82,7 +82,7 @@ class Unstartable:
         """Never reached."""
 
 
-@services.service
+@service
 class SlowToStart:
     def __init__(self) -> None:
         Path(os.environ["PROCESS_ID_FILE"]).write_text(f"{os.getpid()}\n")

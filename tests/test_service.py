@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import importlib
 import sys
 import types
 from collections.abc import Callable, Iterator
@@ -494,9 +495,10 @@ def test_a_reply_does_not_run_a_program_of_the_services_own_package(
     (package / "errors.py").write_text("class Blind(Exception): ...\n")
     monkeypatch.syspath_prepend(tmp_path)
     method = spec_of(load_service("package_for_tests:Eyes")).methods["look"]
-    for module in ("__main__", "broken"):
+    for module in ("__main__", "broken", "errors"):
         with pytest.raises(ServiceError):
-            method.result(method.decode(fault(f"package_for_tests.{module}:Fault")))
+            method.result(method.decode(fault(f"package_for_tests.{module}:Blind")))
+    importlib.import_module("package_for_tests.errors")  # as the service's own module would have
     with pytest.raises(Exception, match="hot") as caught:
         method.result(method.decode(fault("package_for_tests.errors:Blind")))
     assert type(caught.value).__name__ == "Blind"

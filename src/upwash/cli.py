@@ -16,6 +16,7 @@ _OK, _FAILURE, _USAGE, _INTERRUPTED = 0, 1, 2, 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns 0 when it did what it should, 2 for bad usage, 1 for any other failure."""
     options = _parser().parse_args(arguments)
+    sys.path.append(str(Path.cwd()))  # so that `my_mission:fly` is found, as `python -m` would find it
     try:
         done: int = options.run(options)
     except UsageError as error:
@@ -73,6 +74,30 @@ def _parser() -> argparse.ArgumentParser:
     demo = commands.add_parser("demo", help="fly the demonstration: a survey over two edge servers, all here")
     demo.add_argument("--folder", type=Path, help="where everything of the run goes (default: runs/TIME)")
     demo.set_defaults(run=_demo)
+
+    simulate = commands.add_parser("simulate", help="simulate one mission on virtual time")
+    simulate.add_argument("scenario", type=Path, help="the scenario, a TOML file")
+    simulate.add_argument(
+        "--policy",
+        choices=("local-only", "opportunistic", "location-aware"),
+        help="instead of the scenario's",
+    )
+    simulate.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
+    simulate.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    simulate.add_argument(
+        "--log", type=Path, metavar="FILE", help="where the event log goes (default: nowhere)"
+    )
+    simulate.add_argument(
+        "--figures", type=Path, metavar="DIR", help="draw the map and the call delays there"
+    )
+    simulate.set_defaults(run=_simulate)
+
+    reproduce = commands.add_parser("reproduce", help="fly the thesis's experiments, beside what it printed")
+    reproduce.add_argument(
+        "--seeds", type=_count, default=30, metavar="N", help="missions per cell (default: 30)"
+    )
+    reproduce.add_argument("--figures", type=Path, metavar="DIR", help="draw the figures 4.4 to 4.12 there")
+    reproduce.set_defaults(run=_reproduce)
     return parser
 
 
@@ -83,7 +108,17 @@ def _place(text: str) -> tuple[float, float]:
         raise argparse.ArgumentTypeError(
             f"{text!r} is not LAT,LON in degrees, such as 39.3666,22.9507"
         ) from None
+    if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no place: latitudes go from -90 to 90, longitudes to 180 degrees"
+        )
     return latitude_deg, longitude_deg
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 on")
+    return int(text)
 
 
 def _fly(options: argparse.Namespace) -> int:
@@ -147,6 +182,27 @@ def _demo(options: argparse.Namespace) -> int:
     from upwash.demo import fly_demonstration
 
     fly_demonstration(options.folder or _run_folder())
+    return _OK
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from upwash.lab.simulation import simulate_scenario
+
+    simulate_scenario(
+        options.scenario,
+        policy=options.policy,
+        seed=options.seed,
+        as_json=options.json,
+        log=options.log,
+        figures=options.figures,
+    )
+    return _OK
+
+
+def _reproduce(options: argparse.Namespace) -> int:
+    from upwash.lab.reproduction import show_reproduction
+
+    show_reproduction(seeds=options.seeds, figures=options.figures)
     return _OK
 
 

@@ -11,13 +11,19 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 
 from upwash.bundled import bundled_service, load_configured_services, load_mission, service_program
-from upwash.config import DaemonConfig, DroneConfig, KeysConfig, server_position, server_truth
+from upwash.config import (
+    DaemonConfig,
+    DroneConfig,
+    KeysConfig,
+    is_on_this_machine,
+    server_position,
+    server_truth,
+)
 from upwash.core.geo import Circle, GeoPosition, LocalFrame
 from upwash.core.instances import Host, HostSettings, ServerOffer
 from upwash.drone import Flight, World
 from upwash.errors import CredentialsError, Refused, UsageError
 from upwash.ports import Autopilot, InstanceSpec, Journal, Network
-from upwash.protocol import is_on_this_machine
 from upwash.real.autopilot import connect_autopilot
 from upwash.real.camera import FolderCamera
 from upwash.real.credentials import Credentials, read_credentials

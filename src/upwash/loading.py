@@ -18,7 +18,7 @@ def load(program: str) -> object:
         raise UsageError(f"{program!r}: write it as package.module:Name or path/to/file.py:Name")
     try:
         module = _load_file(Path(module_path)) if module_path.endswith(".py") else _import(module_path)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise UsageError(
             f"{program!r} cannot be loaded from {module_path}: {type(error).__name__}: {error}"
         ) from error

@@ -74,7 +74,11 @@ class MissionThread:
 
         thread = threading.Thread(target=body, name="mission", daemon=True)
         self._give_turn(thread.start)
-        failure = await ended
+        try:
+            failure = await ended
+        except asyncio.CancelledError:
+            self.stop("the flight was cancelled")
+            raise
         if failure is not None:
             raise failure
 

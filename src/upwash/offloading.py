@@ -196,9 +196,7 @@ class Offloading:
             why=change.why,
             local_mean_call_s=estimates.mean_call_s(),
             mean_call_s={
-                name: estimates.mean_call_s(name)
-                for name, server in self._selection.servers.items()
-                if server.in_range
+                server.name: estimates.mean_call_s(server.name) for server in self._selection.in_range
             },
             position=msgspec.to_builtins(self._autopilot.position),
         )
@@ -242,9 +240,9 @@ class Offloading:
         while True:
             self._tell(Looked())
             self._look_now.clear()
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(self._period_s):
-                    await self._look_now.wait()
+            alarm = asyncio.get_running_loop().call_later(self._period_s, self._look_now.set)
+            await self._look_now.wait()
+            alarm.cancel()
 
     async def _watch_borders(self) -> None:
         areas = [server.area for server in self._selection.servers.values()]

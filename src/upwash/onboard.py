@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from upwash.errors import InstanceError, LinkError
+from upwash.errors import InstanceError, LinkError, Refused
 from upwash.ports import Dialer, Instance, InstanceSpec, Journal, Link, Runtime
 from upwash.protocol import service_path
 
@@ -72,6 +72,8 @@ class _OnboardService:
     async def call(self, method: str, request: bytes, *, timeout_s: float) -> bytes:
         try:
             return await self._attempt(method, request, timeout_s)
+        except Refused as error:  # it is well, and would refuse again
+            raise InstanceError(f"{self._spec.service} on the drone: {error}") from error
         except LinkError as error:
             self._journal.record("local_failed", service=self._spec.service, method=method, why=str(error))
         try:
@@ -94,6 +96,8 @@ class _OnboardService:
         path = service_path(self._spec.service, method)
         try:
             return await running.link.request(path, request, timeout_s=timeout_s)
+        except Refused:
+            raise
         except LinkError:
             self._forget(running)
             await running.instance.stop()  # it may hang, with the call still running

@@ -12,6 +12,7 @@ from typing import TypeVar
 import msgspec
 
 from upwash.errors import GarbledReply
+from upwash.wire import decode
 
 AVAILABILITY = "/upwash.Daemon/Availability"
 START = "/upwash.Daemon/Start"
@@ -71,7 +72,7 @@ def service_path(service: str, method: str) -> str:
 def decode_reply(reply: bytes, expected: type[T], *, sender: str) -> T:
     """A daemon's reply as a value; raises GarbledReply naming the sender."""
     try:
-        return msgspec.msgpack.decode(reply, type=expected)
+        return decode(reply, msgspec.msgpack.Decoder(expected))
     except msgspec.MsgspecError as error:
         raise GarbledReply(f"{sender} sent a reply that cannot be decoded: {error}") from error
 
@@ -81,9 +82,3 @@ def resolve(endpoint: str, daemon_address: str) -> str:
     if endpoint.startswith(":"):
         return daemon_address.rpartition(":")[0] + endpoint
     return endpoint
-
-
-def is_on_this_machine(address: str) -> bool:
-    """Whether an address is a unix socket or of the loopback interface."""
-    host = address.rpartition(":")[0].strip("[]")
-    return address.startswith("unix:") or host in ("localhost", "::1") or host.startswith("127.")

@@ -54,14 +54,14 @@ class RunResult(msgspec.Struct, frozen=True):
 
 
 def read_result(events: Iterable[Mapping[str, Any]]) -> RunResult:
-    """The result of the run that left these events, whether it was completed or not."""
+    """The result of the run that left these events, the last of several, whether it was completed or not."""
     policy, began_s, ended_s, completed = "", 0.0, 0.0, False
     waypoint: int | None = None
     calls: list[CallResult] = []
     visited: list[str] = []
     waits: list[str] = []
     fallbacks = 0
-    for event in events:
+    for event in _last_run(events):
         ended_s = event["t"]
         match event["event"]:
             case "mission_started":
@@ -98,6 +98,15 @@ def read_result(events: Iterable[Mapping[str, Any]]) -> RunResult:
             service_delay_s=sum(call.delay_s for call in calls),
         ),
     )
+
+
+def _last_run(events: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    run: list[Mapping[str, Any]] = []
+    for event in events:
+        if event["event"] == "log_opened":
+            run = []
+        run.append(event)
+    return run
 
 
 def _call(event: Mapping[str, Any], waypoint: int | None, began_s: float) -> CallResult:

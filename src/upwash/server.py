@@ -33,6 +33,7 @@ from upwash.protocol import (
     StartReply,
     StartRequest,
 )
+from upwash.wire import decode
 
 _log = logging.getLogger("upwash.server")
 _LOOK_PERIOD_S = 1.0
@@ -181,6 +182,6 @@ class EdgeServer:
 
 def _decode(body: bytes, expected: type[T]) -> T:
     try:
-        return msgspec.msgpack.decode(body, type=expected)
+        return decode(body, msgspec.msgpack.Decoder(expected))
     except msgspec.MsgspecError as error:
         raise Refused(f"undecodable request: {error}") from error

@@ -12,13 +12,12 @@ parameter name to value, a reply a map with either `value` or `fault`. Services 
 from __future__ import annotations
 
 import enum
-import importlib
 import inspect
 import sys
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 from typing import Any, TypeVar, cast, overload
 
 import msgspec
@@ -26,8 +25,9 @@ from msgspec import UNSET, UnsetType
 from msgspec import inspect as types
 
 from upwash.core.estimates import Operation
-from upwash.errors import DeclarationError, GarbledReply, ServiceError, UsageError
+from upwash.errors import DeclarationError, GarbledReply, ServiceError, UpwashError, UsageError
 from upwash.loading import load
+from upwash.wire import decode
 
 T = TypeVar("T")
 _PLAIN = (str, int, float, bool, type(None))
@@ -52,7 +52,6 @@ class Method:
     request: msgspec.msgpack.Decoder[Any]
     reply_type: Callable[..., Any]
     reply: msgspec.msgpack.Decoder[Any]
-    package: str  # where the service's own exceptions live
 
     def encode(self, args: tuple[object, ...], kwargs: Mapping[str, object]) -> tuple[str, bytes]:
         """The profile key and the request of a call with these arguments; raises TypeError as the call would."""
@@ -62,27 +61,25 @@ class Method:
 
     def perform(self, target: object, request: bytes) -> tuple[str, bytes]:
         """Runs the call on a service object; returns its profile key, and its value or exception as a reply."""
-        key = ""
         try:
-            decoded = self.request.decode(request)
-            arguments = {name: getattr(decoded, name) for name in self.signature.parameters}
-            key = self._key(arguments)
+            arguments = self._arguments(request)
+        except msgspec.MsgspecError as error:
+            return "", _encode_fault(TypeError(f"{self.name}(): {error}"))
+        key = self._key(arguments)
+        try:
             value = getattr(target, self.name)(**arguments)
             return key, msgspec.msgpack.encode(self.reply_type(value=value))
-        except msgspec.ValidationError as error:
-            return key, _encode_fault(TypeError(f"{self.name}(): {error}"))
-        except Exception as error:  # noqa: BLE001 - whatever the service raises belongs to the caller
+        except BaseException as error:  # noqa: BLE001 - whatever the service raises, sys.exit() too, is the caller's
             return key, _encode_fault(error)
 
     def key_of(self, request: bytes) -> str:
         """The profile key of a request; raises msgspec.MsgspecError for anything else."""
-        decoded = self.request.decode(request)
-        return self._key({name: getattr(decoded, name) for name in self.signature.parameters})
+        return self._key(self._arguments(request))
 
     def decode(self, reply: bytes) -> Any:
         """A reply, checked against the type hints; raises GarbledReply for anything else."""
         try:
-            decoded = self.reply.decode(reply)
+            decoded = decode(reply, self.reply)
         except msgspec.MsgspecError as error:
             raise GarbledReply(f"{self.name}(): the reply cannot be decoded: {error}") from error
         if decoded.value is UNSET and decoded.fault is UNSET:
@@ -92,8 +89,12 @@ class Method:
     def result(self, decoded: Any) -> object:
         """What a decoded reply means to the caller: its value, or the service's exception, raised."""
         if decoded.fault is not UNSET:
-            raise _rebuild(decoded.fault, self.package)
+            raise _rebuild(decoded.fault)
         return decoded.value
+
+    def _arguments(self, request: bytes) -> dict[str, Any]:
+        decoded = decode(request, self.request)
+        return {name: getattr(decoded, name) for name in self.signature.parameters}
 
     def _key(self, arguments: Mapping[str, object]) -> str:
         if self.profile_by is None:
@@ -172,11 +173,7 @@ def _stub_method(service_name: str, method: Method, invoke: Invoke) -> Callable[
 
 def _describe(cls: type, name: str, profile_by: str | None) -> ServiceSpec:
     _check_constructor(cls)
-    functions = {
-        function_name: function
-        for function_name, function in inspect.getmembers(cls, inspect.isfunction)
-        if not function_name.startswith("_")
-    }
+    functions = {name: function for name in dir(cls) if (function := _public_method(cls, name))}
     if not functions:
         raise DeclarationError(f"service {cls.__name__} has no public method to call")
     methods = {
@@ -188,6 +185,17 @@ def _describe(cls: type, name: str, profile_by: str | None) -> ServiceSpec:
             f"service {cls.__name__}: no method has the parameter {profile_by!r} of profile_by"
         )
     return ServiceSpec(name, MappingProxyType(methods))
+
+
+def _public_method(cls: type, name: str) -> Callable[..., object] | None:
+    attribute = inspect.getattr_static(cls, name)
+    if name.startswith("_"):
+        return None
+    if isinstance(attribute, (staticmethod, classmethod)):
+        raise DeclarationError(
+            f"service {cls.__name__}, method {name}: declare it as a plain method, with self"
+        )
+    return attribute if inspect.isfunction(attribute) else None
 
 
 def _check_constructor(cls: type) -> None:
@@ -230,11 +238,10 @@ def _describe_method(cls: type, function: Callable[..., object], profile_by: str
     return Method(
         name=function.__name__,
         signature=signature.replace(parameters=parameters),
-        profile_by=profile_by if profile_by in signature.parameters else None,
+        profile_by=profile_by if profile_by in dict(fields) else None,
         request=msgspec.msgpack.Decoder(request_type),
         reply_type=reply_type,
         reply=msgspec.msgpack.Decoder(reply_type),
-        package=cls.__module__.partition(".")[0],
     )
 
 
@@ -274,36 +281,62 @@ def _parts(found: types.Type, seen: set[type]) -> Iterator[types.Type]:
         yield from _parts(part, seen)
 
 
-def _encode_fault(error: Exception) -> bytes:
+def _encode_fault(error: BaseException) -> bytes:
     cls = type(error)
-    plain = list(error.args) if all(isinstance(argument, _PLAIN) for argument in error.args) else None
-    fault = Fault(type=f"{cls.__module__}:{cls.__qualname__}", message=str(error), args=plain)
-    return msgspec.msgpack.encode({"fault": fault})
+    type_path = f"{cls.__module__}:{cls.__qualname__}"
+    try:
+        message = str(error)
+    except Exception:  # noqa: BLE001 - an exception that cannot say what it is
+        message = ""
+    plain = all(type(argument) in _PLAIN for argument in error.args)
+    try:
+        return msgspec.msgpack.encode(
+            {"fault": Fault(type_path, message, list(error.args) if plain else None)}
+        )
+    except (OverflowError, UnicodeEncodeError):
+        message = message.encode(errors="backslashreplace").decode()
+        return msgspec.msgpack.encode({"fault": Fault(type_path, message)})
 
 
-def _rebuild(fault: Fault, package: str) -> Exception:
-    cls = _exception_class(fault.type, package)
-    if cls is None:
-        return ServiceError(fault.type.replace(":", "."), fault.message)
-    args = (fault.message,) if fault.args is None else tuple(fault.args)
-    # Not by calling the class: its constructor may want other arguments than those that an exception keeps.
-    error = cls.__new__(cls, *args)
-    error.args = args
-    return error if str(error) == fault.message else ServiceError(fault.type.replace(":", "."), fault.message)
+def _plain_args(error: BaseException) -> list[Any] | None:
+    """What the exception can be made of again, as far as that can be sent."""
+    try:
+        args = error.__reduce__()[1]
+    except Exception:  # noqa: BLE001 - it cannot be made again
+        return None
+    return list(args) if all(type(argument) in _PLAIN for argument in args) else None
 
 
-def _exception_class(type_path: str, package: str) -> type[Exception] | None:
-    """The exception class of that path, if this process may trust and has it.
+def _rebuild(fault: Fault) -> Exception:
+    """The exception again, or a ServiceError that names it.
 
-    A module is imported only out of the service's own package: a reply must not choose what runs here.
+    Not by calling its class: the constructor may want other arguments than those that an exception keeps.
+    """
+    cls = _exception_class(fault.type)
+    for args in ((fault.message,) if fault.args is None else tuple(fault.args), (fault.message,)):
+        try:
+            if cls is not None:
+                error = cls.__new__(cls, *args)
+                error.args = args
+                if str(error) == fault.message:
+                    return error
+        except Exception:  # noqa: BLE001, S110 - such a class cannot be made from its arguments alone
+            pass
+    return ServiceError(fault.type.replace(":", "."), fault.message)
+
+
+def _exception_class(type_path: str) -> type[Exception] | None:
+    """The exception class of that path, if this process has it already.
+
+    Nothing is imported and no module's own code looks it up: a reply must not choose what runs here. Nor may it pass
+    for an error of upwash itself.
     """
     module_name, _, qualname = type_path.partition(":")
+    if module_name == UpwashError.__module__:
+        return None
     found: object = sys.modules.get(module_name)
-    if found is None and module_name.partition(".")[0] == package:
-        try:
-            found = importlib.import_module(module_name)
-        except ImportError:
-            return None
     for name in qualname.split("."):
-        found = getattr(found, name, None)
+        if not isinstance(found, (type, ModuleType)):
+            return None
+        found = vars(found).get(name)
     return found if isinstance(found, type) and issubclass(found, Exception) else None

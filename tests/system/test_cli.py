@@ -144,6 +144,14 @@ def test_a_mission_that_is_not_there_is_named(drone: Path, mission: str, said: s
     assert said in complaint(upwash("fly", mission, "--config", "drone.toml", folder=drone.parent))
 
 
+def test_a_mission_may_lie_in_a_module_of_the_current_folder(drone: Path) -> None:
+    (drone.parent / "my_mission.py").write_text("HEIGHT_M = 3\n")
+    for program in ([str(Path(sys.executable).with_name("upwash"))], [sys.executable, "-m", "upwash"]):
+        command = [*program, "fly", "my_mission:HEIGHT_M", "--config", "drone.toml"]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=drone.parent, check=False)
+        assert "is not a function" in complaint(done)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -156,6 +164,7 @@ def test_a_mission_that_is_not_there_is_named(drone: Path, mission: str, said: s
         ('folder = "photos"', 'folder = "paintings"', "there is no folder"),
         ('name = "detector"', 'name = "submarine"', "service 'submarine' needs a program"),
         ("127.0.0.1:7070", "10.10.1.1:7070", "server s1 at 10.10.1.1:7070 needs certificates"),
+        ("127.0.0.1:7070", "127.example.org:7070", "server s1 at 127.example.org:7070 needs certificates"),
         ('address = "127.0.0.1:7070"', "", "server s1 has no address"),
         ("{ light = 1.0, heavy = 3.0 }", "1.0", "detector"),
     ],

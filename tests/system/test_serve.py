@@ -280,14 +280,14 @@ def test_a_lease_ends_by_itself_and_calls_keep_it(
     async def visit(at: Daemon) -> None:
         async with guests(at, services, *who) as (heron, stork):
             endpoint = (await heron.start()).endpoint
-            for _ in range(15):  # for longer than a lease
-                await heron.call(endpoint, "pause", 0.1)
+            for _ in range(6):  # for longer than a lease
+                await heron.call(endpoint, "pause", 0.5)
             assert not (await stork.availability()).available
             await eventually(stork.availability, lambda answer: answer.available)
             with pytest.raises(Refused, match="heron has no lease"):
                 await heron.call(endpoint, "echo", b"photo")
 
-    with daemon(tmp_path, config(keys, lease_s=1.0)) as at:
+    with daemon(tmp_path, config(keys, lease_s=2.0)) as at:
         asyncio.run(visit(at))
 
 

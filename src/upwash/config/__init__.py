@@ -24,13 +24,16 @@ from upwash.config.drone import (
     server_truth,
     waypoints,
 )
-from upwash.config.drone_file import read_drone_config
-from upwash.config.values import KeysConfig
+from upwash.config.drone_file import drone_config, read_drone_config
+from upwash.config.problems import Document
+from upwash.config.reading import impossible_values, read_document
+from upwash.config.values import KeysConfig, is_on_this_machine
 
 __all__ = [
     "AutopilotConfig",
     "CameraConfig",
     "DaemonConfig",
+    "Document",
     "DroneConfig",
     "FaultConfig",
     "GridConfig",
@@ -48,7 +51,11 @@ __all__ = [
     "ServiceConfig",
     "TruthConfig",
     "VehicleConfig",
+    "is_on_this_machine",
+    "drone_config",
+    "impossible_values",
     "read_daemon_config",
+    "read_document",
     "read_drone_config",
     "server_position",
     "server_truth",

@@ -19,6 +19,7 @@ from upwash.config.values import (
     Positive,
     Text,
     is_address,
+    is_on_this_machine,
     repeated,
 )
 
@@ -122,7 +123,7 @@ def _access_problems(config: DaemonConfig) -> Iterator[Problem]:
         )
     elif config.keys is not None and config.allow_without_certificates:
         yield "allow_without_certificates", "contradicts [keys]: remove one of the two"
-    elif config.allow_without_certificates and not _is_only_reached_from_here(config.listen):
+    elif config.allow_without_certificates and not is_on_this_machine(config.listen):
         yield (
             "allow_without_certificates",
             (
@@ -130,15 +131,3 @@ def _access_problems(config: DaemonConfig) -> Iterator[Problem]:
                 'listen on "127.0.0.1:7070" or "unix:path", or give [keys] instead'
             ),
         )
-
-
-def _is_only_reached_from_here(address: str) -> bool:
-    import ipaddress  # only needed where certificates are not
-
-    host = address.rpartition(":")[0].strip("[]")
-    if address.startswith("unix:") or host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

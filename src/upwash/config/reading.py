@@ -35,7 +35,7 @@ def read_document(file: Path) -> Document:
         raise ConfigError(str(file), "", f"not valid TOML: {error}") from None
     except (ValueError, RecursionError):
         raise ConfigError(str(file), "", "a number is too long, or arrays are nested too deeply") from None
-    refuse_first(file, _impossible_values(document, ""))
+    refuse_first(file, impossible_values(document, ""))
     return document
 
 
@@ -66,16 +66,17 @@ def _unreadable(error: OSError | ValueError) -> str:
     return f"cannot be read ({reason}): name a readable file"
 
 
-def _impossible_values(value: object, key: str, depth: int = 0) -> Iterator[Problem]:
+def impossible_values(value: object, key: str, depth: int = 0) -> Iterator[Problem]:
+    """What no value of any key may be: infinite, longer than 64 bits, or nested without end."""
     match value:
         case dict() | list() if depth >= _MOST_NESTED:
             yield key, "nested too deeply: no value lies that deep"
         case dict():
             for name, inner in value.items():
-                yield from _impossible_values(inner, f"{key}.{name}" if key else name, depth + 1)
+                yield from impossible_values(inner, f"{key}.{name}" if key else name, depth + 1)
         case list():
             for index, inner in enumerate(value):
-                yield from _impossible_values(inner, f"{key}[{index}]", depth + 1)
+                yield from impossible_values(inner, f"{key}[{index}]", depth + 1)
         case float() if not math.isfinite(value):
             yield key, f"expected a finite number, found {value}"
         case int() if value.bit_length() > 63:

@@ -70,3 +70,16 @@ def is_address(text: str) -> bool:
 def repeated(names: list[str]) -> list[tuple[int, str]]:
     """The names that were already there further up, each with its index."""
     return [(index, name) for index, name in enumerate(names) if name in names[:index]]
+
+
+def is_on_this_machine(address: str) -> bool:
+    """Whether a `host:port` or `unix:path` can only be reached from this machine itself."""
+    import ipaddress  # only needed where certificates are not
+
+    host = address.rpartition(":")[0].strip("[]")
+    if address.startswith("unix:") or host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 WINDOW_LENGTH = 3
 _CALLS_BEFORE_WEIGHING = 3  # until then every operation counts the same
@@ -37,7 +38,7 @@ class Beliefs:
     remote_s: Mapping[Operation, float]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Window:
     """The last three observations; it starts filled with the offline estimate."""
 
@@ -52,7 +53,7 @@ class Window:
         """The window after one more observation."""
         return Window((*self.values[1:], delay_s))
 
-    @property
+    @cached_property
     def mean_s(self) -> float:
         """The estimate."""
         first = self.values[0]
@@ -76,17 +77,21 @@ class Estimates:
         self._beliefs = dict(servers)
         self._local = {operation: Window.filled(delay_s) for operation, delay_s in local_s.items()}
         self._remote = {
-            (server, operation): Window.filled(delay_s)
+            server: {
+                operation: Window.filled(delay_s)
+                for operation, delay_s in beliefs.remote_s.items()
+                if operation in self._local
+            }
             for server, beliefs in servers.items()
-            for operation, delay_s in beliefs.remote_s.items()
-            if operation in self._local
         }
         self._check = {server: Window.filled(beliefs.check_s) for server, beliefs in servers.items()}
         self._check_running = {
             server: Window.filled(beliefs.check_running_s) for server, beliefs in servers.items()
         }
         self._calls = dict.fromkeys(self._local, 0)
-        self._last_remote_call_s: dict[tuple[str, Operation], float] = {}
+        self._weights = self._weigh()
+        self._last_remote_call_s: dict[str, dict[Operation, float]] = {server: {} for server in servers}
+        self._mean_call_s: dict[str | None, float] = {}  # those asked for since something was learnt of a call
 
     @property
     def operations(self) -> Iterable[Operation]:
@@ -100,7 +105,7 @@ class Estimates:
 
     def remote_s(self, server: str, operation: Operation) -> float | None:
         """Delay of a remote call, transfer included (`Call_s`); None where the server does not host it."""
-        window = self._remote.get((server, operation))
+        window = self._remote[server].get(operation)
         return window.mean_s if window else None
 
     def check_s(self, server: str, *, running: bool) -> float:
@@ -113,25 +118,25 @@ class Estimates:
         Each call runs where it is faster; operations are weighted by how often they were called. With a single
         operation this is min(Call, Call_s), so that a policy that compares these means is the thesis's.
         """
-        total_s = 0.0
-        for operation, weight in self._weights().items():
-            call_s = self._local[operation].mean_s
-            remote_s = self.remote_s(server, operation) if server else None
-            total_s += weight * (call_s if remote_s is None else min(call_s, remote_s))
-        return total_s
+        mean_s = self._mean_call_s.get(server)
+        if mean_s is None:
+            mean_s = self._mean_call_s[server] = sum(
+                weight * self._faster_s(operation, server) for operation, weight in self._weights.items()
+            )
+        return mean_s
 
     def observe_local(self, operation: Operation, delay_s: float) -> None:
         """Learns from a local call."""
         if operation in self._local:
             self._local[operation] = self._local[operation].observe(delay_s)
-            self._calls[operation] += 1
+            self._count(operation)
 
     def observe_remote(self, server: str, operation: Operation, delay_s: float, *, now_s: float) -> None:
         """Learns from a remote call that succeeded."""
-        place = (server, operation)
-        self._remote[place] = self._remote[place].observe(delay_s)
-        self._last_remote_call_s[place] = now_s
-        self._calls[operation] += 1
+        windows = self._remote[server]
+        windows[operation] = windows[operation].observe(delay_s)
+        self._last_remote_call_s[server][operation] = now_s
+        self._count(operation)
 
     def observe_check(self, server: str, delay_s: float, *, started: bool) -> None:
         """Learns from a check that ended READY: from one that had to start the services, or from one that had not."""
@@ -143,15 +148,24 @@ class Estimates:
 
         Only calls change the estimate of a remote call, and a server that looks slow gets none.
         """
-        for operation, offline_s in self._beliefs[server].remote_s.items():
-            place = (server, operation)
-            last_s = self._last_remote_call_s.get(place)
-            if last_s is None or now_s - last_s < retry_s:
+        windows = self._remote[server]
+        for operation, last_s in self._last_remote_call_s[server].items():
+            if now_s - last_s < retry_s or windows[operation].mean_s < self._local[operation].mean_s:
                 continue
-            if self._remote[place].mean_s >= self._local[operation].mean_s:
-                self._remote[place] = Window.filled(offline_s)
+            windows[operation] = Window.filled(self._beliefs[server].remote_s[operation])
+            self._mean_call_s.clear()
 
-    def _weights(self) -> dict[Operation, float]:
+    def _faster_s(self, operation: Operation, server: str | None) -> float:
+        call_s = self._local[operation].mean_s
+        remote_s = self.remote_s(server, operation) if server else None
+        return call_s if remote_s is None else min(call_s, remote_s)
+
+    def _count(self, operation: Operation) -> None:
+        self._calls[operation] += 1
+        self._weights = self._weigh()
+        self._mean_call_s.clear()
+
+    def _weigh(self) -> dict[Operation, float]:
         calls = sum(self._calls.values())
         if calls < _CALLS_BEFORE_WEIGHING:
             return dict.fromkeys(self._calls, 1 / len(self._calls)) if self._calls else {}

@@ -9,12 +9,13 @@ Laws:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from upwash.core.estimates import Estimates, Operation
 from upwash.core.geo import Circle, Position
 from upwash.core.policy import Call, Decision, Local, Option, Policy, Remote, Situation
+from upwash.core.ranges import Ranges
 from upwash.core.servers import CHECKING, SELECTED, Change, Event, Server, State
 
 
@@ -141,12 +142,20 @@ class Selection:
         self.check = 0  # the number of the latest check
         self._settings = settings or SelectionSettings()
         self._current: Server | None = None
+        self._ranges = Ranges(areas)
+        self._in_range: Sequence[Server] = ()  # this and the next in the order of the table
+        self._met: Sequence[Server] = ()  # those whose state may change by time alone, or as the selected one
         self._ended = False
 
     @property
     def current(self) -> Server | None:
         """The selected server, if any."""
         return self._current
+
+    @property
+    def in_range(self) -> Sequence[Server]:
+        """The servers in whose range the drone was at the last position given."""
+        return self._in_range
 
     def handle(self, happening: Happening, *, now_s: float, position: Position) -> list[Command]:
         """Takes in what happened by now, with the drone at the position; returns what is to be done."""
@@ -196,11 +205,12 @@ class Selection:
         return check == self.check and self._current is not None and self._current.state in CHECKING
 
     def _locate(self, position: Position, now_s: float) -> None:
-        for server in self.servers.values():
-            if not server.area.contains(position):
-                server.in_range_since_s = None
-            elif server.in_range_since_s is None:
-                server.in_range_since_s = now_s
+        crossed = self._ranges.crossed(position)
+        for name in crossed:
+            server = self.servers[name]
+            server.in_range_since_s = None if server.in_range else now_s
+        if crossed:
+            self._in_range = [server for server in self.servers.values() if server.in_range]
 
     def _take_in(self, happening: Happening, now_s: float) -> list[Command]:
         match happening:
@@ -265,7 +275,7 @@ class Selection:
         return [server.apply(event, now_s=now_s, why=why), Leave(server.name)]
 
     def _expire(self, commands: list[Command], now_s: float) -> None:
-        for server in self.servers.values():
+        for server in self._met:
             age_s = now_s - server.since_s
             if server.state is State.BLACKLISTED and age_s >= self._settings.blacklist_s:
                 commands.append(server.apply(Event.BLACKLIST_EXPIRED, now_s=now_s))
@@ -283,10 +293,11 @@ class Selection:
             self._current = self.servers[chosen]
             commands.append(self._current.apply(Event.SELECTED, now_s=now_s, why=why))
             commands.append(Check(chosen, self.check))
+            self._met = [server for server in self.servers.values() if server.state is not State.AVL]
 
     def _choose(self, now_s: float) -> tuple[str | None, str]:
         options = []
-        for server in self.servers.values():
+        for server in self._in_range:
             if server.in_range_since_s is None or server.state is State.BLACKLISTED:
                 continue
             self.estimates.forget_slow_calls(server.name, now_s=now_s, retry_s=self._settings.retry_s)

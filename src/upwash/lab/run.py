@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,9 +20,10 @@ from upwash.errors import UpwashError
 from upwash.results import RunResult, read_result
 from upwash.server import EdgeServer
 from upwash.service import ServiceSpec, spec_of
-from upwash.sim.autopilot import ModelAutopilot
+from upwash.sim.autopilot import ModelAutopilot, Plain
 from upwash.sim.camera import ModelCamera
 from upwash.sim.chance import Chance
+from upwash.sim.faults import Faults, FaultyServer
 from upwash.sim.heat import Heat
 from upwash.sim.journal import MemoryJournal
 from upwash.sim.link import ModelDialer, Switchboard
@@ -29,7 +31,8 @@ from upwash.sim.loop import run_virtually
 from upwash.sim.network import Cell, ModelNetwork
 from upwash.sim.radio import read_goodput
 from upwash.sim.runtime import ModelRuntime
-from upwash.sim.world import DroneComputer, Faults, Radio, ServerComputer, Wire
+from upwash.sim.world import DroneComputer, Radio, ServerComputer, Wire
+from upwash.vehicle import arducopter
 
 _LONGEST_S = 48 * 3600.0  # of virtual time: a mission that takes longer never ends
 
@@ -64,7 +67,7 @@ async def _fly(config: DroneConfig, journal: MemoryJournal) -> None:
     classes = load_configured_services(config)
     specs = {name: spec_of(cls) for name, cls in classes.items()}
     chance, faults, switchboard = Chance(config.seed), Faults(config.faults), Switchboard({})
-    autopilot = _autopilot(config, chance)
+    autopilot = _autopilot(config, chance, faults)
     areas = {
         server.name: Circle(server_position(server, config.mission.home), server.range_m)
         for server in config.servers
@@ -79,7 +82,9 @@ async def _fly(config: DroneConfig, journal: MemoryJournal) -> None:
     )
     cells: dict[str, list[Cell]] = {}
     for server in config.servers:
-        cells.setdefault(server.network, []).append(Cell(areas[server.name], truths[server.name].join_s))
+        cells.setdefault(server.network, []).append(
+            Cell(areas[server.name], truths[server.name].join_s, functools.partial(radio.is_up, server.name))
+        )
     heat = Heat(config.heat.ambient_c, config.heat.load_w) if config.heat else None
     computer = DroneComputer(config.services, heat=heat, noise=config.noise.call, chance=chance)
     onboard = Switchboard({})
@@ -115,15 +120,20 @@ async def _fly(config: DroneConfig, journal: MemoryJournal) -> None:
             ) from None
 
 
-def _autopilot(config: DroneConfig, chance: Chance) -> ModelAutopilot:
+def _autopilot(config: DroneConfig, chance: Chance, faults: Faults) -> ModelAutopilot:
     vehicle = config.vehicle
     return ModelAutopilot(
         waypoints(config.mission)[0].position,
         ground_speed_m_s=config.mission.ground_speed_m_s,
-        acceleration_m_s2=vehicle.acceleration_m_s2,
-        takeoff_s=vehicle.takeoff_s,
-        return_and_land_s=vehicle.return_and_land_s,
+        manner=arducopter
+        if vehicle.profile == "arducopter"
+        else Plain(
+            acceleration_m_s2=vehicle.acceleration_m_s2,
+            takeoff_s=vehicle.takeoff_s,
+            return_and_land_s=vehicle.return_and_land_s,
+        ),
         stretch=lambda: chance.factor("leg", config.noise.leg),
+        fault=lambda: faults.now("autopilot"),
     )
 
 
@@ -139,11 +149,13 @@ def _edge_server(
     server = next(each for each in config.servers if each.name == name)
     truth = server_truth(server, config.services)
     computer = ServerComputer(name, truth, faults=faults, noise=config.noise.call, chance=chance)
+    outside = FaultyServer(name, switchboard, faults=faults, slots=truth.slots)
+    runtime = ModelRuntime(specs, computer, outside)
     edge = EdgeServer(
         Host({name: ServerOffer(frozenset(truth.images), truth.slots)}),
         programs={service: service_program(config, service) for service in specs},
-        runtime=ModelRuntime(specs, computer, switchboard),
+        runtime=runtime,
         start_timeout_s=60.0,
     )
-    switchboard.plug(server.address or name, edge.handle)
+    outside.plug_daemon(server.address or name, edge.handle, crash=runtime.crash)
     return edge

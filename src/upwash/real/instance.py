@@ -13,7 +13,8 @@ import socket
 import sys
 import threading
 import time
-from typing import NoReturn
+from queue import SimpleQueue
+from typing import BinaryIO, NoReturn
 
 from upwash.errors import Refused, UsageError
 from upwash.protocol import service_path
@@ -23,6 +24,7 @@ from upwash.real.listener import Caller, Listener
 from upwash.service import Method, load_service, spec_of
 
 _CONCURRENT_CALLS = 8  # one runs, the others queue until their deadlines
+_LONGEST_REASON = 10_000  # characters
 _REPORT_PERIOD_S = 1.0  # leases last far longer than this
 
 
@@ -92,23 +94,29 @@ def main() -> NoReturn:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that started this
     control = socket.socket(fileno=int(sys.argv[1]))
     lines = control.makefile("rb")
-    first = to_instance.decode(lines.readline())
-    if not isinstance(first, Begin):
+    begin = to_instance.decode(lines.readline())
+    if not isinstance(begin, Begin):
         raise SystemExit("the first control message must say what to be")
+    orders: SimpleQueue[bytes] = SimpleQueue()
+    # From now on, as a cold start may take long and its program may die meanwhile.
+    threading.Thread(target=_listen, args=(lines, orders), name="leash", daemon=True).start()
     try:
-        instance = ServiceInstance(first, control)
+        instance = ServiceInstance(begin, control)
     except UsageError as error:
-        control.sendall(line(Failed(str(error))))
+        control.sendall(line(Failed(str(error)[:_LONGEST_REASON])))
         raise SystemExit(1) from error
     instance.serve()
-    for text in lines:
-        message = to_instance.decode(text)
+    while True:
+        message = to_instance.decode(orders.get())
         if isinstance(message, Admit):
             instance.admit(message.drones)
+
+
+def _listen(lines: BinaryIO, orders: SimpleQueue[bytes]) -> None:
+    for text in lines:
+        orders.put(text)
     # The whole group, as the service may have started processes too; at once, as nobody is left to wait.
     os.killpg(0, signal.SIGKILL)
-    threading.Event().wait()
-    raise AssertionError("killed")
 
 
 if __name__ == "__main__":

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
-import time
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,6 +15,7 @@ import msgspec
 from upwash.core.geo import Position
 from upwash.errors import UsageError
 
+_log = logging.getLogger("upwash.journal")
 Watcher = Callable[[Mapping[str, Any]], None]
 
 
@@ -28,24 +29,47 @@ class FileJournal:
         self.path = path
         self._watchers = watchers
         self._loop = asyncio.get_running_loop()
+        self._began_s = self._loop.time()
+        self._failed = False
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
         except OSError as error:
             raise UsageError(f"cannot write the event log {path}: {error.strerror}") from error
-        self._began_s = self._loop.time()
-        self.record("log_opened", time=datetime.fromtimestamp(time.time(), UTC).isoformat())
+        try:
+            self._append({"t": 0.0, "event": "log_opened", "time": datetime.now(UTC).isoformat()})
+        except OSError as error:
+            os.close(self._file)
+            raise UsageError(f"cannot write the event log {path}: {error.strerror}") from error
 
     def record(self, event: str, **facts: object) -> None:
-        """Adds one event with its facts; it is in the file when this returns."""
-        entry = {"t": round(self._loop.time() - self._began_s, 6), "event": event, **facts}
-        os.write(self._file, msgspec.json.encode(entry) + b"\n")
+        """Adds one event with its facts; it is in the file when this returns.
+
+        A disk that fills up in flight is no reason to end it: the log then has gaps, which is logged once.
+        """
+        try:
+            self._append({"t": round(self._loop.time() - self._began_s, 6), "event": event, **facts})
+        except OSError as error:
+            if not self._failed:
+                _log.error("the event log %s is incomplete from now on: %s", self.path, error)
+            self._failed = True
+
+    def _append(self, entry: Mapping[str, Any]) -> None:
         for watch in self._watchers:
             watch(entry)
+        try:
+            line = msgspec.json.encode(entry)
+        except UnicodeEncodeError:  # a file name, say, that is no text
+            line = msgspec.json.encode({name: _printable(fact) for name, fact in entry.items()})
+        os.write(self._file, line + b"\n")
 
     def close(self) -> None:
         """Ends the log."""
         os.close(self._file)
+
+
+def _printable(fact: object) -> object:
+    return fact if isinstance(fact, (int, float)) else str(fact).encode(errors="backslashreplace").decode()
 
 
 class JournalNotifier:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import socket
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -85,6 +86,8 @@ class Listener:
         self._server.stop(grace_s).wait()
 
     def _bind(self, listen: str, credentials: Credentials | None) -> str:
+        if _is_in_use(listen):
+            raise _cannot_listen(listen)
         try:
             if credentials is None:
                 port = self._server.add_insecure_port(listen)
@@ -98,11 +101,33 @@ class Listener:
                     ),
                 )
         except RuntimeError as error:
-            raise UsageError(
-                f"cannot listen on {listen}: the address is in use or not this machine's; "
-                "stop the other program or choose another address"
-            ) from error
+            raise _cannot_listen(listen) from error
         return listen if listen.startswith("unix:") else f"{listen.rpartition(':')[0]}:{port}"
+
+
+def _is_in_use(listen: str) -> bool:
+    """Asks before gRPC is told to listen: it would take over a unix socket, and print of a port in use."""
+    if listen.startswith("unix:"):
+        with socket.socket(socket.AF_UNIX) as probe:
+            return probe.connect_ex(listen.removeprefix("unix:")) == 0
+    host, _, port = listen.rpartition(":")
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(
+            host.strip("[]"), int(port), type=socket.SOCK_STREAM
+        )[0]
+        with socket.socket(family, kind) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError:
+        return True
+    return False
+
+
+def _cannot_listen(listen: str) -> UsageError:
+    return UsageError(
+        f"cannot listen on {listen}: the address is in use or not this machine's; "
+        "stop the other program or choose another address"
+    )
 
 
 class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
@@ -127,7 +152,7 @@ class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
             context.abort(grpc.StatusCode.FAILED_PRECONDITION, str(refusal))
         except UpwashError as error:
             context.abort(grpc.StatusCode.ABORTED, str(error))
-        except Exception:  # noqa: BLE001 - a bug of the handler must not end the listener
+        except BaseException:  # noqa: BLE001 - a bug of the handler must not end the listener
             _log.exception("%s by %s failed", path, caller.drone)
             context.abort(grpc.StatusCode.INTERNAL, "the server failed; its log says why")
         raise AssertionError("abort raises")

@@ -6,8 +6,10 @@ import asyncio
 import contextlib
 import logging
 import os
+import re
 import signal
 import socket
+import subprocess
 import sys
 from collections import deque
 from collections.abc import Callable
@@ -22,6 +24,9 @@ _log = logging.getLogger("upwash.instance")
 _STOP_GRACE_S = 2.0
 _ADMIT_S = 5.0
 _LAST_WORDS = 5  # lines of output that are kept to explain a crash
+_LONGEST_LINE = 1000
+_CHUNK_BYTES = 65536
+_LINE_END = re.compile(rb"[\r\n]+")
 
 
 class ProcessRuntime:
@@ -40,21 +45,7 @@ class ProcessRuntime:
 
     async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> ProcessInstance:
         """Returns when the instance is ready to serve; raises InstanceError, leaving nothing behind."""
-        ours, theirs = socket.socketpair()
-        with theirs:
-            process = await asyncio.create_subprocess_exec(
-                sys.executable,
-                "-m",
-                "upwash.real.instance",
-                str(theirs.fileno()),
-                stdin=asyncio.subprocess.DEVNULL,
-                stdout=asyncio.subprocess.PIPE,
-                stderr=asyncio.subprocess.STDOUT,
-                pass_fds=(theirs.fileno(),),
-                start_new_session=True,
-            )
-        reader, writer = await asyncio.open_connection(sock=ours)
-        instance = ProcessInstance(spec, process, reader, writer, called)
+        instance = ProcessInstance(spec, called)
         try:
             await instance.begin(self._begin(spec))
         except BaseException:
@@ -77,30 +68,30 @@ class ProcessRuntime:
 
 
 class ProcessInstance:
-    """A service process and the control socket to it."""
+    """A service process, the control socket to it, and what it prints.
 
-    def __init__(
-        self,
-        spec: InstanceSpec,
-        process: asyncio.subprocess.Process,
-        reader: asyncio.StreamReader,
-        writer: asyncio.StreamWriter,
-        called: Callable[[str], None],
-    ) -> None:
+    It prints into a socket pair instead of a pipe of asyncio's: the end of such a process is noticed only when its
+    pipes are closed too, and a child that it left behind would hold them open.
+    """
+
+    def __init__(self, spec: InstanceSpec, called: Callable[[str], None]) -> None:
         self.endpoint = ""
         self._spec = spec
-        self._process = process
-        self._reader = reader
-        self._writer = writer
         self._called = called
+        self._process: asyncio.subprocess.Process | None = None
         self._last_words: deque[str] = deque(maxlen=_LAST_WORDS)
         self._admissions: deque[asyncio.Future[None]] = deque()
-        self._tasks = [asyncio.create_task(self._listen_to_output())]
+        self._writers: list[asyncio.StreamWriter] = []
+        self._control: asyncio.StreamWriter | None = None
+        self._output: asyncio.Task[None] | None = None
+        self._reports: asyncio.Task[None] | None = None
 
     async def begin(self, begin: Begin) -> None:
-        """Tells the process what to be; returns when it is ready, raises InstanceError if it cannot be."""
-        self._writer.write(line(begin))
-        text = await self._reader.readline()
+        """Starts the process and tells it what to be; returns when it is ready, raises InstanceError."""
+        reports = await self._spawn()
+        assert self._control is not None  # noqa: S101 - of the process that was just spawned
+        self._control.write(line(begin))
+        text = await reports.readline()
         if not text:
             raise InstanceError(f"{self._spec.name} did not start: {await self.exited()}")
         match from_instance.decode(text):
@@ -111,15 +102,15 @@ class ProcessInstance:
                 raise InstanceError(f"{self._spec.name} did not start: {why}")
             case other:
                 raise InstanceError(f"{self._spec.name} said {other} before it was ready")
-        self._tasks.append(asyncio.create_task(self._listen_to_control()))
+        self._reports = asyncio.create_task(self._listen_to_reports(reports))
 
     async def admit(self, drones: frozenset[str]) -> None:
         """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
-        if self._writer.is_closing():
+        if self._control is None or self._reports is None or self._reports.done():
             raise InstanceError(f"{self._spec.name} is gone")
-        confirmed = asyncio.get_running_loop().create_future()
+        confirmed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._admissions.append(confirmed)
-        self._writer.write(line(Admit(sorted(drones))))
+        self._control.write(line(Admit(sorted(drones))))
         try:
             async with asyncio.timeout(_ADMIT_S):
                 await confirmed
@@ -128,52 +119,101 @@ class ProcessInstance:
 
     async def exited(self) -> str:
         """Returns how the process ended, with its last words, when it does."""
+        assert self._process is not None and self._output is not None  # noqa: S101 - it has begun
         code = await self._process.wait()
         self._signal_group(signal.SIGKILL)  # what a crashed service had started
-        await asyncio.wait(self._tasks[:1], timeout=_STOP_GRACE_S)
+        await asyncio.wait([self._output], timeout=_STOP_GRACE_S)
         how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
         return f"{how}: {' / '.join(self._last_words)}" if self._last_words else how
 
     async def stop(self) -> None:
         """Ends the process and everything that it started; returns when it is gone."""
-        self._signal_group(signal.SIGTERM)
+        if self._process is not None:
+            self._signal_group(signal.SIGTERM)
+            try:
+                async with asyncio.timeout(_STOP_GRACE_S):
+                    await self._process.wait()
+            except TimeoutError:
+                pass
+            finally:
+                self._signal_group(signal.SIGKILL)
+            await self._process.wait()
+        for task in (self._output, self._reports):
+            if task is not None:
+                task.cancel()
+        for writer in self._writers:
+            writer.close()
+            with contextlib.suppress(ConnectionError):
+                await writer.wait_closed()
+
+    async def _spawn(self) -> asyncio.StreamReader:
+        control, their_control = socket.socketpair()
+        output, their_output = socket.socketpair()
         try:
-            async with asyncio.timeout(_STOP_GRACE_S):
-                await self._process.wait()
-        except TimeoutError:
-            pass
+            reports, self._control = await asyncio.open_connection(sock=control)
+            self._writers.append(self._control)
+            prints, writer = await asyncio.open_connection(sock=output)
+            self._writers.append(writer)  # kept, or the socket would be closed with it
+            self._process = await asyncio.create_subprocess_exec(
+                sys.executable,
+                "-m",
+                "upwash.real.instance",
+                str(their_control.fileno()),
+                stdin=subprocess.DEVNULL,
+                stdout=their_output.fileno(),
+                stderr=their_output.fileno(),
+                pass_fds=(their_control.fileno(),),
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise InstanceError(f"{self._spec.name} did not start: {error}") from error
         finally:
-            self._signal_group(signal.SIGKILL)
-        await self._process.wait()
-        for task in self._tasks:
-            task.cancel()
-        self._writer.close()
-        with contextlib.suppress(ConnectionError):
-            await self._writer.wait_closed()
-        self._process._transport.close()  # type: ignore[attr-defined]
+            their_control.close()
+            their_output.close()
+            if not self._writers:
+                control.close()
+            if len(self._writers) < 2:
+                output.close()
+        self._output = asyncio.create_task(self._listen_to_output(prints))
+        return reports
 
     def _signal_group(self, number: signal.Signals) -> None:
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(self._process.pid, number)
+        if self._process is not None:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._process.pid, number)
 
-    async def _listen_to_control(self) -> None:
-        async for text in self._reader:
-            match from_instance.decode(text):
-                case Called(drone):
-                    self._called(drone)
-                case Admitted() if self._admissions:
-                    confirmed = self._admissions.popleft()
-                    if not confirmed.done():
-                        confirmed.set_result(None)
-                case _:
-                    _log.warning("%s said something out of turn", self._spec.name)
-        for confirmed in self._admissions:
-            if not confirmed.done():
-                confirmed.set_exception(InstanceError(f"{self._spec.name} is gone"))
+    async def _listen_to_reports(self, reports: asyncio.StreamReader) -> None:
+        try:
+            while text := await reports.readline():
+                match from_instance.decode(text):
+                    case Called(drone):
+                        self._called(drone)
+                    case Admitted() if self._admissions:
+                        confirmed = self._admissions.popleft()
+                        if not confirmed.done():
+                            confirmed.set_result(None)
+                    case _:
+                        _log.warning("%s said something out of turn", self._spec.name)
+        except ConnectionError:
+            pass  # as good as its end
+        finally:
+            for confirmed in self._admissions:
+                if not confirmed.done():
+                    confirmed.set_exception(InstanceError(f"{self._spec.name} is gone"))
 
-    async def _listen_to_output(self) -> None:
-        assert self._process.stdout is not None  # noqa: S101
-        async for text in self._process.stdout:
-            words = text.decode(errors="replace").rstrip()
+    async def _listen_to_output(self, prints: asyncio.StreamReader) -> None:
+        """Logs what the service prints, progress bars and endless lines included."""
+        rest = b""
+        with contextlib.suppress(ConnectionError):
+            while chunk := await prints.read(_CHUNK_BYTES):
+                *whole, rest = _LINE_END.split(rest + chunk)
+                rest = rest[-_LONGEST_LINE:]
+                for text in whole:
+                    self._note(text)
+        self._note(rest)
+
+    def _note(self, text: bytes) -> None:
+        words = text[:_LONGEST_LINE].decode(errors="replace").strip()
+        if words:
             self._last_words.append(words)
             _log.info("%s: %s", self._spec.name, words)

@@ -5,19 +5,73 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
-from upwash.core.geo import Circle, Position, distance_m
-from upwash.errors import AutopilotRefused
-from upwash.vehicle.kinematics import Motion, Phase, Velocity, leg
+from upwash.config import FaultConfig
+from upwash.core.geo import Circle, Position
+from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
+from upwash.vehicle.kinematics import Motion, Phase, duration_s, elapsed_s, leg, steadily, stretched
 
 _PAST_THE_BORDER_S = 1e-6
+_PATIENCE_S = 60.0  # a leg has failed that takes so much longer than it should
+
+
+class Manner(Protocol):
+    """How a vehicle flies; `vehicle.arducopter` is one."""
+
+    def takeoff(self, ground: Position, altitude_m: float) -> tuple[Phase, ...]:
+        """Straight up to the altitude."""
+
+    def waypoint_leg(self, start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
+        """From rest to rest."""
+
+    def arrival_s(self, phases: tuple[Phase, ...]) -> float:
+        """How long after its start the vehicle counts as arrived."""
+
+    def return_and_land(self, start: Position, home: Position) -> tuple[Phase, ...]:
+        """From rest to the ground at home."""
+
+    def landing(self, start: Position) -> tuple[Phase, ...]:
+        """From rest straight down to the ground."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plain:
+    """Speeds up and brakes alike, and takes off, returns and lands in given times whatever the distance."""
+
+    acceleration_m_s2: float
+    takeoff_s: float
+    return_and_land_s: float
+
+    def takeoff(self, ground: Position, altitude_m: float) -> tuple[Phase, ...]:
+        """Straight up in its time."""
+        return steadily(
+            ground, Position(ground.east_m, ground.north_m, altitude_m), duration_s=self.takeoff_s
+        )
+
+    def waypoint_leg(self, start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
+        """From rest to rest, under one acceleration."""
+        return leg(start, end, cruise_m_s=ground_speed_m_s, acceleration_m_s2=self.acceleration_m_s2)
+
+    def arrival_s(self, phases: tuple[Phase, ...]) -> float:
+        """At rest."""
+        return duration_s(phases)
+
+    def return_and_land(self, start: Position, home: Position) -> tuple[Phase, ...]:
+        """Straight home in its time."""
+        return steadily(start, home, duration_s=self.return_and_land_s)
+
+    def landing(self, start: Position) -> tuple[Phase, ...]:
+        """Straight down in the time of a return."""
+        return steadily(start, Position(start.east_m, start.north_m), duration_s=self.return_and_land_s)
 
 
 class ModelAutopilot:
-    """Takes off, flies and lands in the times that it is given; nothing ever goes wrong with it.
+    """Flies in its manner from the ground below `start`.
 
-    `stretch` gives a factor on the duration of each leg, for noise. The vehicle starts on the ground below
-    `start`, and returns there within `return_and_land_s` from wherever it is.
+    `stretch` gives a factor on the duration of each leg, for noise, and `fault` what is wrong with the vehicle
+    now; `sim.faults` says what each fault means.
     """
 
     def __init__(
@@ -25,17 +79,15 @@ class ModelAutopilot:
         start: Position,
         *,
         ground_speed_m_s: float,
-        acceleration_m_s2: float,
-        takeoff_s: float,
-        return_and_land_s: float,
+        manner: Manner,
         stretch: Callable[[], float] = lambda: 1.0,
+        fault: Callable[[], FaultConfig | None] = lambda: None,
     ) -> None:
         self._ground = Position(start.east_m, start.north_m)
         self._ground_speed_m_s = ground_speed_m_s
-        self._acceleration_m_s2 = acceleration_m_s2
-        self._takeoff_s = takeoff_s
-        self._return_and_land_s = return_and_land_s
+        self._manner = manner
         self._stretch = stretch
+        self._fault = fault
         self._loop = asyncio.get_running_loop()
         self._motion = Motion(0.0, (), self._ground)
         self._moved = asyncio.Event()
@@ -48,48 +100,57 @@ class ModelAutopilot:
 
     async def arm(self) -> None:
         """At once."""
+        self._reach("arm")
         self._armed = True
 
     async def takeoff(self, altitude_m: float) -> None:
-        """Climbs straight up, in its time whatever the altitude."""
+        """Climbs straight up."""
+        self._reach("take-off")
         if not self._armed:
             raise AutopilotRefused("take-off", "the vehicle is not armed")
-        here = self.position
-        await self._move(_steadily(here, Position(here.east_m, here.north_m, altitude_m), self._takeoff_s))
+        await self._move("take-off", self._manner.takeoff(self.position, altitude_m))
 
     async def set_ground_speed(self, ground_speed_m_s: float) -> None:
         """At once, for the legs that follow."""
+        self._reach("ground speed")
         self._ground_speed_m_s = ground_speed_m_s
 
     async def goto(self, position: Position) -> None:
-        """Flies a leg from rest to rest."""
+        """Flies a leg from rest; returns when the vehicle counts as arrived."""
+        self._reach("goto")
         if self.position.altitude_m <= 0:
             raise AutopilotRefused("goto", "the vehicle is on the ground")
-        stretch = self._stretch()
-        await self._move(
-            leg(
-                self.position,
-                position,
-                cruise_m_s=self._ground_speed_m_s / stretch,
-                acceleration_m_s2=self._acceleration_m_s2 / stretch**2,
+        fault = self._fault()
+        if fault is not None and fault.kind == "slow":
+            await asyncio.sleep(fault.extra_s)
+        way = self._manner.waypoint_leg(self.position, position, ground_speed_m_s=self._ground_speed_m_s)
+        phases = stretched(way, self._stretch())
+        arrival_s = self._manner.arrival_s(phases)
+        if fault is not None and fault.kind == "stuck":
+            await asyncio.sleep(arrival_s + _PATIENCE_S)
+            raise AutopilotTimeout(
+                "goto", f"the vehicle did not arrive within {arrival_s + _PATIENCE_S:.0f} s"
             )
-        )
+        await self._move("goto", phases, until_s=arrival_s)
 
     async def hold(self) -> None:
         """Stops where it is."""
-        await self._move(())
+        self._reach("hold")
+        await self._move("hold", ())
 
     async def return_home_and_land(self) -> None:
-        """Back to where it took off, in its time whatever the distance."""
-        await self._move(_steadily(self.position, self._ground, self._return_and_land_s))
+        """Back to where it took off."""
+        self._reach("return")
+        await self._move("return", self._manner.return_and_land(self.position, self._ground))
 
     async def land(self) -> None:
-        """Straight down, in the time of a return."""
-        here = self.position
-        await self._move(_steadily(here, Position(here.east_m, here.north_m), self._return_and_land_s))
+        """Straight down."""
+        self._reach("land")
+        await self._move("land", self._manner.landing(self.position))
 
     async def disarm(self) -> None:
         """At once, on the ground."""
+        self._reach("disarm")
         if self.position.altitude_m > 0:
             raise AutopilotRefused("disarm", "the vehicle is in the air")
         self._armed = False
@@ -107,38 +168,35 @@ class ModelAutopilot:
     async def close(self) -> None:
         """Nothing to give up."""
 
-    async def _move(self, phases: tuple[Phase, ...]) -> None:
+    def _reach(self, step: str) -> None:
+        fault = self._fault()
+        if fault is not None and fault.kind == "off":
+            raise AutopilotLost(step, "the vehicle's link is silent")
+
+    async def _move(self, step: str, phases: tuple[Phase, ...], *, until_s: float | None = None) -> None:
+        """Begins to move, and returns at the end of the phases or earlier."""
         end = phases[-1].end if phases else self.position
         self._motion = Motion(self._loop.time(), phases, end)
         self._moved.set()
         self._moved = asyncio.Event()
-        await asyncio.sleep(self._motion.ends_s - self._loop.time())
+        await asyncio.sleep(duration_s(phases) if until_s is None else until_s)
+        if until_s is None:  # a timer may be a nanosecond early, and the vehicle not quite on the ground
+            self._motion = Motion(self._loop.time(), (), end)
+        self._reach(step)
 
     def _next_crossing_s(self, circles: Sequence[Circle]) -> float | None:
         now_s, begun_s = self._loop.time(), self._motion.begun_s
         for phase in self._motion.phases:
             crossings_s = [
-                begun_s + elapsed_s + _PAST_THE_BORDER_S
+                begun_s + crossing_s + _PAST_THE_BORDER_S
                 for circle in circles
-                for elapsed_s in _crossings_s(phase, circle)
+                for crossing_s in _crossings_s(phase, circle)
             ]
             later_s = [crossing_s for crossing_s in crossings_s if crossing_s > now_s]
             if later_s:
                 return min(later_s)
             begun_s += phase.duration_s
         return None
-
-
-def _steadily(start: Position, end: Position, duration_s: float) -> tuple[Phase, ...]:
-    length_m = distance_m(start, end)
-    if length_m == 0 or duration_s == 0:
-        return (Phase(end, Velocity(), 0.0, 0.0, duration_s),)
-    heading = Velocity(
-        (end.east_m - start.east_m) / length_m,
-        (end.north_m - start.north_m) / length_m,
-        (end.altitude_m - start.altitude_m) / length_m,
-    )
-    return (Phase(start, heading, length_m / duration_s, 0.0, duration_s),)
 
 
 def _crossings_s(phase: Phase, circle: Circle) -> Iterator[float]:
@@ -154,16 +212,6 @@ def _crossings_s(phase: Phase, circle: Circle) -> Iterator[float]:
     if discriminant <= 0:
         return
     for travelled_m in (-half - math.sqrt(discriminant), -half + math.sqrt(discriminant)):
-        elapsed_s = _elapsed_s(phase, travelled_m)
-        if elapsed_s is not None and 0 <= elapsed_s <= phase.duration_s:
-            yield elapsed_s
-
-
-def _elapsed_s(phase: Phase, travelled_m: float) -> float | None:
-    """When a phase has covered that distance, if it ever does."""
-    speed_m_s, acceleration_m_s2 = phase.speed_m_s, phase.acceleration_m_s2
-    under_root = speed_m_s**2 + 2 * acceleration_m_s2 * travelled_m
-    if travelled_m < 0 or under_root < 0:
-        return None
-    divisor = speed_m_s + math.sqrt(under_root)
-    return 2 * travelled_m / divisor if divisor > 0 else None
+        crossing_s = elapsed_s(phase, travelled_m)
+        if crossing_s is not None:
+            yield crossing_s

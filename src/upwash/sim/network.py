@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from upwash.core.geo import Circle, Position
 from upwash.errors import NetworkError
@@ -12,10 +12,11 @@ from upwash.errors import NetworkError
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """Where a network can be joined, and how long that takes."""
+    """Where a network can be joined, how long that takes, and whether it is on the air now."""
 
     area: Circle
     join_s: float
+    is_up: Callable[[], bool] = field(default=lambda: True)
 
 
 class ModelNetwork:
@@ -34,7 +35,7 @@ class ModelNetwork:
         if not cells:
             raise NetworkError(f"no network {network} is known: name it in a [[server]] table")
         await asyncio.sleep(min(cell.join_s for cell in cells))
-        if not any(cell.area.contains(self._position()) for cell in cells):
+        if not any(cell.is_up() and cell.area.contains(self._position()) for cell in cells):
             raise NetworkError(f"network {network} is out of range")
         self._joined = network
 

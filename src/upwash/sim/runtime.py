@@ -77,7 +77,10 @@ class ModelInstance:
     ) -> None:
         self.endpoint = endpoint
         self._spec = spec
-        self._methods = {service_path(spec.service, name): method for name, method in service.methods.items()}
+        self._methods = {
+            service_path(spec.service, name): (method, empty_reply(method))
+            for name, method in service.methods.items()
+        }
         self._called = called
         self._computer = computer
         self._switchboard = switchboard
@@ -105,9 +108,9 @@ class ModelInstance:
             self._ended.set_result(how)
 
     async def _answer(self, path: str, body: bytes, drone: str) -> bytes:
-        method = self._methods.get(path)
-        if method is None:
+        if path not in self._methods:
             raise Refused(f"no method {path} here")
+        method, reply = self._methods[path]
         if drone not in self._admitted:
             raise Refused(f"drone {drone} has no lease here")
         async with self._busy:
@@ -122,7 +125,7 @@ class ModelInstance:
                 self.crash(str(error))
         if self._ended.done():
             raise InstanceError(f"{self._spec.name} {self._ended.result()}")
-        return empty_reply(method)
+        return reply
 
 
 def empty_reply(method: Method) -> bytes:

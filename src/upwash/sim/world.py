@@ -1,19 +1,19 @@
-"""What is true in a simulated world: the air between drone and servers, their computers, and what goes wrong."""
+"""What is true in a simulated world: the air between drone and servers, and their computers."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from typing import NoReturn, Protocol
+from typing import Protocol
 
-from upwash.config import FaultConfig, ServerTruth, ServiceConfig
+from upwash.config import ServerTruth, ServiceConfig
 from upwash.core.estimates import Operation
 from upwash.core.geo import Circle, Position, ground_distance_m
+from upwash.errors import InstanceError
 from upwash.ports import InstanceSpec
 from upwash.sim.chance import Chance
+from upwash.sim.faults import Faults
 from upwash.sim.heat import Heat
-
-_FLAP_S = 5.0
 
 
 class Goodput(Protocol):
@@ -21,25 +21,6 @@ class Goodput(Protocol):
 
     def transfer_s(self, data_bytes: int, distance_m: float) -> float:
         """How long the bytes need over the distance."""
-
-
-class Faults:
-    """What goes wrong, where and when."""
-
-    def __init__(self, faults: Sequence[FaultConfig]) -> None:
-        self._faults = faults
-
-    def now(self, target: str) -> FaultConfig | None:
-        """The fault of the target that is on now, the first one where there are several."""
-        now_s = asyncio.get_running_loop().time()
-        for fault in self._faults:
-            if fault.target == target and fault.from_s <= now_s < fault.to_s and _is_on(fault, now_s):
-                return fault
-        return None
-
-
-def _is_on(fault: FaultConfig, now_s: float) -> bool:
-    return fault.kind != "flapping" or int((now_s - fault.from_s) / _FLAP_S) % 2 == 0
 
 
 class Wire:
@@ -76,6 +57,11 @@ class Radio:
         fault = self._faults.now(f"link:{server}")
         down = fault is not None and fault.kind != "slow"
         return not down and self._areas[server].contains(self._position())
+
+    def is_up(self, server: str) -> bool:
+        """Whether the server's network can be joined, as far as its link is concerned."""
+        fault = self._faults.now(f"link:{server}")
+        return fault is None or fault.kind != "off"
 
     async def send(self, server: str, path: str, *, reply: bool) -> None:
         """The transfer time at the drone's distance; what is no service's call is too small to count."""
@@ -120,7 +106,7 @@ class DroneComputer:
 
 
 class ServerComputer:
-    """Runs the services of one server: as true as the scenario says, and as faulty."""
+    """Runs the services of one server in the times that are true; while it is to crash, they die half-way."""
 
     def __init__(
         self, name: str, truth: ServerTruth, *, faults: Faults, noise: float, chance: Chance
@@ -133,31 +119,22 @@ class ServerComputer:
 
     async def start(self, spec: InstanceSpec) -> None:
         """The cold start."""
-        await self._suffer()
-        await asyncio.sleep(self._truth.start_s)
+        await self._take(self._truth.start_s, f"{spec.name} crashed while it started")
 
     async def compute(self, spec: InstanceSpec, operation: Operation) -> None:
         """The true delay of a call: end to end where the scenario says it so, else the processing alone."""
-        await self._suffer()
         told = self._truth.remote_call_s.get(spec.service, {})
         source = told or self._truth.processing_s[spec.service]
         call_s = delay_of(operation, source)
-        await asyncio.sleep(call_s * self._chance.factor(f"call/{self._name}/{operation}", self._noise))
+        call_s *= self._chance.factor(f"call/{self._name}/{operation}", self._noise)
+        await self._take(call_s, f"{spec.name} crashed in a call")
 
-    async def _suffer(self) -> None:
+    async def _take(self, time_s: float, crash: str) -> None:
         fault = self._faults.now(self._name)
-        if fault is None:
-            return
-        if fault.kind == "slow":
-            await asyncio.sleep(fault.extra_s)
-        else:
-            await never()
-
-
-async def never() -> NoReturn:
-    """Waits until it is cancelled."""
-    await asyncio.get_running_loop().create_future()
-    raise AssertionError("nobody settles this future")
+        if fault is not None and fault.kind == "crash":
+            await asyncio.sleep(time_s / 2)
+            raise InstanceError(crash)
+        await asyncio.sleep(time_s)
 
 
 def delay_of(operation: Operation, delays_s: Mapping[str, float]) -> float:

@@ -1,4 +1,4 @@
-"""How the stand-in moves: straight lines, each under a constant acceleration or none, one after the other.
+"""How a vehicle moves: straight lines, each under a constant jerk, a constant acceleration or none.
 
 A motion is continuous in position and in velocity: it takes the vehicle as it is, brakes it, and then flies
 legs from rest to rest. Time is an argument everywhere.
@@ -7,10 +7,13 @@ legs from rest to rest. Time is an argument everywhere.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from upwash.core.geo import Position, distance_m
+
+_HALVINGS = 50  # of an interval in which something is looked for: finer than any float that matters here
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,17 +32,26 @@ class Velocity:
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """A straight stretch that begins at `speed_m_s` and gains speed along `heading`, a vector of length 1."""
+    """A straight stretch along `heading`, a vector of length 1, from `speed_m_s` on; it never flies backwards.
+
+    `acceleration_m_s2` is the one at its start, which grows by `jerk_m_s3`.
+    """
 
     start: Position
     heading: Velocity
     speed_m_s: float
     acceleration_m_s2: float
     duration_s: float
+    jerk_m_s3: float = 0.0
+
+    def travelled_m(self, elapsed_s: float) -> float:
+        """How far the vehicle has come, so long after the start of the phase."""
+        gained_m_s = elapsed_s * (self.acceleration_m_s2 / 2 + elapsed_s * self.jerk_m_s3 / 6)
+        return elapsed_s * (self.speed_m_s + gained_m_s)
 
     def position(self, elapsed_s: float) -> Position:
         """Where the vehicle is, so long after the start of the phase."""
-        travelled_m = elapsed_s * (self.speed_m_s + self.acceleration_m_s2 * elapsed_s / 2)
+        travelled_m = self.travelled_m(elapsed_s)
         return Position(
             east_m=self.start.east_m + travelled_m * self.heading.east_m_s,
             north_m=self.start.north_m + travelled_m * self.heading.north_m_s,
@@ -48,7 +60,8 @@ class Phase:
 
     def velocity(self, elapsed_s: float) -> Velocity:
         """How it moves, so long after the start of the phase."""
-        speed_m_s = self.speed_m_s + self.acceleration_m_s2 * elapsed_s
+        gained_m_s = elapsed_s * (self.acceleration_m_s2 + elapsed_s * self.jerk_m_s3 / 2)
+        speed_m_s = self.speed_m_s + gained_m_s
         return Velocity(
             east_m_s=speed_m_s * self.heading.east_m_s,
             north_m_s=speed_m_s * self.heading.north_m_s,
@@ -112,11 +125,7 @@ def leg(
     length_m = distance_m(start, end)
     if length_m == 0:
         return ()
-    heading = Velocity(
-        east_m_s=(end.east_m - start.east_m) / length_m,
-        north_m_s=(end.north_m - start.north_m) / length_m,
-        up_m_s=(end.altitude_m - start.altitude_m) / length_m,
-    )
+    heading = heading_of(start, end)
     top_m_s = min(cruise_m_s, math.sqrt(acceleration_m_s2 * length_m + speed_m_s**2 / 2))
     ramps_m = (2 * top_m_s**2 - speed_m_s**2) / (2 * acceleration_m_s2)
     cruise_s = max(0.0, (length_m - ramps_m) / top_m_s)
@@ -137,3 +146,174 @@ def braking(start: Position, velocity: Velocity, *, acceleration_m_s2: float) ->
         up_m_s=velocity.up_m_s / speed_m_s,
     )
     return (Phase(start, heading, speed_m_s, -acceleration_m_s2, speed_m_s / acceleration_m_s2),)
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """How a vehicle gains its speed from rest, or loses it: pairs of a duration and the acceleration at its end.
+
+    The acceleration runs in straight lines between them, from 0 on. The pairs add up to `full_m_s`. Greater speeds
+    are gained under the same accelerations over a longer time, smaller ones under smaller ones with the same jerk.
+    """
+
+    knots: tuple[tuple[float, float], ...]
+
+    @cached_property
+    def full_m_s(self) -> float:
+        """The change of speed that the pairs add up to."""
+        return abs(sum(part.gained_m_s for part in self._parts(1.0, 1.0)))
+
+    @cached_property
+    def full_s(self) -> float:
+        """How long that takes."""
+        return sum(duration_s for duration_s, _ in self.knots)
+
+    def length_m(self, speed_m_s: float) -> float:
+        """How far the vehicle comes from rest to that speed, or from that speed to rest."""
+        return self._share * speed_m_s * self._slowness(speed_m_s) * self.full_s
+
+    def phases(self, start: Position, heading: Velocity, speed_m_s: float) -> tuple[Phase, ...]:
+        """From rest to the speed; or, where the accelerations are negative, from the speed to rest."""
+        slowness = self._slowness(speed_m_s)
+        strength = speed_m_s / self.full_m_s / slowness
+        now_m_s = speed_m_s if self._brakes else 0.0
+        phases: list[Phase] = []
+        for part in self._parts(slowness, strength):
+            phases.append(
+                Phase(start, heading, now_m_s, part.acceleration_m_s2, part.duration_s, part.jerk_m_s3)
+            )
+            start, now_m_s = phases[-1].end, now_m_s + part.gained_m_s
+        return tuple(phases)
+
+    @property
+    def _brakes(self) -> bool:
+        return self.knots[0][1] < 0
+
+    @cached_property
+    def _share(self) -> float:
+        """The mean speed on the way, as a share of the speed gained or lost."""
+        way = self.phases(Position(0.0, 0.0), Velocity(east_m_s=1.0), self.full_m_s)
+        return way[-1].end.east_m / self.full_m_s / self.full_s
+
+    def _slowness(self, speed_m_s: float) -> float:
+        share = speed_m_s / self.full_m_s
+        return max(share, math.sqrt(share))
+
+    def _parts(self, slowness: float, strength: float) -> list[_Part]:
+        before, parts = 0.0, []
+        for duration_s, after in self.knots:
+            parts.append(_Part(duration_s * slowness, before * strength, after * strength))
+            before = after
+        return parts
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    duration_s: float
+    acceleration_m_s2: float
+    ends_at_m_s2: float
+
+    @property
+    def jerk_m_s3(self) -> float:
+        return (self.ends_at_m_s2 - self.acceleration_m_s2) / self.duration_s
+
+    @property
+    def gained_m_s(self) -> float:
+        return self.duration_s * (self.acceleration_m_s2 + self.ends_at_m_s2) / 2
+
+
+def ramped_leg(
+    start: Position, end: Position, *, cruise_m_s: float, faster: Ramp, slower: Ramp
+) -> tuple[Phase, ...]:
+    """A straight line from rest to rest along two ramps; a short leg never reaches cruise."""
+    length_m = distance_m(start, end)
+    if length_m == 0:
+        return ()
+    heading = heading_of(start, end)
+    top_m_s = _highest_m_s(length_m, cruise_m_s, faster, slower)
+    speeding_up = faster.phases(start, heading, top_m_s)
+    cruise_m = max(0.0, length_m - faster.length_m(top_m_s) - slower.length_m(top_m_s))
+    steady = Phase(speeding_up[-1].end, heading, top_m_s, 0.0, cruise_m / top_m_s)
+    return *speeding_up, steady, *slower.phases(steady.end, heading, top_m_s)
+
+
+def _highest_m_s(length_m: float, cruise_m_s: float, faster: Ramp, slower: Ramp) -> float:
+    """The speed, cruise at most, whose two ramps fit into the length."""
+
+    def fits(speed_m_s: float) -> bool:
+        return faster.length_m(speed_m_s) + slower.length_m(speed_m_s) <= length_m
+
+    return cruise_m_s if fits(cruise_m_s) else _last(fits, cruise_m_s)
+
+
+def _last(true: Callable[[float], bool], end: float) -> float:
+    """The last place between 0 and the end where it is true, which it is from 0 on until it no longer is."""
+    begin = 0.0
+    for _ in range(_HALVINGS):
+        middle = (begin + end) / 2
+        begin, end = (middle, end) if true(middle) else (begin, middle)
+    return begin
+
+
+def steadily(start: Position, end: Position, *, duration_s: float) -> tuple[Phase, ...]:
+    """A straight line at one speed; a pause where it leads nowhere or takes no time."""
+    length_m = distance_m(start, end)
+    if length_m == 0 or duration_s == 0:
+        return (Phase(end, Velocity(), 0.0, 0.0, duration_s),)
+    return (Phase(start, heading_of(start, end), length_m / duration_s, 0.0, duration_s),)
+
+
+def stretched(phases: Iterable[Phase], factor: float) -> tuple[Phase, ...]:
+    """The same way, flown in so many times the time."""
+    return tuple(
+        Phase(
+            phase.start,
+            phase.heading,
+            phase.speed_m_s / factor,
+            phase.acceleration_m_s2 / factor**2,
+            phase.duration_s * factor,
+            phase.jerk_m_s3 / factor**3,
+        )
+        for phase in phases
+    )
+
+
+def heading_of(start: Position, end: Position) -> Velocity:
+    """The direction from one place to another, which must not be the same, as a vector of length 1."""
+    length_m = distance_m(start, end)
+    return Velocity(
+        east_m_s=(end.east_m - start.east_m) / length_m,
+        north_m_s=(end.north_m - start.north_m) / length_m,
+        up_m_s=(end.altitude_m - start.altitude_m) / length_m,
+    )
+
+
+def elapsed_s(phase: Phase, travelled_m: float) -> float | None:
+    """When a phase has come that far, if it does."""
+    if not 0 <= travelled_m <= phase.travelled_m(phase.duration_s):
+        return None
+    if phase.jerk_m_s3:
+        return _last(lambda elapsed_s: phase.travelled_m(elapsed_s) <= travelled_m, phase.duration_s)
+    under_root = phase.speed_m_s**2 + 2 * phase.acceleration_m_s2 * travelled_m
+    divisor = phase.speed_m_s + math.sqrt(max(0.0, under_root))
+    return 2 * travelled_m / divisor if divisor > 0 else None
+
+
+def settled_s(phases: Sequence[Phase], *, distance_m: float, speed_m_s: float) -> float:
+    """From when on a vehicle is so near the phases' end, and so slow, for good."""
+    remaining_m, ended_s = 0.0, duration_s(phases)
+    for phase in reversed(phases):
+        length_m = phase.travelled_m(phase.duration_s)
+
+        def is_settled(
+            left_s: float, phase: Phase = phase, length_m: float = length_m, beyond_m: float = remaining_m
+        ) -> bool:
+            elapsed_s = phase.duration_s - left_s
+            near = beyond_m + length_m - phase.travelled_m(elapsed_s) <= distance_m
+            return near and phase.velocity(elapsed_s).speed_m_s <= speed_m_s
+
+        ended_s -= phase.duration_s
+        if not is_settled(phase.duration_s):
+            return ended_s + phase.duration_s - _last(is_settled, phase.duration_s)
+        remaining_m += length_m
+    return 0.0

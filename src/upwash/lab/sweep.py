@@ -1,0 +1,173 @@
+"""Which runs a campaign is made of: a scenario, each combination of the settings, each seed."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import itertools
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from upwash.bundled import load_configured_services, load_mission
+from upwash.config import Document, drone_config, impossible_values, read_document
+from upwash.errors import ConfigError, UsageError
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One key of the scenario, and the values that it takes in turn."""
+
+    key: str
+    values: tuple[object, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Combination:
+    """A value for each setting, as written in TOML, and the scenario's document with these values."""
+
+    values: tuple[str, ...]
+    document: Document
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """All combinations, each to be flown with the seeds 1 to `seeds`."""
+
+    file: Path
+    settings: tuple[Setting, ...]
+    combinations: tuple[Combination, ...]
+    seeds: int
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The keys that are set."""
+        return tuple(setting.key for setting in self.settings)
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes with anything that is flown, but not with the number of seeds."""
+        flown = [(each.values, each.document) for each in self.combinations]
+        return hashlib.sha256(msgspec.json.encode([self.keys, flown], order="sorted")).hexdigest()[:16]
+
+
+def read_sweep(file: Path, settings: Sequence[str], *, seeds: int) -> Sweep:
+    """The sweep over a scenario with settings `KEY=V1,V2…`; every combination can be flown.
+
+    Raises ConfigError with the key for a scenario that would be refused by itself, and UsageError for a setting
+    that cannot be understood.
+    """
+    document = read_document(file)
+    drone_config(document, file)  # so that what is wrong without any setting is not blamed on one
+    read = tuple(read_setting(text) for text in settings)
+    keys = [setting.key for setting in read]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise UsageError(f"{key} is set twice: give all its values at once, {key}=V1,V2")
+    combinations = tuple(_combinations(document, file, read))
+    for combination in combinations:
+        config = drone_config(combination.document, file)
+        load_mission(config.mission.program, mode=config.mission.mode)
+        load_configured_services(config)
+    return Sweep(file, read, combinations, seeds)
+
+
+def read_setting(text: str) -> Setting:
+    """The setting that `KEY=V1,V2…` says: TOML values, where strings need no quotes; raises UsageError."""
+    key, equals, written = (part.strip() for part in text.partition("="))
+    if not key or not equals or not written:
+        raise UsageError(f'setting "{text}" is not KEY=V1,V2…, such as policy.gain_wait=0.1,0.25')
+    if key == "seed":
+        raise UsageError("seed cannot be set: every combination is flown with the seeds 1 to N")
+    values = tuple(_read_values(written))
+    for value in values:
+        if values.count(value) > 1:
+            raise UsageError(f"{key} is set to {_written(value)} twice: give each value once")
+    return Setting(key, values)
+
+
+def with_value(document: Document, file: Path, key: str, value: object) -> Document:
+    """The document with one value changed or added.
+
+    A step of the key names a table's key; in an array of tables it is the `name` of one, or its number from 0.
+    Raises ConfigError where the key leads nowhere.
+    """
+    changed = copy.deepcopy(document)
+    table: Any = changed
+    walked, rest = "", key
+    while True:
+        step, rest = _first_step(table, rest)
+        here = f"{walked}.{step}" if walked else step
+        if isinstance(table, list):
+            table = _element(table, step, file, walked)
+        elif not isinstance(table, dict):
+            raise ConfigError(str(file), walked, f"is no table, so that {key} cannot be set")
+        elif not rest:
+            table[step] = value
+            return changed
+        else:
+            table = table.setdefault(step, {})
+        if not rest:
+            raise ConfigError(str(file), here, "names a whole table: set one of its keys")
+        walked = here
+
+
+def _combinations(document: Document, file: Path, settings: Sequence[Setting]) -> Iterator[Combination]:
+    for values in itertools.product(*(setting.values for setting in settings)):
+        changed = document
+        for setting, value in zip(settings, values, strict=True):
+            for key, problem in impossible_values(value, setting.key):
+                raise ConfigError(str(file), key, problem)
+            changed = with_value(changed, file, setting.key, value)
+        yield Combination(tuple(_written(value) for value in values), changed)
+
+
+def _first_step(table: object, key: str) -> tuple[str, str]:
+    """The first step of a key and the rest of it; a name in an array may itself have dots."""
+    names = [each for each in _names(table) if f"{key}.".startswith(f"{each}.")]
+    step = max(names, key=len) if names else key.partition(".")[0]
+    return step, key[len(step) + 1 :]
+
+
+def _names(table: object) -> list[str]:
+    if not isinstance(table, list):
+        return []
+    return [str(each["name"]) for each in table if isinstance(each, dict) and "name" in each]
+
+
+def _element(tables: list[Any], step: str, file: Path, walked: str) -> Any:
+    names = _names(tables)
+    if step in names:
+        return tables[names.index(step)]
+    if not names and step.isdecimal() and int(step) < len(tables):
+        return tables[int(step)]
+    allowed = ", ".join(names) or f"the numbers from 0 to {len(tables) - 1}"
+    raise ConfigError(str(file), walked, f'there is no "{step}"; allowed: {allowed}')
+
+
+def _read_values(written: str) -> list[object]:
+    try:
+        return list(_toml_array(written))
+    except tomllib.TOMLDecodeError:
+        return [_read_value(part.strip()) for part in written.split(",")]
+
+
+def _read_value(written: str) -> object:
+    try:
+        (value,) = _toml_array(written)
+    except (tomllib.TOMLDecodeError, ValueError):
+        return written
+    return value
+
+
+def _toml_array(items: str) -> list[object]:
+    values: list[object] = tomllib.loads(f"values = [{items}]")["values"]
+    return values
+
+
+def _written(value: object) -> str:
+    return value if isinstance(value, str) else msgspec.json.encode(value).decode()

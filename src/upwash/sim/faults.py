@@ -1,0 +1,177 @@
+"""What goes wrong in a simulated world, where and when.
+
+The programs know nothing of it: faults sit in the models around them.
+
+On a server (what runs there when a fault begins still runs when it is over):
+
+- `off`: nobody answers, and that shows at once: the computer is there, the daemon and its services are not
+- `stuck`: the connection is open and no answer comes
+- `slow`: every answer comes `extra_s` later
+- `garbage`: every answer is bytes that nobody can decode
+- `wrong`: the daemon lies in a well-formed way: all services run, at an address where nobody is
+- `flapping`: off for 5 s, well for 5 s, and so on
+- `full`: strangers hold every slot that is free
+- `crash`: instances die of what they are asked: while they start, in the middle of a call; a check finds them dead
+
+On a link, `link:SERVER`:
+
+- `off`: its network cannot be joined, and of what was joined nothing gets through, either way
+- `stuck`: its network can be joined, and nothing gets through
+- `slow`: a request and its reply take `extra_s` more, half of it each way
+- `flapping`: off for 5 s, well for 5 s, and so on
+
+On the autopilot:
+
+- `off`: its link is silent: every verb fails
+- `stuck`: the vehicle stays where it is on the way to a waypoint; everything else works
+- `slow`: every leg takes `extra_s` more
+- `flapping`: off for 5 s, well for 5 s, and so on
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from typing import NoReturn, Protocol
+
+import msgspec
+
+from upwash.config import FaultConfig
+from upwash.errors import Unreachable, UsageError
+from upwash.protocol import (
+    AVAILABILITY,
+    LEAVE,
+    START,
+    AvailabilityReply,
+    AvailabilityRequest,
+    LeaveRequest,
+    StartReply,
+)
+from upwash.sim.link import Handler
+
+_FLAP_S = 5.0
+_MOVING = ("off", "stuck", "slow", "flapping")  # what can befall links and the autopilot
+_NOBODY = "nobody.invalid:1"
+_UNDECODABLE = b"\xc1" * 16  # the one byte that MessagePack never uses
+
+
+class Faults:
+    """What goes wrong, where and when."""
+
+    def __init__(self, faults: Sequence[FaultConfig]) -> None:
+        for index, fault in enumerate(faults):
+            if (
+                fault.target == "autopilot" or fault.target.startswith("link:")
+            ) and fault.kind not in _MOVING:
+                raise UsageError(
+                    f"fault[{index}].kind: {fault.target} cannot be {fault.kind}: give one of {', '.join(_MOVING)}"
+                )
+        self._faults = faults
+
+    def now(self, target: str) -> FaultConfig | None:
+        """The fault of the target that is on now, the first one where there are several; flapping shows as off."""
+        if not self._faults:
+            return None
+        now_s = asyncio.get_running_loop().time()
+        for fault in self._faults:
+            if fault.target == target and fault.from_s <= now_s < fault.to_s and _is_on(fault, now_s):
+                return msgspec.structs.replace(fault, kind="off") if fault.kind == "flapping" else fault
+        return None
+
+
+def _is_on(fault: FaultConfig, now_s: float) -> bool:
+    return fault.kind != "flapping" or int((now_s - fault.from_s) / _FLAP_S) % 2 == 0
+
+
+class Plugboard(Protocol):
+    """Where handlers are plugged in at addresses."""
+
+    def plug(self, address: str, handler: Handler) -> None:
+        """From now on the handler answers at the address."""
+
+    def unplug(self, address: str) -> None:
+        """From now on nobody answers there."""
+
+
+class FaultyServer:
+    """One server as it looks from outside: whatever is plugged in through it suffers from the server's faults."""
+
+    def __init__(self, name: str, board: Plugboard, *, faults: Faults, slots: int) -> None:
+        self._name = name
+        self._board = board
+        self._faults = faults
+        self._slots = slots
+
+    def plug(self, address: str, instance: Handler) -> None:
+        """From now on the instance answers at the address, as well as it can."""
+
+        async def answer(path: str, body: bytes, drone: str) -> bytes:
+            return await self._suffering(lambda: instance(path, body, drone))
+
+        self._board.plug(address, answer)
+
+    def unplug(self, address: str) -> None:
+        """From now on nobody answers there."""
+        self._board.unplug(address)
+
+    def plug_daemon(self, address: str, daemon: Handler, *, crash: Callable[[str], None]) -> None:
+        """From now on the daemon answers at the address, as well as it can; `crash` ends its instances."""
+
+        async def answer(path: str, body: bytes, drone: str) -> bytes:
+            return await self._suffering(lambda: ask(path, body, drone))
+
+        async def ask(path: str, body: bytes, drone: str) -> bytes:
+            match self._kind():
+                case "wrong" if path == AVAILABILITY:
+                    return _lie(msgspec.msgpack.decode(body, type=AvailabilityRequest))
+                case "wrong" if path == START:
+                    return msgspec.msgpack.encode(StartReply(endpoint=_NOBODY))
+                case "full" if path != LEAVE:
+                    return await self._ask_among_strangers(daemon, path, body, drone)
+                case "crash" if path == AVAILABILITY:
+                    crash("crashed")
+            return await daemon(path, body, drone)
+
+        self._board.plug(address, answer)
+
+    async def _suffering(self, ask: Callable[[], Awaitable[bytes]]) -> bytes:
+        await self._endure()
+        reply = await ask()
+        fault = self._faults.now(self._name)
+        if fault is not None and fault.kind == "slow":
+            await asyncio.sleep(fault.extra_s)
+        await self._endure()
+        return _UNDECODABLE if self._kind() == "garbage" else reply
+
+    async def _endure(self) -> None:
+        match self._kind():
+            case "off":
+                raise Unreachable(f"{self._name}: nobody answers")
+            case "stuck":
+                await never()
+
+    async def _ask_among_strangers(self, daemon: Handler, path: str, body: bytes, drone: str) -> bytes:
+        """Has the daemon itself find that no slot is left, but for a drone that holds one."""
+        strangers = [f"stranger-{number}" for number in range(self._slots)]
+        for stranger in strangers:
+            await daemon(AVAILABILITY, msgspec.msgpack.encode(AvailabilityRequest(self._name, [])), stranger)
+        try:
+            return await daemon(path, body, drone)
+        finally:
+            for stranger in strangers:
+                await daemon(LEAVE, msgspec.msgpack.encode(LeaveRequest(self._name)), stranger)
+
+    def _kind(self) -> str:
+        fault = self._faults.now(self._name)
+        return fault.kind if fault else ""
+
+
+def _lie(request: AvailabilityRequest) -> bytes:
+    endpoints = dict.fromkeys(request.services, _NOBODY)
+    return msgspec.msgpack.encode(AvailabilityReply(available=True, endpoints=endpoints, lease_s=30.0))
+
+
+async def never() -> NoReturn:
+    """Waits until it is cancelled."""
+    await asyncio.get_running_loop().create_future()
+    raise AssertionError("nobody settles this future")

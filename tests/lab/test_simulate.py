@@ -1,0 +1,128 @@
+"""`upwash simulate`: its contract with those who call it, and that chance comes from the seed alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from upwash.cli import main
+
+THESIS = Path(__file__).parents[2] / "scenarios" / "thesis.toml"
+NOISE = "\n[noise]\ncall = 0.05\nleg = 0.05\n"
+
+
+def simulate(capsys: pytest.CaptureFixture[str], scenario: Path, *options: str) -> dict[str, Any]:
+    assert main(["simulate", str(scenario), "--json", *options]) == 0
+    result: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return result
+
+
+def noisy(tmp_path: Path) -> Path:
+    scenario = tmp_path / "noisy.toml"
+    scenario.write_text(THESIS.read_text() + NOISE)
+    return scenario
+
+
+def test_json_is_one_object_with_the_fields_of_the_contract(capsys: pytest.CaptureFixture[str]) -> None:
+    result = simulate(capsys, THESIS)
+    assert list(result) == [
+        "scenario", "policy", "seed", "mission_time_s", "completed", "calls", "totals",
+    ]  # fmt: skip
+    assert (result["scenario"], result["policy"], result["seed"]) == ("thesis", "location-aware", 1)
+    assert result["completed"] is True
+    assert list(result["calls"][0]) == [
+        "waypoint", "operation", "place", "decision", "delay_s", "waited_s", "at_s",
+    ]  # fmt: skip
+    assert list(result["totals"]) == [
+        "calls", "local", "remote", "waits", "waits_failed", "switches", "fallbacks", "service_delay_s",
+    ]  # fmt: skip
+
+
+def test_the_totals_are_those_of_the_calls(capsys: pytest.CaptureFixture[str]) -> None:
+    result = simulate(capsys, THESIS)
+    calls, totals = result["calls"], result["totals"]
+    assert [call["waypoint"] for call in calls] == list(range(121))
+    assert totals["calls"] == totals["local"] + sum(totals["remote"].values()) == len(calls)
+    assert totals["service_delay_s"] == pytest.approx(sum(call["delay_s"] for call in calls))
+    assert totals["waits"] == sum(call["waited_s"] > 0 for call in calls) > 0
+
+
+def test_policy_and_seed_can_be_given_instead_of_the_scenarios(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    scenario = noisy(tmp_path)
+    seven = simulate(capsys, scenario, "--policy", "local-only", "--seed", "7")
+    assert (seven["policy"], seven["seed"], seven["totals"]["remote"]) == ("local-only", 7, {})
+    eight = simulate(capsys, scenario, "--policy", "local-only", "--seed", "8")
+    assert seven["mission_time_s"] != eight["mission_time_s"]
+
+
+def test_a_person_gets_the_table_and_the_totals(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", str(THESIS)]) == 0
+    printed = capsys.readouterr().out
+    assert "121 calls: " in printed
+    assert "mission time 14" in printed
+
+
+def test_the_same_scenario_and_seed_leave_the_same_log_in_any_process(tmp_path: Path) -> None:
+    scenario = noisy(tmp_path)
+    logs = [tmp_path / f"{name}.jsonl" for name in ("first", "second", "hash_0", "hash_4711")]
+    for log in logs[:2]:
+        assert main(["simulate", str(scenario), "--json", "--log", str(log)]) == 0
+    for log, seed in zip(logs[2:], ("0", "4711"), strict=True):
+        subprocess.run(
+            [sys.executable, "-m", "upwash", "simulate", str(scenario), "--json", "--log", str(log)],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            stdout=subprocess.DEVNULL,
+            timeout=60,
+            check=True,
+        )
+    first = logs[0].read_bytes()
+    assert first.count(b"\n") > 121
+    assert all(log.read_bytes() == first for log in logs[1:])
+
+
+@pytest.mark.parametrize(
+    ("good", "bad", "key"),
+    [
+        ("range_m = 100.0", "range_m = -100.0", "server[0].range_m"),
+        ('mode = "heavy"', 'mode = "heavier"', "mission.mode"),
+        ("load_w = 4.0", "load_watts = 4.0", "heat"),
+    ],
+)
+def test_a_bad_scenario_is_refused_by_its_key(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, good: str, bad: str, key: str
+) -> None:
+    scenario, log = tmp_path / "bad.toml", tmp_path / "log.jsonl"
+    scenario.write_text(THESIS.read_text().replace(good, bad))
+    assert main(["simulate", str(scenario), "--json", "--log", str(log)]) == 2
+    captured = capsys.readouterr()
+    assert f"{scenario}: {key}" in captured.err
+    assert captured.out == ""
+    assert not log.exists()
+
+
+def test_a_mission_that_fails_still_shows_its_result(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "hasty.py").write_text(
+        "def fly(drone):\n    drone.autopilot.arm()\n    drone.autopilot.goto(drone.plan[0])\n"
+    )
+    scenario = tmp_path / "hasty.toml"
+    scenario.write_text(THESIS.read_text().replace('program = "survey"', 'program = "hasty.py:fly"'))
+    assert main(["simulate", str(scenario), "--json"]) == 1
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["completed"] is False
+    assert "not completed: goto: the vehicle is on the ground" in captured.err
+
+
+def test_figures_are_drawn_on_request(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    simulate(capsys, THESIS, "--figures", str(tmp_path / "figures"))
+    assert sorted(file.name for file in (tmp_path / "figures").iterdir()) == ["call_delay.png", "map.png"]

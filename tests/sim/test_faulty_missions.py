@@ -1,0 +1,101 @@
+"""Missions among faulty servers: they go on, and the promises hold."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.sim.promises import assert_kept
+from tests.sim.scenarios_for_tests import fault, scenario, server
+from upwash.config import DroneConfig
+from upwash.lab.run import simulate
+
+SERVER_KINDS = ("off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash")
+LINK_KINDS = ("off", "stuck", "slow", "flapping")
+SERVERS = (server("s1", 20.0, 20.0), server("s2", 80.0, 20.0))
+
+
+@functools.lru_cache
+def local_only_s(columns: int, rows: int) -> float:
+    run = simulate(scenario(columns=columns, rows=rows))
+    assert run.result.completed
+    return run.result.mission_time_s
+
+
+def check(config: DroneConfig) -> None:
+    grid = config.mission.grid
+    assert grid is not None
+    assert_kept(simulate(config), config, local_only_s=local_only_s(grid.columns, grid.rows))
+
+
+def test_without_faults_the_servers_are_used() -> None:
+    config = scenario(*SERVERS)
+    run = simulate(config)
+    assert_kept(run, config, local_only_s=local_only_s(6, 3))
+    assert run.result.totals.local <= 4 and run.result.totals.fallbacks == 0
+    assert run.result.mission_time_s < 0.6 * local_only_s(6, 3)
+
+
+@pytest.mark.parametrize(("from_s", "to_s"), [(0.0, 1e6), (0.0, 60.0), (25.0, 90.0), (63.0, 71.0)])
+@pytest.mark.parametrize(
+    ("prefix", "kind"),
+    [*[("", kind) for kind in SERVER_KINDS], *[("link:", kind) for kind in LINK_KINDS]],
+)
+def test_a_mission_goes_on_among_faulty_servers(prefix: str, kind: str, from_s: float, to_s: float) -> None:
+    faults = [fault(f"{prefix}{name}", kind, from_s=from_s, to_s=to_s) for name in ("s1", "s2")]
+    check(scenario(*SERVERS, faults=faults))
+
+
+windows = st.tuples(st.floats(0.0, 200.0), st.floats(0.0, 200.0)).map(sorted)
+kinds_by_prefix = st.one_of(
+    st.tuples(st.just(""), st.sampled_from(SERVER_KINDS)),
+    st.tuples(st.just("link:"), st.sampled_from(LINK_KINDS)),
+)
+
+
+@st.composite
+def scenarios(draw: st.DrawFn) -> DroneConfig:
+    names = [f"s{number}" for number in range(1, draw(st.integers(1, 3)) + 1)]
+    places = st.floats(-20.0, 120.0)
+    servers = [
+        server(
+            name,
+            draw(places),
+            draw(places),
+            range_m=draw(st.floats(15.0, 120.0)),
+            truth={
+                "join_s": draw(st.floats(0.0, 12.0)),
+                "start_s": draw(st.floats(0.0, 20.0)),
+                "remote_call_s": {"light": 0.3, "heavy": draw(st.floats(0.0, 15.0))},
+            },
+        )
+        for name in names
+    ]
+    faults: list[dict[str, Any]] = []
+    for _ in range(draw(st.integers(0, 4))):
+        (prefix, kind), (from_s, to_s) = draw(kinds_by_prefix), draw(windows)
+        extra_s = draw(st.floats(0.0, 20.0))
+        target = prefix + draw(st.sampled_from(names))
+        faults.append(fault(target, kind, from_s=from_s, to_s=to_s, extra_s=extra_s))
+    policy = {
+        "name": draw(st.sampled_from(["location-aware", "opportunistic"])),
+        "gain_switch": draw(st.sampled_from([0.0, 0.25, 0.5])),
+        "gain_wait": draw(st.sampled_from([0.0, 0.25, 0.5])),
+        "blacklist_s": draw(st.sampled_from([0.0, 5.0, 60.0])),
+    }
+    vehicle = {"profile": "arducopter"} if draw(st.booleans()) else {}
+    return scenario(*servers, faults=faults, columns=3, rows=2, policy=policy, vehicle=vehicle)
+
+
+@given(scenarios())
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_the_promises_hold_in_any_scenario(config: DroneConfig) -> None:
+    run = simulate(config)
+    alone = simulate(msgspec.structs.replace(config, servers=(), faults=()))
+    assert_kept(run, config, local_only_s=alone.result.mission_time_s)
+    assert simulate(config).log() == run.log()
