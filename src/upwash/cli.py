@@ -22,7 +22,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UsageError as error:
         return _complain(error, _USAGE)
     except MissionStopped as error:
-        return _complain(error, _INTERRUPTED)
+        print(f"upwash: the mission was ended early: {error}", file=sys.stderr)
+        return _INTERRUPTED
     except UpwashError as error:
         return _complain(error, _FAILURE)
     except (KeyboardInterrupt, asyncio.CancelledError):
@@ -98,6 +99,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     reproduce.add_argument("--figures", type=Path, metavar="DIR", help="draw the figures 4.4 to 4.12 there")
     reproduce.set_defaults(run=_reproduce)
+
+    campaign = commands.add_parser("campaign", help="simulate many missions, over seeds and settings")
+    campaign.add_argument("scenario", type=Path, help="the scenario, a TOML file")
+    campaign.add_argument("--seeds", type=_count, required=True, metavar="N", help="missions per combination")
+    campaign.add_argument(
+        "--set", action="append", default=[], dest="settings", metavar="KEY=V1,V2",
+        help="fly it with each of these values of a key, such as policy.gain_wait or server.s1.range_m",
+    )  # fmt: skip
+    where = campaign.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=_count, metavar="N", help="processes here (default: one per core)")
+    where.add_argument("--cluster", metavar="ADDRESS", help="fly on a Dask cluster, such as tcp://HOST:8786")
+    campaign.add_argument(
+        "--out", type=Path, metavar="FILE",
+        help="a .csv or .parquet file; an interrupted campaign is continued there (default: one in runs/)",
+    )  # fmt: skip
+    campaign.set_defaults(run=_campaign)
     return parser
 
 
@@ -204,6 +221,16 @@ def _reproduce(options: argparse.Namespace) -> int:
 
     show_reproduction(seeds=options.seeds, figures=options.figures)
     return _OK
+
+
+def _campaign(options: argparse.Namespace) -> int:
+    from upwash.lab.campaign import in_processes, on_cluster
+    from upwash.lab.campaign_display import show_campaign
+    from upwash.lab.sweep import read_sweep
+
+    sweep = read_sweep(options.scenario, options.settings, seeds=options.seeds)
+    fly = on_cluster(options.cluster) if options.cluster else in_processes(options.workers)
+    return _OK if show_campaign(sweep, options.out, fly=fly) else _FAILURE
 
 
 def _run_folder() -> Path:

@@ -91,7 +91,10 @@ class Progress:
                 said = Text("returning home to land" if doing == "returning" else "landed")
             case {"event": "notified", "message": message}:
                 said = Text(f"told the user: {_describe(message)}", style="bold magenta")
-            case {"event": "stopping" | "safe_return" | "mission_ended" as ending, "why": why}:
+            case {"event": "stopping", "why": why}:
+                said = Text(f"stopping ({why}); once more ends this at once, the vehicle left to itself")
+                said.stylize("bold red")
+            case {"event": "safe_return" | "mission_ended" as ending, "why": why}:
                 self._doing = "returning to land"
                 said = Text(f"{ending.replace('_', ' ')}: {why}", style="bold red")
             case {"event": name, "why": why} if name.endswith("_failed"):
@@ -148,12 +151,12 @@ def _print_calls(result: RunResult, console: Console) -> None:
 def _print_times(result: RunResult, console: Console, *, paced: bool) -> None:
     ended = "" if result.completed else ", not completed"
     local_only_s = result.local_only_time_s()
-    if local_only_s is None or not result.calls:
+    if local_only_s is None or not result.calls or not result.completed:
         console.print(f"mission time {result.mission_time_s:.1f} s{ended}", soft_wrap=True)
         return
     saved = 100 * (1 - result.mission_time_s / local_only_s)
     console.print(
-        f"mission time {result.mission_time_s:.1f} s{ended}; with every call on the drone, at the local delay "
+        f"mission time {result.mission_time_s:.1f} s; with every call on the drone, at the local delay "
         f"measured in this flight, {local_only_s:.1f} s: {saved:.0f} % saved",
         soft_wrap=True,
     )

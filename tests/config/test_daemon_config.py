@@ -61,7 +61,7 @@ def test_without_certificates_it_may_not_listen_to_others(tmp_path: Path, addres
         ("0.0.0.0:7070", "7070", "listen", "host:port"),
         ("0.0.0.0:7070", "unix:", "listen", "unix:path"),
         ("16_777_216", "0", "max_message_bytes", "from 1024 to 2147483647"),
-        ("lease_s = 30.0", "lease_s = 0", "lease_s", "above 0"),
+        ("lease_s = 30.0", "lease_s = 1.9", "lease_s", "at least 2"),
         ("idle_stop_s", "idle_s", "idle_s", 'did you mean "idle_stop_s"?'),
         ('images = ["detector"]', 'images = ["detecter"]', "server[0].images", 'did you mean "detector"?'),
         ('images = ["detector"]', "images = [1]", "server[0].images[0]", "a string, found 1"),

@@ -332,7 +332,7 @@ def test_an_instance_that_nobody_uses_is_stopped_and_started_again_on_request(
             endpoint = (await heron.start()).endpoint
             assert await heron.call(endpoint, "echo", b"photo") == b"photo"
 
-    with daemon(tmp_path, config(keys, lease_s=0.3, idle_stop_s=0.3)) as at:
+    with daemon(tmp_path, config(keys, lease_s=2.0, idle_stop_s=0.3)) as at:
         asyncio.run(visit(at))
 
 

@@ -28,6 +28,9 @@ MessageBytes = Annotated[
     int, Meta(ge=1024, le=_MOST_BYTES, description=f"an integer from 1024 to {_MOST_BYTES}, in bytes")
 ]
 
+# Instances report a drone's calls once a second: a shorter lease could end between two of them.
+LeaseSeconds = Annotated[float, Meta(ge=2, description="a number of at least 2, in seconds")]
+
 
 class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A service that can be started here; without a `program` it is the bundled one of that name."""
@@ -55,7 +58,7 @@ class DaemonConfig(
 
     listen: Text = "0.0.0.0:7070"
     max_message_bytes: MessageBytes = 16_777_216
-    lease_s: Positive = 30.0
+    lease_s: LeaseSeconds = 30.0
     idle_stop_s: Positive = 600.0
     start_timeout_s: Positive = 60.0
     allow_without_certificates: bool = False

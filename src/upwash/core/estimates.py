@@ -91,7 +91,9 @@ class Estimates:
         self._calls = dict.fromkeys(self._local, 0)
         self._weights = self._weigh()
         self._last_remote_call_s: dict[str, dict[Operation, float]] = {server: {} for server in servers}
-        self._mean_call_s: dict[str | None, float] = {}  # those asked for since something was learnt of a call
+        self._mean_call_s: dict[
+            str | None, float
+        ] = {}  # those asked for since something was learnt of a call
 
     @property
     def operations(self) -> Iterable[Operation]:

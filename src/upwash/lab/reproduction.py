@@ -7,7 +7,6 @@ it in the detector's mode, the policy and the load on s2, and in nothing else.
 from __future__ import annotations
 
 import csv
-import math
 import multiprocessing
 import os
 import signal
@@ -17,13 +16,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import as_file, files
 from pathlib import Path
-from statistics import NormalDist, fmean, stdev
+from statistics import fmean
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import msgspec
 
 from upwash.config import DroneConfig, ServerConfig, read_drone_config
 from upwash.errors import UpwashError
+from upwash.lab.confidence import Mean, mean_of
 from upwash.lab.run import Run, simulate
 from upwash.lab.simulation import with_policy
 
@@ -109,21 +109,14 @@ class Comparison:
     printed: float | None
 
     @property
-    def mean(self) -> float:
-        """The mean over the seeds."""
-        return fmean(self.values)
-
-    @property
-    def margin(self) -> float:
-        """Half the width of the mean's 95 % confidence interval; 0 for a single seed."""
-        if len(self.values) < 2:
-            return 0.0
-        return _student_t(len(self.values) - 1) * stdev(self.values) / math.sqrt(len(self.values))
+    def mean(self) -> Mean:
+        """The mean over the seeds, with its 95 % confidence."""
+        return mean_of(self.values)
 
     @property
     def deviation_percent(self) -> float | None:
         """How far the mean is from the printed figure; None where there is none, or where it is 0."""
-        return 100 * (self.mean / self.printed - 1) if self.printed else None
+        return 100 * (self.mean.value / self.printed - 1) if self.printed else None
 
 
 def cells() -> tuple[Cell, ...]:
@@ -329,21 +322,10 @@ def _printed() -> dict[tuple[str, str, str], float]:
 
 
 def _printed_values(comparison: Comparison) -> tuple[str, str, str]:
-    form = _FORMS[comparison.quantity.unit]
-    deviation = comparison.deviation_percent
+    mean, deviation = comparison.mean, comparison.deviation_percent
+    margin = f" ± {mean.margin:.2f}" if mean.count > 1 else ""
     return (
-        f"{form.format(comparison.mean)} ± {comparison.margin:.2f}",
+        _FORMS[comparison.quantity.unit].format(mean.value) + margin,
         "" if comparison.printed is None else f"{comparison.printed:g}",
         "" if deviation is None else f"{deviation:+.1f} %",
-    )
-
-
-def _student_t(degrees: int) -> float:
-    """The 97.5 % quantile of Student's distribution, by Cornish-Fisher expansion: within 1 % from 3 degrees on."""
-    z = NormalDist().inv_cdf(0.975)
-    return (
-        z
-        + (z**3 + z) / (4 * degrees)
-        + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * degrees**2)
-        + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / (384 * degrees**3)
     )

@@ -15,6 +15,7 @@ import msgspec
 
 from upwash.bundled import load_configured_services, load_mission
 from upwash.config import Document, drone_config, impossible_values, read_document
+from upwash.config.values import repeated
 from upwash.errors import ConfigError, UsageError
 
 
@@ -64,10 +65,8 @@ def read_sweep(file: Path, settings: Sequence[str], *, seeds: int) -> Sweep:
     document = read_document(file)
     drone_config(document, file)  # so that what is wrong without any setting is not blamed on one
     read = tuple(read_setting(text) for text in settings)
-    keys = [setting.key for setting in read]
-    for key in keys:
-        if keys.count(key) > 1:
-            raise UsageError(f"{key} is set twice: give all its values at once, {key}=V1,V2")
+    for _, key in repeated([setting.key for setting in read]):
+        raise UsageError(f"{key} is set twice: give all its values at once, {key}=V1,V2")
     combinations = tuple(_combinations(document, file, read))
     for combination in combinations:
         config = drone_config(combination.document, file)
@@ -84,9 +83,8 @@ def read_setting(text: str) -> Setting:
     if key == "seed":
         raise UsageError("seed cannot be set: every combination is flown with the seeds 1 to N")
     values = tuple(_read_values(written))
-    for value in values:
-        if values.count(value) > 1:
-            raise UsageError(f"{key} is set to {_written(value)} twice: give each value once")
+    for _, again in repeated([_written(value) for value in values]):
+        raise UsageError(f"{key} is set to {again} twice: give each value once")
     return Setting(key, values)
 
 
@@ -97,23 +95,26 @@ def with_value(document: Document, file: Path, key: str, value: object) -> Docum
     Raises ConfigError where the key leads nowhere.
     """
     changed = copy.deepcopy(document)
-    table: Any = changed
-    walked, rest = "", key
-    while True:
-        step, rest = _first_step(table, rest)
-        here = f"{walked}.{step}" if walked else step
-        if isinstance(table, list):
-            table = _element(table, step, file, walked)
-        elif not isinstance(table, dict):
-            raise ConfigError(str(file), walked, f"is no table, so that {key} cannot be set")
-        elif not rest:
+    _set(changed, key, value, file=file, walked="")
+    return changed
+
+
+def _set(table: Any, key: str, value: object, *, file: Path, walked: str) -> None:
+    step, rest = _first_step(table, key)
+    here = f"{walked}.{step}" if walked else step
+    match table:
+        case dict() if not rest:
             table[step] = value
-            return changed
-        else:
-            table = table.setdefault(step, {})
-        if not rest:
-            raise ConfigError(str(file), here, "names a whole table: set one of its keys")
-        walked = here
+            return
+        case dict():
+            inner = table.setdefault(step, {})
+        case list() if rest:
+            inner = _element(table, step, file, walked)
+        case list():
+            raise ConfigError(str(file), here, "is a whole table: set one of its keys")
+        case _:
+            raise ConfigError(str(file), walked, f'is no table: it has no key "{step}" to be set')
+    _set(inner, rest, value, file=file, walked=here)
 
 
 def _combinations(document: Document, file: Path, settings: Sequence[Setting]) -> Iterator[Combination]:
@@ -152,14 +153,14 @@ def _element(tables: list[Any], step: str, file: Path, walked: str) -> Any:
 def _read_values(written: str) -> list[object]:
     try:
         return list(_toml_array(written))
-    except tomllib.TOMLDecodeError:
+    except ValueError:
         return [_read_value(part.strip()) for part in written.split(",")]
 
 
 def _read_value(written: str) -> object:
     try:
         (value,) = _toml_array(written)
-    except (tomllib.TOMLDecodeError, ValueError):
+    except ValueError:
         return written
     return value
 

@@ -17,9 +17,15 @@ from upwash.errors import UpwashError
 
 T = TypeVar("T")
 
+_MOST_TURNS = 100_000  # without time going on: a thousand times what a flight with a hundred servers needs
+
 
 class DeadlockError(UpwashError):
     """Every task waits, and nothing is scheduled that could wake one."""
+
+
+class LivelockError(UpwashError):
+    """Something goes on for ever, and time does not."""
 
 
 class OutsideWorldError(UpwashError):
@@ -38,6 +44,7 @@ class VirtualLoop(base_events.BaseEventLoop):
     def __init__(self) -> None:
         super().__init__()
         self._now_s = 0.0
+        self._turns = 0  # of the loop since time last went on
         self._clock_resolution = 1e-9  # the base class runs what is due before now plus this
         self._selector = self  # the base class asks its selector for events: here, time is the only one
 
@@ -55,7 +62,15 @@ class VirtualLoop(base_events.BaseEventLoop):
         """Jumps to the next timer instead of waiting for it."""
         if timeout is None:
             raise DeadlockError(f"everything waits and nothing is scheduled: {self._waiting()}")
-        if timeout > 0:
+        if timeout == 0:
+            self._turns += 1
+            if self._turns > _MOST_TURNS:
+                raise LivelockError(
+                    f"after {_MOST_TURNS} turns it is still {self._now_s:.3f} s: a mission that loops over verbs "
+                    f"which take no time, or programs that answer each other at once; {self._waiting()}"
+                )
+        else:
+            self._turns = 0
             self._now_s = max(self._now_s, self._scheduled[0].when())  # type: ignore[attr-defined]
         return []
 

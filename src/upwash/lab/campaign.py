@@ -1,0 +1,189 @@
+"""Many runs, on all cores or on a Dask cluster; an interrupted campaign continues where it stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from upwash.config import Document, drone_config
+from upwash.errors import UpwashError, UsageError
+from upwash.lab.campaign_file import CampaignFile, Row
+from upwash.lab.confidence import Mean, mean_of
+from upwash.lab.run import simulate
+from upwash.lab.sweep import Combination, Sweep
+
+_CHUNK_RUNS = (
+    5  # so few that little is lost by an interruption, and enough that handing them out costs nothing
+)
+_CONNECT_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Runs of one combination that one process does in one go."""
+
+    file: str
+    values: tuple[str, ...]
+    document: Document
+    seeds: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CombinationSummary:
+    """What the runs of one combination came to; without a completed run there is no mean."""
+
+    values: tuple[str, ...]
+    mission_time_s: Mean | None
+    failures: dict[int, str]  # reason by seed
+
+
+Fly = Callable[[Sequence[Chunk]], contextlib.AbstractContextManager[Iterator[list[Row]]]]
+
+
+def run_campaign(
+    sweep: Sweep, out: Path, *, fly: Fly, flown: Callable[[int], None] = lambda _: None
+) -> list[CombinationSummary]:
+    """Flies what is not yet in the file, and sorts it; returns a summary per combination, in the sweep's order.
+
+    `flown` is told how many runs have come in, first those that were there. Raises UsageError for a file that
+    belongs to another campaign.
+    """
+    file = CampaignFile.open(out, sweep)
+    flown(len(file.rows))
+    with fly(list(_chunks(sweep, file.rows))) as chunks:
+        for rows in chunks:
+            file.append(rows)
+            flown(len(rows))
+    file.finish()
+    return [_summary(combination, file.rows) for combination in sweep.combinations]
+
+
+def in_processes(workers: int | None = None) -> Fly:
+    """Flies in so many processes of this machine; by default one for each core that may be used."""
+
+    @contextlib.contextmanager
+    def fly(chunks: Sequence[Chunk]) -> Generator[Iterator[list[Row]]]:
+        pool = ProcessPoolExecutor(
+            max(1, min(workers or _cores(), len(chunks))),
+            mp_context=multiprocessing.get_context("spawn"),  # forking a process with threads is not safe
+            initializer=_begin_worker,
+        )
+        try:
+            futures = [pool.submit(fly_chunk, chunk) for chunk in chunks]
+            yield (future.result() for future in as_completed(futures))
+        except BrokenProcessPool:
+            raise UpwashError(
+                "a process of the campaign was killed, perhaps for want of memory; "
+                "the same command continues it, --workers 1 with less memory"
+            ) from None
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    return fly
+
+
+def on_cluster(address: str) -> Fly:
+    """Flies on the workers of a Dask cluster; raises UsageError where none can be reached."""
+    try:
+        import distributed
+    except ImportError:
+        raise UsageError("--cluster needs Dask: pip install 'upwash[campaign]'") from None
+
+    @contextlib.contextmanager
+    def fly(chunks: Sequence[Chunk]) -> Generator[Iterator[list[Row]]]:
+        try:
+            client = distributed.Client(  # type: ignore[no-untyped-call]
+                address, timeout=_CONNECT_S, set_as_default=False
+            )
+        except (OSError, ValueError) as error:
+            raise UsageError(f"no Dask scheduler answers at {address}: {error}") from error
+        with client:
+            futures = client.map(fly_chunk, chunks, pure=False)
+            flown = distributed.as_completed(futures, with_results=True)  # type: ignore[no-untyped-call]
+            yield (rows for _, rows in flown)
+
+    return fly
+
+
+def fly_chunk(chunk: Chunk) -> list[Row]:
+    """Flies the runs one after the other; a run that fails is a row too."""
+    return [_fly(chunk, seed) for seed in chunk.seeds]
+
+
+def _fly(chunk: Chunk, seed: int) -> Row:
+    config = msgspec.structs.replace(drone_config(chunk.document, Path(chunk.file)), seed=seed)
+    try:
+        run = simulate(config)
+    except Exception as error:  # noqa: BLE001 - whatever a mission raises is this run's failure, not the others'
+        failure = _one_line(f"{type(error).__name__}: {error}")
+        return Row(chunk.values, seed, config.policy.name, failure=failure)
+    totals = run.result.totals
+    return Row(
+        chunk.values,
+        seed,
+        run.result.policy,
+        mission_time_s=run.result.mission_time_s,
+        completed=run.result.completed and not run.failure,
+        failure=_one_line(run.failure),
+        calls=totals.calls,
+        local=totals.local,
+        remote=sum(totals.remote.values()),
+        waits=totals.waits,
+        waits_failed=totals.waits_failed,
+        switches=totals.switches,
+        fallbacks=totals.fallbacks,
+        service_delay_s=totals.service_delay_s,
+    )
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _chunks(sweep: Sweep, done: Iterable[Row]) -> Iterator[Chunk]:
+    flown = {(row.values, row.seed) for row in done}
+    for combination in sweep.combinations:
+        missing = (seed for seed in range(1, sweep.seeds + 1) if (combination.values, seed) not in flown)
+        while seeds := tuple(itertools.islice(missing, _CHUNK_RUNS)):
+            yield Chunk(str(sweep.file), combination.values, combination.document, seeds)
+
+
+def _summary(combination: Combination, rows: Iterable[Row]) -> CombinationSummary:
+    own = [row for row in rows if row.values == combination.values]
+    times_s = [row.mission_time_s for row in own if row.completed and row.mission_time_s is not None]
+    return CombinationSummary(
+        combination.values,
+        mean_of(times_s) if times_s else None,
+        {row.seed: row.failure for row in own if not row.completed},
+    )
+
+
+def _cores() -> int:
+    """Those that this process may use: fewer than there are, in a container or under taskset."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _begin_worker() -> None:
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # Ctrl-C goes to every process: the first one ends the others
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """Leaves no process behind when the first one is killed outright and cannot end the others."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None  # noqa: S101 - this is a worker
+    parent.join()
+    os._exit(1)

@@ -1,0 +1,189 @@
+"""The file that a campaign writes: a CSV row per run, kept as the runs come in.
+
+Beside it lies a note of which campaign it belongs to, as rows of two campaigns in one file would be worthless.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import msgspec
+
+from upwash.errors import UsageError
+from upwash.lab.sweep import Sweep
+
+
+class Row(msgspec.Struct, frozen=True):
+    """One run; what it came to is empty where the run broke off without a result."""
+
+    values: tuple[str, ...]  # of the settings
+    seed: int
+    policy: str
+    mission_time_s: float | None = None
+    completed: bool = False
+    failure: str = ""
+    calls: int | None = None
+    local: int | None = None
+    remote: int | None = None
+    waits: int | None = None
+    waits_failed: int | None = None
+    switches: int | None = None
+    fallbacks: int | None = None
+    service_delay_s: float | None = None
+
+
+_COLUMNS = Row.__struct_fields__[1:]
+
+
+class Note(msgspec.Struct, frozen=True):
+    """Which campaign a file belongs to."""
+
+    scenario: str
+    settings: dict[str, tuple[object, ...]]
+    fingerprint: str
+
+
+class CampaignFile:
+    """The rows of a campaign, in memory and in its file."""
+
+    def __init__(self, csv_file: Path, parquet_file: Path | None, sweep: Sweep, rows: list[Row]) -> None:
+        self.rows = rows
+        self._csv_file = csv_file
+        self._parquet_file = parquet_file
+        self._sweep = sweep
+
+    @classmethod
+    def open(cls, out: Path, sweep: Sweep) -> CampaignFile:
+        """Begins the file or continues it; `out` ends in .csv or .parquet, which is written from a .csv beside it.
+
+        Raises UsageError for a file of another campaign, or of none.
+        """
+        if out.suffix not in (".csv", ".parquet"):
+            raise UsageError(f"{out} ends neither in .csv nor in .parquet: name a file of one of these kinds")
+        if out.suffix == ".parquet":
+            _check_parquet()
+        csv_file = out.with_suffix(".csv")
+        file = cls(csv_file, out if out.suffix == ".parquet" else None, sweep, [])
+        try:
+            file._claim()
+            if csv_file.exists():
+                _drop_torn_row(csv_file)
+                file.rows = _read(csv_file, settings=len(sweep.settings))
+            if not csv_file.exists() or csv_file.stat().st_size == 0:
+                _write(csv_file, [file._header()])
+        except OSError as error:
+            raise UsageError(f"{csv_file} cannot be written: {error.strerror}") from error
+        if any(row.seed > sweep.seeds for row in file.rows):
+            most = max(row.seed for row in file.rows)
+            raise UsageError(
+                f"{csv_file} has the seeds up to {most} already: ask for as many, or name another file"
+            )
+        return file
+
+    def append(self, rows: Iterable[Row]) -> None:
+        """Keeps these rows: from now on no interruption loses them."""
+        new = list(rows)
+        self.rows += new
+        _write(self._csv_file, [_cells(row) for row in new])
+
+    def finish(self) -> None:
+        """Sorts the rows by combination and seed, and writes the Parquet file where one is wanted."""
+        order = {each.values: number for number, each in enumerate(self._sweep.combinations)}
+        self.rows.sort(key=lambda row: (order[row.values], row.seed))
+        sorted_file = self._csv_file.with_suffix(".csv.sorted")
+        sorted_file.unlink(missing_ok=True)
+        _write(sorted_file, [self._header(), *(_cells(row) for row in self.rows)])
+        sorted_file.replace(self._csv_file)
+        if self._parquet_file is not None:
+            _write_parquet(self._csv_file, self._parquet_file)
+
+    def _header(self) -> list[str]:
+        return [*self._sweep.keys, *_COLUMNS]
+
+    def _claim(self) -> None:
+        """Makes sure that the file is this campaign's, by the note beside it."""
+        sweep = self._sweep
+        note_file = self._csv_file.with_suffix(".campaign.json")
+        note = Note(sweep.file.name, {each.key: each.values for each in sweep.settings}, sweep.fingerprint)
+        if self._csv_file.exists():
+            found = None
+            with contextlib.suppress(OSError, msgspec.MsgspecError):
+                found = msgspec.json.decode(note_file.read_bytes(), type=Note)
+            if found is None or found.fingerprint != note.fingerprint:
+                raise UsageError(
+                    f"{self._csv_file} is of {_described(found)}: name another file with --out, or remove it"
+                )
+        self._csv_file.parent.mkdir(parents=True, exist_ok=True)
+        note_file.write_bytes(msgspec.json.format(msgspec.json.encode(note)) + b"\n")
+
+
+def _described(note: Note | None) -> str:
+    if note is None:
+        return "no campaign"
+    settings = "".join(f", {key} = {list(values)}" for key, values in note.settings.items())
+    return f"another campaign, or of another state of its scenario ({note.scenario}{settings})"
+
+
+def _read(csv_file: Path, *, settings: int) -> list[Row]:
+    with csv_file.open(newline="", encoding="utf-8") as lines:
+        rows = list(csv.reader(lines))[1:]
+    try:
+        return [_row(cells, settings) for cells in rows]
+    except (msgspec.ValidationError, ValueError) as error:
+        raise UsageError(f"{csv_file} was changed by hand: {error}; remove it and begin again") from None
+
+
+def _row(cells: Sequence[str], settings: int) -> Row:
+    named = dict(zip(_COLUMNS, cells[settings:], strict=True))
+    texts = {name: cell for name, cell in named.items() if cell or name == "failure"}
+    return msgspec.convert({"values": cells[:settings], **texts}, Row, strict=False)
+
+
+def _cells(row: Row) -> list[str]:
+    return [*row.values, *(_cell(getattr(row, column)) for column in _COLUMNS)]
+
+
+def _cell(value: object) -> str:
+    match value:
+        case None:
+            return ""
+        case bool():
+            return str(value).lower()
+        case _:
+            return str(value)
+
+
+def _write(csv_file: Path, rows: Iterable[Sequence[str]]) -> None:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    with csv_file.open("ab", buffering=0) as file:
+        file.write(text.getvalue().encode())  # at once, so that a kill tears a row at most
+        os.fsync(file.fileno())
+
+
+def _drop_torn_row(csv_file: Path) -> None:
+    """Cuts off what follows the last line end: a row that was being written when the campaign was killed."""
+    with csv_file.open("rb+") as file:
+        file.truncate(file.read().rfind(b"\n") + 1)
+
+
+def _check_parquet() -> None:
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        raise UsageError(
+            "a Parquet file needs pyarrow: pip install 'upwash[parquet]', or name a .csv file"
+        ) from None
+
+
+def _write_parquet(csv_file: Path, parquet_file: Path) -> None:
+    from pyarrow import csv as arrow_csv
+    from pyarrow import parquet, string
+
+    texts = arrow_csv.ConvertOptions(column_types={"policy": string(), "failure": string()})
+    parquet.write_table(arrow_csv.read_csv(csv_file, convert_options=texts), parquet_file)

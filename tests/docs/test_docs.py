@@ -1,0 +1,57 @@
+"""What the documentation says is true: its links, its commands, its example."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+
+import pytest
+
+import upwash
+from upwash.cli import _parser
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_between_pages_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", page.read_text()):
+        if "://" not in target:
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_pages_that_are_named_exist(page: Path) -> None:
+    for name in re.findall(r"\bdocs/[\w./-]+\.md", page.read_text()):
+        assert (ROOT / name).exists(), f"{page.name} names {name}"
+
+
+def test_every_command_is_documented_and_every_documented_command_exists() -> None:
+    (choices,) = [
+        action.choices for action in _parser()._actions if isinstance(action, argparse._SubParsersAction)
+    ]
+    written = "".join(page.read_text() for page in PAGES)
+    documented = set(re.findall(r"(?:^ +|`)upwash ([a-z]+)", written, flags=re.MULTILINE))
+    assert documented == set(choices)
+
+
+def test_the_readme_shows_the_example_that_is_tested() -> None:
+    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)
+    example = (ROOT / "examples" / "patrol.py").read_text()
+    for line in block.splitlines():
+        code = line.partition("#")[0].strip()
+        assert code in example, f"README's {code!r} is not in examples/patrol.py"
+
+
+def test_the_public_names_are_these() -> None:
+    assert upwash.__all__ == ["Drone", "service"]
+    assert all(hasattr(upwash, name) for name in upwash.__all__)
+
+
+def test_make_run_and_make_test_are_the_readmes_commands() -> None:
+    readme, makefile = (ROOT / "README.md").read_text(), (ROOT / "Makefile").read_text()
+    for command in ("run", "test"):
+        assert re.search(rf"^    make {command}\b", readme, flags=re.MULTILINE)
+        assert re.search(rf"^{command}:", makefile, flags=re.MULTILINE)
