@@ -86,14 +86,14 @@ def scenarios(draw: st.DrawFn) -> DroneConfig:
         "name": draw(st.sampled_from(["location-aware", "opportunistic"])),
         "gain_switch": draw(st.sampled_from([0.0, 0.25, 0.5])),
         "gain_wait": draw(st.sampled_from([0.0, 0.25, 0.5])),
-        "blacklist_s": draw(st.sampled_from([0.0, 5.0, 60.0])),
+        "blacklist_s": draw(st.sampled_from([5.0, 60.0])),
     }
     vehicle = {"profile": "arducopter"} if draw(st.booleans()) else {}
     return scenario(*servers, faults=faults, columns=3, rows=2, policy=policy, vehicle=vehicle)
 
 
 @given(scenarios())
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_the_promises_hold_in_any_scenario(config: DroneConfig) -> None:
     run = simulate(config)
     alone = simulate(msgspec.structs.replace(config, servers=(), faults=()))

@@ -52,21 +52,19 @@ Fly = Callable[[Sequence[Chunk]], contextlib.AbstractContextManager[Iterator[lis
 
 
 def run_campaign(
-    sweep: Sweep, out: Path, *, fly: Fly, flown: Callable[[int], None] = lambda _: None
+    file: CampaignFile, *, fly: Fly, flown: Callable[[int], None] = lambda _: None
 ) -> list[CombinationSummary]:
     """Flies what is not yet in the file, and sorts it; returns a summary per combination, in the sweep's order.
 
-    `flown` is told how many runs have come in, first those that were there. Raises UsageError for a file that
-    belongs to another campaign.
+    `flown` is told how many runs have come in, first those that were there.
     """
-    file = CampaignFile.open(out, sweep)
     flown(len(file.rows))
-    with fly(list(_chunks(sweep, file.rows))) as chunks:
+    with fly(list(_chunks(file.sweep, file.rows))) as chunks:
         for rows in chunks:
             file.append(rows)
             flown(len(rows))
     file.finish()
-    return [_summary(combination, file.rows) for combination in sweep.combinations]
+    return [_summary(combination, file.rows) for combination in file.sweep.combinations]
 
 
 def in_processes(workers: int | None = None) -> Fly:

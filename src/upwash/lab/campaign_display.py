@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.lab.campaign import CombinationSummary, Fly, run_campaign
+from upwash.lab.campaign_file import CampaignFile
 from upwash.lab.confidence import Mean
 from upwash.lab.sweep import Sweep
 
@@ -19,30 +20,31 @@ _FAILURES_SHOWN = 10  # of each combination: the file has them all
 
 def show_campaign(sweep: Sweep, out: Path | None, *, fly: Fly) -> bool:
     """Runs the campaign and prints what it came to; returns whether every run was completed."""
-    file = out or Path("runs") / f"{sweep.file.stem}-{sweep.fingerprint}.csv"
+    out = out or Path("runs") / f"{sweep.file.stem}-{sweep.fingerprint}.csv"
+    file = CampaignFile.open(out, sweep)
     console = Console()
     columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
     try:
         with Progress(*columns, console=console) as progress:
             task = progress.add_task("missions", total=len(sweep.combinations) * sweep.seeds)
-            summaries = run_campaign(sweep, file, fly=fly, flown=lambda runs: progress.advance(task, runs))
+            summaries = run_campaign(file, fly=fly, flown=lambda runs: progress.advance(task, runs))
     except KeyboardInterrupt:
-        console.print(f"interrupted; the same command with --out {file} continues it", soft_wrap=True)
+        console.print(f"interrupted; the same command with --out {out} continues it", soft_wrap=True)
         raise
     console.print(_table(sweep, summaries))
     for summary in summaries:
         for line in _failures(sweep, summary):
             console.print(line, soft_wrap=True)
-    console.print(f"each run: {file}", soft_wrap=True)
+    console.print(f"each run: {out}", soft_wrap=True)
     return not any(summary.failures for summary in summaries)
 
 
 def _table(sweep: Sweep, summaries: Sequence[CombinationSummary]) -> Table:
     table = Table(box=None, padding=(0, 2), caption="± 95 % confidence", caption_justify="left")
     for key in sweep.keys:
-        table.add_column(key)
+        table.add_column(key, overflow="fold")
     for title in ("completed", "failed", "mission time"):
-        table.add_column(title, justify="right")
+        table.add_column(title, justify="right", no_wrap=True)
     for summary in summaries:
         mean = summary.mission_time_s
         completed, failed = mean.count if mean else 0, len(summary.failures)

@@ -55,7 +55,7 @@ class CampaignFile:
         self.rows = rows
         self._csv_file = csv_file
         self._parquet_file = parquet_file
-        self._sweep = sweep
+        self.sweep = sweep
 
     @classmethod
     def open(cls, out: Path, sweep: Sweep) -> CampaignFile:
@@ -93,7 +93,7 @@ class CampaignFile:
 
     def finish(self) -> None:
         """Sorts the rows by combination and seed, and writes the Parquet file where one is wanted."""
-        order = {each.values: number for number, each in enumerate(self._sweep.combinations)}
+        order = {each.values: number for number, each in enumerate(self.sweep.combinations)}
         self.rows.sort(key=lambda row: (order[row.values], row.seed))
         sorted_file = self._csv_file.with_suffix(".csv.sorted")
         sorted_file.unlink(missing_ok=True)
@@ -103,11 +103,11 @@ class CampaignFile:
             _write_parquet(self._csv_file, self._parquet_file)
 
     def _header(self) -> list[str]:
-        return [*self._sweep.keys, *_COLUMNS]
+        return [*self.sweep.keys, *_COLUMNS]
 
     def _claim(self) -> None:
         """Makes sure that the file is this campaign's, by the note beside it."""
-        sweep = self._sweep
+        sweep = self.sweep
         note_file = self._csv_file.with_suffix(".campaign.json")
         note = Note(sweep.file.name, {each.key: each.values for each in sweep.settings}, sweep.fingerprint)
         if self._csv_file.exists():

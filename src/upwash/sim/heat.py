@@ -3,8 +3,8 @@
 The frequencies and the 80 °C are those of a Raspberry Pi 4 (its documentation). The rest (both poles, the hysteresis
 and how power falls with frequency) is fitted to one curve: the thesis's mission without offloading, heavy calls of
 10 s with 10 s between them, which slow down to 13.4 s. This is calibration, not validation: what the model says about
-other rates of calls follows from that curve (10.0 to 10.5 s with 20 s between them, 12.4 with 12, 15 with 5), and
-about another computer, case or wind it says nothing.
+other rates of calls follows from that curve (calls level off at 15.6 s with 5 s between them, at 11.5 s with 15 s, at
+10.5 s with 20 s), and about another computer, case or wind it says nothing.
 """
 
 from __future__ import annotations
