@@ -26,7 +26,6 @@ from upwash.lab.sweep import Combination, Sweep
 _CHUNK_RUNS = (
     5  # so few that little is lost by an interruption, and enough that handing them out costs nothing
 )
-_CONNECT_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +90,8 @@ def in_processes(workers: int | None = None) -> Fly:
     return fly
 
 
-def on_cluster(address: str) -> Fly:
-    """Flies on the workers of a Dask cluster; raises UsageError where none can be reached."""
+def on_cluster(address: str, *, answer_s: float = 10.0) -> Fly:
+    """Flies on the workers of a Dask cluster; raises UsageError where none answers in time."""
     try:
         import distributed
     except ImportError:
@@ -102,13 +101,15 @@ def on_cluster(address: str) -> Fly:
     def fly(chunks: Sequence[Chunk]) -> Generator[Iterator[list[Row]]]:
         try:
             client = distributed.Client(  # type: ignore[no-untyped-call]
-                address, timeout=_CONNECT_S, set_as_default=False
+                address, timeout=answer_s, set_as_default=False
             )
         except (OSError, ValueError) as error:
             raise UsageError(f"no Dask scheduler answers at {address}: {error}") from error
         with client:
             futures = client.map(fly_chunk, chunks, pure=False)
-            flown = distributed.as_completed(futures, with_results=True)  # type: ignore[no-untyped-call]
+            flown = distributed.as_completed(  # type: ignore[no-untyped-call]
+                futures, loop=client.loop, with_results=True
+            )
             yield (rows for _, rows in flown)
 
     return fly

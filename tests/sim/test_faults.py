@@ -1,0 +1,157 @@
+"""What each fault looks like from the drone."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from tests.sim.scenarios_for_tests import fault, scenario, server
+from upwash.config import FaultConfig
+from upwash.errors import UsageError
+from upwash.lab.run import Run, simulate
+from upwash.sim.faults import Faults
+from upwash.sim.loop import run_virtually
+
+NEAR = server("s1", 0.0, 0.0, range_m=1000.0)  # always in range
+
+
+def fly(*faults: dict[str, Any], **tables: Any) -> Run:
+    return simulate(scenario(NEAR, faults=faults, columns=3, rows=2, **tables))
+
+
+def events(run: Run, name: str) -> list[dict[str, Any]]:
+    return [event for event in run.events if event["event"] == name]
+
+
+def remote_delays_s(run: Run) -> list[float]:
+    calls = [call for call in events(run, "call") if call["place"] == "s1"]
+    assert calls
+    return [call["delay_s"] - call["waited_s"] for call in calls]
+
+
+def first(run: Run, name: str) -> dict[str, Any]:
+    return events(run, name)[0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "after_s", "why"),
+    [
+        ("off", 3.5, "nobody answers"),
+        ("stuck", 8.5, "no answer within 5.0 s"),
+        ("garbage", 3.5, "a reply that cannot be decoded"),
+        ("full", 3.5, "s1 has no free slot: 1 of 1 in use"),
+        ("crash", 7.5, r"detector@s1 crashed while it started"),
+    ],
+)
+def test_a_check_of_a_faulty_server_fails(kind: str, after_s: float, why: str) -> None:
+    failed = first(fly(fault("s1", kind)), "check_failed")
+    assert (failed["t"], failed["after"]) == (after_s, "BLACKLISTED")
+    assert why in failed["why"]
+
+
+def test_a_lying_server_is_found_out_by_its_first_call() -> None:
+    run = fly(fault("s1", "wrong"))
+    assert first(run, "found_running")["t"] == 3.5
+    assert "nobody.invalid:1: nobody answers" in first(run, "remote_failed")["why"]
+    assert first(run, "call_failed_in_range")["after"] == "BLACKLISTED"
+
+
+def test_a_slow_server_answers_later() -> None:
+    run = fly(fault("s1", "slow", extra_s=2.0))
+    assert first(run, "started")["t"] == 3.5 + 2.0 + 8.0 + 2.0
+    assert all(delay_s == pytest.approx(0.7 + 2.0) for delay_s in remote_delays_s(run))
+
+
+def test_what_was_ready_crashes_in_its_next_call_and_again_as_it_restarts() -> None:
+    run = fly(fault("s1", "crash", from_s=22.0), policy={"blacklist_s": 5.0})
+    failed = first(run, "remote_failed")
+    assert failed["why"].endswith("detector@s1 crashed in a call")
+    assert failed["t"] == pytest.approx(22.2 + 0.7 / 2)
+    assert "crashed while it started" in first(run, "check_failed")["why"]
+
+
+def test_instances_that_crash_as_the_lease_is_renewed_are_started_again() -> None:
+    run = fly(fault("s1", "crash", from_s=21.4, to_s=21.6), policy={"blacklist_s": 5.0})
+    assert "nobody answers" in first(run, "remote_failed")["why"]
+    assert len(events(run, "started")) == 2
+    assert events(run, "call")[-1]["place"] == "s1"
+
+
+def test_strangers_take_no_slot_that_the_drone_holds() -> None:
+    run = fly(fault("s1", "full", from_s=11.6))
+    assert run.result.totals.fallbacks == 0
+    assert run.result.totals.remote == {"s1": 6}
+
+
+def test_flapping_shows_as_off_every_other_five_seconds() -> None:
+    async def look() -> list[str]:
+        faults = Faults([FaultConfig(target="s1", kind="flapping", from_s=2.0, to_s=20.0)])
+        kinds = []
+        for _ in range(24):
+            on = faults.now("s1")
+            kinds.append(on.kind if on else "-")
+            await asyncio.sleep(1.0)
+        return kinds
+
+    off, well = ["off"] * 5, ["-"] * 5
+    assert run_virtually(look()) == ["-"] * 2 + off + well + off + ["-"] * 7
+
+
+@pytest.mark.parametrize(
+    ("kind", "after_s", "why"),
+    [("off", 3.5, "network s1 is out of range"), ("stuck", 8.5, "no answer within 5.0 s")],
+)
+def test_a_link_that_is_down(kind: str, after_s: float, why: str) -> None:
+    failed = first(fly(fault("link:s1", kind)), "check_failed")
+    assert failed["t"] == after_s
+    assert why in failed["why"]
+
+
+def test_a_link_that_breaks_in_a_call_costs_the_deadline() -> None:
+    ready = fly()
+    call = events(ready, "call")[1]
+    broken = fly(fault("link:s1", "off", from_s=call["t"] - 0.1))
+    at = events(broken, "call")[1]
+    assert (call["place"], at["place"], at["fell_back"]) == ("s1", "local", True)
+    assert at["delay_s"] == pytest.approx(4 * 0.7 + 10.0)
+
+
+def test_a_slow_link_takes_half_of_its_time_each_way() -> None:
+    run = fly(fault("link:s1", "slow", extra_s=1.0))
+    assert all(delay_s == pytest.approx(0.7 + 1.0) for delay_s in remote_delays_s(run))
+
+
+# --- the autopilot ------------------------------------------------------------------------------------------
+
+
+def test_a_leg_that_is_never_reached_ends_the_mission_and_the_vehicle_lands() -> None:
+    run = fly(fault("autopilot", "stuck", from_s=20.0))
+    assert run.failure == "goto: the vehicle did not arrive within 69 s"
+    assert not run.result.completed
+    assert first(run, "safe_return")["t"] < first(run, "landed")["t"] <= first(run, "mission_ended")["t"]
+
+
+def test_a_silent_autopilot_ends_the_mission_and_cannot_be_landed() -> None:
+    run = fly(fault("autopilot", "off", from_s=20.0))
+    assert run.failure == "goto: the vehicle's link is silent"
+    assert "the vehicle's link is silent" in first(run, "safe_return_failed")["why"]
+
+
+def test_an_autopilot_that_flaps_fails_the_verb_that_needs_it() -> None:
+    assert fly(fault("autopilot", "flapping", from_s=1e5)).failure == ""
+    assert fly(fault("autopilot", "flapping")).failure == "arm: the vehicle's link is silent"
+
+
+def test_slow_legs_take_so_much_more() -> None:
+    well, slow = fly(policy={"name": "local-only"}), fly(
+        fault("autopilot", "slow", extra_s=3.0), policy={"name": "local-only"}
+    )
+    assert slow.result.mission_time_s == pytest.approx(well.result.mission_time_s + 6 * 3.0)
+
+
+@pytest.mark.parametrize(("target", "kind"), [("link:s1", "garbage"), ("autopilot", "crash")])
+def test_a_fault_that_means_nothing_there_is_refused(target: str, kind: str) -> None:
+    with pytest.raises(UsageError, match=rf"fault\[1\]\.kind: {target} cannot be {kind}: give one of off, "):
+        Faults([FaultConfig(target="s1", kind="off"), FaultConfig(target=target, kind=kind)])  # type: ignore[arg-type]
