@@ -40,7 +40,7 @@ class Score:
 def fly_demonstration(folder: Path) -> RunResult:
     """Flies it with everything below `folder`; whatever it started is gone when it returns or raises."""
     console = Console()
-    config = _read_config()
+    config = read_demonstration()
     with console.status("rendering the photos"):
         render_folder(folder / "photos", count=len(config.mission.waypoints_m or ()), seed=_PHOTO_SEED)
     names = [server.name for server in config.servers]
@@ -88,7 +88,8 @@ def _contains(spot: Box, detection: Detection) -> bool:
     )
 
 
-def _read_config() -> DroneConfig:
+def read_demonstration() -> DroneConfig:
+    """The demonstration's configuration, as it is simulated; a flight fills in what only exists while it runs."""
     with as_file(files("upwash.demonstration") / "drone.toml") as file:
         return read_drone_config(file)
 

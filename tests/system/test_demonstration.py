@@ -16,8 +16,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from upwash.demo import score_photos
+from upwash.demo import read_demonstration, score_photos
 from upwash.flying import read_log
+from upwash.lab.run import Run, simulate
 from upwash.results import RunResult
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
@@ -125,6 +126,31 @@ def test_calls_run_on_the_drone_and_on_both_servers(demonstration: Demonstration
     assert totals.fallbacks == 0
     local_only_s = result.local_only_time_s()
     assert local_only_s is not None and result.mission_time_s < local_only_s
+    check_against_simulation(result)
+
+
+def check_against_simulation(flown: RunResult) -> None:
+    """The same configuration on virtual time gives the same places, but for waits within 10 % of their threshold."""
+    run = simulate(read_demonstration())
+    simulated = {call.waypoint: call for call in run.result.calls}
+    for call in flown.calls:
+        if call.waypoint not in waits_at_their_threshold(run):
+            assert call.place == simulated[call.waypoint].place, f"at waypoint {call.waypoint}"
+    assert flown.mission_time_s == pytest.approx(run.result.mission_time_s, rel=0.1)
+
+
+def waits_at_their_threshold(run: Run) -> set[int]:
+    found, waypoint = set(), -1
+    for event in run.events:
+        match event:
+            case {"event": "arrived", "waypoint": waypoint}:
+                pass
+            case {"event": "decided", "state": "CHECK" | "CHECK-R"}:
+                wait_s = event["check_s"] - event["check_elapsed_s"]
+                longest_s = event["local_s"] * 0.75 - event["remote_s"]
+                if abs(wait_s - longest_s) < 0.1 * longest_s:
+                    found.add(waypoint)
+    return found
 
 
 def test_the_mission_survives_the_kill_of_both_daemons(demonstration: Demonstration) -> None:
