@@ -18,6 +18,7 @@ _FAREWELL_S = 0.5  # a drone says goodbye to its last server
 def assert_kept(run: Run, config: DroneConfig, *, local_only_s: float) -> None:
     """The mission was completed, and no event of its log breaks a promise."""
     assert run.failure == "" and run.result.completed
+    assert [event for event in run.events if event["event"] == "offloading_failed"] == []
     assert_every_waypoint_has_one_result(run, config)
     assert_calls_are_bounded(run, config)
     assert_one_selection(run)

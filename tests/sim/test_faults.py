@@ -6,8 +6,8 @@ import asyncio
 from typing import Any
 
 import pytest
-
 from tests.sim.scenarios_for_tests import fault, scenario, server
+
 from upwash.config import FaultConfig
 from upwash.errors import UsageError
 from upwash.lab.run import Run, simulate
@@ -88,7 +88,7 @@ def test_strangers_take_no_slot_that_the_drone_holds() -> None:
 def test_flapping_shows_as_off_every_other_five_seconds() -> None:
     async def look() -> list[str]:
         faults = Faults([FaultConfig(target="s1", kind="flapping", from_s=2.0, to_s=20.0)])
-        kinds = []
+        kinds: list[str] = []
         for _ in range(24):
             on = faults.now("s1")
             kinds.append(on.kind if on else "-")
@@ -145,8 +145,9 @@ def test_an_autopilot_that_flaps_fails_the_verb_that_needs_it() -> None:
 
 
 def test_slow_legs_take_so_much_more() -> None:
-    well, slow = fly(policy={"name": "local-only"}), fly(
-        fault("autopilot", "slow", extra_s=3.0), policy={"name": "local-only"}
+    well, slow = (
+        fly(policy={"name": "local-only"}),
+        fly(fault("autopilot", "slow", extra_s=3.0), policy={"name": "local-only"}),
     )
     assert slow.result.mission_time_s == pytest.approx(well.result.mission_time_s + 6 * 3.0)
 

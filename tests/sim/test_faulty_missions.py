@@ -9,9 +9,9 @@ import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-
-from tests.sim.promises import assert_kept
+from tests.sim.promises import assert_calls_are_bounded, assert_kept, assert_one_selection
 from tests.sim.scenarios_for_tests import fault, scenario, server
+
 from upwash.config import DroneConfig
 from upwash.lab.run import simulate
 
@@ -49,6 +49,19 @@ def test_without_faults_the_servers_are_used() -> None:
 def test_a_mission_goes_on_among_faulty_servers(prefix: str, kind: str, from_s: float, to_s: float) -> None:
     faults = [fault(f"{prefix}{name}", kind, from_s=from_s, to_s=to_s) for name in ("s1", "s2")]
     check(scenario(*SERVERS, faults=faults))
+
+
+@pytest.mark.parametrize("from_s", [0.0, 5.0, 20.0, 43.0, 1e6])
+@pytest.mark.parametrize("kind", LINK_KINDS)
+def test_a_mission_with_a_faulty_autopilot_ends_and_says_why(kind: str, from_s: float) -> None:
+    config = scenario(*SERVERS, faults=[fault("autopilot", kind, from_s=from_s)])
+    run = simulate(config)
+    assert run.result.completed is (run.failure == "")
+    assert run.result.completed is (kind == "slow" or from_s == 1e6)
+    ended = "mission_completed" if run.result.completed else "mission_ended"
+    assert ended in [event["event"] for event in run.events]
+    assert_calls_are_bounded(run, config)
+    assert_one_selection(run)
 
 
 windows = st.tuples(st.floats(0.0, 200.0), st.floats(0.0, 200.0)).map(sorted)

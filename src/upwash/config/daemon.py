@@ -10,6 +10,7 @@ from msgspec import Meta, Struct
 
 from upwash.config.problems import Document, Problem, refuse_first, unknown
 from upwash.config.reading import convert, read_document
+from upwash.config.shorthand import with_program_from
 from upwash.config.values import (
     Count,
     ImportPath,
@@ -80,19 +81,21 @@ def read_daemon_config(path: Path) -> DaemonConfig:
 
 def daemon_config(document: Document, file: Path) -> DaemonConfig:
     """The configuration that the document of that file says; raises ConfigError."""
-    config = convert(_written_out(document), DaemonConfig, file=file, as_written=document)
+    tables = _written_out(document, file.absolute().parent)
+    config = convert(tables, DaemonConfig, file=file, as_written=document)
     refuse_first(file, _problems(config))
     return config
 
 
-def _written_out(document: Document) -> Document:
-    """A server that names no images has all; what is not recognised is left to the type check."""
+def _written_out(document: Document, folder: Path) -> Document:
+    """A server that names no images has all; files of programs count from the folder."""
     services, servers = document.get("service"), document.get("server")
     if not isinstance(services, list) or not isinstance(servers, list):
         return document
     names = [each["name"] for each in services if isinstance(each, dict) and _has_name(each)]
     return document | {
-        "server": [{"images": names} | each if isinstance(each, dict) else each for each in servers]
+        "service": [with_program_from(each, folder) if isinstance(each, dict) else each for each in services],
+        "server": [{"images": names} | each if isinstance(each, dict) else each for each in servers],
     }
 
 

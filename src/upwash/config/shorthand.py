@@ -19,8 +19,8 @@ def written_out(document: Document, folder: Path) -> Document:
     return document | {
         name: value
         for name, value in {
-            "mission": _each(document.get("mission"), lambda table: _mission(table, folder)),
-            "service": _each(document.get("service"), _service),
+            "mission": _each(document.get("mission"), lambda table: with_program_from(table, folder)),
+            "service": _each(document.get("service"), lambda table: _service(table, folder)),
             "server": _each(document.get("server"), lambda table: _server(table, services, folder)),
         }.items()
         if name in document
@@ -38,15 +38,16 @@ def _each(value: object, write_out: Callable[[dict[str, Any]], dict[str, Any]]) 
     return write_out(value) if isinstance(value, dict) else value
 
 
-def _mission(mission: dict[str, Any], folder: Path) -> dict[str, Any]:
-    program = mission.get("program")
+def with_program_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The table with the file of its program, if it names one, as a path from the folder."""
+    program = table.get("program")
     if isinstance(program, str) and ".py:" in program:
-        return mission | {"program": str(folder / program)}
-    return mission
+        return table | {"program": str(folder / program)}
+    return table
 
 
-def _service(service: dict[str, Any]) -> dict[str, Any]:
-    return service | {
+def _service(service: dict[str, Any], folder: Path) -> dict[str, Any]:
+    return with_program_from(service, folder) | {
         name: {"": service[name]}
         for name in ("local_call_s", "local_pace_s")
         if _is_number(service.get(name))

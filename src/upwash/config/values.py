@@ -20,8 +20,8 @@ Names = Annotated[tuple[str, ...], Meta(description="an array of names")]
 ImportPath = Annotated[
     str,
     Meta(
-        pattern=r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*\Z",
-        description='an import path like "package.module:Class"',
+        pattern=r"^([A-Za-z_]\w*(\.[A-Za-z_]\w*)*|.+\.py):[A-Za-z_]\w*\Z",
+        description='an import path like "package.module:Class", or "path/to/file.py:Class" from this file\'s folder',
     ),
 ]
 FilePath = Annotated[Path, Meta(description="a file's path, absolute or from this file's folder")]

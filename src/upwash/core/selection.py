@@ -214,6 +214,8 @@ class Selection:
 
     def _take_in(self, happening: Happening, now_s: float) -> list[Command]:
         match happening:
+            case Looked():
+                pass  # the first case, as it is by far the most frequent
             case CheckAnswered(check, running) if self.is_checking(check):
                 return self._answered(running, now_s)
             case ServicesStarted(check) if self.is_checking(check):

@@ -31,6 +31,7 @@ from upwash.sim.loop import run_virtually
 from upwash.sim.network import Cell, ModelNetwork
 from upwash.sim.radio import read_goodput
 from upwash.sim.runtime import ModelRuntime
+from upwash.sim.sleeping import sleeps_reported
 from upwash.sim.world import DroneComputer, Radio, ServerComputer, Wire
 from upwash.vehicle import arducopter
 
@@ -55,7 +56,8 @@ def simulate(config: DroneConfig) -> Run:
     journal = MemoryJournal()
     failure = ""
     try:
-        run_virtually(_fly(config, journal))
+        with sleeps_reported():
+            run_virtually(_fly(config, journal))
     except UpwashError as error:
         failure = str(error)
     return Run(journal.events, read_result(journal.events), failure)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from upwash.config import FaultConfig
-from upwash.core.geo import Circle, Position
+from upwash.core.geo import Circle, Position, ground_distance_m
 from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
 from upwash.vehicle.kinematics import Motion, Phase, duration_s, elapsed_s, leg, steadily, stretched
 
+_ROUNDING_M = 1e-6
 _PAST_THE_BORDER_S = 1e-6
 _PATIENCE_S = 60.0  # a leg has failed that takes so much longer than it should
 
@@ -90,6 +92,7 @@ class ModelAutopilot:
         self._fault = fault
         self._loop = asyncio.get_running_loop()
         self._motion = Motion(0.0, (), self._ground)
+        self._crossings: tuple[Sequence[Circle], list[float]] | None = None  # of this motion, in seconds
         self._moved = asyncio.Event()
         self._armed = False
 
@@ -176,27 +179,46 @@ class ModelAutopilot:
     async def _move(self, step: str, phases: tuple[Phase, ...], *, until_s: float | None = None) -> None:
         """Begins to move, and returns at the end of the phases or earlier."""
         end = phases[-1].end if phases else self.position
-        self._motion = Motion(self._loop.time(), phases, end)
+        self._begin(Motion(self._loop.time(), phases, end))
         self._moved.set()
         self._moved = asyncio.Event()
         await asyncio.sleep(duration_s(phases) if until_s is None else until_s)
         if until_s is None:  # a timer may be a nanosecond early, and the vehicle not quite on the ground
-            self._motion = Motion(self._loop.time(), (), end)
+            self._begin(Motion(self._loop.time(), (), end))
         self._reach(step)
 
+    def _begin(self, motion: Motion) -> None:
+        self._motion = motion
+        self._crossings = None
+
     def _next_crossing_s(self, circles: Sequence[Circle]) -> float | None:
-        now_s, begun_s = self._loop.time(), self._motion.begun_s
-        for phase in self._motion.phases:
-            crossings_s = [
-                begun_s + crossing_s + _PAST_THE_BORDER_S
-                for circle in circles
-                for crossing_s in _crossings_s(phase, circle)
-            ]
-            later_s = [crossing_s for crossing_s in crossings_s if crossing_s > now_s]
-            if later_s:
-                return min(later_s)
-            begun_s += phase.duration_s
-        return None
+        if self._crossings is None or self._crossings[0] is not circles:
+            self._crossings = circles, sorted(_all_crossings_s(self._motion, circles))
+        crossings_s = self._crossings[1]
+        later = bisect_right(crossings_s, self._loop.time())
+        return crossings_s[later] if later < len(crossings_s) else None
+
+
+def _all_crossings_s(motion: Motion, circles: Sequence[Circle]) -> Iterator[float]:
+    """Just after each time at which the motion crosses one of the circles."""
+    near, begun_s = _within_reach(circles, motion.phases), motion.begun_s
+    for phase in motion.phases:
+        for circle in near:
+            for crossing_s in _crossings_s(phase, circle):
+                yield begun_s + crossing_s + _PAST_THE_BORDER_S
+        begun_s += phase.duration_s
+
+
+def _within_reach(circles: Sequence[Circle], phases: Sequence[Phase]) -> list[Circle]:
+    """The circles whose border is no further away than the phases lead: a few of hundreds."""
+    if not phases:
+        return []
+    start, way_m = phases[0].start, sum(phase.travelled_m(phase.duration_s) for phase in phases)
+    return [
+        circle
+        for circle in circles
+        if abs(ground_distance_m(start, circle.centre) - circle.radius_m) <= way_m + _ROUNDING_M
+    ]
 
 
 def _crossings_s(phase: Phase, circle: Circle) -> Iterator[float]:

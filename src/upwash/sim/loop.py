@@ -17,6 +17,7 @@ from upwash.errors import UpwashError
 
 T = TypeVar("T")
 
+_LONGEST_TURN_S = 300.0  # of real time: a mission's code that takes longer between two verbs never ends
 _MOST_TURNS = 100_000  # without time going on: a thousand times what a flight with a hundred servers needs
 
 
@@ -45,6 +46,7 @@ class VirtualLoop(base_events.BaseEventLoop):
         super().__init__()
         self._now_s = 0.0
         self._turns = 0  # of the loop since time last went on
+        self._stuck = False  # a mission kept its turn
         self._clock_resolution = 1e-9  # the base class runs what is due before now plus this
         self._selector = self  # the base class asks its selector for events: here, time is the only one
 
@@ -53,18 +55,26 @@ class VirtualLoop(base_events.BaseEventLoop):
         return self._now_s
 
     def stand_still(self, until: threading.Event) -> None:
-        """Lets a mission's code run while time does not: returns when the event is set."""
-        until.wait()
+        """Lets a mission's code run while time does not: returns when the event is set, or it takes for ever."""
+        if not until.wait(_LONGEST_TURN_S):
+            self._stuck = True
 
     # --- what the base class calls --------------------------------------------------------------------------
 
     def select(self, timeout: float | None) -> list[NoReturn]:
         """Jumps to the next timer instead of waiting for it."""
+        if self._stuck:
+            self._stuck = False  # so that what is cancelled now can end
+            raise LivelockError(
+                f"the mission's own code has run for {_LONGEST_TURN_S:.0f} s without calling a verb, "
+                f"and at {self._now_s:.3f} s everything else waits for it"
+            )
         if timeout is None:
             raise DeadlockError(f"everything waits and nothing is scheduled: {self._waiting()}")
         if timeout == 0:
             self._turns += 1
             if self._turns > _MOST_TURNS:
+                self._turns = 0
                 raise LivelockError(
                     f"after {_MOST_TURNS} turns it is still {self._now_s:.3f} s: a mission that loops over verbs "
                     f"which take no time, or programs that answer each other at once; {self._waiting()}"

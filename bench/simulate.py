@@ -1,0 +1,146 @@
+"""What a simulated mission costs: one alone, many in a campaign, and how it grows with servers and waypoints.
+
+The mission is the thesis's in heavy mode with offloading (scenarios/thesis.toml). See docs/campaigns.md.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+
+import msgspec
+
+from upwash.config import (
+    DroneConfig,
+    GridConfig,
+    ServerConfig,
+    read_drone_config,
+    server_position,
+    waypoints,
+)
+from upwash.core.geo import Circle
+from upwash.lab.campaign import in_processes, run_campaign
+from upwash.lab.campaign_file import CampaignFile
+from upwash.lab.run import simulate
+from upwash.lab.sweep import read_sweep
+
+SCENARIO = Path(__file__).resolve().parent.parent / "scenarios" / "thesis.toml"
+WARM_UP, ROUNDS = 3, 21
+CAMPAIGN_SEEDS, CAMPAIGN_WORKERS = 300, 2
+GROWTH_ROUNDS = 3
+LEAST_REAL_TIME = 20_000
+LEAST_MISSIONS_PER_MINUTE = 1_000
+MOST_GROWTH = 1.2  # of the cost per waypoint and server in range, from the smallest to the largest
+
+
+def main() -> None:
+    """Measures and prints; a missed limit is printed as such and is no failure."""
+    load = ", ".join(f"{load:.2f}" for load in os.getloadavg())
+    print(f"{os.cpu_count()} cores, load {load}")
+    config = read_drone_config(SCENARIO)
+    measure_speed(config)
+    measure_campaign()
+    measure_growth(config)
+
+
+def measure_speed(config: DroneConfig) -> None:
+    """One mission alone, against the time that it would take in the air."""
+    mission_s = simulate(config).result.mission_time_s
+    took_s = seconds(config, rounds=ROUNDS, warm_up=WARM_UP)
+    print(
+        f"\none mission of {mission_s / 60:.1f} min: median {1e3 * median(took_s):.1f} ms of {ROUNDS}", end=""
+    )
+    print(f" (from {1e3 * min(took_s):.1f} to {1e3 * max(took_s):.1f})")
+    print(verdict("times real time", mission_s / median(took_s), LEAST_REAL_TIME))
+
+
+def measure_campaign() -> None:
+    """A campaign, from its start to its sorted file."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = CampaignFile.open(
+            Path(folder) / "campaign.csv", read_sweep(SCENARIO, [], seeds=CAMPAIGN_SEEDS)
+        )
+        began_s = time.perf_counter()
+        run_campaign(file, fly=in_processes(CAMPAIGN_WORKERS))
+        took_s = time.perf_counter() - began_s
+    print(f"\na campaign of {CAMPAIGN_SEEDS} missions in {CAMPAIGN_WORKERS} processes: {took_s:.1f} s")
+    print(verdict("missions per minute", 60 * CAMPAIGN_SEEDS / took_s, LEAST_MISSIONS_PER_MINUTE))
+
+
+def measure_growth(config: DroneConfig) -> None:
+    """The cost by waypoints, by servers of which few are in range, and by servers that all are."""
+    print("\nwaypoints  servers  in range       ms  µs/waypoint  µs/(waypoint x (1 + in range))")
+    grow("waypoints", [with_grid(config, side) for side in (11, 32, 100)])
+    grow(
+        "servers, in a line", [with_servers(config, count, spacing_m=150.0) for count in (1, 3, 10, 32, 100)]
+    )
+    grow("servers, all near", [with_servers(config, count, spacing_m=0.5) for count in (1, 3, 10, 32, 100)])
+
+
+def grow(what: str, sizes: Sequence[DroneConfig]) -> None:
+    """Prints a line for each size, and how the cost per waypoint and server in range has grown."""
+    print(f"- {what}")
+    costs_us = []
+    rounds = [[seconds(config, rounds=1, warm_up=0)[0] for config in sizes] for _ in range(1 + GROWTH_ROUNDS)]
+    for config, took in zip(sizes, zip(*rounds[1:], strict=True), strict=True):  # the first round warms up
+        took_s = median(took)
+        count, servers, in_range = len(waypoints(config.mission)), len(config.servers), mean_in_range(config)
+        cost_us = 1e6 * took_s / count
+        costs_us.append(cost_us / (1 + in_range))
+        print(f"{count:9}  {servers:7}  {in_range:8.1f}  {1e3 * took_s:7.1f}", end="")
+        print(f"  {cost_us:11.0f}  {costs_us[-1]:11.0f}")
+    growth = costs_us[-1] / costs_us[0]
+    print(f"  grown by {growth:.2f} (limit {MOST_GROWTH:.2f}: {'ok' if growth <= MOST_GROWTH else 'MISS'})")
+
+
+def with_grid(config: DroneConfig, side: int) -> DroneConfig:
+    """The same mission over side x side waypoints, all of them in range of every server."""
+    grid = GridConfig(columns=side, rows=side, spacing_m=20.0)
+    servers = tuple(replace(server, range_m=10_000.0) for server in config.servers)
+    return replace(config, mission=replace(config.mission, grid=grid), servers=servers)
+
+
+def with_servers(config: DroneConfig, count: int, *, spacing_m: float) -> DroneConfig:
+    """The same mission with so many copies of the first server, eastwards from its place."""
+    first = config.servers[0]
+    assert first.east_m is not None
+    copies = tuple(copy_of(first, number, first.east_m + number * spacing_m) for number in range(count))
+    return replace(config, servers=copies)
+
+
+def copy_of(server: ServerConfig, number: int, east_m: float) -> ServerConfig:
+    """The server under another name at another place."""
+    return replace(server, name=f"c{number}", network=f"c{number}", address=None, east_m=east_m)
+
+
+def mean_in_range(config: DroneConfig) -> float:
+    """How many servers are in range of a waypoint, on average."""
+    areas = [Circle(server_position(each, config.mission.home), each.range_m) for each in config.servers]
+    places = waypoints(config.mission)
+    return sum(area.contains(place.position) for area in areas for place in places) / len(places)
+
+
+def seconds(config: DroneConfig, *, rounds: int, warm_up: int) -> list[float]:
+    """How long simulations take, after some that do not count."""
+    took_s = []
+    for _ in range(warm_up + rounds):
+        began_s = time.perf_counter()
+        run = simulate(config)
+        took_s.append(time.perf_counter() - began_s)
+        assert run.result.completed, run.failure
+    return took_s[warm_up:]
+
+
+def verdict(what: str, value: float, least: float) -> str:
+    """A line that says whether a limit was met."""
+    return f"{value:,.0f} {what} (at least {least:,.0f}: {'ok' if value >= least else 'MISS'})"
+
+
+replace = msgspec.structs.replace
+
+if __name__ == "__main__":
+    main()

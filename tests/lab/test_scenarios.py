@@ -1,0 +1,110 @@
+"""The scenarios of the corpus: what each promises to show."""
+
+from __future__ import annotations
+
+import functools
+import re
+from pathlib import Path
+
+import pytest
+
+from upwash.lab.run import Run, simulate
+from upwash.lab.simulation import read_scenario
+
+ROOT = Path(__file__).parents[2]
+FILES = {file.stem: file for file in sorted((ROOT / "scenarios").glob("*.toml"))}
+POLICIES = ("local-only", "location-aware", "opportunistic")
+DOCUMENTED = re.findall(
+    r"^\| `([\w-]+)` \| [^|]+ \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$",
+    (ROOT / "docs/scenarios.md").read_text(encoding="utf-8"),
+    flags=re.MULTILINE,
+)
+
+
+@functools.cache
+def fly(scenario: str, policy: str = "location-aware") -> Run:
+    return simulate(read_scenario(FILES[scenario], policy=policy))
+
+
+def time_s(scenario: str, policy: str = "location-aware") -> float:
+    return fly(scenario, policy).result.mission_time_s
+
+
+def gain(scenario: str) -> float:
+    """The share of the mission's time that offloading saves."""
+    return 1 - time_s(scenario) / time_s(scenario, "local-only")
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("scenario", FILES)
+def test_every_mission_is_completed_and_no_later_than_without_servers(scenario: str, policy: str) -> None:
+    run = fly(scenario, policy)
+    assert run.failure == "" and run.result.completed
+    assert run.result.mission_time_s <= time_s(scenario, "local-only") + 1.0
+
+
+@pytest.mark.parametrize("scenario", FILES)
+def test_every_file_begins_with_what_it_shows(scenario: str) -> None:
+    first, second, *_ = FILES[scenario].read_text(encoding="utf-8").splitlines()
+    assert first.startswith("# ") and (second.startswith("#") or second == "seed = 1")
+
+
+def test_the_page_has_every_scenario_with_its_times() -> None:
+    assert sorted(name for name, *_ in DOCUMENTED) == list(FILES)
+    for name, *minutes in DOCUMENTED:
+        for policy, written in zip(POLICIES, minutes, strict=True):
+            assert time_s(name, policy) / 60 == pytest.approx(float(written), abs=0.06), f"{name}, {policy}"
+
+
+def test_on_a_power_line_every_cell_is_used_after_its_start() -> None:
+    remote = fly("power-line").result.totals.remote
+    assert len(remote) == 15
+    assert max(remote.values()) <= 4
+    assert 0.15 < gain("power-line") < 0.35
+
+
+def test_in_a_dense_city_the_fast_servers_do_the_work() -> None:
+    remote = fly("dense-city").result.totals.remote
+    fast = sum(remote[name] for name in ("school", "garage", "bank", "theatre"))
+    assert fast > 0.9 * sum(remote.values())
+    assert time_s("dense-city") < 0.9 * time_s("dense-city", "opportunistic")
+
+
+def test_in_fast_flight_few_calls_are_worth_sending_and_few_waits_worth_it() -> None:
+    totals = fly("fast-flight").result.totals
+    assert totals.local > 2 * sum(totals.remote.values()) > 0
+    assert totals.waits <= 2
+    assert 0.0 < gain("fast-flight") < 0.1
+
+
+def test_a_loaded_server_is_found_out_and_avoided() -> None:
+    aware, naive = (
+        fly("loaded-server", policy).result.totals for policy in ("location-aware", "opportunistic")
+    )
+    assert aware.remote["s2"] < 0.6 * naive.remote["s2"]
+    assert 1.06 < time_s("loaded-server", "opportunistic") / time_s("loaded-server") < 1.13
+
+
+def test_flapping_servers_cost_fallbacks_and_not_the_mission() -> None:
+    totals = fly("flapping-servers").result.totals
+    assert totals.fallbacks > 0
+    assert totals.calls == 81
+    assert "s3" not in totals.remote  # it lies
+
+
+def test_nobody_waits_for_a_cold_server() -> None:
+    totals = fly("cold-far-server").result.totals
+    assert totals.waits == 0
+    assert totals.remote["barn"] > 20
+
+
+def test_two_services_are_served_by_the_server_that_has_both() -> None:
+    totals = fly("two-services").result.totals
+    assert totals.remote["inverter-hall"] > 5 * totals.remote["gatehouse"]
+    operations = {call.operation for call in fly("two-services").result.calls if call.place == "gatehouse"}
+    assert operations == {"detector.process_photo[heavy]"}
+
+
+def test_without_servers_all_policies_are_the_same() -> None:
+    assert len({time_s("no-servers", policy) for policy in POLICIES}) == 1
+    assert fly("no-servers").result.totals.local == 64

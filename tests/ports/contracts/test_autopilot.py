@@ -1,0 +1,168 @@
+"""What every Autopilot does: the model on virtual time, and the MAVLink driver with the stand-in vehicle."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+
+import pytest
+
+from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, distance_m, ground_distance_m
+from upwash.errors import AutopilotRefused
+from upwash.ports import Autopilot
+from upwash.real.autopilot import FlightSettings, connect_autopilot
+from upwash.sim.autopilot import Manner, ModelAutopilot, Plain
+from upwash.sim.loop import run_virtually
+from upwash.vehicle import VehicleSettings, arducopter, serve_vehicle
+
+HOME = GeoPosition(39.3666, 22.9507)
+SPEED_M_S = 60.0
+Flight = Callable[[Autopilot], Awaitable[None]]
+Fly = Callable[[Flight], None]
+
+
+@asynccontextmanager
+async def mavlink_autopilot() -> AsyncIterator[Autopilot]:
+    agile = VehicleSettings(
+        home=HOME,
+        acceleration_m_s2=300.0,
+        climb_m_s=100.0,
+        descent_m_s=100.0,
+        return_speed_m_s=100.0,
+        return_altitude_m=0.0,
+        armable_after_s=0.0,
+    )
+    vehicle = await serve_vehicle("udp:127.0.0.1:0", agile)
+    try:
+        autopilot = await connect_autopilot(
+            vehicle.address.replace("udp:", "udpout:"),
+            frame=LocalFrame(HOME),
+            ground_speed_m_s=SPEED_M_S,
+            settings=FlightSettings(arm_again_s=0.2, progress_s=0.5),
+        )
+        try:
+            yield autopilot
+        finally:
+            await autopilot.close()
+    finally:
+        await vehicle.close()
+
+
+def model(manner: Manner) -> Callable[[], AbstractAsyncContextManager[Autopilot]]:
+    @asynccontextmanager
+    async def made() -> AsyncIterator[Autopilot]:
+        autopilot = ModelAutopilot(Position(0.0, 0.0), ground_speed_m_s=SPEED_M_S, manner=manner)
+        yield autopilot
+        await autopilot.close()
+
+    return made
+
+
+PLAIN = Plain(acceleration_m_s2=300.0, takeoff_s=1.0, return_and_land_s=1.0)
+
+
+@pytest.fixture(params=["plain model", "arducopter model", "mavlink"])
+def fly(request: pytest.FixtureRequest) -> Fly:
+    """Runs a flight with one of the twins."""
+    make, run = {
+        "plain model": (model(PLAIN), run_virtually),
+        "arducopter model": (model(arducopter), run_virtually),
+        "mavlink": (mavlink_autopilot, asyncio.run),
+    }[request.param]
+
+    def flown(flight: Flight) -> None:
+        async def with_autopilot() -> None:
+            async with make() as autopilot:
+                await flight(autopilot)
+
+        run(with_autopilot())
+
+    return flown
+
+
+async def take_off(autopilot: Autopilot) -> None:
+    await autopilot.arm()
+    await autopilot.takeoff(5.0)
+
+
+def test_each_verb_returns_when_it_is_true(fly: Fly) -> None:
+    async def mission(autopilot: Autopilot) -> None:
+        await take_off(autopilot)
+        assert distance_m(autopilot.position, Position(0.0, 0.0, 5.0)) <= 1.0
+        for waypoint in Position(10.0, 0.0, 5.0), Position(10.0, -10.0, 7.0):
+            await autopilot.goto(waypoint)
+            assert distance_m(autopilot.position, waypoint) <= 1.01
+        await autopilot.return_home_and_land()
+        assert distance_m(autopilot.position, Position(0.0, 0.0, 0.0)) <= 1.0
+        await autopilot.disarm()
+
+    fly(mission)
+
+
+def test_it_lands_where_it_is(fly: Fly) -> None:
+    async def mission(autopilot: Autopilot) -> None:
+        await take_off(autopilot)
+        await autopilot.goto(Position(8.0, 6.0, 5.0))
+        await autopilot.land()
+        assert distance_m(autopilot.position, Position(8.0, 6.0, 0.0)) <= 1.01
+        await autopilot.disarm()
+
+    fly(mission)
+
+
+def test_what_cannot_be_is_refused(fly: Fly) -> None:
+    async def mission(autopilot: Autopilot) -> None:
+        with pytest.raises(AutopilotRefused):
+            await autopilot.takeoff(5.0)
+        with pytest.raises(AutopilotRefused):
+            await autopilot.goto(Position(10.0, 0.0, 5.0))
+        await take_off(autopilot)
+        with pytest.raises(AutopilotRefused):
+            await autopilot.disarm()
+        await autopilot.land()
+        await autopilot.disarm()
+
+    fly(mission)
+
+
+def test_a_leg_can_be_broken_off_and_held(fly: Fly) -> None:
+    async def mission(autopilot: Autopilot) -> None:
+        await take_off(autopilot)
+        await autopilot.set_ground_speed(10.0)
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(1.5):
+                await autopilot.goto(Position(500.0, 0.0, 5.0))
+        await autopilot.hold()
+        here = autopilot.position
+        assert 0.5 < here.east_m < 100.0
+        await asyncio.sleep(0.3)
+        assert distance_m(autopilot.position, here) <= 1.0
+        await autopilot.goto(Position(here.east_m + 3.0, 0.0, 5.0))
+
+    fly(mission)
+
+
+def test_a_border_is_reported_when_it_is_crossed_and_not_before(fly: Fly) -> None:
+    area = Circle(Position(20.0, 0.0), 8.0)
+
+    async def mission(autopilot: Autopilot) -> None:
+        await take_off(autopilot)
+        await autopilot.set_ground_speed(10.0)
+        seen_m: list[float] = []
+
+        async def watch() -> None:
+            for _ in range(2):
+                await autopilot.border_crossed([area])
+                seen_m.append(ground_distance_m(autopilot.position, Position(0.0, 0.0)))
+
+        watching = asyncio.create_task(watch())
+        await asyncio.sleep(0.2)
+        assert seen_m == []
+        await autopilot.goto(Position(40.0, 0.0, 5.0))
+        await watching
+        entered_m, left_m = seen_m
+        assert 12.0 - 0.01 <= entered_m < 20.0  # a report comes late on a busy machine
+        assert 28.0 - 0.01 <= left_m < 36.0
+
+    fly(mission)

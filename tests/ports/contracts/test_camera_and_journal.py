@@ -1,0 +1,88 @@
+"""What every Camera, Journal and Notifier does."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from upwash.core.geo import Position
+from upwash.ports import Camera, Journal, Notifier
+from upwash.real.camera import FolderCamera
+from upwash.real.journal import FileJournal, JournalNotifier
+from upwash.sim.camera import ModelCamera
+from upwash.sim.journal import MemoryJournal
+from upwash.sim.loop import run_virtually
+
+JPEG = b"\xff\xd8\xff"
+
+
+@pytest.mark.parametrize("kind", ["model", "folder"])
+def test_a_photo_is_a_jpeg_and_takes_its_time(kind: str, tmp_path: Path) -> None:
+    (tmp_path / "photo.jpg").write_bytes(JPEG + b" and so on")
+
+    async def shoot() -> tuple[bytes, float]:
+        clock = asyncio.get_running_loop().time
+        camera: Camera = ModelCamera(photo_s=0.1) if kind == "model" else FolderCamera(tmp_path, photo_s=0.1)
+        began_s = clock()
+        return await camera.take_photo(), clock() - began_s
+
+    photo, took_s = (run_virtually if kind == "model" else asyncio.run)(shoot())
+    assert photo.startswith(JPEG)
+    assert took_s == pytest.approx(0.1, abs=1e-6 if kind == "model" else 0.09)
+
+
+class Found(msgspec.Struct):
+    label: str
+
+
+async def happen(journal: Journal, notifier: Notifier) -> None:
+    journal.record("first")
+    await asyncio.sleep(0.1)
+    journal.record("second", server="s1", delay_s=0.5, position={"east_m": 1.0}, why=None)
+    await notifier.notify([Found("hot-spot")], Position(1.0, 2.0, 3.0))
+
+
+def in_memory(_: Path) -> list[dict[str, Any]]:
+    async def run() -> list[dict[str, Any]]:
+        journal = MemoryJournal()
+        journal.begin()
+        await happen(journal, journal)
+        return [msgspec.json.decode(msgspec.json.encode(event)) for event in journal.events]
+
+    return run_virtually(run())
+
+
+def in_a_file(folder: Path) -> list[dict[str, Any]]:
+    async def run() -> None:
+        with contextlib.closing(FileJournal(folder / "log.jsonl")) as journal:
+            await happen(journal, JournalNotifier(journal))
+
+    asyncio.run(run())
+    opened, *events = map(msgspec.json.decode, (folder / "log.jsonl").read_bytes().splitlines())
+    assert opened["event"] == "log_opened"
+    return events
+
+
+@pytest.mark.parametrize("record", [in_memory, in_a_file])
+def test_events_are_kept_in_order_with_their_time_and_facts(
+    record: Callable[[Path], list[dict[str, Any]]], tmp_path: Path
+) -> None:
+    events = record(tmp_path)
+    times_s = [event.pop("t") for event in events]
+    assert times_s[0] == pytest.approx(0.0, abs=0.05)
+    assert 0.09 < times_s[1] - times_s[0] < 1.0
+    assert events == [
+        {"event": "first"},
+        {"event": "second", "server": "s1", "delay_s": 0.5, "position": {"east_m": 1.0}, "why": None},
+        {
+            "event": "notified",
+            "message": [{"label": "hot-spot"}],
+            "at": {"east_m": 1.0, "north_m": 2.0, "altitude_m": 3.0},
+        },
+    ]

@@ -1,0 +1,145 @@
+"""What every Link does, with the same errors: the model on virtual time, and gRPC with a listener."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from upwash.errors import DeadlineExceeded, Refused, Unreachable
+from upwash.ports import Link
+from upwash.real.link import GrpcDialer
+from upwash.real.listener import Caller, Listener
+from upwash.sim.link import ModelDialer, Switchboard
+from upwash.sim.loop import run_virtually
+from upwash.sim.world import Wire
+
+PATH = "/upwash.test/any"
+Talk = Callable[[Link], Awaitable[None]]
+Hold = Callable[[Talk, bool], None]
+
+
+@asynccontextmanager
+async def model_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
+    async def answer(_path: str, body: bytes, drone: str) -> bytes:
+        match body:
+            case b"refuse":
+                raise Refused("not today")
+            case b"stuck":
+                await asyncio.Event().wait()
+        return drone.encode() + b" " + body
+
+    link = ModelDialer("heron", Switchboard({"s1": answer} if answered else {}), Wire()).dial(
+        "s1", server="s1"
+    )
+    yield link
+    await link.close()
+
+
+@asynccontextmanager
+async def grpc_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
+    let_go = threading.Event()
+
+    def answer(_path: str, body: bytes, caller: Caller) -> bytes:
+        match body:
+            case b"refuse":
+                raise Refused("not today")
+            case b"stuck":
+                let_go.wait(10.0)
+        return caller.drone.encode() + b" " + body
+
+    address = f"unix:{folder}/s1.sock"
+    listener = Listener(
+        address, answer, credentials=None, max_message_bytes=1000, threads=4, concurrent_requests=4
+    )
+    if answered:
+        listener.start()
+    link = GrpcDialer("heron", None, max_message_bytes=1000).dial(address, server="s1")
+    try:
+        yield link
+    finally:
+        await link.close()
+        let_go.set()
+        await asyncio.to_thread(listener.stop)
+
+
+@pytest.fixture(params=["model", "grpc"])
+def hold(request: pytest.FixtureRequest, tmp_path: Path) -> Hold:
+    """Has a talk over a link of one of the twins, to a server that answers or to nobody."""
+    link: Callable[..., AbstractAsyncContextManager[Link]] = (
+        model_link if request.param == "model" else grpc_link
+    )
+    run = run_virtually if request.param == "model" else asyncio.run
+
+    def held(talk: Talk, answered: bool) -> None:
+        async def over_link() -> None:
+            async with link(tmp_path, answered=answered) as made:
+                await talk(made)
+
+        run(over_link())
+
+    return held
+
+
+def test_requests_get_their_replies_several_at_once(hold: Hold) -> None:
+    async def talk(link: Link) -> None:
+        asked = [link.request(PATH, b"%d" % number, timeout_s=5.0) for number in range(4)]
+        assert await asyncio.gather(*asked) == [b"heron %d" % number for number in range(4)]
+
+    hold(talk, True)
+
+
+def test_a_refusal_comes_with_its_reason(hold: Hold) -> None:
+    async def talk(link: Link) -> None:
+        with pytest.raises(Refused, match=r"s1 at .*not today"):
+            await link.request(PATH, b"refuse", timeout_s=5.0)
+        assert await link.request(PATH, b"next", timeout_s=5.0) == b"heron next"
+
+    hold(talk, True)
+
+
+def test_no_answer_within_the_deadline(hold: Hold) -> None:
+    async def talk(link: Link) -> None:
+        began_s = asyncio.get_running_loop().time()
+        with pytest.raises(DeadlineExceeded, match=r"s1 at .*: no answer within 0\.2 s"):
+            await link.request(PATH, b"stuck", timeout_s=0.2)
+        assert 0.19 < asyncio.get_running_loop().time() - began_s < 2.0
+
+    hold(talk, True)
+
+
+def test_nobody_there(hold: Hold) -> None:
+    async def talk(link: Link) -> None:
+        with pytest.raises(Unreachable, match="s1 at "):
+            await link.request(PATH, b"hello", timeout_s=5.0)
+
+    hold(talk, False)
+
+
+def test_closing_breaks_requests_off_and_ends_the_link(hold: Hold) -> None:
+    async def talk(link: Link) -> None:
+        asked = asyncio.create_task(link.request(PATH, b"stuck", timeout_s=5.0))
+        await asyncio.sleep(0.2)
+        await link.close()
+        with pytest.raises(Unreachable):
+            await asked
+        with pytest.raises(Unreachable, match="closed"):
+            await link.request(PATH, b"hello", timeout_s=5.0)
+
+    hold(talk, True)
+
+
+def test_a_request_that_is_cancelled_leaves_the_link_as_it_was(hold: Hold) -> None:
+    async def talk(link: Link) -> None:
+        asked = asyncio.create_task(link.request(PATH, b"stuck", timeout_s=5.0))
+        await asyncio.sleep(0.1)
+        asked.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await asked
+        assert await link.request(PATH, b"next", timeout_s=5.0) == b"heron next"
+
+    hold(talk, True)

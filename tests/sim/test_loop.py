@@ -1,0 +1,162 @@
+"""The loop of virtual time: it jumps, refuses the outside world, and never hangs."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+import warnings
+from pathlib import Path
+
+import pytest
+from tests.sim.scenarios_for_tests import fault, scenario, server
+
+from upwash.config import DroneConfig
+from upwash.lab.run import simulate
+from upwash.sim import loop as loop_module
+from upwash.sim.loop import DeadlockError, LivelockError, OutsideWorldError, run_virtually
+from upwash.sim.sleeping import sleeps_reported
+
+
+def flying(tmp_path: Path, body: str) -> DroneConfig:
+    """A scenario whose mission takes off and then does this."""
+    program = tmp_path / "mine.py"
+    program.write_text(
+        "import time\nfrom time import sleep\n\ndef mission(drone):\n    drone.autopilot.arm()\n"
+        f"    drone.autopilot.takeoff(20.0)\n    {body}\n"
+    )
+    return scenario(mission={"program": f"{program}:mission"})
+
+
+def test_it_jumps_to_the_next_timer() -> None:
+    async def nap() -> float:
+        await asyncio.sleep(3 * 24 * 3600.0)
+        return asyncio.get_running_loop().time()
+
+    began_s = time.monotonic()
+    assert run_virtually(nap()) == 3 * 24 * 3600.0
+    assert time.monotonic() - began_s < 1.0
+
+
+def test_timers_come_in_the_order_of_their_time_and_then_of_their_making() -> None:
+    async def race() -> list[str]:
+        seen: list[str] = []
+
+        async def note(name: str, after_s: float) -> None:
+            await asyncio.sleep(after_s)
+            seen.append(name)
+
+        async with asyncio.TaskGroup() as tasks:
+            for name, after_s in [("c", 2.0), ("a", 1.0), ("d", 2.0), ("b", 1.5)]:
+                tasks.create_task(note(name, after_s))
+        return seen
+
+    assert run_virtually(race()) == ["a", "b", "c", "d"]
+
+
+def test_waiting_for_nothing_is_a_deadlock_that_names_who_waits() -> None:
+    async def wait() -> None:
+        await asyncio.Event().wait()
+
+    with pytest.raises(DeadlockError, match=r"nothing is scheduled: .*wait"):
+        run_virtually(wait())
+
+
+def test_going_on_for_ever_without_time_is_a_livelock() -> None:
+    async def spin() -> None:
+        await asyncio.sleep(1.5)
+        while True:  # noqa: ASYNC110 - this is the fault
+            await asyncio.sleep(0)
+
+    with pytest.raises(LivelockError, match=r"after \d+ turns it is still 1\.500 s: .*spin"):
+        run_virtually(spin())
+
+
+def test_the_outside_world_is_refused() -> None:
+    async def connect() -> None:
+        await asyncio.open_connection("127.0.0.1", 1)
+
+    async def think() -> None:
+        await asyncio.to_thread(sum, [1, 2])
+
+    async def run() -> None:
+        await asyncio.create_subprocess_exec("true")
+
+    for attempt in (connect, think, run):
+        with pytest.raises(OutsideWorldError):
+            run_virtually(attempt())
+
+
+# --- missions that cannot end -------------------------------------------------------------------------------
+
+
+def test_a_mission_that_loops_over_hold_ends_with_an_error(tmp_path: Path) -> None:
+    run = simulate(flying(tmp_path, "while True: drone.autopilot.hold()"))
+    assert "a mission that loops over verbs which take no time" in run.failure
+
+
+def test_a_mission_that_loops_over_photos_ends_after_two_days(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("upwash.lab.run._LONGEST_S", 3600.0)
+    run = simulate(flying(tmp_path, "while True: drone.camera.take_photo()"))
+    assert "the mission did not end within 1 h of virtual time" in run.failure
+    assert run.events[-1]["event"] == "mission_ended"
+
+
+def test_a_mission_that_keeps_its_turn_ends_with_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    let_go = threading.Event()
+    monkeypatch.setattr(loop_module, "_LONGEST_TURN_S", 0.1)
+    monkeypatch.setattr(threading, "let_go", let_go, raising=False)
+    run = simulate(flying(tmp_path, "import threading; threading.let_go.wait()"))
+    let_go.set()
+    assert "the mission's own code has run for 0 s without calling a verb, and at 10.000 s" in run.failure
+
+
+def test_a_drone_that_may_come_back_at_once_to_a_server_that_fails_at_once_ends_with_an_error() -> None:
+    hasty = server("s1", 0.0, 0.0, truth={"join_s": 0.0})
+    run = simulate(scenario(hasty, faults=[fault("s1", "off")], policy={"blacklist_s": 0.0}))
+    assert "programs that answer each other at once" in run.failure
+
+
+# --- missions that sleep ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("call", ["time.sleep(7)", "sleep(7)"])
+def test_a_mission_that_sleeps_is_warned_by_name(tmp_path: Path, call: str) -> None:
+    genuine, began_s = time.sleep, time.monotonic()
+    with pytest.warns(
+        RuntimeWarning, match=r"time\.sleep\(7\) in mission\(\), line 7 of .*mine\.py, is skipped"
+    ) as caught:
+        run = simulate(flying(tmp_path, f"{call}; drone.autopilot.return_home_and_land()"))
+    assert (caught[0].filename, caught[0].lineno) == (str(tmp_path / "mine.py"), 7)
+    assert run.failure == ""
+    assert run.result.mission_time_s == 26.0
+    assert time.monotonic() - began_s < 5.0
+    assert time.sleep is genuine
+
+
+def test_other_threads_and_other_times_sleep_as_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    slept_s: list[float] = []
+
+    def nap() -> None:
+        began_s = time.monotonic()
+        time.sleep(0.05)
+        slept_s.append(time.monotonic() - began_s)
+
+    async def beside() -> None:
+        thread = threading.Thread(target=nap)
+        thread.start()
+        thread.join()
+
+    with warnings.catch_warnings(), sleeps_reported():
+        warnings.simplefilter("error")
+        run_virtually(beside())
+        kept = time.sleep
+    monkeypatch.setattr(time, "sleep", kept)  # as a mission that imported the name has it
+    later = threading.Thread(target=nap, name="mission")
+    later.start()
+    later.join()
+    assert len(slept_s) == 2 and all(each_s >= 0.05 for each_s in slept_s)
