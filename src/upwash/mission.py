@@ -35,6 +35,7 @@ class MissionThread:
         self._stopped = ""  # why, once it is
         self._verb: asyncio.Task[Any] | None = None
         self._ended_verbs: SimpleQueue[asyncio.Task[Any]] = SimpleQueue()
+        self._stand_still = self._loop.stand_still if isinstance(self._loop, TurnTaking) else None
         self._turn_over = threading.Event()  # the mission's code has come to its next verb, or to its end
 
     def call(self, verb: Coroutine[Any, Any, T]) -> T:
@@ -101,5 +102,5 @@ class MissionThread:
     def _give_turn(self, wake: Callable[[], None]) -> None:
         self._turn_over.clear()
         wake()
-        if isinstance(self._loop, TurnTaking):
-            self._loop.stand_still(self._turn_over)
+        if self._stand_still is not None:
+            self._stand_still(self._turn_over)

@@ -25,6 +25,7 @@ from upwash.core.selection import (
     LocalCallEnded,
     Looked,
     MissionEnded,
+    RemoteCallCut,
     RemoteCallEnded,
     RemoteCallFailed,
     Selection,
@@ -32,7 +33,7 @@ from upwash.core.selection import (
     Start,
 )
 from upwash.core.servers import Change, State
-from upwash.errors import GarbledReply, LinkError, NetworkError
+from upwash.errors import DeadlineExceeded, LinkError, NetworkError
 from upwash.onboard import PLACE, OnboardServices
 from upwash.ports import Autopilot, Dialer, Journal, Network
 from upwash.service import Method
@@ -84,6 +85,7 @@ class Offloading:
         self._orders: asyncio.Queue[Check | Start | Leave] = asyncio.Queue()
         self._visit: Visit | None = None
         self._errand: asyncio.Task[None] | None = None  # what the visit is busy with
+        self._cut: RemoteCallCut | None = None  # the call that ended the visit by taking too long
         self._look_now = asyncio.Event()
         self._changed = asyncio.Event()
 
@@ -213,8 +215,10 @@ class Offloading:
             reply = method.decode(
                 await visit.call(operation.service, operation.method, request, deadline_s=decision.deadline_s)
             )
-        except (LinkError, GarbledReply) as error:
+        except LinkError as error:
             self._journal.record("remote_failed", server=decision.server, why=str(error))
+            if isinstance(error, DeadlineExceeded):
+                self._cut = RemoteCallCut(decision.server, operation, self._now_s() - began_s)
             self._tell(RemoteCallFailed(decision.server, check, str(error)))
             return None
         self._tell(RemoteCallEnded(decision.server, operation, self._now_s() - began_s))
@@ -272,8 +276,10 @@ class Offloading:
             case Leave(server):
                 await self._stop_errand()
                 if self._visit is not None:
-                    await self._visit.end(in_range=self._selection.servers[server].in_range)
-                self._visit = None
+                    answered = await self._visit.end(in_range=self._selection.servers[server].in_range)
+                    if answered and self._cut is not None:
+                        self._tell(self._cut)
+                self._visit = self._cut = None
 
     async def _stop_errand(self) -> None:
         if self._errand is not None:

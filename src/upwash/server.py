@@ -36,7 +36,7 @@ from upwash.protocol import (
 from upwash.wire import decode
 
 _log = logging.getLogger("upwash.server")
-_LOOK_PERIOD_S = 1.0
+_LEAST_LOOK_S = 1.0  # between two looks at what has come to its end
 T = TypeVar("T")
 
 
@@ -73,7 +73,8 @@ class EdgeServer:
     async def run(self) -> NoReturn:
         """Ends leases and idle instances as their time comes, until cancelled."""
         while True:
-            await asyncio.sleep(_LOOK_PERIOD_S)
+            next_end_s = self._host.next_end_s(now_s=self._now_s())
+            await asyncio.sleep(max(_LEAST_LOOK_S, next_end_s - self._now_s()))
             await self._perform(self._host.look(now_s=self._now_s()))
 
     async def close(self) -> None:

@@ -97,17 +97,23 @@ class Visit:
             if self._calls == 0:
                 self._quiet.set()
 
-    async def end(self, *, in_range: bool) -> None:
-        """Leaves: in range, after the calls under way and with a word to the daemon; else at once."""
+    async def end(self, *, in_range: bool) -> bool:
+        """Leaves: in range, after the calls under way and with a word to the daemon; else at once.
+
+        Returns whether the daemon answered.
+        """
+        answered = False
         if in_range:
             await self._quiet.wait()  # each has its deadline
             if self._daemon is not None:
                 with contextlib.suppress(LinkError):
                     await self._tell(LEAVE, LeaveRequest(self._contact.name), timeout_s=_FAREWELL_S)
+                    answered = True
         for link in (*self._instances.values(), self._daemon):
             if link is not None:
                 await link.close()
         await self._network.leave()
+        return answered
 
     async def _availability(self) -> AvailabilityReply:
         request = AvailabilityRequest(self._contact.name, list(self._contact.services))

@@ -175,3 +175,17 @@ def test_the_chance_of_one_server_is_not_that_of_another() -> None:
     estimates.forget_slow_calls("s1", now_s=300.0, retry_s=300.0)
     assert estimates.remote_s("s1", LIGHT) == 1.0
     assert estimates.remote_s("s2", LIGHT) == 5.0
+
+
+def test_a_call_cut_short_raises_the_estimate_and_weighs_nothing() -> None:
+    estimates = two_operations()
+    for _ in range(3):
+        estimates.observe_remote_cut("s1", HEAVY, 8.0, now_s=10.0)
+    assert estimates.remote_s("s1", HEAVY) == 8.0
+    assert estimates.mean_call_s() == pytest.approx((3.0 + 10.0) / 2), "no call was counted"
+
+
+def test_a_call_cut_short_sooner_than_expected_says_nothing() -> None:
+    estimates = two_operations()
+    estimates.observe_remote_cut("s1", HEAVY, 1.9, now_s=10.0)
+    assert estimates.remote_s("s1", HEAVY) == 2.0

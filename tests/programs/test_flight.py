@@ -97,6 +97,32 @@ def test_remote_calls_that_fail_are_answered_on_the_drone_and_blacklist_the_serv
     assert run.result.completed
 
 
+LOADED = "join_s = 1.0\nstart_s = 1.0\nremote_call_s = { light = 0.3, heavy = 7.7 }"
+
+
+def remote_estimates(run: Run) -> list[float]:
+    return [event["remote_s"] for event in events(run, "decided") if event["remote_s"] is not None]
+
+
+def test_a_call_cut_short_by_a_server_that_is_alive_makes_it_look_slower(tmp_path: Path) -> None:
+    run = fly(tmp_path, truth=LOADED)
+    assert run.result.totals.fallbacks == 1
+    (cut,) = events(run, "remote_failed")
+    assert "no answer within 2.8 s" in cut["why"]
+    longer = fly(tmp_path, truth=LOADED, more="[policy]\nblacklist_s = 1.0\n")
+    assert remote_estimates(longer)[1] == pytest.approx((0.7 + 0.7 + 2.8) / 3)
+
+
+def test_a_call_cut_short_by_a_dead_link_says_nothing_of_the_server(tmp_path: Path) -> None:
+    run = fly(
+        tmp_path,
+        truth="join_s = 1.0\nstart_s = 1.0",
+        more='[policy]\nblacklist_s = 1.0\n[[fault]]\ntarget = "link:s1"\nkind = "off"\nfrom_s = 50.0\nto_s = 60.0\n',
+    )
+    assert run.result.totals.fallbacks == 1
+    assert set(remote_estimates(run)) == {0.7}
+
+
 def test_a_server_without_the_image_is_left_alone(tmp_path: Path) -> None:
     run = fly(tmp_path, truth="images = []")
     assert set(places(run)) == {"local"}

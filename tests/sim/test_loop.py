@@ -9,7 +9,7 @@ import warnings
 from pathlib import Path
 
 import pytest
-from tests.sim.scenarios_for_tests import fault, scenario, server
+from tests.sim.scenarios_for_tests import scenario
 
 from upwash.config import DroneConfig
 from upwash.lab.run import simulate
@@ -113,12 +113,6 @@ def test_a_mission_that_keeps_its_turn_ends_with_an_error(
     run = simulate(flying(tmp_path, "import threading; threading.let_go.wait()"))
     let_go.set()
     assert "the mission's own code has run for 0 s without calling a verb, and at 10.000 s" in run.failure
-
-
-def test_a_drone_that_may_come_back_at_once_to_a_server_that_fails_at_once_ends_with_an_error() -> None:
-    hasty = server("s1", 0.0, 0.0, truth={"join_s": 0.0})
-    run = simulate(scenario(hasty, faults=[fault("s1", "off")], policy={"blacklist_s": 0.0}))
-    assert "programs that answer each other at once" in run.failure
 
 
 # --- missions that sleep ------------------------------------------------------------------------------------

@@ -29,6 +29,7 @@ from upwash.config.values import (
 )
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
 
+AtLeastOneSecond = Annotated[float, Meta(ge=1, description="a number of at least 1, in seconds")]
 PairInMetres = Annotated[tuple[float, float], Meta(description="a pair [east, north] in metres")]
 Corner = Literal["top-left", "top-right", "bottom-left", "bottom-right"]
 RADIOS = ("fixed", "disc54", "disc12")  # or a csv file of goodput by distance
@@ -104,7 +105,7 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     gain_switch: Fraction = 0.25
     gain_wait: Fraction = 0.25
     period_s: Positive = 1.0
-    blacklist_s: NotNegative = 60.0
+    blacklist_s: AtLeastOneSecond = 60.0
     idle_s: NotNegative = 180.0
     retry_s: NotNegative = 300.0
 

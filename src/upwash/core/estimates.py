@@ -135,10 +135,18 @@ class Estimates:
 
     def observe_remote(self, server: str, operation: Operation, delay_s: float, *, now_s: float) -> None:
         """Learns from a remote call that succeeded."""
-        windows = self._remote[server]
-        windows[operation] = windows[operation].observe(delay_s)
-        self._last_remote_call_s[server][operation] = now_s
+        self._learn_remote(server, operation, delay_s, now_s=now_s)
         self._count(operation)
+
+    def observe_remote_cut(self, server: str, operation: Operation, waited_s: float, *, now_s: float) -> None:
+        """Learns from a remote call that was given up after `waited_s`: it would have taken at least as long.
+
+        Without this a server that is slower than its deadline allows would never be seen as slow, as its calls never
+        end (docs/decisions/calls-cut-short.md). What is no longer than the estimate says nothing.
+        """
+        estimate_s = self.remote_s(server, operation)
+        if estimate_s is not None and waited_s > estimate_s:
+            self._learn_remote(server, operation, waited_s, now_s=now_s)
 
     def observe_check(self, server: str, delay_s: float, *, started: bool) -> None:
         """Learns from a check that ended READY: from one that had to start the services, or from one that had not."""
@@ -161,6 +169,11 @@ class Estimates:
         call_s = self._local[operation].mean_s
         remote_s = self.remote_s(server, operation) if server else None
         return call_s if remote_s is None else min(call_s, remote_s)
+
+    def _learn_remote(self, server: str, operation: Operation, delay_s: float, *, now_s: float) -> None:
+        windows = self._remote[server]
+        windows[operation] = windows[operation].observe(delay_s)
+        self._last_remote_call_s[server][operation] = now_s
 
     def _count(self, operation: Operation) -> None:
         self._calls[operation] += 1

@@ -202,6 +202,19 @@ class Host:
                 commands += self._stop_idle(name, now_s)
         return commands
 
+    def next_end_s(self, *, now_s: float) -> float:
+        """Before this time nothing that is held now, or will be from now on, comes to its end by itself."""
+        settings = self.settings
+        ends_s = [now_s + settings.lease_s, now_s + settings.idle_stop_s]
+        for server in self._servers.values():
+            ends_s += server.leases.values()
+            ends_s += [
+                instance.used_s + settings.idle_stop_s
+                for instance in server.instances.values()
+                if instance.state is InstanceState.RUNNING
+            ]
+        return min(ends_s)
+
     def leases(self, server: str) -> frozenset[str]:
         """The drones that hold a slot of the server."""
         return frozenset(self._servers[server].leases)

@@ -74,6 +74,15 @@ class RemoteCallFailed:
 
 
 @dataclass(frozen=True, slots=True)
+class RemoteCallCut:
+    """A call was cut off by its deadline after `waited_s`, on a server that turned out to be alive: it is slow."""
+
+    server: str
+    operation: Operation
+    waited_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class MissionEnded:
     """No call will come any more."""
 
@@ -86,6 +95,7 @@ Happening = (
     | LocalCallEnded
     | RemoteCallEnded
     | RemoteCallFailed
+    | RemoteCallCut
     | MissionEnded
 )
 
@@ -224,6 +234,8 @@ class Selection:
                 return self._check_failed(why, now_s)
             case RemoteCallFailed(server, check, why) if self._is_ready(server, check):
                 return self._call_failed(why, now_s)
+            case RemoteCallCut(server, operation, waited_s):
+                self.estimates.observe_remote_cut(server, operation, waited_s, now_s=now_s)
             case LocalCallEnded(operation, delay_s):
                 self.estimates.observe_local(operation, delay_s)
             case RemoteCallEnded(server, operation, delay_s):

@@ -246,12 +246,13 @@ def _parameters(setup: str) -> DroneConfig:
 
 
 def _loaded(server: ServerConfig) -> ServerConfig:
-    """The server under load: calls take longer in truth, and the drone's offline profile says so."""
+    """The server under load: calls take longer in truth, and the drone has to find out."""
     slower = {
         service: {key: call_s + _SLOWER_S[key] for key, call_s in calls_s.items()}
         for service, calls_s in server.remote_call_s.items()
     }
-    return msgspec.structs.replace(server, remote_call_s=slower)
+    truth = msgspec.structs.replace(server.truth, remote_call_s=slower)
+    return msgspec.structs.replace(server, truth=truth)
 
 
 def _local_only(setup: str, experiment: Experiment) -> Cell:
