@@ -10,6 +10,14 @@ import pytest
 from upwash.real.credentials import Credentials, make_keys, read_credentials
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Lets flights in real time begin first, each on a worker of its own (workers take tests in pairs)."""
+    flights = [item for item in items if item.get_closest_marker("flight")]
+    others = [item for item in items if not item.get_closest_marker("flight")]
+    first = [item for pair in zip(flights, others, strict=False) for item in pair]
+    items[:] = first + others[len(flights) :]
+
+
 @pytest.fixture(scope="session")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An authority, a daemon that is s1 and s2, the drones heron and stork; below `other`, a stranger's heron."""

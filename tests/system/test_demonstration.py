@@ -21,7 +21,7 @@ from upwash.flying import read_log
 from upwash.lab.run import Run, simulate
 from upwash.results import RunResult
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.system, pytest.mark.flight, pytest.mark.timeout(240)]
 
 WAYPOINTS = 12
 MARK = "UPWASH_TEST_MARK"
