@@ -9,7 +9,7 @@ run: $(READY)
 	$(BIN)/upwash demo
 
 test: $(READY)
-	$(BIN)/python -m pytest -n 6 --dist load --maxschedchunk 1
+	$(BIN)/python -m pytest -n 5 --dist load --maxschedchunk 1
 
 lint: $(READY)
 	$(BIN)/ruff format --check .

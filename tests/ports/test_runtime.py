@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.children import expect_no_child
 
 from upwash.errors import InstanceError, Refused, Unreachable
 from upwash.ports import InstanceSpec
@@ -86,12 +87,6 @@ async def running(
         await link.close()
         await instance.stop()
     expect_no_child()
-
-
-def expect_no_child() -> None:
-    """Neither a process nor a zombie is left of what this process started."""
-    with pytest.raises(ChildProcessError):
-        os.waitpid(-1, os.WNOHANG)
 
 
 def with_bench(

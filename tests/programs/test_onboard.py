@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.children import expect_no_child
 
 from upwash.errors import InstanceError
 from upwash.onboard import OnboardServices
@@ -80,12 +81,6 @@ async def onboard(services: Path, folder: Path, cls: str = "Workbench") -> Async
     finally:
         await running.close()
         expect_no_child()
-
-
-def expect_no_child() -> None:
-    """Neither a process nor a zombie is left of what this process started."""
-    with pytest.raises(ChildProcessError):
-        os.waitpid(-1, os.WNOHANG)
 
 
 def with_started(services: Path, folder: Path, use: Callable[[Onboard], Coroutine[Any, Any, None]]) -> None:
