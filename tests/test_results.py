@@ -24,7 +24,7 @@ def call(
 
 RUN = [
     event(0.0, "log_opened"),
-    event(2.0, "mission_started", policy="location-aware"),
+    event(2.0, "mission_started", policy="location-aware", waypoints=5),
     event(10.0, "arrived", waypoint=0),
     call(13.0, "local", 3.0),
     event(14.0, "selected", server="s1"),
@@ -81,6 +81,12 @@ def test_a_log_without_a_mission_has_no_calls() -> None:
     for events in ([], RUN[:1]):
         result = read_result(events)
         assert (result.completed, result.calls, result.mission_time_s) == (False, [], 0.0)
+
+
+def test_the_waypoints_that_were_not_reached_are_left_undone() -> None:
+    result = read_result(RUN)
+    assert (result.waypoints, result.undone, result.left_hovering) == (5, [2, 3, 4], False)
+    assert read_result([*RUN[:-2], event(39.0, "left_hovering")]).left_hovering
 
 
 def test_a_log_of_two_runs_tells_of_the_last() -> None:

@@ -141,12 +141,13 @@ def _count(text: str) -> int:
 def _fly(options: argparse.Namespace) -> int:
     import msgspec
 
-    from upwash.config import AutopilotConfig, read_drone_config
+    from upwash.config import read_drone_config
     from upwash.flying import fly_with_progress
 
     config = read_drone_config(options.config)
     if options.autopilot:
-        config = msgspec.structs.replace(config, autopilot=AutopilotConfig(connection=options.autopilot))
+        autopilot = msgspec.structs.replace(config.autopilot, connection=options.autopilot)
+        config = msgspec.structs.replace(config, autopilot=autopilot)
     log = options.log or _run_folder() / "events.jsonl"
     fly_with_progress(config, program=options.mission, log=log)
     return _OK

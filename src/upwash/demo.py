@@ -15,7 +15,7 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
-from upwash.config import AutopilotConfig, DroneConfig, KeysConfig, read_drone_config
+from upwash.config import DroneConfig, KeysConfig, read_drone_config
 from upwash.errors import UpwashError
 from upwash.flying import fly_with_progress
 from upwash.real.credentials import make_keys
@@ -99,7 +99,7 @@ def _fill_in(config: DroneConfig, folder: Path, *, vehicle: str, daemons: Mappin
     kind, host, port = vehicle.split(":")
     return replace(
         config,
-        autopilot=AutopilotConfig(connection=f"{kind}out:{host}:{port}"),
+        autopilot=replace(config.autopilot, connection=f"{kind}out:{host}:{port}"),
         camera=replace(config.camera, folder=folder / "photos"),
         keys=_keys(folder / "keys", config.name),
         servers=tuple(replace(server, address=daemons[server.name]) for server in config.servers),

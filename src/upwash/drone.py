@@ -5,20 +5,23 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import traceback
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from upwash.config import DroneConfig, waypoints
+from upwash.config import DroneConfig, ending, geofence, waypoints
 from upwash.core.estimates import Operation
 from upwash.core.geo import Position, Waypoint
+from upwash.core.geofence import Fence, breached_by_leg, breached_by_position
 from upwash.core.selection import Selection
-from upwash.errors import AutopilotError
+from upwash.errors import AutopilotOverruled, AutopilotRefused, MissionStopped
 from upwash.mission import MissionThread
 from upwash.offloading import Offloading
 from upwash.onboard import OnboardServices
+from upwash.plans import Ending
 from upwash.ports import Autopilot, Camera, Dialer, InstanceSpec, Journal, Network, Notifier, Runtime
 from upwash.preparation import contacts, make_selection
+from upwash.safety import end_safely, reserve_reached
 from upwash.service import Method, make_stub, spec_of
 
 T = TypeVar("T")
@@ -42,11 +45,22 @@ class World:
 class Pilot:
     """The autopilot as a mission uses it: each verb blocks until it is true, and raises AutopilotError otherwise."""
 
-    def __init__(self, autopilot: Autopilot, thread: MissionThread, journal: Journal) -> None:
+    def __init__(
+        self,
+        autopilot: Autopilot,
+        thread: MissionThread,
+        journal: Journal,
+        *,
+        fences: Sequence[Fence] = (),
+    ) -> None:
         self._autopilot = autopilot
         self._thread = thread
         self._journal = journal
+        self._fences = fences
         self._in_the_air = False
+        self._coming_down = False
+        self._ground_speed_m_s: float | None = None  # as it was last set
+        self._stands_at: Position | None = None  # where exactly it was sent, which is not quite where it is
 
     @property
     def position(self) -> Position:
@@ -58,47 +72,93 @@ class Pilot:
         """Whether the mission has taken off and not landed since."""
         return self._in_the_air
 
+    @property
+    def coming_down(self) -> bool:
+        """Whether the mission is bringing the vehicle to the ground."""
+        return self._coming_down
+
+    @property
+    def battery_percent(self) -> float | None:
+        """What is left in the battery, as last reported; None where the vehicle does not say."""
+        return self._autopilot.battery_percent
+
     def arm(self) -> None:
         """Waits until the vehicle is ready to fly, then arms its motors."""
         self._thread.call(self._logged(self._autopilot.arm, "armed"))
 
     def takeoff(self, altitude_m: float) -> None:
         """Climbs to the altitude above home."""
+        self._stands_at = None
         self._in_the_air = True  # from the attempt on: it may fail half-way up
         self._thread.call(self._takeoff(altitude_m))
 
     def set_ground_speed(self, ground_speed_m_s: float) -> None:
         """Sets the speed of the legs that follow."""
-        self._thread.call(self._autopilot.set_ground_speed(ground_speed_m_s))
+        self._thread.call(self._set_ground_speed(ground_speed_m_s))
 
     def goto(self, place: Waypoint | Position) -> None:
-        """Flies to a waypoint or position; returns on arrival, at rest."""
-        self._thread.call(self._goto(place))
+        """Flies to a waypoint or position; returns on arrival, at rest.
+
+        AutopilotRefused for a place that the plan's geofence keeps the vehicle from; it does not move then.
+        """
+        if isinstance(place, Waypoint):
+            verb = self._goto(place.position, waypoint=place.index, ground_speed_m_s=place.ground_speed_m_s)
+        else:
+            verb = self._goto(place)
+        self._thread.call(verb)
 
     def hold(self) -> None:
         """Stops and hovers."""
+        self._stands_at = None
         self._thread.call(self._logged(self._autopilot.hold, "holding"))
 
     def return_home_and_land(self) -> None:
         """Flies back to where it took off and lands."""
-        self._thread.call(self._logged(self._autopilot.return_home_and_land, "landed", before="returning"))
-        self._in_the_air = False
+        self._come_down(self._autopilot.return_home_and_land, "returning")
 
     def land(self) -> None:
         """Lands where it is."""
-        self._thread.call(self._logged(self._autopilot.land, "landed", before="landing"))
-        self._in_the_air = False
+        self._come_down(self._autopilot.land, "landing")
 
     def disarm(self) -> None:
         """Stops the motors."""
         self._thread.call(self._logged(self._autopilot.disarm, "disarmed"))
 
-    async def _goto(self, place: Waypoint | Position) -> None:
-        position, index = (place.position, place.index) if isinstance(place, Waypoint) else (place, None)
-        where = {"waypoint": index, "east_m": position.east_m, "north_m": position.north_m}
+    def _come_down(self, verb: Callable[[], Coroutine[Any, Any, None]], doing: str) -> None:
+        self._coming_down = True
+        try:
+            self._thread.call(self._logged(verb, "landed", before=doing))
+            self._in_the_air = False
+        finally:
+            self._coming_down = False
+
+    async def _set_ground_speed(self, ground_speed_m_s: float) -> None:
+        await self._autopilot.set_ground_speed(ground_speed_m_s)
+        self._ground_speed_m_s = ground_speed_m_s
+
+    async def _goto(
+        self, position: Position, *, waypoint: int | None = None, ground_speed_m_s: float | None = None
+    ) -> None:
+        self._require_allowed(position)
+        if ground_speed_m_s is not None and ground_speed_m_s != self._ground_speed_m_s:
+            await self._set_ground_speed(ground_speed_m_s)
+        where = {"waypoint": waypoint, "east_m": position.east_m, "north_m": position.north_m}
         self._journal.record("leg", **where)
+        self._stands_at = None
         await self._autopilot.goto(position)
+        self._stands_at = position
         self._journal.record("arrived", **where)
+
+    def _require_allowed(self, target: Position) -> None:
+        start = self._stands_at or self._autopilot.position
+        fence = breached_by_position(self._fences, target)
+        if fence is None and breached_by_position(self._fences, start) is None:  # else it has to come back in
+            fence = breached_by_leg(self._fences, start, target)
+        if fence is not None:
+            step = f"goto {target.east_m:.1f} m east, {target.north_m:.1f} m north"
+            raise AutopilotRefused(
+                step, f"{fence.name} of the plan's geofence is in the way; nothing was sent"
+            )
 
     async def _takeoff(self, altitude_m: float) -> None:
         await self._autopilot.takeoff(altitude_m)
@@ -146,6 +206,7 @@ class Drone:
         *,
         plan: tuple[Waypoint, ...],
         altitude_m: float,
+        ending: Ending,
         autopilot: Pilot,
         camera: Photographer,
         user: User,
@@ -156,7 +217,15 @@ class Drone:
         self.autopilot = autopilot
         self.camera = camera
         self.user = user
+        self._ending = ending
         self._invoke = invoke
+
+    def end_flight(self) -> None:
+        """Lands where it is if the plan ends so; returns home and lands otherwise."""
+        if self._ending == "land":
+            self.autopilot.land()
+        else:
+            self.autopilot.return_home_and_land()
 
     def service(self, cls: type[T]) -> T:
         """The service, typed as its class; where each of its calls runs is not the mission's concern."""
@@ -180,7 +249,9 @@ class Flight:
         self._config = config
         self._world = world
         self._thread = MissionThread()
-        self._pilot = Pilot(world.autopilot, self._thread, world.journal)
+        self._pilot = Pilot(world.autopilot, self._thread, world.journal, fences=geofence(config.mission))
+        self._plan = waypoints(config.mission)
+        self._stopped = ""  # why, once it is
         self._onboard = OnboardServices(
             [
                 InstanceSpec(config.name, service.name, programs[service.name], dict(service.local_pace_s))
@@ -204,11 +275,13 @@ class Flight:
         )
 
     async def run(self) -> None:
-        """Flies the mission; raises what ended it, with the vehicle safe on the ground by then where it obeys."""
+        """Flies the mission; raises what ended it, after the configured action where the vehicle obeys."""
         journal, config = self._world.journal, self._config
         try:
             await self._onboard.start()
-            journal.record("mission_started", drone=config.name, policy=config.policy.name)
+            journal.record(
+                "mission_started", drone=config.name, policy=config.policy.name, waypoints=len(self._plan)
+            )
             async with self._offloading_in_background():
                 await self._fly()
             journal.record("mission_completed")
@@ -219,27 +292,46 @@ class Flight:
             await self._onboard.close()
 
     def stop(self, why: str) -> None:
-        """Ends the mission early: the vehicle returns and lands."""
+        """Ends the mission early, in the configured action."""
+        self._stopped = self._stopped or why
         self._world.journal.record("stopping", why=why)
         self._thread.stop(why)
 
     async def _fly(self) -> None:
         try:
-            await self._thread.run(lambda: self._mission(self._drone()))
-        except (Exception, asyncio.CancelledError) as error:
-            if self._pilot.in_the_air:
-                await self._make_safe(str(error) or type(error).__name__)
+            await self._run_mission()
+        except AutopilotOverruled as error:
+            self._world.journal.record("left_to_pilot", why=str(error))
             raise
-        if self._pilot.in_the_air:
-            await self._make_safe("the mission ended in the air")
+        except (Exception, asyncio.CancelledError) as error:
+            await self._end_in_the_air(str(error) or type(error).__name__)
+            raise
+        await self._end_in_the_air("the mission ended in the air")
 
-    async def _make_safe(self, why: str) -> None:
-        self._world.journal.record("safe_return", why=why)
+    async def _run_mission(self) -> None:
+        watch = asyncio.create_task(self._watch_battery())
         try:
-            await self._world.autopilot.return_home_and_land()
-            self._world.journal.record("landed")
-        except AutopilotError as error:
-            self._world.journal.record("safe_return_failed", why=str(error))
+            await self._thread.run(lambda: self._mission(self._drone()))
+        finally:
+            watch.cancel()
+        if self._stopped:  # though the mission made nothing of it
+            raise MissionStopped(self._stopped)
+
+    async def _end_in_the_air(self, why: str) -> None:
+        if self._pilot.in_the_air:
+            action = self._config.autopilot.on_failure
+            await end_safely(self._world.autopilot, action, self._world.journal, why=why)
+
+    async def _watch_battery(self) -> None:
+        """Stops the mission at the reserve, unless it is bringing the vehicle to the ground already."""
+        reserve_percent = self._config.mission.reserve_percent
+        if reserve_percent is None:
+            return
+        left_percent = await reserve_reached(self._world.autopilot, reserve_percent, self._world.journal)
+        if not self._pilot.coming_down:
+            self.stop(
+                f"{left_percent:.0f} % is left in the battery, less than the reserve of {reserve_percent:g} %"
+            )
 
     @contextlib.asynccontextmanager
     async def _offloading_in_background(self) -> AsyncIterator[None]:
@@ -264,8 +356,9 @@ class Flight:
             return self._thread.call(self._offloading.invoke(operation, method, request))
 
         return Drone(
-            plan=waypoints(self._config.mission),
+            plan=self._plan,
             altitude_m=self._config.mission.altitude_m,
+            ending=ending(self._config.mission),
             autopilot=self._pilot,
             camera=Photographer(self._world.camera, self._thread),
             user=User(self._world.notifier, self._thread),

@@ -7,6 +7,7 @@ UpwashError
 │   └── DeclarationError        a service class that cannot be offered
 ├── AutopilotError            the vehicle: names the step and what the vehicle last said
 │   ├── AutopilotRefused        it answered no
+│   │   └── AutopilotOverruled      the pilot or a fail-safe has taken the vehicle over
 │   ├── AutopilotTimeout        it did not get there in time
 │   └── AutopilotLost           its link went silent
 ├── NetworkError              a server's network could not be joined
@@ -26,6 +27,7 @@ from __future__ import annotations
 __all__ = [
     "AutopilotError",
     "AutopilotLost",
+    "AutopilotOverruled",
     "AutopilotRefused",
     "AutopilotTimeout",
     "ConfigError",
@@ -85,6 +87,10 @@ class AutopilotError(UpwashError):
 
 class AutopilotRefused(AutopilotError):
     """The vehicle answered no."""
+
+
+class AutopilotOverruled(AutopilotRefused):
+    """The pilot or a fail-safe has taken the vehicle over; the program leaves it to them."""
 
 
 class AutopilotTimeout(AutopilotError):

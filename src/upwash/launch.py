@@ -50,12 +50,12 @@ async def fly(
 ) -> None:
     """Flies the configured mission with the configured vehicle, or another program with it.
 
-    The event log goes to `log`, and each event to the watchers too. Ctrl-C ends the mission: the vehicle returns
-    and lands; a second one ends the program at once. Raises what ended the mission early.
+    The event log goes to `log`, and each event to the watchers too. Ctrl-C ends the mission, as any failure does:
+    in what autopilot.on_failure says; a second one ends the program at once. Raises what ended the mission early.
     """
     if config.mission.home is None:
         raise UsageError("mission.home is missing: a flight needs the place where east and north are 0")
-    if config.autopilot is None:
+    if config.autopilot.connection is None:
         raise UsageError(
             "autopilot.connection is missing: say how the vehicle is reached, or use --autopilot"
         )

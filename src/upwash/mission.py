@@ -18,6 +18,8 @@ from upwash.errors import MissionStopped
 
 T = TypeVar("T")
 
+_GRACE_S = 5.0  # for a mission's own last words, once it has been stopped
+
 
 @runtime_checkable
 class TurnTaking(Protocol):
@@ -30,8 +32,10 @@ class TurnTaking(Protocol):
 class MissionThread:
     """One mission's thread; made on the event loop that runs its verbs."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, grace_s: float = _GRACE_S) -> None:
+        self._grace_s = grace_s
         self._loop = asyncio.get_running_loop()
+        self._ended: asyncio.Future[Exception | None] = self._loop.create_future()
         self._stopped = ""  # why, once it is
         self._verb: asyncio.Task[Any] | None = None
         self._ended_verbs: SimpleQueue[asyncio.Task[Any]] = SimpleQueue()
@@ -54,12 +58,7 @@ class MissionThread:
         return cast(T, ended.result())
 
     async def run(self, program: Callable[[], None]) -> None:
-        """Runs the program to its end; raises what it raises. A daemon thread: it cannot hold up the exit."""
-        ended: asyncio.Future[Exception | None] = self._loop.create_future()
-
-        def settle(failure: Exception | None) -> None:
-            if not ended.done():
-                ended.set_result(failure)
+        """Runs the program to its end, but not for long once it is stopped; raises what it raises."""
 
         def body() -> None:
             failure: Exception | None = None
@@ -70,13 +69,13 @@ class MissionThread:
             except BaseException as error:  # noqa: BLE001 - sys.exit() ends the mission, not the program
                 failure = MissionStopped(f"the mission raised {error!r}")
             with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
-                self._loop.call_soon_threadsafe(settle, failure)
+                self._loop.call_soon_threadsafe(self._settle, failure)
             self._turn_over.set()
 
-        thread = threading.Thread(target=body, name="mission", daemon=True)
+        thread = threading.Thread(target=body, name="mission", daemon=True)  # it cannot hold up the exit
         self._give_turn(thread.start)
         try:
-            failure = await ended
+            failure = await self._ended
         except asyncio.CancelledError:
             self.stop("the flight was cancelled")
             raise
@@ -84,10 +83,18 @@ class MissionThread:
             raise failure
 
     def stop(self, why: str) -> None:
-        """Ends the mission at its next verb, or in the one under way; for the loop's thread only."""
+        """Ends the mission at its next verb, or in the one under way; for the loop's thread only.
+
+        A mission that is busy with itself, or does not listen, is left behind: no verb of it has effect any more.
+        """
         self._stopped = self._stopped or why
+        self._loop.call_later(self._grace_s, self._settle, MissionStopped(self._stopped))
         if self._verb is not None:
             self._verb.cancel()
+
+    def _settle(self, failure: Exception | None) -> None:
+        if not self._ended.done():
+            self._ended.set_result(failure)
 
     def _begin(self, verb: Coroutine[Any, Any, Any]) -> None:
         self._verb = self._loop.create_task(verb)

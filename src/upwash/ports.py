@@ -21,6 +21,10 @@ class Autopilot(Protocol):
     def position(self) -> Position:
         """The last known position, relative to the mission's home."""
 
+    @property
+    def battery_percent(self) -> float | None:
+        """What is left in the battery, as last reported; None where the vehicle does not say."""
+
     async def arm(self) -> None:
         """Waits until the vehicle is ready to fly, then arms its motors."""
 

@@ -34,13 +34,16 @@ class Totals(msgspec.Struct, frozen=True):
 
 
 class RunResult(msgspec.Struct, frozen=True):
-    """One run."""
+    """One run; `undone` are the waypoints that were not reached, `left_hovering` whether the pilot has to land."""
 
     policy: str
     mission_time_s: float
     completed: bool
     calls: list[CallResult]
     totals: Totals
+    waypoints: int
+    undone: list[int]
+    left_hovering: bool
 
     def local_only_time_s(self) -> float | None:
         """How long the mission would have taken with every call at the mean measured local delay.
@@ -58,20 +61,24 @@ def read_result(events: Iterable[Mapping[str, Any]]) -> RunResult:
     policy, began_s, ended_s, completed = "", 0.0, 0.0, False
     waypoint: int | None = None
     calls: list[CallResult] = []
-    visited: list[str] = []
+    selected: list[str] = []
+    waypoints, reached, left_hovering = 0, set[int | None](), False
     waits: list[str] = []
     fallbacks = 0
     for event in _last_run(events):
         ended_s = event["t"]
         match event["event"]:
             case "mission_started":
-                policy, began_s = event["policy"], event["t"]
+                policy, began_s, waypoints = event["policy"], event["t"], event.get("waypoints", 0)
             case "mission_completed":
                 completed = True
             case "arrived":
                 waypoint = event["waypoint"]
+                reached.add(waypoint)
+            case "left_hovering":
+                left_hovering = True
             case "selected":
-                visited.append(event["server"])
+                selected.append(event["server"])
             case "call":
                 calls.append(_call(event, waypoint, began_s))
                 waits += [event["wait"]] if event["wait"] else []
@@ -93,10 +100,13 @@ def read_result(events: Iterable[Mapping[str, Any]]) -> RunResult:
             remote=dict(sorted(remote.items())),
             waits=len(waits),
             waits_failed=waits.count("failed"),
-            switches=len(visited),
+            switches=len(selected),
             fallbacks=fallbacks,
             service_delay_s=sum(call.delay_s for call in calls),
         ),
+        waypoints=waypoints,
+        undone=[index for index in range(waypoints) if index not in reached],
+        left_hovering=left_hovering,
     )
 
 

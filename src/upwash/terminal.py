@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any
 
@@ -17,6 +17,8 @@ from upwash.results import RunResult
 
 _RECENT = 10
 _WORTH_SHOWING_S = 0.05
+_SAFE_ENDS = {"return": "returning to land", "land": "landing where it is", "hold": "stopping to hover"}
+_LEFT_HOVERING = "The vehicle hovers where it is, and nobody flies it now: take over with the remote control."
 _STATE_STYLES = {"READY": "green", "CHECK": "yellow", "CHECK-R": "yellow", "BLACKLISTED": "red"}
 
 
@@ -94,8 +96,13 @@ class Progress:
             case {"event": "stopping", "why": why}:
                 said = Text(f"stopping ({why}); once more ends this at once, the vehicle left to itself")
                 said.stylize("bold red")
-            case {"event": "safe_return" | "mission_ended" as ending, "why": why}:
-                self._doing = "returning to land"
+            case {"event": "safe_end", "action": action, "why": why}:
+                self._doing = _SAFE_ENDS[action]
+                said = Text(f"{self._doing}: {why}", style="bold red")
+            case {"event": "left_hovering"}:
+                self._doing = "hovering"
+                said = Text(_LEFT_HOVERING, style="bold red")
+            case {"event": "left_to_pilot" | "mission_ended" as ending, "why": why}:
                 said = Text(f"{ending.replace('_', ' ')}: {why}", style="bold red")
             case {"event": name, "why": why} if name.endswith("_failed"):
                 said = Text(f"{name.replace('_', ' ')}: {why}", style="red")
@@ -126,6 +133,24 @@ def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
         soft_wrap=True,
     )
     _print_times(result, console, paced=paced)
+    _print_waypoints(result, console)
+
+
+def _print_waypoints(result: RunResult, console: Console) -> None:
+    undone = f", left undone: {_ranges(result.undone)}" if result.undone else ""
+    reached = result.waypoints - len(result.undone)
+    console.print(f"{reached} of {result.waypoints} waypoints reached{undone}", soft_wrap=True)
+    if result.left_hovering:
+        console.print(Text(_LEFT_HOVERING, style="bold red"), soft_wrap=True)
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    """Ascending numbers, those that follow each other as one range: 3, 7-11."""
+    starts = [number for number in numbers if number - 1 not in numbers]
+    ends = [number for number in numbers if number + 1 not in numbers]
+    return ", ".join(
+        f"{start}" if start == end else f"{start}-{end}" for start, end in zip(starts, ends, strict=True)
+    )
 
 
 def _print_calls(result: RunResult, console: Console) -> None:

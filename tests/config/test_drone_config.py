@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from upwash.config import (
+    AutopilotConfig,
     DroneConfig,
     GridConfig,
     MissionConfig,
@@ -42,8 +43,8 @@ def test_every_printed_value_is_read(tmp_path: Path) -> None:
     assert config.mission.grid == GridConfig(columns=11, rows=11, spacing_m=20.0)
     assert config.mission.home is not None
     assert config.mission.home.longitude_deg == 22.9507
-    assert config.autopilot is not None
-    assert config.autopilot.connection == "udpout:127.0.0.1:14550"
+    assert config.autopilot == AutopilotConfig(connection="udpout:127.0.0.1:14550", on_failure="land")
+    assert config.mission.reserve_percent == 25.0
     assert config.network.kind == "wired"
     assert config.services[0].local_call_s == {"light": 3.0, "heavy": 10.0}
     assert config.services[0].local_pace_s == {"light": 3.0}
@@ -67,7 +68,9 @@ def test_what_a_file_leaves_out_has_the_printed_defaults(tmp_path: Path) -> None
     assert (short.servers[0].check_s, short.servers[0].check_running_s) == (11.5, 3.5)
     assert short.network.kind == "stand-in"
     assert short.servers[0].network == "s1"
-    assert (short.heat, short.autopilot, short.keys, short.faults) == (None, None, None, ())
+    assert (short.heat, short.keys, short.faults) == (None, None, ())
+    assert short.autopilot == AutopilotConfig(connection=None, on_failure="return")
+    assert (short.mission.plan, short.mission.reserve_percent) == (None, None)
 
 
 def test_paths_count_from_the_files_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,16 +215,19 @@ REFUSED = [
     ),
     ("rows_alternate = true", "rows_alternate = 1", "mission.grid.rows_alternate", "true or false, found 1"),
     ("latitude_deg = 39.3666", "latitude_deg = 93", "mission.home.latitude_deg", "from -90 to 90"),
-    ("grid = {", "plan = 'a.plan'\ngrid = {", "mission.plan", "unknown key"),
-    ("grid = {", "waypoints_m = [[0, 0]]\ngrid = {", "mission", "either grid or waypoints_m, found both"),
-    ("grid = {", "#", "mission", "either grid or waypoints_m, found neither"),
+    ("grid = {", "plan = 3\ngrid = {", "mission.plan", "a plan's path"),
+    ("grid = {", "waypoints_m = [[0, 0]]\ngrid = {", "mission", "found grid, waypoints_m"),
+    ("grid = {", "#", "mission", "give one of grid, waypoints_m, plan, found none"),
+    ("reserve_percent = 25.0", "reserve_percent = 100", "mission.reserve_percent", "above 0 and below 100"),
+    ("reserve_percent = 25.0", "reserve_percent = 0", "mission.reserve_percent", "above 0 and below 100"),
+    ('on_failure = "land"', 'on_failure = "dance"', "autopilot.on_failure", '"return"'),
     ("grid = {", "waypoints_m = [] #", "mission.waypoints_m", "at least one"),
     ("grid = {", "waypoints_m = [[0, 0], [1]] #", "mission.waypoints_m[1]", "[east, north] in metres"),
     ('mode = "heavy"', 'mode = "hevy"', "mission.mode", 'did you mean "heavy"? allowed: light, heavy'),
     ("acceleration_m_s2 = 1.0", "acceleration_m_s2 = 0", "vehicle.acceleration_m_s2", "above 0"),
     ("takeoff_s = 10.0", "takeoff_s = -1", "vehicle.takeoff_s", "at least 0"),
     ("takeoff_s = 10.0", 'profile = "plane"', "vehicle.profile", '"arducopter"'),
-    ('connection = "udpout:127.0.0.1:14550"', "", "autopilot.connection", "missing"),
+    ('connection = "udpout:127.0.0.1:14550"', 'connection = ""', "autopilot.connection", "not empty"),
     ('kind = "wired"', 'kind = "wifi"', "network.kind", '"stand-in", "wired"'),
     ('authority = "keys/authority.pem"', "authority = 3", "keys.authority", "a file's path"),
     ('authority = "keys/authority.pem"', 'authority = ""', "keys.authority", "a file's path"),

@@ -176,7 +176,7 @@ def test_a_mission_that_raises_on_the_ground_moves_nothing(tmp_path: Path) -> No
 def test_a_mission_that_ends_in_the_air_is_landed(tmp_path: Path) -> None:
     run = fly(tmp_path, here(forget_to_land))
     names = [event["event"] for event in run.events]
-    assert names.index("safe_return") < names.index("landed")
+    assert names.index("safe_end") < names.index("landed")
 
 
 def test_a_wrong_argument_is_the_missions_own_error(tmp_path: Path) -> None:

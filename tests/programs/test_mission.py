@@ -156,6 +156,31 @@ def test_a_mission_that_returns_although_it_was_stopped_has_ended() -> None:
     fly(program, stop)
 
 
+def test_a_stopped_mission_that_is_busy_with_itself_is_left_behind() -> None:
+    released, ended = threading.Event(), threading.Event()
+    late: list[object] = []
+
+    def program(thread: MissionThread) -> None:
+        released.wait(5.0)
+        try:
+            thread.call(asyncio.sleep(0))
+        except MissionStopped as stopped:
+            late.append(stopped)
+        ended.set()
+
+    async def main() -> None:
+        thread = MissionThread(grace_s=0.05)
+        asyncio.get_running_loop().call_soon(thread.stop, "Ctrl-C")
+        with pytest.raises(MissionStopped, match="Ctrl-C"):
+            await thread.run(lambda: program(thread))
+        assert not late
+        released.set()
+        assert await asyncio.to_thread(ended.wait, 5.0)
+        assert late, "and no verb of it has effect any more"
+
+    asyncio.run(main())
+
+
 def test_a_mission_whose_run_is_cancelled_flies_no_further() -> None:
     outcome: list[object] = []
     cancelled, ended = threading.Event(), threading.Event()

@@ -130,13 +130,13 @@ def test_a_leg_that_is_never_reached_ends_the_mission_and_the_vehicle_lands() ->
     run = fly(fault("autopilot", "stuck", from_s=20.0))
     assert run.failure == "goto: the vehicle did not arrive within 69 s"
     assert not run.result.completed
-    assert first(run, "safe_return")["t"] < first(run, "landed")["t"] <= first(run, "mission_ended")["t"]
+    assert first(run, "safe_end")["t"] < first(run, "landed")["t"] <= first(run, "mission_ended")["t"]
 
 
 def test_a_silent_autopilot_ends_the_mission_and_cannot_be_landed() -> None:
     run = fly(fault("autopilot", "off", from_s=20.0))
     assert run.failure == "goto: the vehicle's link is silent"
-    assert "the vehicle's link is silent" in first(run, "safe_return_failed")["why"]
+    assert "the vehicle's link is silent" in first(run, "safe_end_failed")["why"]
 
 
 def test_an_autopilot_that_flaps_fails_the_verb_that_needs_it() -> None:

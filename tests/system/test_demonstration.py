@@ -196,4 +196,4 @@ def test_ctrl_c_lands_the_drone_and_leaves_nothing_behind(demonstration: Demonst
     assert demonstration.processes() == []
     events = [event["event"] for event in demonstration.events()]
     assert events[-1] == "mission_ended"
-    assert events.index("stopping") < events.index("safe_return") < events.index("landed")
+    assert events.index("stopping") < events.index("safe_end") < events.index("landed")

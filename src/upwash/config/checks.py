@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -13,10 +14,19 @@ from upwash.config.drone import (
     ServerConfig,
     ServiceConfig,
     TruthConfig,
+    geofence,
+    planned_home,
     server_truth,
+    waypoints,
 )
 from upwash.config.problems import Problem, listed, unknown
 from upwash.config.values import is_address, repeated
+from upwash.core.geo import Position, ground_distance_m
+from upwash.core.geofence import breached_by_leg, breached_by_position
+from upwash.plans import Plan
+
+_FARTHEST_M = 100_000.0  # from home: a plan for another field, or one with its coordinates swapped
+_HOME = Position(0.0, 0.0)
 
 
 def problems(config: DroneConfig) -> Iterator[Problem]:
@@ -37,12 +47,40 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
 
 
 def _mission_problems(mission: MissionConfig, services: tuple[ServiceConfig, ...]) -> Iterator[Problem]:
-    if (mission.grid is None) == (mission.waypoints_m is None):
-        found = "neither" if mission.grid is None else "both"
-        yield "mission", f"no single list of waypoints: give either grid or waypoints_m, found {found}"
+    ways = {"grid": mission.grid, "waypoints_m": mission.waypoints_m, "plan": mission.plan}
+    found = [key for key, value in ways.items() if value is not None]
+    if len(found) != 1:
+        yield "mission", f"no single list of waypoints: give one of {listed(ways)}, found {listed(found)}"
+    if mission.plan is not None and mission.home is None:
+        yield "mission.home", f"missing, and {mission.plan.file} names none: add it"
     keys = list(dict.fromkeys(key for service in services for key in service.local_call_s if key))
     if mission.program == "survey" and keys and mission.mode not in keys:
         yield "mission.mode", unknown("profile key", mission.mode, keys)
+
+
+def plan_problems(mission: MissionConfig, plan: Plan) -> Iterator[Problem]:
+    """Everything that keeps the mission's plan from being flown from the mission's home."""
+    if plan.above_sea_level is not None and mission.home != planned_home(plan):
+        yield (
+            f"item {plan.above_sea_level}",
+            "its altitude is above sea level, and mission.home is not the plan's home: give it above home",
+        )
+    places = waypoints(mission)
+    names = ["home", *(f"waypoint {each.index}" for each in places)]
+    items = ["plannedHomePosition", *(f"item {each.item}" for each in plan.waypoints)]
+    fences = geofence(mission)
+    ends = [_HOME, *(each.position for each in places)]
+    for name, item, position in zip(names, items, ends, strict=True):
+        if ground_distance_m(position, _HOME) > _FARTHEST_M:
+            yield item, f"{name} is {ground_distance_m(position, _HOME) / 1000:.0f} km from home: check both"
+        if (fence := breached_by_position(fences, position)) is not None:
+            yield item, f"{name} is {'outside' if fence.inclusion else 'within'} {fence.name} of the geofence"
+    for (start, end), (before, name), item in zip(
+        itertools.pairwise(ends), itertools.pairwise(names), items[1:], strict=True
+    ):
+        if (fence := breached_by_leg(fences, start, end)) is not None:
+            verb = "leaves" if fence.inclusion else "crosses"
+            yield item, f"the straight way from {before} to {name} {verb} {fence.name} of the geofence"
 
 
 def _server_problems(server: ServerConfig, config: DroneConfig) -> Iterator[Problem]:

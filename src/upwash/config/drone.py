@@ -21,6 +21,8 @@ from upwash.config.values import (
     Name,
     Names,
     NotNegative,
+    Percent,
+    PlanPath,
     Positive,
     SecondsByKey,
     SecondsByService,
@@ -28,9 +30,12 @@ from upwash.config.values import (
     Text,
 )
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
+from upwash.core.geofence import Fence
+from upwash.plans import Ending, Plan
 
 AtLeastOneSecond = Annotated[float, Meta(ge=1, description="a number of at least 1, in seconds")]
 PairInMetres = Annotated[tuple[float, float], Meta(description="a pair [east, north] in metres")]
+SafeEnd = Literal["return", "hold", "land"]
 Corner = Literal["top-left", "top-right", "bottom-left", "bottom-right"]
 RADIOS = ("fixed", "disc54", "disc12")  # or a csv file of goodput by distance
 
@@ -53,7 +58,10 @@ class GridConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is flown: a program (bundled, or `/a/file.py:function`) over a grid or a list of waypoints."""
+    """What is flown: a program (bundled, or `/a/file.py:function`) over a grid, a list of waypoints or a plan.
+
+    Below `reserve_percent` of its battery the drone ends the mission early.
+    """
 
     program: Text = "survey"
     mode: Text = "heavy"
@@ -68,21 +76,28 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         ]
         | None
     ) = None
+    plan: PlanPath | None = None
+    reserve_percent: Percent | None = None
 
 
 class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How the simulated vehicle flies: as these numbers say, or as a measured profile."""
+    """How the simulated vehicle flies: as these numbers say, or as a measured profile.
+
+    Its battery is empty `endurance_s` after take-off; without that it reports none.
+    """
 
     profile: Literal["arducopter"] | None = None
     acceleration_m_s2: Positive = 1.0
     takeoff_s: NotNegative = 10.0
     return_and_land_s: NotNegative = 16.0
+    endurance_s: Positive | None = None
 
 
 class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How a real vehicle is reached: a MAVLink connection string."""
+    """How a real vehicle is reached, a MAVLink connection string, and what it does when the mission fails."""
 
-    connection: Text
+    connection: Text | None = None
+    on_failure: SafeEnd = "return"
 
 
 class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -210,7 +225,7 @@ class DroneConfig(
     seed: int = 1
     mission: MissionConfig
     vehicle: VehicleConfig = VehicleConfig()
-    autopilot: AutopilotConfig | None = None
+    autopilot: AutopilotConfig = AutopilotConfig()
     network: NetworkConfig = NetworkConfig()
     keys: KeysConfig | None = None
     camera: CameraConfig = CameraConfig()
@@ -228,6 +243,8 @@ class DroneConfig(
 
 def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
     """The mission's waypoints in the order in which they are flown."""
+    if mission.plan is not None:
+        return _planned_waypoints(mission.plan.plan, _frame(mission.home))
     places = _grid_places(mission.grid) if mission.grid else mission.waypoints_m or ()
     return tuple(
         Waypoint(index, Position(east_m, north_m, mission.altitude_m))
@@ -235,14 +252,32 @@ def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
     )
 
 
+def geofence(mission: MissionConfig) -> tuple[Fence, ...]:
+    """The fences of the mission's plan."""
+    if mission.plan is None:
+        return ()
+    frame = _frame(mission.home)
+    return tuple(fence.fence(frame) for fence in mission.plan.plan.fences)
+
+
+def planned_home(plan: Plan) -> HomeConfig | None:
+    """The home that a plan names, if it does."""
+    home = plan.home
+    return HomeConfig(latitude_deg=home.latitude_deg, longitude_deg=home.longitude_deg) if home else None
+
+
+def ending(mission: MissionConfig) -> Ending:
+    """How the mission ends when all went well."""
+    return mission.plan.plan.ending if mission.plan is not None else "return"
+
+
 def server_position(server: ServerConfig, home: HomeConfig | None) -> Position:
     """Where the server stands; `home` is needed for one whose place is given in degrees."""
     if server.east_m is not None and server.north_m is not None:
         return Position(server.east_m, server.north_m)
-    if server.latitude_deg is None or server.longitude_deg is None or home is None:
+    if server.latitude_deg is None or server.longitude_deg is None:
         raise ValueError(f"server {server.name} has no place: read its configuration from a file")
-    frame = LocalFrame(GeoPosition(home.latitude_deg, home.longitude_deg))
-    return frame.position(GeoPosition(server.latitude_deg, server.longitude_deg))
+    return _frame(home).position(GeoPosition(server.latitude_deg, server.longitude_deg))
 
 
 def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> ServerTruth:
@@ -257,6 +292,19 @@ def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> Ser
         radio=truth.radio,
         slots=truth.slots,
         images=tuple(service.name for service in services) if truth.images is None else truth.images,
+    )
+
+
+def _frame(home: HomeConfig | None) -> LocalFrame:
+    if home is None:
+        raise ValueError("degrees without a home: read the configuration from a file")
+    return LocalFrame(GeoPosition(home.latitude_deg, home.longitude_deg))
+
+
+def _planned_waypoints(plan: Plan, frame: LocalFrame) -> tuple[Waypoint, ...]:
+    return tuple(
+        Waypoint(index, frame.position(each.place), each.ground_speed_m_s)
+        for index, each in enumerate(plan.waypoints)
     )
 
 

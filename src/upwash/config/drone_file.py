@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from pathlib import Path
 
-from upwash.config.checks import problems
-from upwash.config.drone import DroneConfig
+import msgspec
+
+from upwash.config.checks import plan_problems, problems
+from upwash.config.drone import DroneConfig, MissionConfig, planned_home
 from upwash.config.problems import Document, refuse_first
 from upwash.config.reading import convert, read_document
 from upwash.config.shorthand import written_out
+from upwash.plans import Plan
 
 
 def read_drone_config(path: Path) -> DroneConfig:
@@ -20,5 +24,23 @@ def drone_config(document: Document, file: Path) -> DroneConfig:
     """The configuration that the document of that file says; raises ConfigError."""
     tables = written_out(document, file.absolute().parent)
     config = convert(tables, DroneConfig, file=file, as_written=document)
+    mission = config.mission
+    if mission.plan is not None:
+        mission = _as_planned(mission, mission.plan.plan, named=document["mission"])
+        config = msgspec.structs.replace(config, mission=mission)
     refuse_first(file, problems(config))
+    if mission.plan is not None:
+        refuse_first(mission.plan.file, plan_problems(mission, mission.plan.plan))
     return config
+
+
+def _as_planned(mission: MissionConfig, plan: Plan, *, named: Container[str]) -> MissionConfig:
+    """The mission, with what the plan says wherever the configuration names nothing."""
+    planned = {
+        "home": planned_home(plan),
+        "altitude_m": plan.takeoff_altitude_m or plan.waypoints[0].place.altitude_m,
+        "ground_speed_m_s": plan.ground_speed_m_s or mission.ground_speed_m_s,
+    }
+    return msgspec.structs.replace(
+        mission, **{key: value for key, value in planned.items() if key not in named}
+    )

@@ -14,6 +14,7 @@ from typing import TypeVar
 import msgspec
 
 from upwash.config.problems import Document, Problem, refuse_first
+from upwash.config.values import PlanFile
 from upwash.errors import ConfigError
 
 T = TypeVar("T")
@@ -46,10 +47,10 @@ def convert(document: Document, kind: type[T], *, file: Path, as_written: Docume
     """
     folder = file.absolute().parent
 
-    def resolve(kind: type, value: object) -> Path:
-        if kind is not Path or not isinstance(value, str) or not value:
+    def resolve(kind: type, value: object) -> Path | PlanFile:
+        if kind not in (Path, PlanFile) or not isinstance(value, str) or not value:
             raise ValueError
-        return folder / value
+        return folder / value if kind is Path else PlanFile(folder / value)
 
     try:
         return msgspec.convert(document, kind, dec_hook=resolve)

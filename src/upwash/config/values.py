@@ -11,6 +11,8 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+from upwash.plans import Plan, read_plan
+
 Name = Annotated[
     str,
     Meta(pattern=r"^[A-Za-z0-9._-]+\Z", description="a name of letters, digits, '.', '_' and '-'"),
@@ -26,9 +28,23 @@ ImportPath = Annotated[
 ]
 FilePath = Annotated[Path, Meta(description="a file's path, absolute or from this file's folder")]
 
+
+class PlanFile:
+    """A plan and the file that it was read from."""
+
+    # No dataclass: msgspec would look for its fields in the configuration instead of asking how to read it.
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        self.plan: Plan = read_plan(file)
+
+
+PlanPath = Annotated[PlanFile, Meta(description="a plan's path, absolute or from this file's folder")]
+
 Positive = Annotated[float, Meta(gt=0, description="a number above 0")]
 NotNegative = Annotated[float, Meta(ge=0, description="a number of at least 0")]
 Fraction = Annotated[float, Meta(ge=0, le=1, description="a number from 0 to 1")]
+Percent = Annotated[float, Meta(gt=0, lt=100, description="a number above 0 and below 100, in percent")]
 Latitude = Annotated[float, Meta(ge=-90, le=90, description="degrees from -90 to 90")]
 Longitude = Annotated[float, Meta(ge=-180, le=180, description="degrees from -180 to 180")]
 Count = Annotated[int, Meta(ge=1, description="an integer of at least 1")]

@@ -34,10 +34,14 @@ class GeoPosition:
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """A place where the mission wants something done; `index` counts from 0 in flight order."""
+    """A place where the mission wants something done; `index` counts from 0 in flight order.
+
+    `ground_speed_m_s` is the speed of the way to it, None for the one that is set.
+    """
 
     index: int
     position: Position
+    ground_speed_m_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

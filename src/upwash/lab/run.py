@@ -13,7 +13,7 @@ import msgspec
 
 from upwash.bundled import load_configured_services, load_mission, service_program
 from upwash.config import DroneConfig, server_position, server_truth, waypoints
-from upwash.core.geo import Circle
+from upwash.core.geo import Circle, Position
 from upwash.core.instances import Host, ServerOffer
 from upwash.drone import Flight, World
 from upwash.errors import UpwashError
@@ -125,7 +125,7 @@ async def _fly(config: DroneConfig, journal: MemoryJournal) -> None:
 def _autopilot(config: DroneConfig, chance: Chance, faults: Faults) -> ModelAutopilot:
     vehicle = config.vehicle
     return ModelAutopilot(
-        waypoints(config.mission)[0].position,
+        Position(0.0, 0.0) if config.mission.plan else waypoints(config.mission)[0].position,
         ground_speed_m_s=config.mission.ground_speed_m_s,
         manner=arducopter
         if vehicle.profile == "arducopter"
@@ -136,6 +136,7 @@ def _autopilot(config: DroneConfig, chance: Chance, faults: Faults) -> ModelAuto
         ),
         stretch=lambda: chance.factor("leg", config.noise.leg),
         fault=lambda: faults.now("autopilot"),
+        endurance_s=vehicle.endurance_s,
     )
 
 

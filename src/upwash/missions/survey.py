@@ -18,5 +18,5 @@ def survey(drone: Drone, mode: Mode = "heavy") -> None:
         found = detector.process_photo(photo, mode=mode)
         if found:
             drone.user.notify(found, at=waypoint)
-    drone.autopilot.return_home_and_land()
+    drone.end_flight()
     drone.autopilot.disarm()

@@ -92,6 +92,11 @@ class MavlinkAutopilot:
         geo = self._vehicle.position
         return self._frame.position(geo) if geo else _HOME
 
+    @property
+    def battery_percent(self) -> float | None:
+        """None: the vehicle is not asked for it yet."""
+        return None
+
     async def arm(self) -> None:
         """Waits until the vehicle is ready to fly, then arms its motors; AutopilotRefused has its reason if not."""
         loop = asyncio.get_running_loop()

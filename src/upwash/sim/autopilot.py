@@ -73,7 +73,7 @@ class ModelAutopilot:
     """Flies in its manner from the ground below `start`.
 
     `stretch` gives a factor on the duration of each leg, for noise, and `fault` what is wrong with the vehicle
-    now; `sim.faults` says what each fault means.
+    now; `sim.faults` says what each fault means. The battery is empty `endurance_s` after the first take-off.
     """
 
     def __init__(
@@ -84,6 +84,7 @@ class ModelAutopilot:
         manner: Manner,
         stretch: Callable[[], float] = lambda: 1.0,
         fault: Callable[[], FaultConfig | None] = lambda: None,
+        endurance_s: float | None = None,
     ) -> None:
         self._ground = Position(start.east_m, start.north_m)
         self._ground_speed_m_s = ground_speed_m_s
@@ -95,11 +96,21 @@ class ModelAutopilot:
         self._crossings: tuple[Sequence[Circle], list[float]] | None = None  # of this motion, in seconds
         self._moved = asyncio.Event()
         self._armed = False
+        self._endurance_s = endurance_s
+        self._took_off_s: float | None = None
 
     @property
     def position(self) -> Position:
         """Where it is now."""
         return self._motion.position(self._loop.time())
+
+    @property
+    def battery_percent(self) -> float | None:
+        """Falls steadily from the first take-off on."""
+        if self._endurance_s is None:
+            return None
+        flown_s = 0.0 if self._took_off_s is None else self._loop.time() - self._took_off_s
+        return 100.0 * max(0.0, 1 - flown_s / self._endurance_s)
 
     async def arm(self) -> None:
         """At once."""
@@ -111,6 +122,8 @@ class ModelAutopilot:
         self._reach("take-off")
         if not self._armed:
             raise AutopilotRefused("take-off", "the vehicle is not armed")
+        if self._took_off_s is None:
+            self._took_off_s = self._loop.time()
         await self._move("take-off", self._manner.takeoff(self.position, altitude_m))
 
     async def set_ground_speed(self, ground_speed_m_s: float) -> None:

@@ -1,0 +1,143 @@
+"""Areas on the ground that a vehicle must stay in or keep out of, whatever its altitude.
+
+A border belongs to its area: it may be flown on where the vehicle must stay in, and not where it must keep out.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from upwash.core.geo import Circle, Position, ground_distance_m
+
+_ON_THE_BORDER_M = 1e-3  # ten times finer than the steps in which plans give coordinates
+
+
+@dataclass(frozen=True, slots=True)
+class Polygon:
+    """An area between straight borders; the last corner is joined to the first."""
+
+    corners: tuple[Position, ...]
+
+    @property
+    def borders(self) -> Iterator[tuple[Position, Position]]:
+        """The sides, each from one corner to the next."""
+        return itertools.pairwise((*self.corners, self.corners[0]))
+
+    def contains(self, position: Position) -> bool:
+        """Whether the position lies within the polygon, its border included."""
+        crossed = False
+        for start, end in self.borders:
+            apart = _clearly_apart(position, position, start, end)
+            if not apart and _distance_to_line_m(position, start, end) <= _ON_THE_BORDER_M:
+                return True
+            if (start.north_m > position.north_m) != (end.north_m > position.north_m):
+                share = (position.north_m - start.north_m) / (end.north_m - start.north_m)
+                crossed ^= position.east_m < start.east_m + share * (end.east_m - start.east_m)
+        return crossed
+
+    def contains_leg(self, start: Position, end: Position) -> bool:
+        """Whether all of a straight leg lies within the polygon."""
+        met_at = set(self._met_at(start, end))
+        if not met_at:
+            return self.contains(start)
+        shares = sorted({0.0, 1.0, *met_at})
+        halfway = [(before + after) / 2 for before, after in itertools.pairwise(shares)]
+        return all(self.contains(_along(start, end, share)) for share in [0.0, *halfway, 1.0])
+
+    def meets_leg(self, start: Position, end: Position) -> bool:
+        """Whether any of a straight leg lies within the polygon."""
+        return self.contains(start) or any(True for _ in self._met_at(start, end)) or self.contains(end)
+
+    def _met_at(self, start: Position, end: Position) -> Iterator[float]:
+        """How far along the leg, from 0 to 1, it crosses a side or passes a corner."""
+        for corner, following in self.borders:
+            if _clearly_apart(start, end, corner, following):
+                continue
+            share = _nearest_share(corner, start, end)
+            if ground_distance_m(corner, _along(start, end, share)) <= _ON_THE_BORDER_M:
+                yield share
+            crossing = _crossing_share(start, end, corner, following)
+            if crossing is not None:
+                yield crossing
+
+
+@dataclass(frozen=True, slots=True)
+class Fence:
+    """One area of a geofence, by the name that messages call it."""
+
+    name: str
+    area: Polygon | Circle
+    inclusion: bool  # stay in, as opposed to keep out
+
+    def allows(self, position: Position) -> bool:
+        """Whether the vehicle may be there."""
+        return self.area.contains(position) == self.inclusion
+
+    def allows_leg(self, start: Position, end: Position) -> bool:
+        """Whether the vehicle may fly there straight from `start`."""
+        match self.area:
+            case Polygon() as polygon if self.inclusion:
+                return polygon.contains_leg(start, end)
+            case Polygon() as polygon:
+                return not polygon.meets_leg(start, end)
+            case Circle() as circle if self.inclusion:
+                return circle.contains(start) and circle.contains(end)
+            case circle:
+                return _distance_to_line_m(circle.centre, start, end) > circle.radius_m
+
+
+def breached_by_position(fences: Sequence[Fence], position: Position) -> Fence | None:
+    """The first of the fences that does not allow the position; all have to."""
+    return next((fence for fence in fences if not fence.allows(position)), None)
+
+
+def breached_by_leg(fences: Sequence[Fence], start: Position, end: Position) -> Fence | None:
+    """The first of the fences that does not allow the straight leg; all have to."""
+    return next((fence for fence in fences if not fence.allows_leg(start, end)), None)
+
+
+def _clearly_apart(start: Position, end: Position, corner: Position, following: Position) -> bool:
+    """Whether a leg and a side lie in separate rectangles: quick to say of nearly all of a large plan's."""
+    return (
+        max(start.east_m, end.east_m) + _ON_THE_BORDER_M < min(corner.east_m, following.east_m)
+        or max(corner.east_m, following.east_m) + _ON_THE_BORDER_M < min(start.east_m, end.east_m)
+        or max(start.north_m, end.north_m) + _ON_THE_BORDER_M < min(corner.north_m, following.north_m)
+        or max(corner.north_m, following.north_m) + _ON_THE_BORDER_M < min(start.north_m, end.north_m)
+    )
+
+
+def _along(start: Position, end: Position, share: float) -> Position:
+    return Position(
+        start.east_m + share * (end.east_m - start.east_m),
+        start.north_m + share * (end.north_m - start.north_m),
+    )
+
+
+def _nearest_share(position: Position, start: Position, end: Position) -> float:
+    """How far along the line, from 0 to 1, it is nearest to the position."""
+    east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
+    squared = east_m**2 + north_m**2
+    if squared == 0:
+        return 0.0
+    ahead = (position.east_m - start.east_m) * east_m + (position.north_m - start.north_m) * north_m
+    return min(1.0, max(0.0, ahead / squared))
+
+
+def _distance_to_line_m(position: Position, start: Position, end: Position) -> float:
+    return ground_distance_m(position, _along(start, end, _nearest_share(position, start, end)))
+
+
+def _crossing_share(start: Position, end: Position, corner: Position, following: Position) -> float | None:
+    """How far along the leg it crosses the side between two corners; None where it does not, or is parallel."""
+    east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
+    side_east_m, side_north_m = following.east_m - corner.east_m, following.north_m - corner.north_m
+    slant = east_m * side_north_m - north_m * side_east_m
+    if slant == 0:
+        return None
+    to_east_m, to_north_m = corner.east_m - start.east_m, corner.north_m - start.north_m
+    share = (to_east_m * side_north_m - to_north_m * side_east_m) / slant
+    side_share = (to_east_m * north_m - to_north_m * east_m) / slant
+    return share if 0 <= share <= 1 and 0 <= side_share <= 1 and math.isfinite(share) else None

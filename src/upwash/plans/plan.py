@@ -1,0 +1,63 @@
+"""What a plan says, whatever format it came in; altitudes are metres above home."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from upwash.core.geo import Circle, GeoPosition, LocalFrame
+from upwash.core.geofence import Fence, Polygon
+
+Ending = Literal["return", "land"]
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedWaypoint:
+    """A waypoint, the number of its item, and the speed of the way to it where the plan changes it."""
+
+    item: int
+    place: GeoPosition
+    ground_speed_m_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedPolygon:
+    """A geofence by its corners."""
+
+    name: str
+    inclusion: bool
+    corners: tuple[GeoPosition, ...]
+
+    def fence(self, frame: LocalFrame) -> Fence:
+        """The fence in metres around home."""
+        corners = tuple(frame.position(corner) for corner in self.corners)
+        return Fence(self.name, Polygon(corners), self.inclusion)
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedCircle:
+    """A geofence around a place."""
+
+    name: str
+    inclusion: bool
+    centre: GeoPosition
+    radius_m: float
+
+    def fence(self, frame: LocalFrame) -> Fence:
+        """The fence in metres around home."""
+        return Fence(self.name, Circle(frame.position(self.centre), self.radius_m), self.inclusion)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A flight: take-off, waypoints, and the end; `home` is None where the plan leaves it open."""
+
+    home: GeoPosition | None
+    waypoints: tuple[PlannedWaypoint, ...]
+    fences: tuple[PlannedPolygon | PlannedCircle, ...] = ()
+    takeoff_altitude_m: float | None = None
+    ground_speed_m_s: float | None = None
+    ending: Ending = "return"
+    above_sea_level: int | None = (
+        None  # the first item whose altitude was given so, and so hangs on this home
+    )

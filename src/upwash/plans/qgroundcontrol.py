@@ -1,0 +1,161 @@
+"""QGroundControl's `.plan`: a JSON file with a mission, a geofence and rally points."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+
+from upwash.plans.items import FASTEST_M_S, MOST_ITEMS, Home, Item, Refusal, checked_place, home_at, make_plan
+from upwash.plans.plan import Plan, PlannedCircle, PlannedPolygon
+
+T = TypeVar("T")
+
+_MOST_CORNERS = 500  # of all fences together; an autopilot takes fewer
+_LARGEST_RADIUS_M = 100_000.0
+_MULTICOPTERS = (0, 2, 3, 4, 13, 14, 15, 29, 35)  # MAV_TYPE; 0 is any
+
+Place = Annotated[list[float], msgspec.Meta(min_length=2, max_length=2)]
+Home3 = Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)]
+
+
+class _Circle(msgspec.Struct):
+    center: Place
+    radius: float
+
+
+class _CircleFence(msgspec.Struct):
+    circle: _Circle
+    inclusion: bool
+    version: int = 1
+
+
+class _PolygonFence(msgspec.Struct):
+    polygon: list[Place]
+    inclusion: bool
+    version: int = 1
+
+
+class _GeoFence(msgspec.Struct, rename="camel"):
+    circles: list[_CircleFence] = []
+    polygons: list[_PolygonFence] = []
+    breach_return: Any = None
+    version: int = 2
+
+
+class _RallyPoints(msgspec.Struct):
+    points: list[Any] = []
+
+
+class _Mission(msgspec.Struct, rename="camel"):
+    items: list[dict[str, Any]]
+    planned_home_position: Home3
+    hover_speed: float | None = None
+    vehicle_type: int = 2
+    version: int = 2
+
+
+class _Document(msgspec.Struct, rename="camel"):
+    mission: _Mission
+    geo_fence: _GeoFence = msgspec.field(default_factory=_GeoFence)
+    rally_points: _RallyPoints = msgspec.field(default_factory=_RallyPoints)
+    file_type: str = "Plan"
+    version: int = 1
+
+
+class _SimpleItem(msgspec.Struct, rename="camel"):
+    command: int
+    frame: int
+    params: Annotated[list[float | None], msgspec.Meta(min_length=7, max_length=7)]
+    auto_continue: bool
+
+
+def parse_plan(text: str) -> Plan:
+    """The plan in the text of a `.plan` file; raises Refusal."""
+    try:
+        document = _converted("", json.loads(text), _Document)
+    except (ValueError, RecursionError) as error:
+        raise Refusal("", f"not valid JSON: {error}") from None
+    _check_kind(document)
+    mission = document.mission
+    if len(mission.items) > MOST_ITEMS:
+        raise Refusal("mission.items", f"{len(mission.items)} items: at most {MOST_ITEMS} can be flown")
+    home: Home | None = home_at("plannedHomePosition", *mission.planned_home_position)
+    speed_m_s = mission.hover_speed
+    if speed_m_s is not None and not 0 < speed_m_s <= FASTEST_M_S:
+        raise Refusal("hoverSpeed", f"expected above 0 and up to {FASTEST_M_S:g} m/s, found {speed_m_s:g}")
+    return make_plan(
+        home,
+        [_item(number, table) for number, table in enumerate(mission.items, start=1)],
+        fences=tuple(_fences(document.geo_fence)),
+        ground_speed_m_s=speed_m_s,
+    )
+
+
+def _check_kind(document: _Document) -> None:
+    mission, fence = document.mission, document.geo_fence
+    if document.file_type != "Plan":
+        raise Refusal("fileType", f'expected "Plan", found "{document.file_type}"')
+    for where, version, known in [
+        ("version", document.version, 1),
+        ("mission.version", mission.version, 2),
+        ("geoFence.version", fence.version, 2),
+    ]:
+        if version != known:
+            raise Refusal(where, f"expected {known}, found {version}: save it with a current QGroundControl")
+    if mission.vehicle_type not in _MULTICOPTERS:
+        raise Refusal("mission.vehicleType", f"{mission.vehicle_type} is no multicopter: plan for one")
+    if document.rally_points.points:
+        raise Refusal("rallyPoints", "a vehicle would return there instead of home: remove them")
+    if fence.breach_return is not None:
+        raise Refusal("geoFence.breachReturn", "is not understood: remove the breach return point")
+
+
+def _item(number: int, table: dict[str, Any]) -> Item:
+    where = f"item {number}"
+    kind = table.get("type")
+    if kind != "SimpleItem":
+        name = table.get("complexItemType", "")
+        raise Refusal(
+            where,
+            f"{kind or 'an item without a type'}{f' ({name})' if name else ''} is not understood: "
+            "only single commands are (SimpleItem); save the pattern's waypoints one by one",
+        )
+    item = _converted(where, table, _SimpleItem)
+    return Item(number, item.command, item.frame, tuple(item.params), item.auto_continue)
+
+
+def _fences(fence: _GeoFence) -> Iterator[PlannedPolygon | PlannedCircle]:
+    if sum(len(each.polygon) for each in fence.polygons) + len(fence.circles) > _MOST_CORNERS:
+        raise Refusal("geoFence", f"more than {_MOST_CORNERS} corners: draw it with fewer")
+    for number, polygon in enumerate(fence.polygons, start=1):
+        name = _name(polygon, "polygon", number)
+        if len(polygon.polygon) < 3:
+            raise Refusal(name, f"{len(polygon.polygon)} corners: a polygon has at least 3")
+        corners = tuple(checked_place(name, *corner) for corner in polygon.polygon)
+        yield PlannedPolygon(name, polygon.inclusion, corners)
+    for number, each in enumerate(fence.circles, start=1):
+        name = _name(each, "circle", number)
+        if not 0 < each.circle.radius <= _LARGEST_RADIUS_M:
+            raise Refusal(name, f"radius {each.circle.radius:g} m: expected above 0, up to 100 km")
+        yield PlannedCircle(
+            name, each.inclusion, checked_place(name, *each.circle.center), each.circle.radius
+        )
+
+
+def _name(fence: _PolygonFence | _CircleFence, shape: str, number: int) -> str:
+    name = f"{'inclusion' if fence.inclusion else 'exclusion'} {shape} {number}"
+    if fence.version != 1:
+        raise Refusal(
+            name, f"version {fence.version} is not understood: save it with a current QGroundControl"
+        )
+    return name
+
+
+def _converted(where: str, value: object, kind: type[T]) -> T:
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        raise Refusal(where, str(error)) from None

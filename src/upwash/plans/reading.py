@@ -1,0 +1,45 @@
+"""From a plan's file to a plan, or to a ConfigError that names the file and the item."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from upwash.errors import ConfigError
+from upwash.plans.items import Refusal
+from upwash.plans.plan import Plan
+from upwash.plans.waypoint_list import HEADER, parse_waypoint_list
+
+_MOST_BYTES = 10_000_000
+
+
+def read_plan(file: Path) -> Plan:
+    """The plan in the file; raises ConfigError with the item's number for anything that is not understood."""
+    text = _text(file)
+    try:
+        if text.startswith(HEADER):
+            return parse_waypoint_list(text)
+        if text.lstrip().startswith("{"):
+            from upwash.plans.qgroundcontrol import parse_plan  # its parser is only needed here
+
+            return parse_plan(text)
+    except Refusal as refusal:
+        raise ConfigError(str(file), refusal.where, refusal.problem) from None
+    raise ConfigError(
+        str(file), "", f"no plan: expected QGroundControl's JSON, or text that begins {HEADER} 110"
+    )
+
+
+def _text(file: Path) -> str:
+    try:
+        if not file.is_file():
+            raise ConfigError(str(file), "", "no such file: check the path")
+        with file.open("rb") as stream:
+            content = stream.read(_MOST_BYTES + 1)
+    except (OSError, ValueError) as error:  # ValueError: a path with a NUL
+        raise ConfigError(str(file), "", f"cannot be read ({error}): name a readable file") from None
+    if len(content) > _MOST_BYTES:
+        raise ConfigError(str(file), "", f"larger than {_MOST_BYTES // 1_000_000} MB: no plan is")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ConfigError(str(file), "", f"not UTF-8 text (byte {error.start}): save it as UTF-8") from None

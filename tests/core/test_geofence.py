@@ -1,0 +1,126 @@
+"""Fences: what lies in them, and which straight legs they allow."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from upwash.core.geo import Circle, Position
+from upwash.core.geofence import Fence, Polygon, breached_by_leg, breached_by_position
+
+SQUARE = Polygon((Position(0, 0), Position(100, 0), Position(100, 100), Position(0, 100)))
+# A U, open to the north: the notch lies between 40 and 60 m east, above 20 m north.
+NOTCHED = Polygon(
+    tuple(
+        Position(east_m, north_m)
+        for east_m, north_m in [
+            (0, 0), (100, 0), (100, 100), (60, 100), (60, 20), (40, 20), (40, 100), (0, 100),
+        ]
+    )
+)  # fmt: skip
+DISC = Circle(Position(50, 50), 30)
+
+
+def at(east_m: float, north_m: float) -> Position:
+    return Position(east_m, north_m, 20.0)
+
+
+@pytest.mark.parametrize(
+    ("polygon", "place", "inside"),
+    [
+        (SQUARE, (50, 50), True),
+        (SQUARE, (-1, 50), False),
+        (SQUARE, (50, 101), False),
+        (SQUARE, (100, 50), True),  # the border
+        (SQUARE, (0, 0), True),  # a corner
+        (SQUARE, (100.0005, 50), True),  # as good as on it
+        (SQUARE, (100.01, 50), False),
+        (SQUARE, (200, 0), False),  # in line with a side
+        (SQUARE, (-50, 100), False),
+        (NOTCHED, (50, 60), False),
+        (NOTCHED, (50, 10), True),
+        (NOTCHED, (20, 20), True),  # in line with the floor of the notch
+        (NOTCHED, (50, 20), True),
+        (NOTCHED, (60, 60), True),
+    ],
+)
+def test_what_lies_in_a_polygon(polygon: Polygon, place: tuple[float, float], inside: bool) -> None:
+    assert polygon.contains(at(*place)) == inside
+
+
+@pytest.mark.parametrize(
+    ("area", "start", "end", "contained", "met"),
+    [
+        (SQUARE, (10, 10), (90, 90), True, True),
+        (SQUARE, (10, 10), (110, 10), False, True),
+        (SQUARE, (-10, 50), (110, 50), False, True),  # through all of it
+        (SQUARE, (-10, 50), (-10, 90), False, False),
+        (SQUARE, (0, 0), (100, 0), True, True),  # along the border
+        (SQUARE, (-10, 0), (110, 0), False, True),  # along it, and beyond
+        (SQUARE, (-50, 50), (50, -50), False, True),  # past a corner
+        (SQUARE, (-50, 49), (49, -50), False, False),
+        (SQUARE, (50, 50), (50, 50), True, True),  # hovering
+        (SQUARE, (150, 50), (150, 50), False, False),
+        (NOTCHED, (20, 90), (80, 90), False, True),  # over the notch
+        (NOTCHED, (20, 10), (80, 10), True, True),
+        (NOTCHED, (20, 20), (80, 20), True, True),  # along the floor of the notch
+        (NOTCHED, (50, 90), (50, 30), False, False),  # within the notch
+        (NOTCHED, (40, 90), (40, 30), True, True),  # along its side
+        (DISC, (30, 50), (70, 50), True, True),
+        (DISC, (0, 50), (100, 50), False, True),
+        (DISC, (0, 85), (100, 85), False, False),
+        (DISC, (0, 80), (100, 80), False, True),  # touches it
+        (DISC, (30, 50), (30, 90), False, True),
+    ],
+)
+def test_which_legs_lie_in_an_area(
+    area: Polygon | Circle,
+    start: tuple[float, float],
+    end: tuple[float, float],
+    contained: bool,
+    met: bool,
+) -> None:
+    for one, other in ((at(*start), at(*end)), (at(*end), at(*start))):
+        assert Fence("in", area, inclusion=True).allows_leg(one, other) == contained
+        assert Fence("out", area, inclusion=False).allows_leg(one, other) == (not met)
+
+
+def test_all_fences_have_to_allow_a_place() -> None:
+    fences = (Fence("field", SQUARE, inclusion=True), Fence("house", DISC, inclusion=False))
+    assert breached_by_position(fences, at(5, 5)) is None
+    assert breached_by_position(fences, at(-5, 5)) == fences[0]
+    assert breached_by_position(fences, at(50, 50)) == fences[1]
+    assert breached_by_leg(fences, at(5, 5), at(95, 5)) is None
+    assert breached_by_leg(fences, at(5, 5), at(95, 95)) == fences[1]
+
+
+coordinates = st.integers(-20, 120).map(float)
+places = st.builds(Position, coordinates, coordinates)
+
+
+@given(start=places, end=places, polygon=st.sampled_from([SQUARE, NOTCHED]))
+def test_a_leg_is_allowed_exactly_where_all_its_places_are(
+    start: Position, end: Position, polygon: Polygon
+) -> None:
+    steps = [
+        Position(
+            start.east_m + share / 500 * (end.east_m - start.east_m),
+            start.north_m + share / 500 * (end.north_m - start.north_m),
+        )
+        for share in range(501)
+    ]
+    inside = [polygon.contains(step) for step in steps]
+    if polygon.contains_leg(start, end):
+        assert all(inside)
+    if not polygon.meets_leg(start, end):
+        assert not any(inside)
+    if not any(inside):  # a corner may be cut between two steps
+        missed_m = min(
+            math.hypot(step.east_m - corner.east_m, step.north_m - corner.north_m)
+            for step, corner in itertools.product(steps, polygon.corners)
+        )
+        assert not polygon.meets_leg(start, end) or missed_m < 1.0
