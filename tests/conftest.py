@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,7 +15,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Lets flights in real time begin first, each on a worker of its own (workers take tests in pairs)."""
     flights = [item for item in items if item.get_closest_marker("flight")]
     others = [item for item in items if not item.get_closest_marker("flight")]
-    first = [item for pair in zip(flights, others, strict=False) for item in pair]
+    first = [item for pair in itertools.zip_longest(flights, others[: len(flights)]) for item in pair if item]
     items[:] = first + others[len(flights) :]
 
 

@@ -26,8 +26,15 @@ def load_mission(program: str, *, mode: str) -> Mission:
     mission = load(_MISSIONS.get(program, program))
     if not callable(mission):
         raise UsageError(f"mission {program!r} is not a function")
-    if "mode" in inspect.signature(mission).parameters:
-        mission = functools.partial(mission, mode=mode)
+    if inspect.iscoroutinefunction(mission):
+        raise UsageError(f"mission {program!r} is async: write it as a plain blocking function")
+    try:
+        signature = inspect.signature(mission)
+        if "mode" in signature.parameters:
+            mission = functools.partial(mission, mode=mode)
+        inspect.signature(mission).bind(None)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"mission {program!r} cannot be called with a drone alone: {error}") from error
     return cast(Mission, mission)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
+import itertools
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,6 +28,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _INTERRUPTED
     except UpwashError as error:
         return _complain(error, _FAILURE)
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        return _complain(UpwashError(f"{place}{error.strerror or error}"), _FAILURE)
     except (KeyboardInterrupt, asyncio.CancelledError):
         return _INTERRUPTED
     return done
@@ -237,7 +242,13 @@ def _campaign(options: argparse.Namespace) -> int:
 def _run_folder() -> Path:
     from datetime import datetime
 
-    return Path("runs") / datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
+    name = datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
+    for number in itertools.count(1):
+        folder = Path("runs") / (name if number == 1 else f"{name}_{number}")
+        with contextlib.suppress(FileExistsError):
+            folder.mkdir(parents=True)
+            break
+    return folder
 
 
 def _announce(text: str) -> None:

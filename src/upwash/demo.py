@@ -39,7 +39,7 @@ class Score:
 
 def fly_demonstration(folder: Path) -> RunResult:
     """Flies it with everything below `folder`; whatever it started is gone when it returns or raises."""
-    console = Console()
+    console = Console(markup=False)
     config = read_demonstration()
     with console.status("rendering the photos"):
         render_folder(folder / "photos", count=len(config.mission.waypoints_m or ()), seed=_PHOTO_SEED)

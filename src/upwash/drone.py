@@ -11,10 +11,10 @@ from typing import Any, TypeVar
 
 from upwash.config import DroneConfig, ending, geofence, waypoints
 from upwash.core.estimates import Operation
-from upwash.core.geo import Position, Waypoint
+from upwash.core.geo import Position, Waypoint, ground_distance_m
 from upwash.core.geofence import Fence, breached_by_leg, breached_by_position
 from upwash.core.selection import Selection
-from upwash.errors import AutopilotOverruled, AutopilotRefused, MissionStopped
+from upwash.errors import AutopilotOverruled, AutopilotRefused, MissionStopped, UsageError
 from upwash.mission import MissionThread
 from upwash.offloading import Offloading
 from upwash.onboard import OnboardServices
@@ -26,6 +26,10 @@ from upwash.service import Method, make_stub, spec_of
 
 T = TypeVar("T")
 Mission = Callable[["Drone"], None]
+
+_FARTHEST_START_M = (
+    10_000.0  # from home; farther away, positions are no longer exact, and a wrong home is likely
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +91,8 @@ class Pilot:
         self._thread.call(self._logged(self._autopilot.arm, "armed"))
 
     def takeoff(self, altitude_m: float) -> None:
-        """Climbs to the altitude above home."""
+        """Climbs to the altitude above home; AutopilotRefused where the vehicle stands too far from the mission."""
+        self._require_near_home()
         self._stands_at = None
         self._in_the_air = True  # from the attempt on: it may fail half-way up
         self._thread.call(self._takeoff(altitude_m))
@@ -148,6 +153,15 @@ class Pilot:
         await self._autopilot.goto(position)
         self._stands_at = position
         self._journal.record("arrived", **where)
+
+    def _require_near_home(self) -> None:
+        away_m = ground_distance_m(self._autopilot.position, Position(0.0, 0.0))
+        if away_m > _FARTHEST_START_M:
+            raise AutopilotRefused(
+                "take-off",
+                f"the vehicle stands {away_m / 1000:.0f} km from the mission's home; "
+                "check mission.home and where the vehicle believes to be; nothing was sent",
+            )
 
     def _require_allowed(self, target: Position) -> None:
         start = self._stands_at or self._autopilot.position
@@ -210,6 +224,7 @@ class Drone:
         autopilot: Pilot,
         camera: Photographer,
         user: User,
+        services: frozenset[str],
         invoke: Callable[[Operation, Method, bytes], Any],
     ) -> None:
         self.plan = plan
@@ -218,6 +233,7 @@ class Drone:
         self.camera = camera
         self.user = user
         self._ending = ending
+        self._services = services
         self._invoke = invoke
 
     def end_flight(self) -> None:
@@ -228,7 +244,16 @@ class Drone:
             self.autopilot.return_home_and_land()
 
     def service(self, cls: type[T]) -> T:
-        """The service, typed as its class; where each of its calls runs is not the mission's concern."""
+        """The service, typed as its class; where each of its calls runs is not the mission's concern.
+
+        UsageError for one that the configuration does not name.
+        """
+        name = spec_of(cls).name
+        if name not in self._services:
+            raise UsageError(
+                f"the mission calls the service {name!r}, which the configuration does not name: add a [[service]] "
+                f'table with name = "{name}"; it names {", ".join(sorted(self._services)) or "none"}'
+            )
         return make_stub(cls, self._invoke)
 
 
@@ -349,7 +374,11 @@ class Flight:
 
     def _note_failure(self, background: asyncio.Task[Any]) -> None:
         if not background.cancelled() and (error := background.exception()) is not None:
-            self._world.journal.record("offloading_failed", why="".join(traceback.format_exception(error)))
+            first = error.exceptions[0] if isinstance(error, BaseExceptionGroup) else error
+            trace = "".join(traceback.format_exception(error))
+            self._world.journal.record(
+                "offloading_failed", why=f"{type(first).__name__}: {first}", trace=trace
+            )
 
     def _drone(self) -> Drone:
         def invoke(operation: Operation, method: Method, request: bytes) -> Any:
@@ -362,5 +391,6 @@ class Flight:
             autopilot=self._pilot,
             camera=Photographer(self._world.camera, self._thread),
             user=User(self._world.notifier, self._thread),
+            services=frozenset(service.name for service in self._config.services),
             invoke=invoke,
         )

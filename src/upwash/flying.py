@@ -18,13 +18,13 @@ def fly_with_progress(
     config: DroneConfig, *, program: str | None = None, log: Path, console: Console | None = None
 ) -> RunResult:
     """Flies the mission, prints how it goes and what it came to; raises what ended it early."""
-    console = console or Console()
+    console = console or Console(markup=False)
     progress = Progress(config, len(waypoints(config.mission)), console)
     try:
         with progress:
             asyncio.run(fly(config, program=program, log=log, watchers=(progress.follow,)))
     finally:
-        if progress.started:
+        if progress.started and read_log(log).calls:
             paced = any(service.local_pace_s for service in config.services)
             print_result(read_log(log), console, paced=paced)
             console.print(f"event log: {log}", soft_wrap=True)

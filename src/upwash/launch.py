@@ -54,7 +54,10 @@ async def fly(
     in what autopilot.on_failure says; a second one ends the program at once. Raises what ended the mission early.
     """
     if config.mission.home is None:
-        raise UsageError("mission.home is missing: a flight needs the place where east and north are 0")
+        raise UsageError(
+            "mission.home is missing: a flight needs the place where east and north are 0, such as "
+            "home = { latitude_deg = 39.3666, longitude_deg = 22.9507 } in [mission]"
+        )
     if config.autopilot.connection is None:
         raise UsageError(
             "autopilot.connection is missing: say how the vehicle is reached, or use --autopilot"
@@ -112,7 +115,8 @@ def _dialer(config: DroneConfig) -> GrpcDialer:
     credentials = _credentials(config.keys)
     if credentials is not None and config.name not in credentials.names:
         raise CredentialsError(
-            f"the certificate is for {', '.join(credentials.names)}, but this drone is called {config.name}"
+            f"the certificate is for {', '.join(credentials.names)}, but this drone is called {config.name}: "
+            f'write name = "{credentials.names[0]}" at the top of its configuration, or make another certificate'
         )
     return GrpcDialer(config.name, credentials, max_message_bytes=_MAX_MESSAGE_BYTES)
 

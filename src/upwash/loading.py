@@ -32,11 +32,19 @@ def _import(name: str) -> ModuleType:
 
 
 def _load_file(path: Path) -> ModuleType:
-    name = f"upwash_program_{path.stem}"  # the same in every process, so that exceptions are found again
+    path = path.resolve()
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))  # the file may import its neighbours
+    found = importlib.util.find_spec(path.stem)
+    if found is not None and found.origin == str(path):
+        return importlib.import_module(
+            path.stem
+        )  # one module, however it is named, or its exceptions would be two
+    name = f"upwash_program_{path.stem}"  # it has the name of another module; the same in every process
     loaded = sys.modules.get(name)
-    if loaded is not None and loaded.__file__ == str(path.resolve()):
+    if loaded is not None and loaded.__file__ == str(path):
         return loaded  # a mission and its service may share a file
-    spec = importlib.util.spec_from_file_location(name, path.resolve())
+    spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise ImportError(f"{path} is not a Python file")
     module = importlib.util.module_from_spec(spec)

@@ -119,6 +119,8 @@ class Offloading:
         if isinstance(decision, Remote):
             reply = await self._call_server(decision, operation, method, request)
         fell_back = isinstance(decision, Remote) and reply is None
+        if fell_back:
+            why = f"{why}; no usable answer, so on the drone"
         if reply is not None and isinstance(decision, Remote):
             place = decision.server
         else:

@@ -81,7 +81,7 @@ class Progress:
                 said = Text(f"{service} is ready on the drone")
             case {"event": "mission_started", "policy": policy}:
                 self.started = True
-                self._doing = "taking off"
+                self._doing = "before take-off"
                 said = Text(f"mission started, policy {policy}")
             case {"event": "leg", "waypoint": waypoint}:
                 self._doing = f"flying to waypoint {waypoint}"
@@ -156,7 +156,7 @@ def _ranges(numbers: Sequence[int]) -> str:
 def _print_calls(result: RunResult, console: Console) -> None:
     operations = sorted({call.operation for call in result.calls})
     several = len(operations) > 1
-    table = Table(title="Service calls" if several else f"Calls of {''.join(operations)}")
+    table = Table(title=Text("Service calls" if several else f"Calls of {''.join(operations)}"))
     table.add_column("waypoint", justify="right")
     if several:
         table.add_column("operation")
@@ -169,14 +169,15 @@ def _print_calls(result: RunResult, console: Console) -> None:
         operation = [call.operation] if several else []
         place = "drone" if call.place == "local" else call.place
         waited = f"{call.waited_s:.1f} s" if call.waited_s >= _WORTH_SHOWING_S else ""
-        table.add_row(waypoint, *operation, place, f"{call.delay_s:.2f} s", waited, call.decision)
+        cells = (waypoint, *operation, place, f"{call.delay_s:.2f} s", waited, call.decision)
+        table.add_row(*(Text(cell) for cell in cells))  # as text: [heavy] is no markup
     console.print(table)
 
 
 def _print_times(result: RunResult, console: Console, *, paced: bool) -> None:
     ended = "" if result.completed else ", not completed"
     local_only_s = result.local_only_time_s()
-    if local_only_s is None or not result.calls or not result.completed:
+    if local_only_s is None or not result.totals.remote or not result.completed:
         console.print(f"mission time {result.mission_time_s:.1f} s{ended}", soft_wrap=True)
         return
     saved = 100 * (1 - result.mission_time_s / local_only_s)

@@ -66,7 +66,7 @@ def simulate_scenario(
 def _print(run: Run, config: DroneConfig, scenario: str, *, as_json: bool) -> None:
     result = run.result
     if not as_json:
-        print_result(result, Console(), paced=False)
+        print_result(result, Console(markup=False), paced=False)
         return
     report = Report(
         scenario=scenario,

@@ -115,6 +115,10 @@ def _error(code: grpc.StatusCode, details: str, peer: str, timeout_s: float) -> 
         case grpc.StatusCode.DEADLINE_EXCEEDED:
             return DeadlineExceeded(f"{peer}: no answer within {timeout_s:.1f} s")
         case grpc.StatusCode.UNAVAILABLE | grpc.StatusCode.CANCELLED:
+            if "CERTIFICATE_VERIFY_FAILED" in details:
+                return Unreachable(
+                    f"{peer}: its certificate is of another authority, outdated, or another server's"
+                )
             return Unreachable(f"{peer}: {details}")
         case _:
             return Refused(f"{peer}: {code.name}: {details}")
