@@ -6,10 +6,12 @@ import argparse
 import re
 from pathlib import Path
 
+import msgspec
 import pytest
 
 import upwash
 from upwash.cli import _parser
+from upwash.config import read_drone_config
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -55,3 +57,35 @@ def test_make_run_and_make_test_are_the_readmes_commands() -> None:
     for command in ("run", "test"):
         assert re.search(rf"^    make {command}\b", readme, flags=re.MULTILINE)
         assert re.search(rf"^{command}:", makefile, flags=re.MULTILINE)
+
+
+def test_the_configuration_page_shows_a_file_that_is_understood(tmp_path: Path) -> None:
+    (block,) = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/configuration.md").read_text(), flags=re.DOTALL)
+    file = tmp_path / "drone.toml"
+    file.write_text(block)
+    config = read_drone_config(file)
+    assert config.name == "d1"
+    written = set(re.findall(r"^#? ?(\w+) = ", block, flags=re.MULTILINE))
+    for table in (
+        config,
+        config.mission,
+        config.policy,
+        config.services[0],
+        config.servers[0],
+        config.servers[0].truth,
+    ):
+        known = set(msgspec.structs.asdict(table)) - {"services", "servers", "faults", "waypoints_m", "plan"}
+        known -= {"processing_s", "images", "local_first_extra_s", "latitude_deg", "longitude_deg"}
+        tables = {
+            "mission",
+            "vehicle",
+            "autopilot",
+            "network",
+            "keys",
+            "camera",
+            "policy",
+            "heat",
+            "noise",
+            "truth",
+        }
+        assert known - tables <= written, f"not on the page: {known - tables - written}"
