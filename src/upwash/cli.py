@@ -6,6 +6,7 @@ import argparse
 import asyncio
 import contextlib
 import itertools
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -144,6 +145,7 @@ def _count(text: str) -> int:
 
 
 def _fly(options: argparse.Namespace) -> int:
+    os.environ.setdefault("GRPC_VERBOSITY", "ERROR")  # what matters is in the event log, once
     import msgspec
 
     from upwash.config import read_drone_config
@@ -159,6 +161,7 @@ def _fly(options: argparse.Namespace) -> int:
 
 
 def _serve(options: argparse.Namespace) -> int:
+    os.environ.setdefault("GRPC_VERBOSITY", "INFO")  # gRPC then says whose certificate it refused, and why
     import logging
 
     from upwash.config import read_daemon_config
@@ -202,6 +205,7 @@ def _vehicle(options: argparse.Namespace) -> int:
 
 
 def _demo(options: argparse.Namespace) -> int:
+    os.environ.setdefault("GRPC_VERBOSITY", "ERROR")
     from upwash.demo import fly_demonstration
 
     fly_demonstration(options.folder or _run_folder())
