@@ -438,10 +438,13 @@ class Copter:
 
     def _resume(self, now_s: float, target: Position) -> None:
         """Goes on to the target at the present speed limits, without a stop where that can be."""
-        here, speed_m_s = self.position(now_s), self.velocity(now_s).speed_m_s
-        on_the_leg = now_s >= self._on_leg_from_s and speed_m_s > 0
-        rest = self._airframe.rest_of_leg(here, target, ground_speed_m_s=self._speed_m_s, speed_m_s=speed_m_s)
-        if on_the_leg and rest:
+        speed_m_s = self.velocity(now_s).speed_m_s
+        rest: tuple[Phase, ...] = ()
+        if now_s >= self._on_leg_from_s and speed_m_s > _SLOWEST_M_S:
+            rest = self._airframe.rest_of_leg(
+                self.position(now_s), target, ground_speed_m_s=self._speed_m_s, speed_m_s=speed_m_s
+            )
+        if rest:
             self._move(now_s, rest, target)
         else:
             self._depart(now_s, target)
