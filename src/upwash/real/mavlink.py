@@ -55,6 +55,10 @@ class MavlinkLink:
         """Sends the message, or drops it while the connection is not open."""
         data = bytes(message.pack(self._codec))
         self._codec.seq = (self._codec.seq + 1) % 256
+        self.send_bytes(data)
+
+    def send_bytes(self, data: bytes) -> None:
+        """Sends them as they are, or drops them while the connection is not open."""
         if self._line:
             self._line.write(data)
 

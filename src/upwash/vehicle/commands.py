@@ -51,6 +51,13 @@ def obey(copter: Copter, now_s: float, order: Order) -> Answer:
     return handler(copter, now_s, order) if handler else Answer(Result.UNSUPPORTED)
 
 
+def change_mode(copter: Copter, now_s: float, *, base_mode: float, mode: float) -> Answer:
+    """ArduCopter's own mode of that number; MAVLink's general ones are not understood."""
+    if not _has_flag(base_mode, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
+        return Answer(Result.DENIED)
+    return copter.change_mode(now_s, mode)
+
+
 def position_in_frame(
     copter: Copter, frame: int, *, latitude_deg: float, longitude_deg: float, altitude_m: float
 ) -> Position | None:
@@ -82,7 +89,7 @@ def _enter(mode: Mode) -> Handler:
 
 
 def _set_mode(copter: Copter, now_s: float, order: Order) -> Answer:
-    return copter.change_mode(now_s, order.parameters[1])
+    return change_mode(copter, now_s, base_mode=order.parameters[0], mode=order.parameters[1])
 
 
 def _change_speed(copter: Copter, now_s: float, order: Order) -> Answer:
@@ -100,15 +107,17 @@ def _reposition(copter: Copter, now_s: float, order: Order) -> Answer:
     )
     if target is None or not is_sensible(target):
         return Answer(Result.DENIED)
-    flags = order.parameters[1]
-    may_change_mode = math.isfinite(flags) and int(flags) & mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
     if copter.mode is not Mode.GUIDED:
-        if not may_change_mode:
+        if not _has_flag(order.parameters[1], mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE):
             return Answer(Result.DENIED)
         answer = copter.change_mode(now_s, Mode.GUIDED)
         if answer.result is not Result.ACCEPTED:
             return answer
     return _ACCEPTED if copter.steer(now_s, target) else Answer(Result.FAILED)
+
+
+def _has_flag(number: float, flag: int) -> bool:
+    return math.isfinite(number) and bool(int(number) & flag)
 
 
 Handler: TypeAlias = Callable[[Copter, float, Order], Answer]

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Position
 from upwash.vehicle.clock import Clock
-from upwash.vehicle.commands import obey, position_in_frame, read_order
+from upwash.vehicle.commands import change_mode, obey, position_in_frame, read_order
 from upwash.vehicle.copter import Answer, Copter, Result
 from upwash.vehicle.faults import FaultKind
 from upwash.vehicle.parameters import Parameter
@@ -174,7 +174,9 @@ class Conversation:
         return obey(self._copter, self._vehicle.now_s(), order)
 
     def _hear_mode(self, message: Message) -> None:
-        answer = self._copter.change_mode(self._vehicle.now_s(), message.custom_mode)
+        answer = change_mode(
+            self._copter, self._vehicle.now_s(), base_mode=message.base_mode, mode=message.custom_mode
+        )
         if answer.text:
             self._vehicle.say(answer.text)
 
