@@ -44,7 +44,7 @@ class Patience:
 
     answer_s: float = 1.0  # for the answer to a command, before it is repeated
     effect_s: float = 2.5  # for a mode or the motors to change, before they are told again
-    attempts: int = 5
+    attempts: int = 8
     quiet_after_s: float = 2.5  # without any message, the link counts as lost, and attempts no longer count
     lost_after_s: float = 10.0  # without any message, the verb in progress fails
 
