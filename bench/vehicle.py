@@ -68,13 +68,14 @@ def recorded() -> tuple[Times, list[Position]]:
 class Client:
     """A program that flies by the messages alone."""
 
-    def __init__(self, connection: str) -> None:
+    def __init__(self) -> None:
         self.last: dict[str, Any] = {}
+        self.send: Callable[[Any], None] = lambda _: None
         self._news = asyncio.Event()
         self._frame = LocalFrame(HOME)
-        self.link = MavlinkLink(connection, self._hear)
 
-    def _hear(self, message: Any) -> None:
+    def hear(self, message: Any) -> None:
+        """Takes what the vehicle says."""
         self.last[message.get_type()] = message
         self._news.set()
 
@@ -88,7 +89,7 @@ class Client:
         """Returns when the vehicle has said yes."""
         self.last.pop("COMMAND_ACK", None)
         padded = (*parameters, *[0.0] * (7 - len(parameters)))
-        self.link.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded))
+        self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded))
         await self.until(lambda: "COMMAND_ACK" in self.last)
         assert self.last["COMMAND_ACK"].result == 0, self.last["COMMAND_ACK"]
 
@@ -97,7 +98,7 @@ class Client:
         geo = self._frame.geo(position)
         place = round(geo.latitude_deg * 1e7), round(geo.longitude_deg * 1e7), position.altitude_m
         frame, only_position = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, 0b110111111000
-        self.link.send(
+        self.send(
             mavlink.MAVLink_set_position_target_global_int_message(
                 0, 1, 1, frame, only_position, *place, *[0.0] * 8
             )
@@ -124,21 +125,22 @@ class Client:
         await self.until(lambda: self.now_s() >= begun_s + duration_s)
 
 
-async def fly_grid(targets: list[Position], *, speedup: float) -> Times:
+async def fly_grid_over_udp(targets: list[Position], *, speedup: float) -> Times:
     """Flies them with a stand-in whose clock runs so many times as fast."""
-    vehicle = await serve_vehicle(
-        "udp:127.0.0.1:0", VehicleSettings(home=HOME, armable_after_s=0.0, speedup=speedup)
-    )
-    client = Client(vehicle.address.replace("udp:", "udpout:"))
+    settings = VehicleSettings(home=HOME, armable_after_s=0.0, speedup=speedup)
+    vehicle, client = await serve_vehicle("udp:127.0.0.1:0", settings), Client()
+    link = MavlinkLink(vehicle.address.replace("udp:", "udpout:"), client.hear)
+    client.send = link.send
     try:
-        return await _fly(client, targets)
+        await link.opened.wait()
+        return await fly_grid(client, targets)
     finally:
-        await client.link.close()
+        await link.close()
         await vehicle.close()
 
 
-async def _fly(client: Client, targets: list[Position]) -> Times:
-    await client.link.opened.wait()
+async def fly_grid(client: Client, targets: list[Position]) -> Times:
+    """Takes off, flies them with a hover before each, returns and lands."""
     for number, rate_hz in (
         (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 10),
         (mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 10),
@@ -211,4 +213,4 @@ def _table(was: Times, flown: Times) -> str:
 
 if __name__ == "__main__":
     before, where = recorded()
-    print(_table(before, asyncio.run(fly_grid(where, speedup=SPEEDUP))))
+    print(_table(before, asyncio.run(fly_grid_over_udp(where, speedup=SPEEDUP))))

@@ -373,6 +373,14 @@ class Copter:
         self.mode = mode
         return _ACCEPTED
 
+    def fail(self, kind: FaultKind, now_s: float) -> None:
+        """Something is wrong with it from now on."""
+        self.faults.append(Fault(kind, begins_s=self.uptime_s(now_s)))
+
+    def mend(self, kind: FaultKind) -> None:
+        """Nothing of that kind is wrong with it any more."""
+        self.faults = [fault for fault in self.faults if fault.kind is not kind]
+
     def notice(self, now_s: float) -> str:
         """Reacts to a fault: lands where GPS has been gone for long; returns what it says about it."""
         lost_s = [

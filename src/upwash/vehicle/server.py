@@ -12,7 +12,7 @@ from upwash.errors import UsageError
 from upwash.vehicle.clock import Clock
 from upwash.vehicle.conversation import Conversation, Vehicle
 from upwash.vehicle.copter import Copter, VehicleSettings
-from upwash.vehicle.faults import Fault, FaultKind
+from upwash.vehicle.faults import FaultKind
 from upwash.vehicle.telemetry import Message
 
 _FORGOTTEN_AFTER_S = 10.0
@@ -66,14 +66,11 @@ class VehicleServer:
 
     def fail(self, kind: FaultKind) -> None:
         """Something is wrong with it from now on."""
-        copter = self._vehicle.copter
-        copter.faults.append(Fault(kind, begins_s=copter.uptime_s(self._vehicle.now_s())))
+        self._vehicle.copter.fail(kind, self._vehicle.now_s())
 
     def mend(self, kind: FaultKind) -> None:
         """Nothing of that kind is wrong with it any more."""
-        self._vehicle.copter.faults = [
-            fault for fault in self._vehicle.copter.faults if fault.kind is not kind
-        ]
+        self._vehicle.copter.mend(kind)
 
     async def close(self) -> None:
         """Switches it off, in flight too, and frees the address."""
