@@ -73,9 +73,23 @@ def _parser() -> argparse.ArgumentParser:
     vehicle.add_argument(
         "--home", type=_place, default="39.3666,22.9507", metavar="LAT,LON", help="where it stands"
     )
-    vehicle.add_argument("--acceleration", type=float, default=1.0, metavar="M_S2", help="in m/s²")
-    vehicle.add_argument("--climb", type=float, default=2.5, metavar="M_S", help="climb rate in m/s")
-    vehicle.add_argument("--descent", type=float, default=1.5, metavar="M_S", help="descent rate in m/s")
+    vehicle.add_argument(
+        "--armable-after", type=float, default=42.0, metavar="S", help="after boot, in seconds (default: 42)"
+    )
+    vehicle.add_argument(
+        "--speedup", type=float, default=1.0, metavar="N", help="let its clock run so many times as fast"
+    )
+    vehicle.add_argument(
+        "--acceleration", type=float, metavar="M_S2",
+        help="speed up and brake alike, in m/s² (default: as a recorded ArduCopter did)",
+    )  # fmt: skip
+    vehicle.add_argument(
+        "--battery", type=float, default=100.0, metavar="PERCENT", help="how full it is at boot"
+    )
+    vehicle.add_argument(
+        "--fault", action="append", default=[], dest="faults", metavar="KIND[:FROM[-TO]]",
+        help="link, gps, battery or arming, from and to seconds after boot",
+    )  # fmt: skip
     vehicle.set_defaults(run=_vehicle)
 
     demo = commands.add_parser("demo", help="fly the demonstration: a survey over two edge servers, all here")
@@ -190,13 +204,15 @@ def _keys(options: argparse.Namespace) -> int:
 def _vehicle(options: argparse.Namespace) -> int:
     from upwash.core.geo import GeoPosition
     from upwash.launch import run_vehicle
-    from upwash.vehicle import VehicleSettings
+    from upwash.vehicle import VehicleSettings, read_fault
 
     settings = VehicleSettings(
         home=GeoPosition(*options.home),
         acceleration_m_s2=options.acceleration,
-        climb_m_s=options.climb,
-        descent_m_s=options.descent,
+        armable_after_s=options.armable_after,
+        battery_percent=options.battery,
+        speedup=options.speedup,
+        faults=tuple(read_fault(text) for text in options.faults),
     )
     asyncio.run(
         run_vehicle(options.listen, settings, ready=lambda address: _announce(f"vehicle ready at {address}"))

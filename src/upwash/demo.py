@@ -124,6 +124,7 @@ def _vehicle(config: DroneConfig, folder: Path) -> Iterator[str]:
         *("vehicle", "--listen", "udp:127.0.0.1:0"),
         *("--home", f"{home.latitude_deg},{home.longitude_deg}"),
         *("--acceleration", str(config.vehicle.acceleration_m_s2)),
+        *("--armable-after", "1"),
     ) as address:
         yield address
 

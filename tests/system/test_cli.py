@@ -244,7 +244,11 @@ def test_a_vehicle_that_cannot_listen_says_so() -> None:
     [
         ("--acceleration", "0"),
         ("--acceleration", "nan"),
-        ("--climb", "-1"),
+        ("--armable-after", "-1"),
+        ("--speedup", "0"),
+        ("--battery", "101"),
+        ("--fault", "engine"),
+        ("--fault", "link:9-3"),
         ("--home", "91,0"),
         ("--home", "nan,0"),
     ],

@@ -8,7 +8,9 @@ from upwash.core.geo import GeoPosition, Position, distance_m
 from upwash.errors import UsageError
 from upwash.vehicle.copter import Copter, LandedState, Mode, Result, VehicleSettings
 
-SETTINGS = VehicleSettings(home=GeoPosition(39.3666, 22.9507), ground_speed_m_s=4.0, armable_after_s=30.0)
+SETTINGS = VehicleSettings(
+    home=GeoPosition(39.3666, 22.9507), acceleration_m_s2=1.0, ground_speed_m_s=4.0, armable_after_s=30.0
+)
 
 
 def flying(altitude_m: float = 20.0) -> tuple[Copter, float]:

@@ -8,6 +8,7 @@ and `return_home_and_land`, which are explicit about the mode they want.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -15,7 +16,7 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Circle, LocalFrame, Position, distance_m, ground_distance_m
-from upwash.errors import AutopilotRefused, AutopilotTimeout, UsageError
+from upwash.errors import AutopilotOverruled, AutopilotRefused, AutopilotTimeout, UsageError
 from upwash.real.copter import Copter, Patience
 
 _GUIDED = mavlink.COPTER_MODE_GUIDED
@@ -32,6 +33,8 @@ class FlightSettings:
     arrival_speed_m_s: float = 0.5
     progress_m: float = 0.5
     progress_s: float = 3.0  # a target is repeated when the vehicle came not so much nearer in so long
+    speed_tolerance: float = 1.1  # of the ground speed, above which it is told again
+    speed_again_s: float = 5.0
     ready_timeout_s: float = 120.0  # for the checks before arming
     arm_again_s: float = 2.0
     margin_s: float = 60.0  # a flight may take so long, plus its distance at the slowest speeds below
@@ -85,17 +88,36 @@ class MavlinkAutopilot:
         # ArduCopter accepts a speed before a flight's first target, and loses it: it is told once the first
         # target is seen to be flown to.
         self._obeys_speed = False
+        self._told_speed_s = -math.inf
+
+    @property
+    def battery_percent(self) -> float | None:
+        """How full the battery is, as the vehicle reports it; None while it does not."""
+        return self._vehicle.battery_percent
+
+    @property
+    def vehicle_said(self) -> str:
+        """What the vehicle last said in words."""
+        return self._vehicle.said
+
+    @property
+    def linked(self) -> bool:
+        """Whether the vehicle has been heard lately."""
+        return self._copter.linked
+
+    async def link_lost(self) -> None:
+        """Returns when the vehicle has not been heard for `patience.quiet_after_s`, which is below 3 s."""
+        await self._copter.link_lost()
+
+    async def link_restored(self) -> None:
+        """Returns when the vehicle is heard again."""
+        await self._copter.link_restored()
 
     @property
     def position(self) -> Position:
         """The last known position, relative to the mission's home; home until the vehicle knows its own."""
         geo = self._vehicle.position
         return self._frame.position(geo) if geo else _HOME
-
-    @property
-    def battery_percent(self) -> float | None:
-        """None: the vehicle is not asked for it yet."""
-        return None
 
     async def arm(self) -> None:
         """Waits until the vehicle is ready to fly, then arms its motors; AutopilotRefused has its reason if not."""
@@ -104,7 +126,7 @@ class MavlinkAutopilot:
         async with self._within("arm", self._settings.ready_timeout_s + self._settings.margin_s):
             while True:
                 try:
-                    await self._copter.change_mode("arm", _GUIDED)
+                    await self._enter_guided("arm")
                     await self._copter.arm("arm", armed=True)
                     break
                 except AutopilotRefused:
@@ -120,8 +142,17 @@ class MavlinkAutopilot:
         step = f"takeoff to {altitude_m:g} m"
         self._obeys_speed = False
         async with self._within(step, self._vertical_s(altitude_m)):
-            await self._copter.command(step, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, altitude_m)
+            await self._lift_off(step, altitude_m)
             await self._flown(step, lambda: self._climbed(altitude_m), modes=(_GUIDED,))
+
+    async def _lift_off(self, step: str, altitude_m: float) -> None:
+        """Commands the take-off; a repeated command is refused in the air, where only its answer was lost."""
+        stood = self._vehicle.on_ground
+        try:
+            await self._copter.command(step, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, altitude_m)
+        except AutopilotRefused:
+            if not stood or self._vehicle.landed_state != mavlink.MAV_LANDED_STATE_TAKEOFF:
+                raise
 
     async def set_ground_speed(self, ground_speed_m_s: float) -> None:
         """Sets the speed of the legs that follow."""
@@ -142,7 +173,7 @@ class MavlinkAutopilot:
         """Stops and hovers where it is."""
         async with self._within("hold", self._settings.margin_s):
             if self._vehicle.mode != _GUIDED:
-                await self._copter.change_mode("hold", _GUIDED)
+                await self._enter_guided("hold")
             here = self.position
             self._send_target(here)
             await self._arrival("hold", here)
@@ -181,9 +212,10 @@ class MavlinkAutopilot:
             raise AutopilotTimeout(step, problem, self._vehicle.said) from None
 
     async def _land_in(self, step: str, mode: int, *, timeout_s: float) -> None:
+        begun_s = asyncio.get_running_loop().time()
         async with self._within(step, timeout_s):
             await self._copter.change_mode(step, mode)
-            await self._flown(step, self._landed, modes=(mode, _LAND))
+            await self._flown(step, lambda: self._landed(begun_s), modes=(mode, _LAND))
 
     async def _flown(self, step: str, done: Callable[[], bool], *, modes: tuple[int, ...]) -> None:
         """Returns when it is done; raises if the vehicle leaves the modes or stops its motors first."""
@@ -210,7 +242,7 @@ class MavlinkAutopilot:
             self._require_mode(step, (_GUIDED,))
             if not progress:
                 self._send_target(target)
-            elif not self._obeys_speed:
+            elif not self._obeys_speed or self._is_too_fast():
                 await self._tell_speed(step)
                 self._obeys_speed = True
 
@@ -225,8 +257,10 @@ class MavlinkAutopilot:
     def _at_rest(self) -> bool:
         return self._vehicle.speed_m_s < self._settings.arrival_speed_m_s
 
-    def _landed(self) -> bool:
-        return self._vehicle.on_ground or not self._vehicle.armed
+    def _landed(self, since_s: float) -> bool:
+        """Whether it says so, not whether it last did: the reports may have stopped before the take-off."""
+        told = self._copter.heard_since(mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, since_s)
+        return (told and self._vehicle.on_ground) or not self._vehicle.armed
 
     def _inside(self, circles: Sequence[Circle]) -> list[bool]:
         return [circle.contains(self.position) for circle in circles]
@@ -236,12 +270,24 @@ class MavlinkAutopilot:
             problem = (
                 f"the vehicle is in mode {self._vehicle.mode_name}: the pilot or a fail-safe has taken over"
             )
-            raise AutopilotRefused(step, problem, self._vehicle.said)
+            raise AutopilotOverruled(step, problem, self._vehicle.said)
 
     def _send_target(self, position: Position) -> None:
         self._copter.send_target(self._frame.geo(position))
 
+    def _is_too_fast(self) -> bool:
+        """Whether it still flies faster than it was told a while ago."""
+        settings, now_s = self._settings, asyncio.get_running_loop().time()
+        limit_m_s = self._ground_speed_m_s * settings.speed_tolerance + settings.arrival_speed_m_s
+        too_fast = self._vehicle.ground_speed_m_s > limit_m_s
+        return too_fast and now_s - self._told_speed_s > settings.speed_again_s
+
+    async def _enter_guided(self, step: str) -> None:
+        await self._copter.change_mode(step, _GUIDED)
+        self._obeys_speed = False
+
     async def _tell_speed(self, step: str) -> None:
+        self._told_speed_s = asyncio.get_running_loop().time()
         over_ground, same_throttle = mavlink.SPEED_TYPE_GROUNDSPEED, -1
         await self._copter.command(
             step, mavlink.MAV_CMD_DO_CHANGE_SPEED, over_ground, self._ground_speed_m_s, same_throttle

@@ -56,6 +56,8 @@ class Listener:
         threads: int,
         concurrent_requests: int,
     ) -> None:
+        if _is_in_use(listen):
+            raise _cannot_listen(listen)
         self._server = grpc.server(
             ThreadPoolExecutor(max_workers=threads, thread_name_prefix="upwash-request"),
             maximum_concurrent_rpcs=concurrent_requests,
@@ -86,8 +88,6 @@ class Listener:
         self._server.stop(grace_s).wait()
 
     def _bind(self, listen: str, credentials: Credentials | None) -> str:
-        if _is_in_use(listen):
-            raise _cannot_listen(listen)
         try:
             if credentials is None:
                 port = self._server.add_insecure_port(listen)

@@ -41,6 +41,7 @@ class MavlinkLink:
         self.opened = asyncio.Event()  # set while it is open
         self.trouble = ""  # what last kept it from being open
         self._open = _opener(connection)
+        self._connects = connection.startswith("tcp:")  # the others have no other side to lose
         self._heard = heard
         self._line: _Line | None = None
         self._codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=COMPANION)
@@ -54,8 +55,18 @@ class MavlinkLink:
         """Sends the message, or drops it while the connection is not open."""
         data = bytes(message.pack(self._codec))
         self._codec.seq = (self._codec.seq + 1) % 256
+        self.send_bytes(data)
+
+    def send_bytes(self, data: bytes) -> None:
+        """Sends them as they are, or drops them while the connection is not open."""
         if self._line:
             self._line.write(data)
+
+    def reopen(self) -> None:
+        """Breaks the connection off, if one was made, to make it anew."""
+        if self._line and self._connects:
+            self._line.trouble = "nothing came"
+            self._line.ended.set()
 
     async def close(self) -> None:
         """Closes the connection for good."""

@@ -13,6 +13,7 @@ from functools import cached_property
 
 from upwash.core.geo import Position, distance_m
 
+_NO_TIME_S = 1e-9
 _HALVINGS = 50  # of an interval in which something is looked for: finer than any float that matters here
 
 
@@ -235,6 +236,55 @@ def ramped_leg(
     cruise_m = max(0.0, length_m - faster.length_m(top_m_s) - slower.length_m(top_m_s))
     steady = Phase(speeding_up[-1].end, heading, top_m_s, 0.0, cruise_m / top_m_s)
     return *speeding_up, steady, *slower.phases(steady.end, heading, top_m_s)
+
+
+def resumed_leg(
+    start: Position, end: Position, *, speed_m_s: float, cruise_m_s: float, faster: Ramp, slower: Ramp
+) -> tuple[Phase, ...]:
+    """The rest of a leg that has already got up to a speed below cruise; empty if it could not stop in time."""
+    length_m = distance_m(start, end)
+    if length_m == 0:
+        return ()
+    heading = heading_of(start, end)
+
+    def speeding_up(top_m_s: float) -> tuple[Phase, ...]:
+        return _from_speed(faster.phases(start, heading, top_m_s), speed_m_s)
+
+    def left_m(extra_m_s: float) -> float:
+        """What is left to cruise if it gains so much speed first."""
+        top_m_s = speed_m_s + extra_m_s
+        gaining_m = sum(phase.travelled_m(phase.duration_s) for phase in speeding_up(top_m_s))
+        return length_m - gaining_m - slower.length_m(top_m_s)
+
+    if left_m(0.0) < 0:
+        return ()
+    most_m_s = cruise_m_s - speed_m_s
+    extra_m_s = most_m_s if left_m(most_m_s) >= 0 else _last(lambda extra: left_m(extra) >= 0, most_m_s)
+    top_m_s = speed_m_s + extra_m_s
+    gaining = speeding_up(top_m_s)
+    here = gaining[-1].end if gaining else start
+    steady = Phase(here, heading, top_m_s, 0.0, max(0.0, left_m(extra_m_s)) / top_m_s)
+    return *gaining, steady, *slower.phases(steady.end, heading, top_m_s)
+
+
+def _from_speed(phases: Sequence[Phase], speed_m_s: float) -> tuple[Phase, ...]:
+    """What is left of a ramp once that speed is reached, flown from the ramp's start."""
+    left: list[Phase] = []
+    start = phases[0].start
+    for phase in phases:
+        skipped_s = 0.0 if left else _slow_until_s(phase, speed_m_s)
+        lasts_s = phase.duration_s - skipped_s
+        if lasts_s > _NO_TIME_S:
+            now_m_s = phase.velocity(skipped_s).speed_m_s
+            now_m_s2 = phase.acceleration_m_s2 + skipped_s * phase.jerk_m_s3
+            left.append(Phase(start, phase.heading, now_m_s, now_m_s2, lasts_s, phase.jerk_m_s3))
+            start = left[-1].end
+    return tuple(left)
+
+
+def _slow_until_s(phase: Phase, speed_m_s: float) -> float:
+    """When a phase that speeds up gets above the speed."""
+    return _last(lambda elapsed_s: phase.velocity(elapsed_s).speed_m_s <= speed_m_s, phase.duration_s)
 
 
 def _highest_m_s(length_m: float, cruise_m_s: float, faster: Ramp, slower: Ramp) -> float:

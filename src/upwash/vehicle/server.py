@@ -9,8 +9,10 @@ from typing import Any, Protocol
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import UsageError
+from upwash.vehicle.clock import Clock
 from upwash.vehicle.conversation import Conversation, Vehicle
 from upwash.vehicle.copter import Copter, VehicleSettings
+from upwash.vehicle.faults import FaultKind
 from upwash.vehicle.telemetry import Message
 
 _FORGOTTEN_AFTER_S = 10.0
@@ -21,7 +23,8 @@ async def serve_vehicle(listen: str, settings: VehicleSettings) -> VehicleServer
     """Switches a stand-in on at `udp:HOST:PORT` or `tcp:HOST:PORT` (0: a free port); UsageError if it cannot."""
     kind, host, port = _parse(listen)
     loop = asyncio.get_running_loop()
-    vehicle = Vehicle(Copter(settings, now_s=loop.time()))
+    clock = Clock(settings.speedup)
+    vehicle = Vehicle(Copter(settings, now_s=clock.now_s()), clock)
     endpoint: _Endpoint
     try:
         if kind == "udp":
@@ -59,12 +62,20 @@ class VehicleServer:
         self.address = address
         self._vehicle = vehicle
         self._endpoint = endpoint
-        self._heartbeats = asyncio.create_task(vehicle.beat())
+        self._life = asyncio.create_task(vehicle.live())
+
+    def fail(self, kind: FaultKind) -> None:
+        """Something is wrong with it from now on."""
+        self._vehicle.copter.fail(kind, self._vehicle.now_s())
+
+    def mend(self, kind: FaultKind) -> None:
+        """Nothing of that kind is wrong with it any more."""
+        self._vehicle.copter.mend(kind)
 
     async def close(self) -> None:
         """Switches it off, in flight too, and frees the address."""
-        self._heartbeats.cancel()
-        await asyncio.gather(self._heartbeats, return_exceptions=True)
+        self._life.cancel()
+        await asyncio.gather(self._life, return_exceptions=True)
         self._endpoint.close()
         for conversation in tuple(self._vehicle.conversations):
             conversation.end()
@@ -101,7 +112,7 @@ class _Datagrams(asyncio.DatagramProtocol):
         return self._conversations[address]
 
     def _forget_the_silent(self) -> None:
-        horizon_s = self._vehicle.now_s() - _FORGOTTEN_AFTER_S
+        horizon_s = asyncio.get_running_loop().time() - _FORGOTTEN_AFTER_S
         for address, conversation in tuple(self._conversations.items()):
             if conversation.heard_s < horizon_s:
                 conversation.end()

@@ -8,49 +8,76 @@ from typing import Any, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.geo import LocalFrame
+from upwash.core.geo import Position
 from upwash.vehicle.copter import Copter, Mode
+from upwash.vehicle.faults import FaultKind
 
 Message: TypeAlias = Any  # pymavlink's messages are not typed
+Report: TypeAlias = Callable[[Copter, float], Message]
 
-_HOVERS_BY_ITSELF = mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
 _BASE_MODE = (
     mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
     | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
     | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
 )
+_HOVERS_ONLY_WHEN_ARMED = (Mode.LOITER, Mode.RTL, Mode.LAND, Mode.POSHOLD, Mode.BRAKE)
+_SENSORS = (
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
+    | mavlink.MAV_SYS_STATUS_SENSOR_GPS
+    | mavlink.MAV_SYS_STATUS_AHRS
+    | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
+    | mavlink.MAV_SYS_STATUS_PREARM_CHECK
+)
+_EKF_FLIES_BY_GPS = 831
+_EKF_HOLDS_ATTITUDE = 165  # attitude, vertical speed and height; for the rest it assumes that it stands still
+_ONLY_POSITION = 0b110111111000
+_CAPABILITIES = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+)
+_VERSION_4_7 = 4 << 24 | 7 << 16
 
 
 def heartbeat(copter: Copter, now_s: float) -> Message:
     """HEARTBEAT: the mode, whether armed, whether flying."""
-    armed = copter.armed(now_s)
+    armed, booting = copter.armed(now_s), copter.booting(now_s)
     base_mode = _BASE_MODE
     if armed:
         base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
-    if copter.mode is not Mode.STABILIZE:
-        base_mode |= _HOVERS_BY_ITSELF
+    if booting or copter.mode is Mode.GUIDED or (armed and copter.mode in _HOVERS_ONLY_WHEN_ARMED):
+        base_mode |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
     if copter.flying(now_s):
         status = mavlink.MAV_STATE_ACTIVE
-    elif copter.armable(now_s):
-        status = mavlink.MAV_STATE_STANDBY
     else:
-        status = mavlink.MAV_STATE_BOOT
+        status = mavlink.MAV_STATE_BOOT if booting else mavlink.MAV_STATE_STANDBY
     return mavlink.MAVLink_heartbeat_message(
         mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, base_mode, copter.mode, status, 3
     )
 
 
 def sys_status(copter: Copter, now_s: float) -> Message:
-    """SYS_STATUS: whether the checks before arming pass, and a battery that is always full."""
-    check = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    """SYS_STATUS: whether its sensors and its checks before arming are well, and its battery."""
+    health = _SENSORS
+    if not copter.seems_armable(now_s):
+        health &= ~mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    if copter.suffers(FaultKind.GPS, now_s):
+        health &= ~mavlink.MAV_SYS_STATUS_SENSOR_GPS
+    if copter.suffers(FaultKind.BATTERY, now_s):
+        health &= ~mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
     return mavlink.MAVLink_sys_status_message(
-        onboard_control_sensors_present=check,
-        onboard_control_sensors_enabled=check,
-        onboard_control_sensors_health=check if copter.armable(now_s) else 0,
-        load=0,
-        voltage_battery=12_600,
+        onboard_control_sensors_present=_SENSORS,
+        onboard_control_sensors_enabled=_SENSORS,
+        onboard_control_sensors_health=health,
+        load=100,
+        voltage_battery=round(copter.battery_v(now_s) * 1e3),
         current_battery=-1,
-        battery_remaining=100,
+        battery_remaining=math.floor(copter.battery_percent(now_s)),
         drop_rate_comm=0,
         errors_comm=0,
         errors_count1=0,
@@ -60,33 +87,140 @@ def sys_status(copter: Copter, now_s: float) -> Message:
     )
 
 
-def global_position(copter: Copter, now_s: float) -> Message:
-    """GLOBAL_POSITION_INT: where it is and how it moves; latitude and longitude are 0 until that is known."""
-    position = copter.position(now_s)
-    velocity = copter.velocity(now_s)
-    geo = LocalFrame(copter.settings.home).geo(position)
-    known = copter.armable(now_s)
-    altitude_mm = round(position.altitude_m * 1e3)
-    return mavlink.MAVLink_global_position_int_message(
-        time_boot_ms=round(copter.uptime_s(now_s) * 1e3) % 2**32,
-        lat=round(geo.latitude_deg * 1e7) if known else 0,
-        lon=round(geo.longitude_deg * 1e7) if known else 0,
-        alt=altitude_mm,
-        relative_alt=altitude_mm,
-        vx=round(velocity.north_m_s * 100),
-        vy=round(velocity.east_m_s * 100),
-        vz=round(-velocity.up_m_s * 100),
-        hdg=round(math.degrees(math.atan2(velocity.east_m_s, velocity.north_m_s)) * 100) % 36_000,
+def battery_status(copter: Copter, now_s: float) -> Message:
+    """BATTERY_STATUS: how full the battery is, and its voltage as that of one cell."""
+    unknown_mv = 0xFFFF
+    return mavlink.MAVLink_battery_status_message(
+        id=0,
+        battery_function=mavlink.MAV_BATTERY_FUNCTION_ALL,
+        type=mavlink.MAV_BATTERY_TYPE_LIPO,
+        temperature=0x7FFF,
+        voltages=[round(copter.battery_v(now_s) * 1e3), *[unknown_mv] * 9],
+        current_battery=-1,
+        current_consumed=-1,
+        energy_consumed=-1,
+        battery_remaining=math.floor(copter.battery_percent(now_s)),
     )
 
 
-def home_position(copter: Copter, _now_s: float) -> Message:
-    """HOME_POSITION: where it returns to."""
+def system_time(copter: Copter, now_s: float) -> Message:
+    """SYSTEM_TIME: since boot only; it has no idea of the date."""
+    return mavlink.MAVLink_system_time_message(0, _boot_ms(copter, now_s))
+
+
+def gps_raw(copter: Copter, now_s: float) -> Message:
+    """GPS_RAW_INT: the receiver's fix."""
+    geo = copter.frame.geo(copter.position(now_s))
+    blind = copter.suffers(FaultKind.GPS, now_s) or not copter.knows_its_place(now_s)
+    velocity = copter.velocity(now_s)
+    return mavlink.MAVLink_gps_raw_int_message(
+        time_usec=round(copter.uptime_s(now_s) * 1e6),
+        fix_type=mavlink.GPS_FIX_TYPE_NO_FIX if blind else mavlink.GPS_FIX_TYPE_RTK_FIXED,
+        lat=0 if blind else _degrees_e7(geo.latitude_deg),
+        lon=0 if blind else _degrees_e7(geo.longitude_deg),
+        alt=_above_sea_mm(copter, copter.position(now_s)),
+        eph=9999 if blind else 121,
+        epv=9999 if blind else 200,
+        vel=round(math.hypot(velocity.east_m_s, velocity.north_m_s) * 100),
+        cog=_heading_cdeg(copter, now_s),
+        satellites_visible=0 if blind else 10,
+    )
+
+
+def ekf_status(copter: Copter, now_s: float) -> Message:
+    """EKF_STATUS_REPORT: by what the position estimate goes."""
+    flags = _EKF_FLIES_BY_GPS if copter.estimates_position(now_s) else _EKF_HOLDS_ATTITUDE
+    return mavlink.MAVLink_ekf_status_report_message(flags, 0.02, 0.02, 0.02, 0.02, 0.0)
+
+
+def attitude(copter: Copter, now_s: float) -> Message:
+    """ATTITUDE: always level, nose ahead."""
+    yaw = math.remainder(math.radians(copter.heading_deg(now_s)), math.tau)
+    return mavlink.MAVLink_attitude_message(_boot_ms(copter, now_s), 0.0, 0.0, yaw, 0.0, 0.0, 0.0)
+
+
+def local_position(copter: Copter, now_s: float) -> Message:
+    """LOCAL_POSITION_NED: metres from home."""
+    position, velocity = copter.position(now_s), copter.velocity(now_s)
+    return mavlink.MAVLink_local_position_ned_message(
+        _boot_ms(copter, now_s),
+        position.north_m,
+        position.east_m,
+        -position.altitude_m,
+        velocity.north_m_s,
+        velocity.east_m_s,
+        -velocity.up_m_s,
+    )
+
+
+def global_position(copter: Copter, now_s: float) -> Message:
+    """GLOBAL_POSITION_INT: where it is and how it moves; latitude and longitude are 0 until that is known."""
+    position, velocity = copter.position(now_s), copter.velocity(now_s)
+    geo = copter.frame.geo(position)
+    known = copter.knows_its_place(now_s)
+    return mavlink.MAVLink_global_position_int_message(
+        time_boot_ms=_boot_ms(copter, now_s),
+        lat=_degrees_e7(geo.latitude_deg) if known else 0,
+        lon=_degrees_e7(geo.longitude_deg) if known else 0,
+        alt=_above_sea_mm(copter, position),
+        relative_alt=round(position.altitude_m * 1e3),
+        vx=round(velocity.north_m_s * 100),
+        vy=round(velocity.east_m_s * 100),
+        vz=round(-velocity.up_m_s * 100),
+        hdg=_heading_cdeg(copter, now_s),
+    )
+
+
+def vfr_hud(copter: Copter, now_s: float) -> Message:
+    """VFR_HUD: speeds, heading and height, as a pilot reads them."""
+    velocity = copter.velocity(now_s)
+    ground_m_s = math.hypot(velocity.east_m_s, velocity.north_m_s)
+    return mavlink.MAVLink_vfr_hud_message(
+        ground_m_s,
+        ground_m_s,
+        round(copter.heading_deg(now_s)) % 360,
+        35 if copter.flying(now_s) else 0,
+        _above_sea_mm(copter, copter.position(now_s)) / 1e3,
+        velocity.up_m_s,
+    )
+
+
+def position_target(copter: Copter, now_s: float) -> Message | None:
+    """POSITION_TARGET_GLOBAL_INT: the target in force, if there is one."""
+    target = copter.target(now_s)
+    if target is None:
+        return None
+    geo = copter.frame.geo(target)
+    return mavlink.MAVLink_position_target_global_int_message(
+        _boot_ms(copter, now_s),
+        mavlink.MAV_FRAME_GLOBAL,
+        _ONLY_POSITION,
+        _degrees_e7(geo.latitude_deg),
+        _degrees_e7(geo.longitude_deg),
+        _above_sea_mm(copter, target) / 1e3,
+        *[0.0] * 8,
+    )
+
+
+def gps_global_origin(copter: Copter, now_s: float) -> Message | None:
+    """GPS_GLOBAL_ORIGIN: what local positions count from, once that is known."""
+    if not copter.knows_its_place(now_s):
+        return None
+    home = copter.settings.home
+    return mavlink.MAVLink_gps_global_origin_message(
+        _degrees_e7(home.latitude_deg), _degrees_e7(home.longitude_deg), _above_sea_mm(copter, _AT_HOME)
+    )
+
+
+def home_position(copter: Copter, now_s: float) -> Message | None:
+    """HOME_POSITION: where it returns to, once it knows where it is."""
+    if not copter.knows_its_place(now_s):
+        return None
     home = copter.settings.home
     return mavlink.MAVLink_home_position_message(
-        latitude=round(home.latitude_deg * 1e7),
-        longitude=round(home.longitude_deg * 1e7),
-        altitude=0,
+        latitude=_degrees_e7(home.latitude_deg),
+        longitude=_degrees_e7(home.longitude_deg),
+        altitude=_above_sea_mm(copter, _AT_HOME),
         x=0,
         y=0,
         z=0,
@@ -104,11 +238,83 @@ def extended_sys_state(copter: Copter, now_s: float) -> Message:
     )
 
 
-REPORTS: dict[float, Callable[[Copter, float], Message]] = {
+def mission_current(_copter: Copter, _now_s: float) -> Message:
+    """MISSION_CURRENT: it has no mission."""
+    return mavlink.MAVLink_mission_current_message(0)
+
+
+def autopilot_version(_copter: Copter, _now_s: float) -> Message:
+    """AUTOPILOT_VERSION: what a client may expect."""
+    return mavlink.MAVLink_autopilot_version_message(
+        capabilities=_CAPABILITIES,
+        flight_sw_version=_VERSION_4_7,
+        middleware_sw_version=0,
+        os_sw_version=0,
+        board_version=0,
+        flight_custom_version=[0] * 8,
+        middleware_custom_version=[0] * 8,
+        os_custom_version=[0] * 8,
+        vendor_id=0,
+        product_id=0,
+        uid=1,
+    )
+
+
+REPORTS: dict[float, Report] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: sys_status,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: system_time,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: gps_raw,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: attitude,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: local_position,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: global_position,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: mission_current,
+    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: gps_global_origin,
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: vfr_hud,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: position_target,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: battery_status,
+    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: home_position,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: extended_sys_state,
 }
 """What can be asked for, by message number; a request's number arrives as a float."""
+
+STREAMS: dict[int, tuple[int, ...]] = {
+    mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: (
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
+        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
+        mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
+        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
+    ),
+    mavlink.MAV_DATA_STREAM_POSITION: (
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+    ),
+    mavlink.MAV_DATA_STREAM_EXTRA1: (mavlink.MAVLINK_MSG_ID_ATTITUDE,),
+    mavlink.MAV_DATA_STREAM_EXTRA2: (mavlink.MAVLINK_MSG_ID_VFR_HUD,),
+    mavlink.MAV_DATA_STREAM_EXTRA3: (
+        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
+        mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
+        mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+    ),
+}
+"""The messages of each group of REQUEST_DATA_STREAM; EXTENDED_SYS_STATE is in none."""
+
+_AT_HOME = Position(0.0, 0.0)
+
+
+def _boot_ms(copter: Copter, now_s: float) -> int:
+    return round(copter.uptime_s(now_s) * 1e3) % 2**32
+
+
+def _degrees_e7(degrees: float) -> int:
+    return round(degrees * 1e7)
+
+
+def _above_sea_mm(copter: Copter, position: Position) -> int:
+    return round((copter.settings.home_altitude_m + position.altitude_m) * 1e3)
+
+
+def _heading_cdeg(copter: Copter, now_s: float) -> int:
+    return round(copter.heading_deg(now_s) * 100) % 36_000

@@ -1,0 +1,134 @@
+"""The commands that the stand-in knows, and what it answers to each: ArduCopter's, by its numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.geo import GeoPosition, Position
+from upwash.vehicle.copter import (
+    FORCED_ARM,
+    FORCED_DISARM,
+    Answer,
+    Copter,
+    Mode,
+    Result,
+    is_sensible,
+)
+
+_RELATIVE = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
+_ABOVE_SEA = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
+_ACCEPTED = Answer(Result.ACCEPTED)
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """COMMAND_LONG and COMMAND_INT alike; `place` is parameters 5 to 7: degrees, and metres in the frame."""
+
+    number: int
+    parameters: tuple[float, float, float, float]
+    place: tuple[float, float, float]
+    frame: int
+
+
+def read_order(message: Any) -> Order:
+    """The order in either message."""
+    parameters = message.param1, message.param2, message.param3, message.param4
+    if message.get_type() == "COMMAND_INT":
+        place = message.x / 1e7, message.y / 1e7, message.z
+        return Order(message.command, parameters, place, message.frame)
+    place = message.param5, message.param6, message.param7
+    return Order(message.command, parameters, place, mavlink.MAV_FRAME_GLOBAL)
+
+
+def obey(copter: Copter, now_s: float, order: Order) -> Answer:
+    """What the copter answers, having done what it was told if it could."""
+    handler = _HANDLERS.get(order.number)
+    return handler(copter, now_s, order) if handler else Answer(Result.UNSUPPORTED)
+
+
+def change_mode(copter: Copter, now_s: float, *, base_mode: float, mode: float) -> Answer:
+    """ArduCopter's own mode of that number; MAVLink's general ones are not understood."""
+    if not _has_flag(base_mode, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
+        return Answer(Result.DENIED)
+    return copter.change_mode(now_s, mode)
+
+
+def position_in_frame(
+    copter: Copter, frame: int, *, latitude_deg: float, longitude_deg: float, altitude_m: float
+) -> Position | None:
+    """The position, relative to home; None in a frame that it does not know or at no place on the Earth."""
+    if frame in _ABOVE_SEA:
+        altitude_m -= copter.settings.home_altitude_m
+    elif frame not in _RELATIVE:
+        return None
+    if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180):
+        return None
+    return copter.frame.position(GeoPosition(latitude_deg, longitude_deg, altitude_m))
+
+
+def _arm_or_disarm(copter: Copter, now_s: float, order: Order) -> Answer:
+    wish, magic = order.parameters[:2]
+    if wish == 1:
+        return copter.arm(now_s, forced=magic == FORCED_ARM)
+    if wish == 0:
+        return copter.disarm(now_s, forced=magic == FORCED_DISARM)
+    return Answer(Result.UNSUPPORTED)
+
+
+def _take_off(copter: Copter, now_s: float, order: Order) -> Answer:
+    return copter.take_off(now_s, order.place[2])
+
+
+def _enter(mode: Mode) -> Handler:
+    return lambda copter, now_s, _order: copter.change_mode(now_s, mode)
+
+
+def _set_mode(copter: Copter, now_s: float, order: Order) -> Answer:
+    return change_mode(copter, now_s, base_mode=order.parameters[0], mode=order.parameters[1])
+
+
+def _change_speed(copter: Copter, now_s: float, order: Order) -> Answer:
+    return copter.change_speed(now_s, order.parameters[1])
+
+
+def _reposition(copter: Copter, now_s: float, order: Order) -> Answer:
+    latitude_deg, longitude_deg, altitude_m = order.place
+    target = position_in_frame(
+        copter,
+        order.frame,
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        altitude_m=altitude_m,
+    )
+    if target is None or not is_sensible(target):
+        return Answer(Result.DENIED)
+    if copter.mode is not Mode.GUIDED:
+        if not _has_flag(order.parameters[1], mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE):
+            return Answer(Result.DENIED)
+        answer = copter.change_mode(now_s, Mode.GUIDED)
+        if answer.result is not Result.ACCEPTED:
+            return answer
+    return _ACCEPTED if copter.steer(now_s, target) else Answer(Result.FAILED)
+
+
+def _has_flag(number: float, flag: int) -> bool:
+    return math.isfinite(number) and bool(int(number) & flag)
+
+
+Handler: TypeAlias = Callable[[Copter, float, Order], Answer]
+
+_HANDLERS: dict[int, Handler] = {
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_or_disarm,
+    mavlink.MAV_CMD_NAV_TAKEOFF: _take_off,
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: _enter(Mode.RTL),
+    mavlink.MAV_CMD_NAV_LAND: _enter(Mode.LAND),
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM: _enter(Mode.LOITER),
+    mavlink.MAV_CMD_DO_SET_MODE: _set_mode,
+    mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
+    mavlink.MAV_CMD_DO_REPOSITION: _reposition,
+}

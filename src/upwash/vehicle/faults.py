@@ -1,0 +1,48 @@
+"""What can go wrong with the stand-in, and when."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from upwash.errors import UsageError
+
+
+class FaultKind(StrEnum):
+    """What is wrong."""
+
+    LINK = "link"  # it hears nothing and says nothing; connections stay open
+    GPS = "gps"  # its receiver has no fix: it cannot be armed, and lands where it flies by position
+    BATTERY = "battery"  # all but empty
+    ARMING = "arming"  # it refuses to arm
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Something that is wrong from one time after boot to another, in seconds of the vehicle's clock."""
+
+    kind: FaultKind
+    begins_s: float = 0.0
+    ends_s: float = math.inf
+
+    def lasts(self, uptime_s: float) -> bool:
+        """Whether it is wrong now."""
+        return self.begins_s <= uptime_s < self.ends_s
+
+
+def read_fault(text: str) -> Fault:
+    """The fault that is written as `KIND`, `KIND:FROM` or `KIND:FROM-TO`; UsageError if it is none."""
+    name, _, times = text.partition(":")
+    begin, _, end = times.partition("-")
+    try:
+        fault = Fault(FaultKind(name), float(begin or 0), float(end or math.inf))
+    except ValueError:
+        fault = None
+    if fault is None or not 0 <= fault.begins_s < fault.ends_s:
+        kinds = ", ".join(FaultKind)
+        raise UsageError(
+            f'"{text}" is no fault; write one of {kinds}, with its time in seconds after boot if it does not '
+            "last for ever, such as link:30 or gps:60-90"
+        )
+    return fault

@@ -1,0 +1,75 @@
+"""A vehicle that speeds up and brakes alike: easy to reckon with, and as agile as one likes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from upwash.core.geo import Position, distance_m, ground_distance_m
+from upwash.vehicle.kinematics import Phase, Velocity, braking, leg
+
+
+@dataclass(frozen=True, slots=True)
+class Symmetric:
+    """Its one acceleration, and its vertical speeds."""
+
+    acceleration_m_s2: float
+    climb_m_s: float
+    descent_m_s: float
+    spool_up_s: float = 0.0
+
+    def takeoff(self, ground: Position, altitude_m: float) -> tuple[Phase, ...]:
+        """Straight up, at once."""
+        return self._leg(ground, replace(ground, altitude_m=altitude_m), cruise_m_s=self.climb_m_s)
+
+    def waypoint_leg(self, start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
+        """From rest to rest."""
+        return self._leg(start, end, cruise_m_s=self._cruise_m_s(start, end, ground_speed_m_s))
+
+    def rest_of_leg(
+        self, start: Position, end: Position, *, ground_speed_m_s: float, speed_m_s: float
+    ) -> tuple[Phase, ...]:
+        """A leg from that speed to rest; empty if it is faster than it may be, or could not stop in time."""
+        cruise_m_s = self._cruise_m_s(start, end, ground_speed_m_s)
+        too_fast = speed_m_s**2 > 2 * self.acceleration_m_s2 * distance_m(start, end)
+        if speed_m_s > cruise_m_s or too_fast:
+            return ()
+        return self._leg(start, end, cruise_m_s=cruise_m_s, speed_m_s=speed_m_s)
+
+    def brake(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
+        """To rest, straight ahead."""
+        return braking(start, velocity, acceleration_m_s2=self.acceleration_m_s2)
+
+    def way_home(
+        self, start: Position, home: Position, *, ground_speed_m_s: float, altitude_m: float
+    ) -> tuple[Phase, ...]:
+        """Climbs to the altitude if it is lower, and flies home."""
+        top_m = max(start.altitude_m, altitude_m)
+        above_start, above_home = replace(start, altitude_m=top_m), replace(home, altitude_m=top_m)
+        return (
+            *self._leg(start, above_start, cruise_m_s=self.climb_m_s),
+            *self._leg(above_start, above_home, cruise_m_s=ground_speed_m_s),
+        )
+
+    def landing(self, start: Position) -> tuple[Phase, ...]:
+        """Straight down to the ground."""
+        return self._leg(start, replace(start, altitude_m=0.0), cruise_m_s=self.descent_m_s)
+
+    def _leg(
+        self, start: Position, end: Position, *, cruise_m_s: float, speed_m_s: float = 0.0
+    ) -> tuple[Phase, ...]:
+        return leg(
+            start,
+            end,
+            cruise_m_s=cruise_m_s,
+            acceleration_m_s2=self.acceleration_m_s2,
+            speed_m_s=speed_m_s,
+        )
+
+    def _cruise_m_s(self, start: Position, end: Position, ground_speed_m_s: float) -> float:
+        """The speed on the way at which neither the ground speed nor the climb or descent is exceeded."""
+        rise_m = end.altitude_m - start.altitude_m
+        if rise_m == 0:
+            return ground_speed_m_s
+        length_m, ground_m = distance_m(start, end), ground_distance_m(start, end)
+        vertical_m_s = (self.climb_m_s if rise_m > 0 else self.descent_m_s) * length_m / abs(rise_m)
+        return min(vertical_m_s, ground_speed_m_s * length_m / ground_m) if ground_m else vertical_m_s

@@ -1,0 +1,288 @@
+"""The driver against what an ArduCopter does, row by row, and over links that lose, repeat and reorder packets."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import replace
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.ports.lossy import Air, relay
+
+from upwash.core.geo import GeoPosition, LocalFrame, Position, distance_m
+from upwash.errors import AutopilotError, AutopilotLost, AutopilotRefused, AutopilotTimeout
+from upwash.real.autopilot import FlightSettings, MavlinkAutopilot, connect_autopilot
+from upwash.real.copter import Copter, Patience
+from upwash.vehicle import Fault, FaultKind, VehicleServer, VehicleSettings, serve_vehicle
+
+HOME = GeoPosition(39.3666, 22.9507)
+SPEEDUP = 10.0
+FAITHFUL = VehicleSettings(home=HOME, speedup=SPEEDUP, armable_after_s=3.0)
+AGILE = VehicleSettings(
+    home=HOME,
+    acceleration_m_s2=100.0,
+    climb_m_s=50.0,
+    descent_m_s=50.0,
+    return_speed_m_s=50.0,
+    return_altitude_m=0.0,
+    armable_after_s=0.0,
+)
+BRISK = FlightSettings(
+    arm_again_s=0.1,
+    progress_s=0.4,
+    patience=Patience(answer_s=0.15, effect_s=0.5, attempts=15, quiet_after_s=2.5),
+)
+LINKS = [
+    pytest.param(listen, share, id=f"{listen[:3]} {share:.0%}")
+    for listen in ("udp:127.0.0.1:0", "tcp:127.0.0.1:0")
+    for share in (0.0, 0.05, 0.2)
+]
+Flight = Callable[[MavlinkAutopilot, VehicleServer, Air], Awaitable[None]]
+
+
+@asynccontextmanager
+async def vehicle_on_the_air(
+    listen: str, share: float, settings: VehicleSettings
+) -> AsyncIterator[tuple[VehicleServer, str, Air]]:
+    air = Air(share, seed=1)
+    async with AsyncExitStack() as stack:
+        vehicle = await serve_vehicle(listen, settings)
+        stack.push_async_callback(vehicle.close)
+        yield vehicle, await stack.enter_async_context(relay(vehicle.address, air)), air
+
+
+def fly(
+    flight: Flight,
+    *,
+    listen: str = "udp:127.0.0.1:0",
+    share: float = 0.0,
+    vehicle_settings: VehicleSettings = AGILE,
+    settings: FlightSettings = BRISK,
+    ground_speed_m_s: float = 40.0,
+) -> None:
+    async def flown() -> None:
+        async with vehicle_on_the_air(listen, share, vehicle_settings) as (vehicle, connection, air):
+            autopilot = await connect_autopilot(
+                connection, frame=LocalFrame(HOME), ground_speed_m_s=ground_speed_m_s, settings=settings
+            )
+            try:
+                await flight(autopilot, vehicle, air)
+            finally:
+                await autopilot.close()
+
+    asyncio.run(flown())
+
+
+async def watch_speed(autopilot: MavlinkAutopilot, speeds_m_s: list[float]) -> None:
+    """How fast it moves, from position to position."""
+    clock, before, then_s = asyncio.get_running_loop().time, autopilot.position, 0.0
+    then_s = clock()
+    while True:
+        await asyncio.sleep(0.1)
+        here, now_s = autopilot.position, clock()
+        speeds_m_s.append(distance_m(before, here) / (now_s - then_s) / SPEEDUP)
+        before, then_s = here, now_s
+
+
+@pytest.mark.parametrize(("listen", "share"), LINKS)
+def test_a_whole_mission_arrives_everywhere_whatever_the_link_does(listen: str, share: float) -> None:
+    async def mission(autopilot: MavlinkAutopilot, _vehicle: VehicleServer, _air: Air) -> None:
+        await autopilot.arm()
+        await autopilot.takeoff(10.0)
+        assert autopilot.position.altitude_m == pytest.approx(10.0, abs=1.0)
+        speeds_m_s: list[float] = []
+        watching = asyncio.create_task(watch_speed(autopilot, speeds_m_s))
+        for waypoint in Position(30.0, 0.0, 10.0), Position(30.0, 30.0, 12.0):
+            await autopilot.goto(waypoint)
+            assert distance_m(autopilot.position, waypoint) <= 1.0
+        watching.cancel()
+        assert sorted(speeds_m_s)[len(speeds_m_s) // 2] < 3.5  # it was told 3 m/s, and flies 5.4 by itself
+        await autopilot.return_home_and_land()
+        assert distance_m(autopilot.position, Position(0.0, 0.0)) <= 1.0
+        await autopilot.disarm()
+        assert autopilot.battery_percent is not None
+        assert 50 < autopilot.battery_percent < 100
+
+    fly(mission, listen=listen, share=share, vehicle_settings=FAITHFUL, ground_speed_m_s=3.0)
+
+
+@pytest.mark.parametrize(("listen", "share"), LINKS)
+def test_what_the_vehicle_refuses_is_an_error_with_the_step(listen: str, share: float) -> None:
+    async def mission(autopilot: MavlinkAutopilot, _vehicle: VehicleServer, _air: Air) -> None:
+        with pytest.raises(AutopilotRefused, match=r"takeoff to 5 m: .*MAV_RESULT_FAILED"):
+            await autopilot.takeoff(5.0)
+        await autopilot.arm()
+        await autopilot.takeoff(5.0)
+        with pytest.raises(AutopilotRefused, match=r"takeoff to 9 m: .*MAV_RESULT_FAILED"):
+            await autopilot.takeoff(9.0)
+        with pytest.raises(AutopilotRefused, match=r"disarm: .*MAV_RESULT_FAILED"):
+            await autopilot.disarm()
+        await autopilot.land()
+        await autopilot.disarm()
+
+    fly(mission, listen=listen, share=share)
+
+
+@pytest.mark.parametrize(
+    ("command", "parameters", "result"),
+    [
+        (mavlink.MAV_CMD_DO_CHANGE_SPEED, (1, 0.0), "DENIED"),
+        (mavlink.MAV_CMD_DO_PARACHUTE, (), "UNSUPPORTED"),
+        (mavlink.MAV_CMD_NAV_TAKEOFF, (0, 0, 0, 0, 0, 0, 5.0), "FAILED"),
+        (mavlink.MAV_CMD_DO_SET_MODE, (1, 99), "FAILED"),
+    ],
+)
+def test_every_no_is_told_by_its_name(command: int, parameters: tuple[float, ...], result: str) -> None:
+    async def scenario() -> None:
+        async with vehicle_on_the_air("udp:127.0.0.1:0", 0.2, AGILE) as (_, connection, _air):
+            copter = Copter(connection, BRISK.patience)
+            await copter.found(within_s=5.0)
+            with pytest.raises(AutopilotRefused, match=f"try: .*MAV_RESULT_{result}"):
+                await copter.command("try", command, *parameters)
+            await copter.close()
+
+    asyncio.run(scenario())
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_arming_waits_for_the_position_estimate_and_the_reports_are_asked_for(share: float) -> None:
+    slow_start = replace(AGILE, armable_after_s=1.5)
+
+    async def mission(autopilot: MavlinkAutopilot, _vehicle: VehicleServer, _air: Air) -> None:
+        clock = asyncio.get_running_loop().time
+        begun_s = clock()
+        assert autopilot.battery_percent is None
+        await autopilot.arm()
+        assert clock() - begun_s > 1.0
+        assert autopilot.position == Position(0.0, 0.0)
+        await autopilot.disarm()
+
+    fly(mission, share=share, vehicle_settings=slow_start)
+
+
+def test_a_refusal_to_arm_carries_the_vehicles_reason() -> None:
+    stubborn = replace(AGILE, faults=(Fault(FaultKind.ARMING),))
+
+    async def mission(autopilot: MavlinkAutopilot, vehicle: VehicleServer, _air: Air) -> None:
+        with pytest.raises(AutopilotRefused) as caught:
+            await autopilot.arm()
+        assert caught.value.vehicle_said == "PreArm: Hardware safety switch"
+        vehicle.mend(FaultKind.ARMING)
+        await autopilot.arm()
+
+    fly(mission, vehicle_settings=stubborn, settings=replace(BRISK, ready_timeout_s=0.15))
+
+
+def test_without_gps_it_is_not_armed_and_in_flight_it_lands_by_itself() -> None:
+    async def mission(autopilot: MavlinkAutopilot, vehicle: VehicleServer, _air: Air) -> None:
+        vehicle.fail(FaultKind.GPS)
+        with pytest.raises(AutopilotRefused, match="GPS"):
+            await autopilot.arm()
+        vehicle.mend(FaultKind.GPS)
+        await autopilot.arm()
+        await autopilot.takeoff(10.0)
+        vehicle.fail(FaultKind.GPS)
+        with pytest.raises(AutopilotRefused, match=r"goto .*LAND.*EKF Failsafe"):
+            await autopilot.goto(Position(4_000.0, 0.0, 10.0))
+
+    fly(
+        mission,
+        vehicle_settings=replace(FAITHFUL, armable_after_s=0.0),
+        settings=replace(BRISK, ready_timeout_s=0.15),
+        ground_speed_m_s=4.0,
+    )
+
+
+def test_a_battery_that_runs_low_shows() -> None:
+    async def mission(autopilot: MavlinkAutopilot, vehicle: VehicleServer, _air: Air) -> None:
+        await autopilot.arm()
+        vehicle.fail(FaultKind.BATTERY)
+        async with asyncio.timeout(3.0):
+            while autopilot.battery_percent is None or autopilot.battery_percent > 10:  # noqa: ASYNC110
+                await asyncio.sleep(0.02)
+            while "Battery 1 is low" not in autopilot.vehicle_said:  # noqa: ASYNC110
+                await asyncio.sleep(0.02)
+
+    fly(mission)
+
+
+def test_a_lost_link_is_noticed_within_3_s_and_survived() -> None:
+    async def mission(autopilot: MavlinkAutopilot, vehicle: VehicleServer, _air: Air) -> None:
+        clock = asyncio.get_running_loop().time
+        await autopilot.arm()
+        await autopilot.takeoff(5.0)
+        leg = asyncio.create_task(autopilot.goto(Position(60.0, 0.0, 5.0)))
+        vehicle.fail(FaultKind.LINK)
+        begun_s = clock()
+        await autopilot.link_lost()
+        assert 2.0 < clock() - begun_s < 3.0
+        assert not autopilot.linked
+        vehicle.mend(FaultKind.LINK)
+        await autopilot.link_restored()
+        await leg
+        assert distance_m(autopilot.position, Position(60.0, 0.0, 5.0)) <= 1.0
+
+    fly(mission)
+
+
+def test_a_link_that_stays_lost_ends_the_verb() -> None:
+    async def mission(autopilot: MavlinkAutopilot, vehicle: VehicleServer, _air: Air) -> None:
+        await autopilot.arm()
+        vehicle.fail(FaultKind.LINK)
+        with pytest.raises(AutopilotLost, match=r"takeoff to 5 m: nothing was heard"):
+            await autopilot.takeoff(5.0)
+
+    patience = replace(BRISK.patience, quiet_after_s=0.5, lost_after_s=1.5)
+    fly(mission, settings=replace(BRISK, patience=patience))
+
+
+def test_reports_that_stop_are_asked_for_again() -> None:
+    async def scenario() -> None:
+        async with vehicle_on_the_air("udp:127.0.0.1:0", 0.0, AGILE) as (_, connection, _air):
+            copter = Copter(connection, replace(BRISK.patience, quiet_after_s=0.5))
+            await copter.found(within_s=5.0)
+            position = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+            await copter.command("stop", mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, position, -1)
+            stopped_s = asyncio.get_running_loop().time() + 0.3
+            assert await copter.happens("wait", lambda: copter.heard_since(position, stopped_s), within_s=3.0)
+            await copter.close()
+
+    asyncio.run(scenario())
+
+
+def test_a_vehicle_that_starts_and_then_stops_half_way_is_given_up() -> None:
+    async def mission(autopilot: MavlinkAutopilot, _vehicle: VehicleServer, air: Air) -> None:
+        await autopilot.arm()
+        await autopilot.takeoff(5.0)
+        air.share = 0.0
+        with pytest.raises(AutopilotTimeout, match=r"goto .*: not done within \d+ s, in mode GUIDED"):
+            await autopilot.goto(
+                Position(20_000.0, 0.0, 5.0)
+            )  # too far: the vehicle ignores it and says nothing
+
+    fly(mission, settings=replace(BRISK, margin_s=1.0, slowest_share=1e6))
+
+
+@pytest.mark.parametrize(("autopilot", "kind"), [(12, 2), (3, 1), (3, 10)])
+def test_what_is_no_arducopter_is_refused(autopilot: int, kind: int) -> None:
+    async def scenario() -> None:
+        loop = asyncio.get_running_loop()
+        codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        beat = bytes(mavlink.MAVLink_heartbeat_message(kind, autopilot, 81, 0, 3, 3).pack(codec))
+
+        class Other(asyncio.DatagramProtocol):
+            def connection_made(self, transport: asyncio.DatagramTransport) -> None:  # type: ignore[override]
+                self.transport = transport
+
+            def datagram_received(self, _data: bytes, sender: tuple[str, int]) -> None:
+                self.transport.sendto(beat, sender)
+
+        transport, _ = await loop.create_datagram_endpoint(Other, local_addr=("127.0.0.1", 0))
+        port = transport.get_extra_info("sockname")[1]
+        with pytest.raises(AutopilotError, match="only an ArduCopter can be flown"):
+            await connect_autopilot(f"udpout:127.0.0.1:{port}", frame=LocalFrame(HOME), ground_speed_m_s=4.0)
+        transport.close()
+
+    asyncio.run(scenario())

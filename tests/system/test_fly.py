@@ -1,0 +1,96 @@
+"""`upwash fly` with a vehicle that does not do its part: one clear message each."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from upwash.cli import main
+from upwash.real.autopilot import FlightSettings, connect_autopilot
+from upwash.real.copter import Patience
+
+pytestmark = pytest.mark.system
+
+CONFIG = """
+name = "heron"
+[mission]
+home = { latitude_deg = 39.3666, longitude_deg = 22.9507 }
+ground_speed_m_s = 5.0
+altitude_m = 5.0
+waypoints_m = [[0, 0], [200, 0]]
+[autopilot]
+connection = "tcp:127.0.0.1:1"
+[camera]
+folder = "photos"
+[[service]]
+name = "detector"
+local_call_s = { light = 1.0, heavy = 3.0 }
+"""
+
+MISSION = """
+def patrol(drone):
+    drone.autopilot.arm()
+    drone.autopilot.takeoff(drone.altitude_m)
+    for waypoint in drone.plan:
+        drone.autopilot.goto(waypoint)
+    drone.autopilot.return_home_and_land()
+"""
+
+IMPATIENT = FlightSettings(
+    ready_timeout_s=0.3, arm_again_s=0.1, patience=Patience(quiet_after_s=0.5, lost_after_s=1.0)
+)
+
+
+@contextmanager
+def vehicle(*options: str) -> Iterator[str]:
+    """The connection to a stand-in."""
+    command = [sys.executable, "-m", "upwash", "vehicle", "--listen", "tcp:127.0.0.1:0", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            yield process.stdout.readline().strip().partition(" ready at ")[2]
+        finally:
+            process.terminate()
+
+
+Fly = Callable[[str], tuple[int, str]]
+
+
+@pytest.fixture
+def fly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Fly:
+    """Flies the mission with an impatient driver; returns the exit code and the complaint."""
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "1.jpg").write_bytes(b"\xff\xd8")
+    (tmp_path / "drone.toml").write_text(CONFIG)
+    (tmp_path / "patrol.py").write_text(MISSION)
+    monkeypatch.setattr("upwash.launch.connect_autopilot", partial(connect_autopilot, settings=IMPATIENT))
+    monkeypatch.chdir(tmp_path)
+
+    def flown(connection: str) -> tuple[int, str]:
+        code = main(["fly", "patrol.py:patrol", "--config", "drone.toml", "--autopilot", connection])
+        return code, capsys.readouterr().err
+
+    return flown
+
+
+def test_a_vehicle_that_refuses_to_arm_is_quoted(fly: Fly) -> None:
+    with vehicle("--armable-after", "0", "--fault", "arming") as connection:
+        code, said = fly(connection)
+    assert code == 1
+    assert said.startswith("upwash: arm: the vehicle answered MAV_RESULT_FAILED")
+    assert said.endswith('the vehicle last said: "PreArm: Hardware safety switch"\n')
+    assert said.count("\n") == 1
+
+
+def test_a_vehicle_that_falls_silent_half_way_is_named_with_the_step(fly: Fly) -> None:
+    with vehicle("--armable-after", "0", "--acceleration", "50", "--fault", "link:6") as connection:
+        code, said = fly(connection)
+    assert code == 1
+    assert said.startswith("upwash: goto 200.0 m east, 0.0 m north: nothing was heard on tcp:")
+    assert said.count("\n") == 1

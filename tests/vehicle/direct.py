@@ -1,0 +1,47 @@
+"""A stand-in spoken to without a network, so that it can live on virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.vehicle.clock import Clock
+from upwash.vehicle.conversation import Conversation, Vehicle
+from upwash.vehicle.copter import Copter, VehicleSettings
+
+Hear = Callable[[Any], None]
+
+
+@asynccontextmanager
+async def directly_linked(settings: VehicleSettings, hear: Hear) -> AsyncIterator[tuple[Vehicle, Hear]]:
+    """The vehicle, and how to say something to it; what it says, packed and parsed, goes to `hear`.
+
+    What is said is heard in the loop's next turn, so that one can say something and then wait for the answer.
+    """
+    clock, codec = Clock(settings.speedup), mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    vehicle = Vehicle(Copter(settings, now_s=clock.now_s()), clock)
+
+    def parsed(data: bytes) -> list[Any]:
+        return mavlink.MAVLink(None).parse_buffer(data) or []
+
+    def write(data: bytes) -> None:
+        for message in parsed(data):
+            hear(message)
+
+    conversation = Conversation(vehicle, write=write)
+
+    def say(message: Any) -> None:
+        for heard in parsed(bytes(message.pack(codec))):
+            asyncio.get_running_loop().call_soon(conversation.hear, heard)
+
+    life = asyncio.create_task(vehicle.live())
+    try:
+        yield vehicle, say
+    finally:
+        conversation.end()
+        life.cancel()
+        await asyncio.gather(life, return_exceptions=True)

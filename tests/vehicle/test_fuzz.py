@@ -1,0 +1,122 @@
+"""Nonsense into both ends of the link: nothing crashes, and nothing moves."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from contextlib import AsyncExitStack
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.vehicle.absurd import absurd_orders, every_message, garbage, orders_for_others
+
+from upwash.core.geo import GeoPosition, LocalFrame, Position, distance_m
+from upwash.real.autopilot import connect_autopilot
+from upwash.real.copter import Copter, Patience
+from upwash.real.mavlink import MavlinkLink
+from upwash.vehicle import VehicleSettings, serve_vehicle
+
+HOME = GeoPosition(39.3666, 22.9507)
+BYTES = 1_000_000
+AGILE = VehicleSettings(home=HOME, acceleration_m_s2=100.0, climb_m_s=50.0, armable_after_s=0.0)
+
+
+def collect_errors() -> list[dict[str, Any]]:
+    """What goes wrong in callbacks, where no test would see it."""
+    errors: list[dict[str, Any]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _loop, context: errors.append(context))
+    return errors
+
+
+@pytest.mark.parametrize("kind", ["udp", "tcp"])
+def test_a_flying_vehicle_is_not_moved_by_nonsense(kind: str) -> None:
+    async def scenario() -> None:
+        errors, chance = collect_errors(), random.Random(1)
+        async with AsyncExitStack() as stack:
+            vehicle = await serve_vehicle(f"{kind}:127.0.0.1:0", AGILE)
+            stack.push_async_callback(vehicle.close)
+            connection = vehicle.address.replace("udp:", "udpout:")
+            autopilot = await connect_autopilot(connection, frame=LocalFrame(HOME), ground_speed_m_s=20.0)
+            stack.push_async_callback(autopilot.close)
+            await autopilot.arm()
+            await autopilot.takeoff(10.0)
+            before = autopilot.position
+
+            vandal = MavlinkLink(connection, lambda _: None)
+            stack.push_async_callback(vandal.close)
+            await vandal.opened.wait()
+            for piece in garbage(BYTES, chance):
+                vandal.send_bytes(piece)
+                await asyncio.sleep(0)  # the vehicle reads as fast as it is written to
+            for message in (*every_message(chance), *absurd_orders(chance), *orders_for_others()):
+                vandal.send(message)
+                await asyncio.sleep(0)
+            await asyncio.sleep(0.3)
+
+            assert errors == []
+            assert distance_m(autopilot.position, before) < 0.1
+            await autopilot.goto(Position(5.0, 0.0, 10.0))  # it is still there, in GUIDED, and obeys
+
+    asyncio.run(scenario())
+
+
+class FakeVehicle(asyncio.DatagramProtocol):
+    """Says what a test lets it say, and remembers what it heard."""
+
+    def __init__(self) -> None:
+        self.heard: list[Any] = []
+        self.codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        self.peer: Any = None
+
+    def connection_made(self, transport: asyncio.DatagramTransport) -> None:  # type: ignore[override]
+        self.transport = transport
+
+    def datagram_received(self, data: bytes, sender: Any) -> None:
+        self.peer = sender
+        self.heard += mavlink.MAVLink(None).parse_buffer(data) or ()
+
+    def say(self, message: Any) -> None:
+        self.transport.sendto(bytes(message.pack(self.codec)), self.peer)
+        self.codec.seq = (self.codec.seq + 1) % 256
+
+
+def test_a_driver_that_hears_nonsense_goes_on_and_tells_nobody_to_move() -> None:
+    async def scenario() -> None:
+        errors, chance = collect_errors(), random.Random(2)
+        transport, fake = await asyncio.get_running_loop().create_datagram_endpoint(
+            FakeVehicle, local_addr=("127.0.0.1", 0)
+        )
+        copter = Copter(f"udpout:127.0.0.1:{transport.get_extra_info('sockname')[1]}", Patience())
+        while fake.peer is None:  # noqa: ASYNC110
+            await asyncio.sleep(0.01)
+        beat = mavlink.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3)
+        place = mavlink.MAVLink_global_position_int_message(
+            1_000, 393_666_000, 229_507_000, 0, 5_000, 0, 0, 0, 0
+        )
+        fake.say(beat)
+        fake.say(place)
+        await copter.found(within_s=2.0)
+        for piece in garbage(BYTES, chance):
+            transport.sendto(piece, fake.peer)
+            await asyncio.sleep(0)
+        for _ in range(5):
+            for message in every_message(chance):
+                if message.get_type() != "BAD_DATA":
+                    fake.say(message)
+                    await asyncio.sleep(0)
+        fake.say(beat)
+        fake.say(place)
+        await asyncio.sleep(0.2)
+
+        assert errors == []
+        assert copter.telemetry.position == GeoPosition(39.3666, 22.9507, 5.0)
+        assert copter.telemetry.mode == 0
+        percent = copter.telemetry.battery_percent
+        assert percent is None or 0 <= percent <= 100
+        asked = {(message.get_type(), getattr(message, "command", None)) for message in fake.heard}
+        assert asked == {("HEARTBEAT", None), ("COMMAND_LONG", mavlink.MAV_CMD_SET_MESSAGE_INTERVAL)}
+        await copter.close()
+        transport.close()
+
+    asyncio.run(scenario())

@@ -1,0 +1,301 @@
+"""What a program sees of the stand-in, row by row what a real ArduCopter was seen to do."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.vehicle.direct import directly_linked
+
+from upwash.core.geo import GeoPosition
+from upwash.errors import UsageError
+from upwash.sim.loop import run_virtually
+from upwash.vehicle import Fault, FaultKind, VehicleSettings, read_fault
+from upwash.vehicle.conversation import Vehicle
+
+HOME = GeoPosition(39.3666, 22.9507)
+SETTINGS = VehicleSettings(home=HOME, armable_after_s=0.0)
+BOOTING = replace(SETTINGS, armable_after_s=10.0)
+EXTENDED_STATE = mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
+GLOBAL_POSITION = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+MOST_S = 300.0
+
+
+class Client:
+    """Says what it likes and keeps all that it hears."""
+
+    def __init__(self) -> None:
+        self.heard: list[Any] = []
+        self.say: Callable[[Any], None] = lambda _: None
+        self._news = asyncio.Event()
+
+    def hear(self, message: Any) -> None:
+        self.heard.append(message)
+        self._news.set()
+
+    def all(self, kind: str) -> list[Any]:
+        return [message for message in self.heard if message.get_type() == kind]
+
+    async def until(self, condition: Callable[[], Any]) -> None:
+        async with asyncio.timeout(MOST_S):
+            while not condition():
+                self._news.clear()
+                await self._news.wait()
+
+    async def next(self, kind: str) -> Any:
+        known = len(self.all(kind))
+        await self.until(lambda: len(self.all(kind)) > known)
+        return self.all(kind)[known]
+
+    async def long(self, number: int, *parameters: float) -> int:
+        padded = (*parameters, *[0.0] * (7 - len(parameters)))
+        self.say(mavlink.MAVLink_command_long_message(1, 1, number, 0, *padded))
+        return int((await self.next("COMMAND_ACK")).result)
+
+    async def placed(self, number: int, frame: int, x: int, y: int, z: float, *, flags: float = 0) -> int:
+        self.say(mavlink.MAVLink_command_int_message(1, 1, frame, number, 0, 0, 0, flags, 0, 0, x, y, z))
+        return int((await self.next("COMMAND_ACK")).result)
+
+    async def stream(self, number: int, *, every_s: float = 0.1) -> None:
+        assert await self.long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, every_s * 1e6) == 0
+
+    async def take_off(self, altitude_m: float = 10.0) -> None:
+        await self.stream(GLOBAL_POSITION)
+        assert await self.long(mavlink.MAV_CMD_DO_SET_MODE, 1, mavlink.COPTER_MODE_GUIDED) == 0
+        assert await self.long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 0
+        assert await self.long(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, altitude_m) == 0
+        await self.until(
+            lambda: (
+                (reports := self.all("GLOBAL_POSITION_INT")) and reports[-1].relative_alt > altitude_m * 990
+            )
+        )
+
+    def target(self, *, east_e7: int, altitude_m: float = 10.0) -> None:
+        self.say(
+            mavlink.MAVLink_set_position_target_global_int_message(
+                0, 1, 1, 6, 0b110111111000, 393_666_000, 229_507_000 + east_e7, altitude_m, *[0] * 8
+            )
+        )
+
+    def beats(self) -> list[tuple[int, int, int]]:
+        """The heartbeats' base mode, custom mode and status, each as long as it stays once."""
+        states: list[tuple[int, int, int]] = []
+        for beat in self.all("HEARTBEAT"):
+            state = beat.base_mode, beat.custom_mode, beat.system_status
+            if not states or states[-1] != state:
+                states.append(state)
+        return states
+
+    def landed_states(self) -> list[int]:
+        states: list[int] = []
+        for report in self.all("EXTENDED_SYS_STATE"):
+            if not states or states[-1] != report.landed_state:
+                states.append(report.landed_state)
+        return states
+
+
+def talk(
+    scenario: Callable[[Client, Vehicle], Awaitable[None]], settings: VehicleSettings = SETTINGS
+) -> None:
+    async def talked() -> None:
+        client = Client()
+        async with directly_linked(settings, client.hear) as (vehicle, client.say):
+            await scenario(client, vehicle)
+
+    run_virtually(talked())
+
+
+def test_on_connect_it_says_only_that_it_lives_until_it_is_asked() -> None:
+    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+        await client.until(lambda: len(client.all("HEARTBEAT")) > 12 and client.all("TIMESYNC"))
+        by_itself = {"HEARTBEAT", "TIMESYNC", "STATUSTEXT", "GPS_GLOBAL_ORIGIN", "HOME_POSITION"}
+        assert {message.get_type() for message in client.heard} == by_itself
+        assert len(client.all("GPS_GLOBAL_ORIGIN")) == len(client.all("HOME_POSITION")) == 1
+
+    talk(scenario, BOOTING)
+
+
+def test_data_streams_bring_everything_but_the_landed_state() -> None:
+    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+        client.say(mavlink.MAVLink_request_data_stream_message(1, 1, mavlink.MAV_DATA_STREAM_ALL, 10, 1))
+        wanted = {"GLOBAL_POSITION_INT", "SYS_STATUS", "ATTITUDE", "EKF_STATUS_REPORT", "BATTERY_STATUS"}
+        await client.until(lambda: wanted <= {message.get_type() for message in client.heard})
+        assert not client.all("EXTENDED_SYS_STATE")
+        client.say(mavlink.MAVLink_request_data_stream_message(1, 1, mavlink.MAV_DATA_STREAM_ALL, 10, 0))
+        await client.long(mavlink.MAV_CMD_REQUEST_MESSAGE, EXTENDED_STATE)
+        known = len(client.all("ATTITUDE"))
+        await client.next("HEARTBEAT")
+        assert len(client.all("ATTITUDE")) == known
+
+    talk(scenario)
+
+
+def test_until_it_can_be_armed_it_says_why_and_its_filter_shows_when() -> None:
+    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+        await client.stream(mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT)
+        await client.stream(GLOBAL_POSITION)
+        await client.stream(mavlink.MAVLINK_MSG_ID_SYS_STATUS)
+        assert await client.long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 4
+        text = client.all("STATUSTEXT")[-1]
+        assert (text.severity, text.text) == (2, "PreArm: Need Position Estimate")
+        assert client.all("EKF_STATUS_REPORT")[0].flags != 831
+        assert (client.all("GLOBAL_POSITION_INT")[0].lat, client.all("GLOBAL_POSITION_INT")[0].lon) == (0, 0)
+        healthy = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+        assert client.all("SYS_STATUS")[0].onboard_control_sensors_health & healthy  # falsely, as a real one
+        await client.until(lambda: client.all("EKF_STATUS_REPORT")[-1].flags == 831)
+        assert any(not each.onboard_control_sensors_health & healthy for each in client.all("SYS_STATUS"))
+        assert await client.long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 0
+
+    talk(scenario, BOOTING)
+
+
+def test_heartbeats_and_landed_states_come_in_the_recorded_order() -> None:
+    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+        await client.stream(EXTENDED_STATE)
+        await client.until(lambda: client.beats()[-1] == (81, 0, 3))
+        await client.until(lambda: client.all("GPS_GLOBAL_ORIGIN"))
+        await client.until(
+            lambda: "EKF3 IMU0 is using GPS" in [each.text for each in client.all("STATUSTEXT")]
+        )
+        assert await client.long(mavlink.MAV_CMD_DO_SET_MODE, 1, mavlink.COPTER_MODE_GUIDED) == 0
+        await client.until(lambda: client.beats()[-1] == (89, 4, 3))
+        told = len(client.all("HOME_POSITION"))
+        assert await client.long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 0
+        await client.until(lambda: len(client.all("HOME_POSITION")) == told + 1)
+        await client.until(lambda: client.beats()[-1] == (217, 4, 3))
+        assert await client.long(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 10.0) == 0
+        await client.until(lambda: client.landed_states()[-1] == 2)
+        assert await client.long(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == 0
+        await client.until(lambda: client.beats()[-1] == (81, 6, 3))
+        assert client.beats() == [
+            (89, 0, 1),
+            (81, 0, 3),
+            (89, 4, 3),
+            (217, 4, 3),
+            (217, 4, 4),
+            (217, 6, 4),
+            (217, 6, 3),
+            (81, 6, 3),
+        ]
+        assert client.landed_states() == [1, 3, 2, 4, 1]
+
+    talk(scenario, BOOTING)
+
+
+def test_the_answers_to_commands() -> None:
+    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+        long = client.long
+        assert await long(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 10.0) == 4  # disarmed
+        assert await long(mavlink.MAV_CMD_DO_PARACHUTE) == 3
+        assert await long(mavlink.MAV_CMD_DO_SET_MODE, 0, 4) == 2
+        await client.take_off()
+        assert await long(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 20.0) == 4  # airborne
+        assert await long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 0.0) == 2
+        assert await long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 5.0) == 0
+        assert await long(mavlink.MAV_CMD_REQUEST_MESSAGE, 242) == 0
+        assert await long(mavlink.MAV_CMD_REQUEST_MESSAGE, 9999) == 4
+        assert await long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0) == 4  # in flight
+        assert await long(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == 0
+        reposition = mavlink.MAV_CMD_DO_REPOSITION
+        assert await client.placed(reposition, 6, 393_668_000, 229_507_000, 10.0) == 2  # outside GUIDED
+        assert await client.placed(reposition, 6, 393_668_000, 229_507_000, 10.0, flags=1) == 0
+        await client.stream(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT)
+        assert (await client.next("POSITION_TARGET_GLOBAL_INT")).lat_int == pytest.approx(393_668_000, abs=1)
+        assert await long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 21196) == 0  # forced: it falls
+        await client.until(lambda: client.all("GLOBAL_POSITION_INT")[-1].relative_alt == 0)
+
+    talk(scenario)
+
+
+def test_a_mode_set_the_old_way_changes_without_an_answer() -> None:
+    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+        client.say(mavlink.MAVLink_set_mode_message(1, 1, mavlink.COPTER_MODE_GUIDED))
+        await client.until(lambda: client.all("HEARTBEAT")[-1].custom_mode == mavlink.COPTER_MODE_GUIDED)
+        assert not client.all("COMMAND_ACK")
+
+    talk(scenario)
+
+
+def test_targets_are_ignored_in_silence_outside_guided() -> None:
+    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+        await client.take_off()
+        assert await client.long(mavlink.MAV_CMD_DO_SET_MODE, 1, mavlink.COPTER_MODE_LOITER) == 0
+        answers = len(client.all("COMMAND_ACK"))
+        client.target(east_e7=2_000)
+        for _ in range(5):
+            await client.next("HEARTBEAT")
+        assert abs(client.all("GLOBAL_POSITION_INT")[-1].lon - 229_507_000) <= 1
+        assert len(client.all("COMMAND_ACK")) == answers
+
+    talk(scenario)
+
+
+def test_a_speed_is_lost_before_the_first_target_and_kept_after_it() -> None:
+    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+        await client.take_off()
+        assert await client.long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 3.0) == 0
+        client.target(east_e7=20_000)
+        await client.until(lambda: max(each.vy for each in client.all("GLOBAL_POSITION_INT")) >= 539)
+        assert await client.long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 3.0) == 0
+        await client.until(lambda: 295 <= client.all("GLOBAL_POSITION_INT")[-1].vy <= 301)
+        await client.until(lambda: client.all("GLOBAL_POSITION_INT")[-1].lon > 229_507_000 + 10_000)
+        assert await client.long(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == 0
+        await client.until(lambda: client.all("GLOBAL_POSITION_INT")[-1].vy <= -800)  # at a speed of its own
+
+    talk(scenario)
+
+
+def test_parameters_are_listed_read_and_set() -> None:
+    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+        client.say(mavlink.MAVLink_param_request_list_message(1, 1))
+        await client.until(lambda: (told := client.all("PARAM_VALUE")) and len(told) == told[0].param_count)
+        told = client.all("PARAM_VALUE")
+        assert sorted(each.param_index for each in told) == list(range(len(told)))
+        client.say(mavlink.MAVLink_param_set_message(1, 1, b"RTL_ALT", 3_000, 6))
+        assert (await client.next("PARAM_VALUE")).param_value == 3_000
+        client.say(mavlink.MAVLink_param_request_read_message(1, 1, b"RTL_ALT", -1))
+        assert (await client.next("PARAM_VALUE")).param_value == 3_000
+        await client.take_off()
+        assert await client.long(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == 0
+        await client.until(lambda: client.all("GLOBAL_POSITION_INT")[-1].relative_alt > 29_900)
+
+    talk(scenario)
+
+
+def test_it_has_no_mission_and_takes_none() -> None:
+    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+        client.say(mavlink.MAVLink_mission_request_list_message(1, 1))
+        assert (await client.next("MISSION_COUNT")).count == 0
+        client.say(mavlink.MAVLink_mission_count_message(1, 1, 3))
+        assert (await client.next("MISSION_ACK")).type == mavlink.MAV_MISSION_UNSUPPORTED
+
+    talk(scenario)
+
+
+def test_with_its_link_down_it_says_nothing_and_hears_nothing() -> None:
+    async def scenario(client: Client, vehicle: Vehicle) -> None:
+        vehicle.copter.fail(FaultKind.LINK, vehicle.now_s())
+        known = len(client.heard)
+        client.say(mavlink.MAVLink_set_mode_message(1, 1, mavlink.COPTER_MODE_GUIDED))
+        await asyncio.sleep(20.0)
+        assert len(client.heard) == known
+        vehicle.copter.mend(FaultKind.LINK)
+        assert (await client.next("HEARTBEAT")).custom_mode == 0
+
+    talk(scenario)
+
+
+@pytest.mark.parametrize("text", ["", "engine", "link:x", "gps:9-3", "gps:3-3", "battery:nan"])
+def test_a_fault_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match="write one of link, gps, battery, arming"):
+        read_fault(text)
+
+
+def test_faults_are_read_with_their_times() -> None:
+    assert read_fault("arming") == Fault(FaultKind.ARMING)
+    assert read_fault("link:30") == Fault(FaultKind.LINK, 30.0)
+    assert read_fault("gps:60-90") == Fault(FaultKind.GPS, 60.0, 90.0)
