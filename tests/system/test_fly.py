@@ -26,6 +26,7 @@ altitude_m = 5.0
 waypoints_m = [[0, 0], [200, 0]]
 [autopilot]
 connection = "tcp:127.0.0.1:1"
+on_failure = "hold"
 [camera]
 folder = "photos"
 [[service]]
@@ -89,7 +90,8 @@ def test_a_vehicle_that_refuses_to_arm_is_quoted(fly: Fly) -> None:
 
 
 def test_a_vehicle_that_falls_silent_half_way_is_named_with_the_step(fly: Fly) -> None:
-    with vehicle("--armable-after", "0", "--acceleration", "50", "--fault", "link:6") as connection:
+    # It is heard again at 10 s, as the program goes on trying to end the flight safely.
+    with vehicle("--armable-after", "0", "--acceleration", "50", "--fault", "link:6-10") as connection:
         code, said = fly(connection)
     assert code == 1
     assert said.startswith("upwash: goto 200.0 m east, 0.0 m north: nothing was heard on tcp:")
