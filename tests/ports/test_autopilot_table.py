@@ -148,7 +148,7 @@ def test_every_no_is_told_by_its_name(command: int, parameters: tuple[float, ...
 
 @pytest.mark.parametrize("share", [0.0, 0.2])
 def test_arming_waits_for_the_position_estimate_and_the_reports_are_asked_for(share: float) -> None:
-    slow_start = replace(AGILE, armable_after_s=1.5)
+    slow_start = replace(AGILE, armable_after_s=3.5)
 
     async def mission(autopilot: MavlinkAutopilot, _vehicle: VehicleServer, _air: Air) -> None:
         clock = asyncio.get_running_loop().time
@@ -283,6 +283,52 @@ def test_what_is_no_arducopter_is_refused(autopilot: int, kind: int) -> None:
         port = transport.get_extra_info("sockname")[1]
         with pytest.raises(AutopilotError, match="only an ArduCopter can be flown"):
             await connect_autopilot(f"udpout:127.0.0.1:{port}", frame=LocalFrame(HOME), ground_speed_m_s=4.0)
+        transport.close()
+
+    asyncio.run(scenario())
+
+
+def test_what_arrives_late_or_twice_changes_nothing() -> None:
+    async def scenario() -> None:
+        heard = asyncio.Event()
+        codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+
+        class Vehicle(asyncio.DatagramProtocol):
+            def connection_made(self, transport: asyncio.DatagramTransport) -> None:  # type: ignore[override]
+                self.transport = transport
+
+            def datagram_received(self, _data: bytes, sender: tuple[str, int]) -> None:
+                self.sender = sender
+                heard.set()
+
+            def beat(self, sequence: int, mode: int) -> None:
+                codec.seq = sequence
+                message = mavlink.MAVLink_heartbeat_message(2, 3, 81, mode, 3, 3)
+                self.transport.sendto(bytes(message.pack(codec)), self.sender)
+
+        transport, vehicle = await asyncio.get_running_loop().create_datagram_endpoint(
+            Vehicle, local_addr=("127.0.0.1", 0)
+        )
+        copter = Copter(
+            f"udpout:127.0.0.1:{transport.get_extra_info('sockname')[1]}", Patience(quiet_after_s=0.3)
+        )
+        await heard.wait()
+        for sequence, mode, then in (
+            (255, 0, 0),
+            (1, 4, 4),  # the count begins anew after 255
+            (0, 0, 4),  # late
+            (1, 0, 4),  # twice
+            (2, 6, 6),
+            (200, 9, 9),  # too far back to be late: the vehicle was restarted
+        ):
+            vehicle.beat(sequence, mode)
+            await asyncio.sleep(0.02)
+            assert copter.telemetry.mode == then
+        await copter.link_lost()
+        vehicle.beat(199, 5)  # after a silence, anything is news
+        await copter.link_restored()
+        assert copter.telemetry.mode == 5
+        await copter.close()
         transport.close()
 
     asyncio.run(scenario())

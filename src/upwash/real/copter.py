@@ -32,6 +32,11 @@ _COPTERS = (
     mavlink.MAV_TYPE_DODECAROTOR,
     mavlink.MAV_TYPE_DECAROTOR,
 )
+_IN_THE_AIR = (
+    mavlink.MAV_LANDED_STATE_TAKEOFF,
+    mavlink.MAV_LANDED_STATE_IN_AIR,
+    mavlink.MAV_LANDED_STATE_LANDING,
+)
 _LATE_BY = 16  # messages: what is older by its sequence number comes from a vehicle that was restarted
 _TEXTS_KEPT = 16
 _WILL_BE_DONE = (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
@@ -103,6 +108,11 @@ class Telemetry:
     def on_ground(self) -> bool:
         """Whether it says that it stands on the ground."""
         return bool(self.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND)
+
+    @property
+    def in_the_air(self) -> bool:
+        """Whether it says that it has left the ground."""
+        return self.landed_state in _IN_THE_AIR
 
     @property
     def mode_name(self) -> str:
