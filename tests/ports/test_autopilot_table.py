@@ -227,6 +227,33 @@ def test_a_lost_link_is_noticed_within_3_s_and_survived() -> None:
     fly(mission)
 
 
+def test_a_connection_on_which_nothing_comes_any_more_is_made_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("upwash.real.copter._DEAD_AFTER_S", 1.5)
+
+    async def scenario() -> None:
+        connections: list[asyncio.StreamWriter] = []
+        codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+
+        async def greet_and_hang(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            connections.append(writer)
+            if len(connections) != 2:  # the second says nothing at all
+                writer.write(bytes(mavlink.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3).pack(codec)))
+
+        server = await asyncio.start_server(greet_and_hang, "127.0.0.1", 0)
+        copter = Copter(f"tcp:127.0.0.1:{server.sockets[0].getsockname()[1]}", BRISK.patience)
+        await copter.found(within_s=2.0)
+        await copter.link_lost()
+        async with asyncio.timeout(12.0):
+            await copter.link_restored()
+        assert len(connections) == 3
+        await copter.close()
+        for writer in connections:
+            writer.close()
+        server.close()
+
+    asyncio.run(scenario())
+
+
 def test_a_link_that_stays_lost_ends_the_verb() -> None:
     async def mission(autopilot: MavlinkAutopilot, vehicle: VehicleServer, _air: Air) -> None:
         await autopilot.arm()

@@ -17,6 +17,7 @@ from upwash.real.mavlink import COMPANION, MavlinkLink, Message
 
 _HEARTBEAT_S = 1.0
 _LATE_TEXT_S = 0.5
+_DEAD_AFTER_S = 10.0  # without any message, a connection is made anew
 _STREAMS_HZ = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 4.0,
@@ -134,7 +135,7 @@ class Copter:
         self._heard_s: dict[int, float] = {}  # when, by message number
         self._sequence: int | None = None  # the number of its last message
         self._kind = (0, 0)  # its MAV_AUTOPILOT and MAV_TYPE
-        self._last_heard_s = self._opened_s = self._loop.time()
+        self._last_heard_s = self._loop.time()
         self._news = asyncio.Event()
         self._link = MavlinkLink(connection, self._hear)
         self._accompanying = asyncio.create_task(self._accompany())
@@ -334,9 +335,8 @@ class Copter:
 
     def _leave_a_dead_connection(self) -> None:
         """A peer that vanished without a word leaves a connection behind on which nothing ever comes."""
-        now_s = self._loop.time()
-        if now_s - max(self._last_heard_s, self._opened_s) > self._patience.lost_after_s:
-            self._opened_s = now_s
+        last_sign_s = max(self._last_heard_s, self._link.opened_s)
+        if self._loop.time() - last_sign_s > _DEAD_AFTER_S:
             self._link.reopen()
 
     def _require_an_arducopter(self) -> None:
