@@ -148,7 +148,7 @@ def test_every_no_is_told_by_its_name(command: int, parameters: tuple[float, ...
 
 @pytest.mark.parametrize("share", [0.0, 0.2])
 def test_arming_waits_for_the_position_estimate_and_the_reports_are_asked_for(share: float) -> None:
-    slow_start = replace(AGILE, armable_after_s=1.5)
+    slow_start = replace(AGILE, armable_after_s=3.5)
 
     async def mission(autopilot: MavlinkAutopilot, _vehicle: VehicleServer, _air: Air) -> None:
         clock = asyncio.get_running_loop().time
@@ -227,6 +227,33 @@ def test_a_lost_link_is_noticed_within_3_s_and_survived() -> None:
     fly(mission)
 
 
+def test_a_connection_on_which_nothing_comes_any_more_is_made_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("upwash.real.copter._DEAD_AFTER_S", 1.5)
+
+    async def scenario() -> None:
+        connections: list[asyncio.StreamWriter] = []
+        codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+
+        async def greet_and_hang(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            connections.append(writer)
+            if len(connections) != 2:  # the second says nothing at all
+                writer.write(bytes(mavlink.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3).pack(codec)))
+
+        server = await asyncio.start_server(greet_and_hang, "127.0.0.1", 0)
+        copter = Copter(f"tcp:127.0.0.1:{server.sockets[0].getsockname()[1]}", BRISK.patience)
+        await copter.found(within_s=2.0)
+        await copter.link_lost()
+        async with asyncio.timeout(12.0):
+            await copter.link_restored()
+        assert len(connections) == 3
+        await copter.close()
+        for writer in connections:
+            writer.close()
+        server.close()
+
+    asyncio.run(scenario())
+
+
 def test_a_link_that_stays_lost_ends_the_verb() -> None:
     async def mission(autopilot: MavlinkAutopilot, vehicle: VehicleServer, _air: Air) -> None:
         await autopilot.arm()
@@ -283,6 +310,52 @@ def test_what_is_no_arducopter_is_refused(autopilot: int, kind: int) -> None:
         port = transport.get_extra_info("sockname")[1]
         with pytest.raises(AutopilotError, match="only an ArduCopter can be flown"):
             await connect_autopilot(f"udpout:127.0.0.1:{port}", frame=LocalFrame(HOME), ground_speed_m_s=4.0)
+        transport.close()
+
+    asyncio.run(scenario())
+
+
+def test_what_arrives_late_or_twice_changes_nothing() -> None:
+    async def scenario() -> None:
+        heard = asyncio.Event()
+        codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+
+        class Vehicle(asyncio.DatagramProtocol):
+            def connection_made(self, transport: asyncio.DatagramTransport) -> None:  # type: ignore[override]
+                self.transport = transport
+
+            def datagram_received(self, _data: bytes, sender: tuple[str, int]) -> None:
+                self.sender = sender
+                heard.set()
+
+            def beat(self, sequence: int, mode: int) -> None:
+                codec.seq = sequence
+                message = mavlink.MAVLink_heartbeat_message(2, 3, 81, mode, 3, 3)
+                self.transport.sendto(bytes(message.pack(codec)), self.sender)
+
+        transport, vehicle = await asyncio.get_running_loop().create_datagram_endpoint(
+            Vehicle, local_addr=("127.0.0.1", 0)
+        )
+        copter = Copter(
+            f"udpout:127.0.0.1:{transport.get_extra_info('sockname')[1]}", Patience(quiet_after_s=0.3)
+        )
+        await heard.wait()
+        for sequence, mode, then in (
+            (255, 0, 0),
+            (1, 4, 4),  # the count begins anew after 255
+            (0, 0, 4),  # late
+            (1, 0, 4),  # twice
+            (2, 6, 6),
+            (200, 9, 9),  # too far back to be late: the vehicle was restarted
+        ):
+            vehicle.beat(sequence, mode)
+            await asyncio.sleep(0.02)
+            assert copter.telemetry.mode == then
+        await copter.link_lost()
+        vehicle.beat(199, 5)  # after a silence, anything is news
+        await copter.link_restored()
+        assert copter.telemetry.mode == 5
+        await copter.close()
         transport.close()
 
     asyncio.run(scenario())

@@ -23,6 +23,7 @@ _GUIDED = mavlink.COPTER_MODE_GUIDED
 _RTL = mavlink.COPTER_MODE_RTL
 _LAND = mavlink.COPTER_MODE_LAND
 _HOME = Position(0.0, 0.0)
+_LIFT_REPORT_S = 1.0  # for a report that it has left the ground, while some get lost
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,11 +148,13 @@ class MavlinkAutopilot:
 
     async def _lift_off(self, step: str, altitude_m: float) -> None:
         """Commands the take-off; a repeated command is refused in the air, where only its answer was lost."""
-        stood = self._vehicle.on_ground
+        flew = self._vehicle.in_the_air
         try:
             await self._copter.command(step, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, altitude_m)
         except AutopilotRefused:
-            if not stood or self._vehicle.landed_state != mavlink.MAV_LANDED_STATE_TAKEOFF:
+            if flew or not await self._copter.happens(
+                step, lambda: self._vehicle.in_the_air, within_s=_LIFT_REPORT_S
+            ):
                 raise
 
     async def set_ground_speed(self, ground_speed_m_s: float) -> None:

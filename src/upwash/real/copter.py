@@ -17,6 +17,7 @@ from upwash.real.mavlink import COMPANION, MavlinkLink, Message
 
 _HEARTBEAT_S = 1.0
 _LATE_TEXT_S = 0.5
+_DEAD_AFTER_S = 10.0  # without any message, a connection is made anew
 _STREAMS_HZ = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 4.0,
@@ -31,6 +32,11 @@ _COPTERS = (
     mavlink.MAV_TYPE_TRICOPTER,
     mavlink.MAV_TYPE_DODECAROTOR,
     mavlink.MAV_TYPE_DECAROTOR,
+)
+_IN_THE_AIR = (
+    mavlink.MAV_LANDED_STATE_TAKEOFF,
+    mavlink.MAV_LANDED_STATE_IN_AIR,
+    mavlink.MAV_LANDED_STATE_LANDING,
 )
 _LATE_BY = 16  # messages: what is older by its sequence number comes from a vehicle that was restarted
 _TEXTS_KEPT = 16
@@ -105,6 +111,11 @@ class Telemetry:
         return bool(self.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND)
 
     @property
+    def in_the_air(self) -> bool:
+        """Whether it says that it has left the ground."""
+        return self.landed_state in _IN_THE_AIR
+
+    @property
     def mode_name(self) -> str:
         """The flight mode's name, for messages to people."""
         return _name("COPTER_MODE", self.mode).removeprefix("COPTER_MODE_")
@@ -124,7 +135,7 @@ class Copter:
         self._heard_s: dict[int, float] = {}  # when, by message number
         self._sequence: int | None = None  # the number of its last message
         self._kind = (0, 0)  # its MAV_AUTOPILOT and MAV_TYPE
-        self._last_heard_s = self._opened_s = self._loop.time()
+        self._last_heard_s = self._loop.time()
         self._news = asyncio.Event()
         self._link = MavlinkLink(connection, self._hear)
         self._accompanying = asyncio.create_task(self._accompany())
@@ -324,9 +335,8 @@ class Copter:
 
     def _leave_a_dead_connection(self) -> None:
         """A peer that vanished without a word leaves a connection behind on which nothing ever comes."""
-        now_s = self._loop.time()
-        if now_s - max(self._last_heard_s, self._opened_s) > self._patience.lost_after_s:
-            self._opened_s = now_s
+        last_sign_s = max(self._last_heard_s, self._link.opened_s)
+        if self._loop.time() - last_sign_s > _DEAD_AFTER_S:
             self._link.reopen()
 
     def _require_an_arducopter(self) -> None:

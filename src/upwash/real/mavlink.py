@@ -39,6 +39,7 @@ class MavlinkLink:
     def __init__(self, connection: str, heard: Callable[[Message], None]) -> None:
         self.connection = connection
         self.opened = asyncio.Event()  # set while it is open
+        self.opened_s = 0.0  # when it last was, by the loop's clock
         self.trouble = ""  # what last kept it from being open
         self._open = _opener(connection)
         self._connects = connection.startswith("tcp:")  # the others have no other side to lose
@@ -80,6 +81,7 @@ class MavlinkLink:
                 async with asyncio.timeout(_OPEN_WITHIN_S):
                     await self._open(line)
                 self._line = line
+                self.opened_s = asyncio.get_running_loop().time()
                 self.opened.set()
                 await line.ended.wait()
             except OSError as error:
