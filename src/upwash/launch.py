@@ -24,7 +24,7 @@ from upwash.core.instances import Host, HostSettings, ServerOffer
 from upwash.drone import Flight, World
 from upwash.errors import CredentialsError, Refused, UsageError
 from upwash.ports import Autopilot, InstanceSpec, Journal, Network
-from upwash.real.autopilot import connect_autopilot
+from upwash.real.autopilot import FlightSettings, connect_autopilot
 from upwash.real.camera import FolderCamera
 from upwash.real.credentials import Credentials, read_credentials
 from upwash.real.journal import FileJournal, JournalNotifier, Watcher
@@ -75,6 +75,10 @@ async def fly(
             config.autopilot.connection,
             frame=LocalFrame(home),
             ground_speed_m_s=config.mission.ground_speed_m_s,
+            settings=FlightSettings(
+                arrival_distance_m=config.autopilot.arrival_distance_m,
+                arrival_speed_m_s=config.autopilot.arrival_speed_m_s,
+            ),
         )
         stack.push_async_callback(autopilot.close)
         sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="upwash-")))

@@ -98,6 +98,8 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     connection: Text | None = None
     on_failure: SafeEnd = "return"
+    arrival_distance_m: Positive = 1.0
+    arrival_speed_m_s: Positive = 0.5
 
 
 class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
