@@ -6,13 +6,12 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 
 import pytest
 
 from upwash.cli import main
-from upwash.real.autopilot import FlightSettings, connect_autopilot
+from upwash.real.autopilot import FlightSettings
 from upwash.real.copter import Patience
 
 pytestmark = pytest.mark.system
@@ -76,7 +75,7 @@ def fly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     (tmp_path / "photos" / "1.jpg").write_bytes(b"\xff\xd8")
     (tmp_path / "drone.toml").write_text(CONFIG)
     (tmp_path / "patrol.py").write_text(MISSION)
-    monkeypatch.setattr("upwash.launch.connect_autopilot", partial(connect_autopilot, settings=IMPATIENT))
+    monkeypatch.setattr("upwash.launch.FlightSettings", lambda **_: IMPATIENT)
     monkeypatch.chdir(tmp_path)
 
     def flown(connection: str) -> tuple[int, str]:
