@@ -168,7 +168,7 @@ async def _open_tcp(host: str, port: int, line: _Line) -> None:
     transport, _ = await asyncio.get_running_loop().create_connection(lambda: line, host, port)
 
     def write(data: bytes) -> None:
-        if transport.get_write_buffer_size() < _MOST_UNSENT_BYTES:
+        if transport.get_write_buffer_size() < _MOST_UNSENT_BYTES and not transport.is_closing():
             transport.write(data)
 
     line.write = write

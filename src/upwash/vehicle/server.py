@@ -138,8 +138,10 @@ class _Stream(asyncio.Protocol):
         self._conversation.end()
 
     def _write(self, data: bytes) -> None:
-        # A peer that does not read loses messages, as on a serial line, instead of filling the memory.
-        if self._transport.get_write_buffer_size() < _MOST_UNSENT_BYTES:
+        # A peer that does not read loses messages, as on a serial line, instead of filling the memory. One that has
+        # hung up is known as closing before the conversation is told of its end.
+        room = self._transport.get_write_buffer_size() < _MOST_UNSENT_BYTES
+        if room and not self._transport.is_closing():
             self._transport.write(data)
 
 
