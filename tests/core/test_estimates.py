@@ -185,6 +185,13 @@ def test_a_call_cut_short_raises_the_estimate_and_weighs_nothing() -> None:
     assert estimates.mean_call_s() == pytest.approx((3.0 + 10.0) / 2), "no call was counted"
 
 
+def test_a_call_cut_short_is_known_at_once_where_servers_are_compared() -> None:
+    estimates = two_operations()
+    before_s = estimates.mean_call_s("s1")
+    estimates.observe_remote_cut("s1", HEAVY, 8.0, now_s=10.0)
+    assert estimates.mean_call_s("s1") == pytest.approx(before_s + (8.0 - 2.0) / 3 / 2)
+
+
 def test_a_call_cut_short_sooner_than_expected_says_nothing() -> None:
     estimates = two_operations()
     estimates.observe_remote_cut("s1", HEAVY, 1.9, now_s=10.0)

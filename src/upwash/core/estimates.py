@@ -91,9 +91,7 @@ class Estimates:
         self._calls = dict.fromkeys(self._local, 0)
         self._weights = self._weigh()
         self._last_remote_call_s: dict[str, dict[Operation, float]] = {server: {} for server in servers}
-        self._mean_call_s: dict[
-            str | None, float
-        ] = {}  # those asked for since something was learnt of a call
+        self._mean_call_s: dict[str | None, float] = {}  # asked for since a window or a weight last changed
 
     @property
     def operations(self) -> Iterable[Operation]:
@@ -174,6 +172,7 @@ class Estimates:
         windows = self._remote[server]
         windows[operation] = windows[operation].observe(delay_s)
         self._last_remote_call_s[server][operation] = now_s
+        self._mean_call_s.clear()
 
     def _count(self, operation: Operation) -> None:
         self._calls[operation] += 1
