@@ -19,7 +19,6 @@ from upwash.config import DroneConfig, KeysConfig, read_drone_config
 from upwash.errors import UpwashError
 from upwash.flying import fly_with_progress
 from upwash.real.credentials import make_keys
-from upwash.results import RunResult
 from upwash.services import Box, Detection
 from upwash.services.solar_park import read_truth, render_folder
 
@@ -37,7 +36,7 @@ class Score:
     false: int
 
 
-def fly_demonstration(folder: Path) -> RunResult:
+def fly_demonstration(folder: Path) -> None:
     """Flies it with everything below `folder`; whatever it started is gone when it returns or raises."""
     console = Console(markup=False)
     config = read_demonstration()
@@ -52,13 +51,12 @@ def fly_demonstration(folder: Path) -> RunResult:
         console.print(
             f"the vehicle is at {vehicle}, the servers at {', '.join(daemons.values())}", soft_wrap=True
         )
-        result = fly_with_progress(here, log=folder / "events.jsonl", console=console)
+        fly_with_progress(here, log=folder / "events.jsonl", console=console)
     score = score_photos(folder)
     console.print(
         f"hot-spots: {score.found} of {score.true} found, {score.false} false alarms, in {score.photos} photos",
         soft_wrap=True,
     )
-    return result
 
 
 def score_photos(folder: Path) -> Score:

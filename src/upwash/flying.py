@@ -16,7 +16,7 @@ from upwash.terminal import Progress, print_result
 
 def fly_with_progress(
     config: DroneConfig, *, program: str | None = None, log: Path, console: Console | None = None
-) -> RunResult:
+) -> None:
     """Flies the mission, prints how it goes and what it came to; raises what ended it early."""
     console = console or Console(markup=False)
     progress = Progress(config, len(waypoints(config.mission)), console)
@@ -24,11 +24,10 @@ def fly_with_progress(
         with progress:
             asyncio.run(fly(config, program=program, log=log, watchers=(progress.follow,)))
     finally:
-        if progress.started and read_log(log).calls:
+        if progress.started and (result := read_log(log)).calls:
             paced = any(service.local_pace_s for service in config.services)
-            print_result(read_log(log), console, paced=paced)
+            print_result(result, console, paced=paced)
             console.print(f"event log: {log}", soft_wrap=True)
-    return read_log(log)
 
 
 def read_log(log: Path) -> RunResult:

@@ -16,10 +16,10 @@ from upwash.config import (
     DroneConfig,
     KeysConfig,
     is_on_this_machine,
-    server_position,
+    server_area,
     server_truth,
 )
-from upwash.core.geo import Circle, GeoPosition, LocalFrame
+from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.core.instances import Host, HostSettings, ServerOffer
 from upwash.drone import Flight, World
 from upwash.errors import CredentialsError, Refused, UsageError
@@ -134,7 +134,7 @@ def _network(config: DroneConfig, autopilot: Autopilot) -> Network:
         return NoNetwork()
     cells: dict[str, list[Cell]] = {}
     for server in config.servers:
-        area = Circle(server_position(server, config.mission.home), server.range_m)
+        area = server_area(server, config.mission.home)
         join_s = server_truth(server, config.services).join_s
         cells.setdefault(server.network, []).append(Cell(area, join_s))
     return ModelNetwork(cells, lambda: autopilot.position)

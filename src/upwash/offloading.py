@@ -115,16 +115,13 @@ class Offloading:
             wait = "paid off" if isinstance(decision, Remote) else "failed"
             why = f"{why}: {decision.why}"
         waited_s = self._now_s() - began_s
-        reply, place = None, PLACE
+        reply, place, fell_back = None, PLACE, False
         if isinstance(decision, Remote):
-            reply = await self._call_server(decision, operation, method, request)
-        fell_back = isinstance(decision, Remote) and reply is None
-        if fell_back:
-            why = f"{why}; no usable answer, so on the drone"
-        if reply is not None and isinstance(decision, Remote):
-            place = decision.server
-        else:
-            reply = await self._call_onboard(operation, method, request)
+            reply, place = await self._call_server(decision, operation, method, request), decision.server
+            if reply is None:
+                why, fell_back = f"{why}; no usable answer, so on the drone", True
+        if reply is None:
+            reply, place = await self._call_onboard(operation, method, request), PLACE
         delay_s = self._now_s() - began_s
         self._report(Outcome(operation, place, why, began_s, delay_s, waited_s, wait, fell_back))
         return reply

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from upwash.config import DroneConfig, ServerConfig, ServiceConfig, server_position
+from upwash.config import DroneConfig, ServerConfig, ServiceConfig, server_area
 from upwash.core.estimates import Beliefs, Estimates, Operation, offline_remote_s
-from upwash.core.geo import Circle
 from upwash.core.policy import make_policy
 from upwash.core.selection import Selection, SelectionSettings
 from upwash.errors import UsageError
@@ -18,10 +17,7 @@ def make_selection(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Sel
     """The drone-side machine, with the beliefs of the configuration."""
     policy = config.policy
     return Selection(
-        {
-            server.name: Circle(server_position(server, config.mission.home), server.range_m)
-            for server in config.servers
-        },
+        {server.name: server_area(server, config.mission.home) for server in config.servers},
         estimates=make_estimates(config, specs),
         policy=make_policy(policy.name, gain_switch=policy.gain_switch, gain_wait=policy.gain_wait),
         settings=SelectionSettings(

@@ -29,7 +29,7 @@ from upwash.config.values import (
     SecondsOfEachKey,
     Text,
 )
-from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
+from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.geofence import Fence
 from upwash.plans import Ending, Plan
 
@@ -280,6 +280,11 @@ def server_position(server: ServerConfig, home: HomeConfig | None) -> Position:
     if server.latitude_deg is None or server.longitude_deg is None:
         raise ValueError(f"server {server.name} has no place: read its configuration from a file")
     return _frame(home).position(GeoPosition(server.latitude_deg, server.longitude_deg))
+
+
+def server_area(server: ServerConfig, home: HomeConfig | None) -> Circle:
+    """Where the server is in radio range."""
+    return Circle(server_position(server, home), server.range_m)
 
 
 def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> ServerTruth:

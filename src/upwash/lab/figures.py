@@ -10,7 +10,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from upwash.config import DroneConfig, server_position, waypoints
+from upwash.config import DroneConfig, server_area, waypoints
 from upwash.core.geo import Circle, Position
 from upwash.core.servers import CHECKING
 from upwash.errors import UsageError
@@ -139,10 +139,7 @@ def _stretches(calls: Sequence[CallPoint], server: str) -> Iterator[tuple[int, i
 def draw_map(config: DroneConfig, file: Path, title: str = "") -> None:
     """Draws the waypoints by the servers that cover them, the ranges and the way of the flight, as figure 4.4."""
     places = [waypoint.position for waypoint in waypoints(config.mission)]
-    areas = {
-        server.name: Circle(server_position(server, config.mission.home), server.range_m)
-        for server in config.servers
-    }
+    areas = {server.name: server_area(server, config.mission.home) for server in config.servers}
     figure = Figure(figsize=(6.6, 7.0), layout="constrained")
     axes = figure.add_subplot()
     for start, end in _straights(places):

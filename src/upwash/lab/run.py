@@ -12,8 +12,8 @@ from typing import Any
 import msgspec
 
 from upwash.bundled import load_configured_services, load_mission, service_program
-from upwash.config import DroneConfig, server_position, server_truth, waypoints
-from upwash.core.geo import Circle, Position
+from upwash.config import DroneConfig, ServerConfig, ServerTruth, server_area, server_truth, waypoints
+from upwash.core.geo import Position
 from upwash.core.instances import Host, ServerOffer
 from upwash.drone import Flight, World
 from upwash.errors import UpwashError
@@ -68,12 +68,10 @@ async def _fly(config: DroneConfig, journal: MemoryJournal) -> None:
     mission = load_mission(config.mission.program, mode=config.mission.mode)
     classes = load_configured_services(config)
     specs = {name: spec_of(cls) for name, cls in classes.items()}
+    programs = {name: service_program(config, name) for name in classes}
     chance, faults, switchboard = Chance(config.seed), Faults(config.faults), Switchboard({})
     autopilot = _autopilot(config, chance, faults)
-    areas = {
-        server.name: Circle(server_position(server, config.mission.home), server.range_m)
-        for server in config.servers
-    }
+    areas = {server.name: server_area(server, config.mission.home) for server in config.servers}
     truths = {server.name: server_truth(server, config.services) for server in config.servers}
     radio = Radio(
         areas,
@@ -88,19 +86,19 @@ async def _fly(config: DroneConfig, journal: MemoryJournal) -> None:
             Cell(areas[server.name], truths[server.name].join_s, functools.partial(radio.is_up, server.name))
         )
     heat = Heat(config.heat.ambient_c, config.heat.load_w) if config.heat else None
-    computer = DroneComputer(config.services, heat=heat, noise=config.noise.call, chance=chance)
+    drone_computer = DroneComputer(config.services, heat=heat, noise=config.noise.call, chance=chance)
     onboard = Switchboard({})
     flight = Flight(
         mission,
         config,
         services=classes,
-        programs={name: service_program(config, name) for name in classes},
+        programs=programs,
         world=World(
             autopilot=autopilot,
             network=ModelNetwork(cells, lambda: autopilot.position),
             dialer=ModelDialer(config.name, switchboard, radio),
             onboard_dialer=ModelDialer(config.name, onboard, Wire()),
-            onboard_runtime=ModelRuntime(specs, computer, onboard),
+            onboard_runtime=ModelRuntime(specs, drone_computer, onboard),
             camera=ModelCamera(photo_s=config.camera.photo_s),
             notifier=journal,
             journal=journal,
@@ -108,7 +106,13 @@ async def _fly(config: DroneConfig, journal: MemoryJournal) -> None:
     )
     async with contextlib.AsyncExitStack() as stack:
         for server in config.servers:
-            edge = _edge_server(config, server.name, specs, switchboard, faults=faults, chance=chance)
+            outside = FaultyServer(server.name, switchboard, faults=faults, slots=truths[server.name].slots)
+            computer = ServerComputer(
+                server.name, truths[server.name], faults=faults, noise=config.noise.call, chance=chance
+            )
+            edge = _edge_server(
+                server, truths[server.name], computer, outside, specs=specs, programs=programs
+            )
             stack.push_async_callback(edge.close)
             watch = asyncio.create_task(edge.run(), name=f"daemon of {server.name}")
             stack.callback(watch.cancel)
@@ -141,24 +145,20 @@ def _autopilot(config: DroneConfig, chance: Chance, faults: Faults) -> ModelAuto
 
 
 def _edge_server(
-    config: DroneConfig,
-    name: str,
-    specs: Mapping[str, ServiceSpec],
-    switchboard: Switchboard,
+    server: ServerConfig,
+    truth: ServerTruth,
+    computer: ServerComputer,
+    outside: FaultyServer,
     *,
-    faults: Faults,
-    chance: Chance,
+    specs: Mapping[str, ServiceSpec],
+    programs: Mapping[str, str],
 ) -> EdgeServer:
-    server = next(each for each in config.servers if each.name == name)
-    truth = server_truth(server, config.services)
-    computer = ServerComputer(name, truth, faults=faults, noise=config.noise.call, chance=chance)
-    outside = FaultyServer(name, switchboard, faults=faults, slots=truth.slots)
     runtime = ModelRuntime(specs, computer, outside)
     edge = EdgeServer(
-        Host({name: ServerOffer(frozenset(truth.images), truth.slots)}),
-        programs={service: service_program(config, service) for service in specs},
+        Host({server.name: ServerOffer(frozenset(truth.images), truth.slots)}),
+        programs=programs,
         runtime=runtime,
         start_timeout_s=60.0,
     )
-    outside.plug_daemon(server.address or name, edge.handle, crash=runtime.crash)
+    outside.plug_daemon(server.address or server.name, edge.handle, crash=runtime.crash)
     return edge
