@@ -418,6 +418,12 @@ def test_an_exception_arrives_as_its_own_class_with_its_message(error: Exception
     assert (type(seen), str(seen)) == (type(error), str(error))
 
 
+def test_an_operating_systems_error_arrives_with_its_number_and_file() -> None:
+    seen = raised_remotely(FileNotFoundError(2, "No such file or directory", "model.onnx"))
+    assert isinstance(seen, FileNotFoundError)
+    assert (seen.errno, seen.filename) == (2, "model.onnx")
+
+
 @pytest.mark.parametrize(
     ("error", "type_name", "message"),
     [

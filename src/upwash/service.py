@@ -288,11 +288,8 @@ def _encode_fault(error: BaseException) -> bytes:
         message = str(error)
     except Exception:  # noqa: BLE001 - an exception that cannot say what it is
         message = ""
-    plain = all(type(argument) in _PLAIN for argument in error.args)
     try:
-        return msgspec.msgpack.encode(
-            {"fault": Fault(type_path, message, list(error.args) if plain else None)}
-        )
+        return msgspec.msgpack.encode({"fault": Fault(type_path, message, _plain_args(error))})
     except (OverflowError, UnicodeEncodeError):
         message = message.encode(errors="backslashreplace").decode()
         return msgspec.msgpack.encode({"fault": Fault(type_path, message)})
