@@ -3,13 +3,18 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: run test lint format bench lock clean
+.PHONY: run test test-system lint format bench lock clean
 
 run: $(READY)
 	$(BIN)/upwash demo
 
 test: $(READY)
-	$(BIN)/python -m pytest -n 5 --dist load --maxschedchunk 1
+	$(BIN)/python -m pytest -n 5 --dist load --maxschedchunk 1 -m "not root"
+
+# Needs root: network namespaces, containers, system services. Each test says why if it cannot run here.
+test-system: $(READY)
+	tests/system/install-packages
+	$(BIN)/python -m pytest -n 2 --dist loadgroup -m root
 
 lint: $(READY)
 	$(BIN)/ruff format --check .

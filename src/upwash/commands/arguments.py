@@ -1,0 +1,52 @@
+"""Arguments that several commands take, and where a run's files go."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import itertools
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    Commands = argparse._SubParsersAction[argparse.ArgumentParser]  # what `add` adds its command to
+
+
+def place(text: str) -> tuple[float, float]:
+    """A latitude and a longitude in degrees, written LAT,LON."""
+    try:
+        latitude_deg, longitude_deg = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not LAT,LON in degrees, such as 39.3666,22.9507"
+        ) from None
+    if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no place: latitudes go from -90 to 90, longitudes to 180 degrees"
+        )
+    return latitude_deg, longitude_deg
+
+
+def count(text: str) -> int:
+    """A whole number from 1 on."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 on")
+    return int(text)
+
+
+def new_run_folder() -> Path:
+    """A folder in runs/ that is named after the time and was not there before."""
+    from datetime import datetime
+
+    name = datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
+    for number in itertools.count(1):
+        folder = Path("runs") / (name if number == 1 else f"{name}_{number}")
+        with contextlib.suppress(FileExistsError):
+            folder.mkdir(parents=True)
+            break
+    return folder
+
+
+def announce(text: str) -> None:
+    """Prints a line at once, also where standard output is a pipe that someone waits at."""
+    print(text, flush=True)

@@ -1,0 +1,29 @@
+"""upwash demo: flies the demonstration."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from upwash.commands.arguments import new_run_folder
+
+if TYPE_CHECKING:
+    from upwash.commands.arguments import Commands
+
+
+def add(commands: Commands) -> None:
+    """Adds the command."""
+    demo = commands.add_parser("demo", help="fly the demonstration: a survey over two edge servers, all here")
+    demo.add_argument("--folder", type=Path, help="where everything of the run goes (default: runs/TIME)")
+    demo.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> bool:
+    """Flies it."""
+    os.environ.setdefault("GRPC_VERBOSITY", "ERROR")
+    from upwash.demo import fly_demonstration
+
+    fly_demonstration(options.folder or new_run_folder())
+    return True

@@ -1,0 +1,42 @@
+"""upwash fly: flies a mission."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from upwash.commands.arguments import new_run_folder
+
+if TYPE_CHECKING:
+    from upwash.commands.arguments import Commands
+
+
+def add(commands: Commands) -> None:
+    """Adds the command."""
+    fly = commands.add_parser("fly", help="fly a mission")
+    fly.add_argument(
+        "mission", nargs="?", help="survey, or path/to/file.py:function (default: as configured)"
+    )
+    fly.add_argument("--config", type=Path, required=True, help="the drone's configuration, a TOML file")
+    fly.add_argument("--autopilot", metavar="CONNECTION", help="instead of the configured one")
+    fly.add_argument("--log", type=Path, help="where the event log goes (default: runs/TIME/events.jsonl)")
+    fly.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> bool:
+    """Flies; returns when the mission is over."""
+    os.environ.setdefault("GRPC_VERBOSITY", "ERROR")  # what matters is in the event log, once
+    import msgspec
+
+    from upwash.config import read_drone_config
+    from upwash.flying import fly_with_progress
+
+    config = read_drone_config(options.config)
+    if options.autopilot:
+        autopilot = msgspec.structs.replace(config.autopilot, connection=options.autopilot)
+        config = msgspec.structs.replace(config, autopilot=autopilot)
+    log = options.log or new_run_folder() / "events.jsonl"
+    fly_with_progress(config, program=options.mission, log=log)
+    return True
