@@ -1,6 +1,7 @@
-"""What a program and the service instances that it started say to each other, over a socket pair.
+"""What a program and the service instances that it started say to each other: lines of JSON.
 
-The socket is also the leash: when the program dies, however it dies, the instance reads an end of file and ends.
+A process hears its program over a socket pair, a container over TLS. Either is also the leash: when the program dies,
+however it dies, the instance reads an end of file and ends.
 """
 
 from __future__ import annotations
@@ -49,11 +50,25 @@ class Called(msgspec.Struct, frozen=True, tag="called"):
     drone: str
 
 
+class Said(msgspec.Struct, frozen=True, tag="said"):
+    """From a container: what the service in it printed."""
+
+    output: bytes
+
+
+class Ended(msgspec.Struct, frozen=True, tag="ended"):
+    """From a container, last: the service in it ended with this code, or by that signal if negative."""
+
+    code: int
+
+
+FromInstance = Ready | Failed | Admitted | Called | Said | Ended
+
 _encoder = msgspec.json.Encoder()
 to_instance = msgspec.json.Decoder(Begin | Admit)
-from_instance = msgspec.json.Decoder(Ready | Failed | Admitted | Called)
+from_instance: msgspec.json.Decoder[FromInstance] = msgspec.json.Decoder(FromInstance)
 
 
-def line(message: Begin | Admit | Ready | Failed | Admitted | Called) -> bytes:
+def line(message: Begin | Admit | FromInstance) -> bytes:
     """A message as one line of JSON."""
     return _encoder.encode(message) + b"\n"
