@@ -33,7 +33,7 @@ from upwash.core.selection import (
     Start,
 )
 from upwash.core.servers import Change, State
-from upwash.errors import DeadlineExceeded, LinkError, NetworkError
+from upwash.errors import AutopilotLost, DeadlineExceeded, LinkError, NetworkError
 from upwash.onboard import PLACE, OnboardServices
 from upwash.ports import Autopilot, Dialer, Journal, Network
 from upwash.service import Method
@@ -55,6 +55,7 @@ class Outcome:
     at_s: float
     delay_s: float
     waited_s: float
+    onboard_s: float  # of the delay, what the drone's own service took
     wait: str  # "", "paid off" or "failed"
     fell_back: bool
 
@@ -115,15 +116,17 @@ class Offloading:
             wait = "paid off" if isinstance(decision, Remote) else "failed"
             why = f"{why}: {decision.why}"
         waited_s = self._now_s() - began_s
-        reply, place, fell_back = None, PLACE, False
+        reply, place, fell_back, onboard_s = None, PLACE, False, 0.0
         if isinstance(decision, Remote):
             reply, place = await self._call_server(decision, operation, method, request), decision.server
             if reply is None:
                 why, fell_back = f"{why}; no usable answer, so on the drone", True
         if reply is None:
+            onboard_since_s = self._now_s()
             reply, place = await self._call_onboard(operation, method, request), PLACE
+            onboard_s = self._now_s() - onboard_since_s
         delay_s = self._now_s() - began_s
-        self._report(Outcome(operation, place, why, began_s, delay_s, waited_s, wait, fell_back))
+        self._report(Outcome(operation, place, why, began_s, delay_s, waited_s, onboard_s, wait, fell_back))
         return reply
 
     def _report(self, outcome: Outcome) -> None:
@@ -248,10 +251,20 @@ class Offloading:
             alarm.cancel()
 
     async def _watch_borders(self) -> None:
+        """Looks at once where a border is crossed; while the vehicle is silent, once a period has to do."""
         areas = [server.area for server in self._selection.servers.values()]
+        silent = False
         while True:
-            await self._autopilot.border_crossed(areas)
-            self._tell(Looked())
+            try:
+                await self._autopilot.border_crossed(areas)
+            except AutopilotLost as error:
+                if not silent:
+                    self._journal.record("border_watch_failed", why=str(error))
+                silent = True
+                await asyncio.sleep(self._period_s)
+            else:
+                silent = False
+                self._tell(Looked())
 
     async def _carry_out(self) -> None:
         """Carries out what concerns the radio, one order after the other."""

@@ -50,7 +50,7 @@ class Autopilot(Protocol):
         """Stops the motors; refused by the vehicle in flight."""
 
     async def border_crossed(self, circles: Sequence[Circle]) -> None:
-        """Returns when the vehicle next enters or leaves any of the circles."""
+        """Returns when the vehicle next enters or leaves any of the circles; AutopilotLost if it falls silent."""
 
     async def close(self) -> None:
         """Gives up the connection to the vehicle; the vehicle is left as it is."""

@@ -97,6 +97,16 @@ def test_remote_calls_that_fail_are_answered_on_the_drone_and_blacklist_the_serv
     assert run.result.completed
 
 
+def test_offloading_goes_on_after_the_vehicle_was_silent_for_a_while(tmp_path: Path) -> None:
+    # The drone enters the range at about 44 s, while nothing is heard of the vehicle, and arrives at 49 s.
+    silent = '[[fault]]\ntarget = "autopilot"\nkind = "off"\nfrom_s = 41.5\nto_s = 47.0\n'
+    run = fly(tmp_path, truth="join_s = 1.0\nstart_s = 1.0", more=silent)
+    assert run.failure == "" and run.result.completed
+    assert not events(run, "offloading_failed")
+    assert len(events(run, "border_watch_failed")) == 1
+    assert places(run) == ["local", "local", "s1", "s1", "local", "local"]
+
+
 LOADED = "join_s = 1.0\nstart_s = 1.0\nremote_call_s = { light = 0.3, heavy = 7.7 }"
 
 

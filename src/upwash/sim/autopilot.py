@@ -157,12 +157,14 @@ class ModelAutopilot:
     async def return_home_and_land(self) -> None:
         """Back to where it took off."""
         self._reach("return")
-        await self._move("return", self._manner.return_and_land(self.position, self._ground))
+        way = self._manner.return_and_land(self.position, self._ground)
+        await self._move("return", way, end=self._ground)
 
     async def land(self) -> None:
         """Straight down."""
         self._reach("land")
-        await self._move("land", self._manner.landing(self.position))
+        here = self.position
+        await self._move("land", self._manner.landing(here), end=Position(here.east_m, here.north_m))
 
     async def disarm(self) -> None:
         """At once, on the ground."""
@@ -172,13 +174,15 @@ class ModelAutopilot:
         self._armed = False
 
     async def border_crossed(self, circles: Sequence[Circle]) -> None:
-        """Returns just after the vehicle has entered or left a circle."""
+        """Returns just after the vehicle has crossed a border; AutopilotLost where its link is silent then."""
         while True:
+            self._reach("watch the borders")
             crossing_s = self._next_crossing_s(circles)
             try:
                 async with asyncio.timeout_at(crossing_s):
                     await self._moved.wait()
             except TimeoutError:
+                self._reach("watch the borders")
                 return
 
     async def close(self) -> None:
@@ -189,9 +193,16 @@ class ModelAutopilot:
         if fault is not None and fault.kind == "off":
             raise AutopilotLost(step, "the vehicle's link is silent")
 
-    async def _move(self, step: str, phases: tuple[Phase, ...], *, until_s: float | None = None) -> None:
-        """Begins to move, and returns at the end of the phases or earlier."""
-        end = phases[-1].end if phases else self.position
+    async def _move(
+        self,
+        step: str,
+        phases: tuple[Phase, ...],
+        *,
+        until_s: float | None = None,
+        end: Position | None = None,
+    ) -> None:
+        """Begins to move, and returns at the end of the phases or earlier; `end` is where that is, exactly."""
+        end = end or (phases[-1].end if phases else self.position)
         self._begin(Motion(self._loop.time(), phases, end))
         self._moved.set()
         self._moved = asyncio.Event()
