@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 
 from upwash.config import Document, drone_config
-from upwash.errors import UpwashError, UsageError
+from upwash.errors import UsageError
+from upwash.lab import processes
 from upwash.lab.campaign_file import CampaignFile, Row
 from upwash.lab.confidence import Mean, mean_of
 from upwash.lab.run import simulate
@@ -68,26 +63,7 @@ def run_campaign(
 
 def in_processes(workers: int | None = None) -> Fly:
     """Flies in so many processes of this machine; by default one for each core that may be used."""
-
-    @contextlib.contextmanager
-    def fly(chunks: Sequence[Chunk]) -> Generator[Iterator[list[Row]]]:
-        pool = ProcessPoolExecutor(
-            max(1, min(workers or _cores(), len(chunks))),
-            mp_context=multiprocessing.get_context("spawn"),  # forking a process with threads is not safe
-            initializer=_begin_worker,
-        )
-        try:
-            futures = [pool.submit(fly_chunk, chunk) for chunk in chunks]
-            yield (future.result() for future in as_completed(futures))
-        except BrokenProcessPool:
-            raise UpwashError(
-                "a process of the campaign was killed, perhaps for want of memory; "
-                "the same command continues it, --workers 1 with less memory"
-            ) from None
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-    return fly
+    return lambda chunks: processes.in_processes(fly_chunk, chunks, workers=workers)
 
 
 def on_cluster(address: str, *, answer_s: float = 10.0) -> Fly:
@@ -166,23 +142,3 @@ def _summary(combination: Combination, rows: Iterable[Row]) -> CombinationSummar
         mean_of(times_s) if times_s else None,
         {row.seed: row.failure for row in own if not row.completed},
     )
-
-
-def _cores() -> int:
-    """Those that this process may use: fewer than there are, in a container or under taskset."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _begin_worker() -> None:
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # Ctrl-C goes to every process: the first one ends the others
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """Leaves no process behind when the first one is killed outright and cannot end the others."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None  # noqa: S101 - this is a worker
-    parent.join()
-    os._exit(1)

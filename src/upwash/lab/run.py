@@ -3,36 +3,36 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 
 from upwash.bundled import load_configured_services, load_mission, service_program
-from upwash.config import DroneConfig, ServerConfig, ServerTruth, server_area, server_truth, waypoints
+from upwash.config import DroneConfig, server_area, server_truth, waypoints
 from upwash.core.geo import Position
-from upwash.core.instances import Host, ServerOffer
 from upwash.drone import Flight, World
 from upwash.errors import UpwashError
+from upwash.lab.field import Software, serving
+from upwash.lab.witness import DroneWitness
+from upwash.ports import Dialer, Network
 from upwash.results import RunResult, read_result
-from upwash.server import EdgeServer
-from upwash.service import ServiceSpec, spec_of
+from upwash.service import spec_of
 from upwash.sim.autopilot import ModelAutopilot, Plain
 from upwash.sim.camera import ModelCamera
 from upwash.sim.chance import Chance
-from upwash.sim.faults import Faults, FaultyServer
+from upwash.sim.faults import Faults
 from upwash.sim.heat import Heat
 from upwash.sim.journal import MemoryJournal
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
 from upwash.sim.network import Cell, ModelNetwork
 from upwash.sim.radio import read_goodput
-from upwash.sim.runtime import ModelRuntime
+from upwash.sim.runtime import Computer, ModelRuntime
 from upwash.sim.sleeping import sleeps_reported
-from upwash.sim.world import DroneComputer, Radio, ServerComputer, Wire
+from upwash.sim.world import DroneComputer, Radio, Wire
 from upwash.vehicle import arducopter
 
 _LONGEST_S = 48 * 3600.0  # of virtual time: a mission that takes longer never ends
@@ -53,24 +53,121 @@ class Run:
 
 def simulate(config: DroneConfig) -> Run:
     """Flies the scenario's mission on virtual time; the same scenario and seed give the same run."""
-    journal = MemoryJournal()
-    failure = ""
+    (run,) = simulate_fleet([config])
+    return run
+
+
+def simulate_fleet(
+    fleet: Sequence[DroneConfig], *, computing: bool = False, witness: MemoryJournal | None = None
+) -> list[Run]:
+    """Flies the missions of several drones at the same time, among the servers of the first one's scenario.
+
+    With `computing` the services really compute, in no time, instead of returning empty results; the witness
+    notes what it sees of drones and servers.
+    """
+    journals = [MemoryJournal() for _ in fleet]
+    failures = [""] * len(fleet)
     try:
         with sleeps_reported():
-            run_virtually(_fly(config, journal))
+            failures = run_virtually(_fly(fleet, journals, computing=computing, witness=witness))
     except UpwashError as error:
-        failure = str(error)
-    return Run(journal.events, read_result(journal.events), failure)
+        failures = [str(error)] * len(fleet)
+    return [
+        Run(journal.events, read_result(journal.events), failure)
+        for journal, failure in zip(journals, failures, strict=True)
+    ]
 
 
-async def _fly(config: DroneConfig, journal: MemoryJournal) -> None:
-    journal.begin()
-    mission = load_mission(config.mission.program, mode=config.mission.mode)
-    classes = load_configured_services(config)
-    specs = {name: spec_of(cls) for name, cls in classes.items()}
-    programs = {name: service_program(config, name) for name in classes}
-    chance, faults, switchboard = Chance(config.seed), Faults(config.faults), Switchboard({})
+async def _fly(
+    fleet: Sequence[DroneConfig],
+    journals: Sequence[MemoryJournal],
+    *,
+    computing: bool,
+    witness: MemoryJournal | None,
+) -> list[str]:
+    """Returns why each mission was not completed, "" for those that were."""
+    for journal in (*journals, *([witness] if witness else [])):
+        journal.begin()
+    classes = load_configured_services(fleet[0])
+    software = Software(
+        specs={name: spec_of(cls) for name, cls in classes.items()},
+        programs={name: service_program(fleet[0], name) for name in classes},
+        objects={name: cls() for name, cls in classes.items()} if computing else {},
+    )
+    async with serving(fleet[0], software, witness=witness) as switchboard:
+        flights = [
+            _fly_one(
+                config,
+                journal,
+                classes=classes,
+                software=software,
+                switchboard=switchboard,
+                seen_by=witness,
+            )
+            for config, journal in zip(fleet, journals, strict=True)
+        ]
+        try:
+            async with asyncio.timeout(_LONGEST_S):
+                return await asyncio.gather(*flights)
+        except TimeoutError:
+            raise UpwashError(
+                f"the mission did not end within {_LONGEST_S / 3600:.0f} h of virtual time; "
+                "a verb of the mission never returned, or it flies in circles"
+            ) from None
+
+
+async def _fly_one(
+    config: DroneConfig,
+    journal: MemoryJournal,
+    *,
+    classes: Mapping[str, type],
+    software: Software,
+    switchboard: Switchboard,
+    seen_by: MemoryJournal | None,
+) -> str:
+    """Returns why the mission was not completed, or ""."""
+    chance, faults = Chance(config.seed), Faults(config.faults)
     autopilot = _autopilot(config, chance, faults)
+    witness = DroneWitness(config.name, seen_by, lambda: autopilot.position) if seen_by else None
+    network, dialer = _radio(config, autopilot, switchboard, faults)
+    heat = Heat(config.heat.ambient_c, config.heat.load_w) if config.heat else None
+    computer: Computer = DroneComputer(config.services, heat=heat, noise=config.noise.call, chance=chance)
+    onboard = Switchboard({})
+    flight = Flight(
+        load_mission(config.mission.program, mode=config.mission.mode),
+        config,
+        services=classes,
+        programs=software.programs,
+        world=World(
+            autopilot=autopilot,
+            network=witness.network(network) if witness else network,
+            dialer=witness.dialer(dialer) if witness else dialer,
+            onboard_dialer=ModelDialer(config.name, onboard, Wire()),
+            onboard_runtime=ModelRuntime(
+                software.specs,
+                witness.computer(computer) if witness else computer,
+                onboard,
+                objects=software.objects,
+            ),
+            camera=ModelCamera(photo_s=config.camera.photo_s),
+            notifier=journal,
+            journal=journal,
+        ),
+    )
+    try:
+        await flight.run()
+    except UpwashError as error:
+        return str(error)
+    finally:
+        if witness:
+            witness.record("flight_over", altitude_m=autopilot.position.altitude_m)
+    return ""
+
+
+def _radio(
+    config: DroneConfig, autopilot: ModelAutopilot, switchboard: Switchboard, faults: Faults
+) -> tuple[Network, Dialer]:
+    """The networks in the drone's reach, and the way to whoever is there."""
     areas = {server.name: server_area(server, config.mission.home) for server in config.servers}
     truths = {server.name: server_truth(server, config.services) for server in config.servers}
     radio = Radio(
@@ -85,45 +182,8 @@ async def _fly(config: DroneConfig, journal: MemoryJournal) -> None:
         cells.setdefault(server.network, []).append(
             Cell(areas[server.name], truths[server.name].join_s, functools.partial(radio.is_up, server.name))
         )
-    heat = Heat(config.heat.ambient_c, config.heat.load_w) if config.heat else None
-    drone_computer = DroneComputer(config.services, heat=heat, noise=config.noise.call, chance=chance)
-    onboard = Switchboard({})
-    flight = Flight(
-        mission,
-        config,
-        services=classes,
-        programs=programs,
-        world=World(
-            autopilot=autopilot,
-            network=ModelNetwork(cells, lambda: autopilot.position),
-            dialer=ModelDialer(config.name, switchboard, radio),
-            onboard_dialer=ModelDialer(config.name, onboard, Wire()),
-            onboard_runtime=ModelRuntime(specs, drone_computer, onboard),
-            camera=ModelCamera(photo_s=config.camera.photo_s),
-            notifier=journal,
-            journal=journal,
-        ),
-    )
-    async with contextlib.AsyncExitStack() as stack:
-        for server in config.servers:
-            outside = FaultyServer(server.name, switchboard, faults=faults, slots=truths[server.name].slots)
-            computer = ServerComputer(
-                server.name, truths[server.name], faults=faults, noise=config.noise.call, chance=chance
-            )
-            edge = _edge_server(
-                server, truths[server.name], computer, outside, specs=specs, programs=programs
-            )
-            stack.push_async_callback(edge.close)
-            watch = asyncio.create_task(edge.run(), name=f"daemon of {server.name}")
-            stack.callback(watch.cancel)
-        try:
-            async with asyncio.timeout(_LONGEST_S):
-                await flight.run()
-        except TimeoutError:
-            raise UpwashError(
-                f"the mission did not end within {_LONGEST_S / 3600:.0f} h of virtual time; "
-                "a verb of the mission never returned, or it flies in circles"
-            ) from None
+    network = ModelNetwork(cells, lambda: autopilot.position)
+    return network, ModelDialer(config.name, switchboard, radio)
 
 
 def _autopilot(config: DroneConfig, chance: Chance, faults: Faults) -> ModelAutopilot:
@@ -142,23 +202,3 @@ def _autopilot(config: DroneConfig, chance: Chance, faults: Faults) -> ModelAuto
         fault=lambda: faults.now("autopilot"),
         endurance_s=vehicle.endurance_s,
     )
-
-
-def _edge_server(
-    server: ServerConfig,
-    truth: ServerTruth,
-    computer: ServerComputer,
-    outside: FaultyServer,
-    *,
-    specs: Mapping[str, ServiceSpec],
-    programs: Mapping[str, str],
-) -> EdgeServer:
-    runtime = ModelRuntime(specs, computer, outside)
-    edge = EdgeServer(
-        Host({server.name: ServerOffer(frozenset(truth.images), truth.slots)}),
-        programs=programs,
-        runtime=runtime,
-        start_timeout_s=60.0,
-    )
-    outside.plug_daemon(server.address or server.name, edge.handle, crash=runtime.crash)
-    return edge

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import itertools
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import msgspec
@@ -29,12 +31,21 @@ class Computer(Protocol):
 
 
 class ModelRuntime:
-    """Starts modelled instances of the services on a computer, plugged in at addresses of their own."""
+    """Starts modelled instances of the services on a computer, plugged in at addresses of their own.
+
+    Those of the services in `objects` answer what the object answers, the others with empty results.
+    """
 
     def __init__(
-        self, services: Mapping[str, ServiceSpec], computer: Computer, switchboard: Plugboard
+        self,
+        services: Mapping[str, ServiceSpec],
+        computer: Computer,
+        switchboard: Plugboard,
+        *,
+        objects: Mapping[str, object] = MappingProxyType({}),
     ) -> None:
         self._services = services
+        self._objects = objects
         self._computer = computer
         self._switchboard = switchboard
         self._numbers = itertools.count()
@@ -51,6 +62,7 @@ class ModelRuntime:
             called=called,
             computer=self._computer,
             switchboard=self._switchboard,
+            target=self._objects.get(spec.service),
         )
         self._instances.append(instance)
         return instance
@@ -63,7 +75,7 @@ class ModelRuntime:
 
 
 class ModelInstance:
-    """One instance: takes calls one after the other, as the real one does, and returns empty results."""
+    """One instance: takes calls one after the other, as the real one does, and answers as the target, if any."""
 
     def __init__(
         self,
@@ -74,9 +86,11 @@ class ModelInstance:
         called: Callable[[str], None],
         computer: Computer,
         switchboard: Plugboard,
+        target: object | None,
     ) -> None:
         self.endpoint = endpoint
         self._spec = spec
+        self._target = target
         self._methods = {
             service_path(spec.service, name): (method, empty_reply(method))
             for name, method in service.methods.items()
@@ -125,12 +139,17 @@ class ModelInstance:
                 self.crash(str(error))
         if self._ended.done():
             raise InstanceError(f"{self._spec.name} {self._ended.result()}")
-        return reply
+        return reply if self._target is None else method.perform(self._target, body)[1]
 
 
 def empty_reply(method: Method) -> bytes:
     """A reply that carries the emptiest value of the method's result type."""
-    reply = types.type_info(method.reply.type)
+    return _empty_reply(method.reply.type)  # type: ignore[arg-type]  # mypy doubts that classes are hashable
+
+
+@functools.cache
+def _empty_reply(reply_type: Any) -> bytes:
+    reply = types.type_info(reply_type)
     assert isinstance(reply, types.StructType)  # noqa: S101 - made by service.py
     value = next(field.type for field in reply.fields if field.name == "value")
     return msgspec.msgpack.encode({"value": _empty(value)})

@@ -1,0 +1,150 @@
+"""What a person sees of worlds being flown: progress, and for a broken promise how to see it again."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+
+from upwash.lab.chaos import Flown, Verdict, fly_world, judge
+from upwash.lab.processes import in_processes
+from upwash.lab.promises import Broken
+from upwash.lab.worlds import as_toml
+
+_CHUNK = 20  # worlds that one process flies in one go
+_REPLAYED_EVERY = 20  # worlds, of which one is flown again and must leave the same log
+_FAILURES_SHOWN = 20
+
+
+class Summary(msgspec.Struct):
+    """What many worlds came to."""
+
+    worlds: int = 0
+    flights: int = 0
+    calls: int = 0
+    replayed: int = 0
+    closest: float = 0.0  # the delay of the call that came nearest to its bound, as a share of it
+    broken: list[Broken] = msgspec.field(default_factory=list)
+
+    def add(self, verdict: Verdict) -> None:
+        """Takes in one world."""
+        self.worlds += 1
+        self.flights += verdict.drones
+        self.calls += verdict.calls
+        self.replayed += is_replayed(verdict.seed)
+        self.closest = max(self.closest, verdict.closest)
+        self.broken += verdict.broken
+
+
+def is_replayed(seed: int) -> bool:
+    """Whether the world of that seed is one of those that are flown twice."""
+    return seed % _REPLAYED_EVERY == 0
+
+
+def judge_all(seeds: Sequence[int]) -> list[Verdict]:
+    """Flies the worlds of the seeds one after the other."""
+    with _quiet_daemons():
+        return [judge(seed, replay=is_replayed(seed)) for seed in seeds]
+
+
+def show_chaos(seeds: range, *, minutes: float | None = None, workers: int | None = None) -> bool:
+    """Flies the worlds, prints each broken promise and what all came to; returns whether none was broken.
+
+    With `minutes` it hands out no more worlds after that time.
+    """
+    console, summary, began_s = Console(), Summary(), time.monotonic()
+    chunks = [seeds[first : first + _CHUNK] for first in range(0, len(seeds), _CHUNK)]
+    columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
+    with (
+        Progress(*columns, console=console) as progress,
+        in_processes(judge_all, chunks, workers=workers) as done,
+    ):
+        bar = progress.add_task("worlds", total=len(seeds))
+        for verdicts in done:
+            for verdict in verdicts:
+                _show_broken(verdict.broken, console, shown=len(summary.broken))
+                summary.add(verdict)
+            progress.advance(bar, len(verdicts))
+            if minutes is not None and time.monotonic() - began_s > 60 * minutes:
+                break
+    _show_summary(summary, time.monotonic() - began_s, console)
+    return not summary.broken
+
+
+def replay(seed: int, log: Path | None) -> bool:
+    """Flies one world, prints what it came to, and returns whether no promise was broken.
+
+    With `log`, each drone's event log and scenario are written there and beside it, and what a witness saw.
+    """
+    console = Console()
+    flown = fly_world(seed)
+    if log is not None:
+        for file in _write(flown, log):
+            console.print(str(file), soft_wrap=True)
+    _show_broken(flown.broken, console, shown=0, hint=False)
+    if not flown.broken:
+        console.print(f"seed {seed}: no promise broken")
+    return not flown.broken
+
+
+def _write(flown: Flown, log: Path) -> Iterator[Path]:
+    log.parent.mkdir(parents=True, exist_ok=True)
+    for document, run in zip(flown.documents, flown.runs, strict=True):
+        first = run is flown.runs[0]
+        own = log if first else log.with_name(f"{log.stem}-{document['name']}{log.suffix}")
+        own.write_bytes(run.log())
+        yield own
+        scenario = own.with_suffix(".toml")
+        scenario.write_text(as_toml(document))
+        yield scenario
+    seen = log.with_name(f"{log.stem}-seen{log.suffix}")
+    seen.write_bytes(b"".join(msgspec.json.encode(fact) + b"\n" for fact in flown.seen))
+    yield seen
+
+
+def _show_broken(broken: Sequence[Broken], console: Console, *, shown: int, hint: bool = True) -> None:
+    for each in broken[: max(0, _FAILURES_SHOWN - shown)]:
+        console.print(
+            f"{each.promise} broken by seed {each.seed}: {each.why}",
+            style="red",
+            markup=False,
+            soft_wrap=True,
+        )
+        if each.event is not None:
+            console.print(
+                f"  first bad event: {msgspec.json.encode(each.event).decode()}", markup=False, soft_wrap=True
+            )
+        if hint:
+            console.print(
+                f"  see it again: upwash chaos --seed {each.seed} --log chaos-{each.seed}.jsonl",
+                soft_wrap=True,
+            )
+
+
+def _show_summary(summary: Summary, took_s: float, console: Console) -> None:
+    worlds = {each.seed for each in summary.broken}
+    console.print(
+        f"{summary.worlds:,} worlds with {summary.flights:,} flights and {summary.calls:,} calls "
+        f"in {took_s / 60:.1f} min; {summary.replayed:,} worlds flown again",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
+    console.print(f"the call nearest to its bound took {100 * summary.closest:.1f} % of it", highlight=False)
+    said = f"promises broken in {len(worlds):,} worlds" if worlds else "no promise broken"
+    console.print(said, style="red" if worlds else "green", highlight=False)
+
+
+@contextlib.contextmanager
+def _quiet_daemons() -> Iterator[None]:
+    """Simulated daemons report thousands of crashes that were meant to be."""
+    daemons = logging.getLogger("upwash.server")
+    before, daemons.disabled = daemons.disabled, True
+    try:
+        yield
+    finally:
+        daemons.disabled = before

@@ -1,0 +1,62 @@
+"""Work spread over processes of this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from typing import TypeVar
+
+from upwash.errors import UpwashError
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+@contextlib.contextmanager
+def in_processes(
+    do: Callable[[T], R], parts: Sequence[T], *, workers: int | None = None
+) -> Generator[Iterator[R]]:
+    """The results of the parts, as they come in; by default from one process for each core that may be used.
+
+    Leaving early gives up the parts that have not begun.
+    """
+    pool = ProcessPoolExecutor(
+        max(1, min(workers or _cores(), len(parts))),
+        mp_context=multiprocessing.get_context("spawn"),  # forking a process with threads is not safe
+        initializer=_begin,
+    )
+    try:
+        futures = [pool.submit(do, part) for part in parts]
+        yield (future.result() for future in as_completed(futures))
+    except BrokenProcessPool:
+        raise UpwashError(
+            "a process was killed, perhaps for want of memory; --workers 1 needs less of it"
+        ) from None
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _cores() -> int:
+    """Those that this process may use: fewer than there are, in a container or under taskset."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _begin() -> None:
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # Ctrl-C goes to every process: the first one ends the others
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """Leaves no process behind when the first one is killed outright and cannot end the others."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None  # noqa: S101 - this runs in a child
+    parent.join()
+    os._exit(1)

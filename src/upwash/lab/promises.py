@@ -1,0 +1,423 @@
+"""The promises of docs/promises.md, tested over what one simulated flight left behind.
+
+A promise's check yields what breaks it, the first breach first. It goes by the drone's event log, by what a
+witness saw of drones and servers (`witness.py`), and by the same mission flown without servers.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import msgspec
+
+from upwash.config import DroneConfig, server_area, waypoints
+from upwash.core.geo import Position
+from upwash.core.instances import HostSettings
+from upwash.core.servers import SELECTED, TRANSITIONS, Event, State
+from upwash.lab import probing
+from upwash.lab.run import Run
+from upwash.protocol import LEAVE
+
+Fact = Mapping[str, Any]  # an event of a log
+Breach = tuple[Fact | None, str]  # the bad event, where one can be named, and what is bad about it
+
+_CHANGES = frozenset(event.value for event in Event)
+_SERVICE_PATH = "/upwash.service."
+_SLACK_S = 0.1
+_ROUNDING_S = 2e-6  # of the times in a log
+_FAREWELL_S = 0.5  # a drone says goodbye to its last server
+_LOOK_S = 1.0  # a daemon looks no more often at what has come to its end
+_LEASE_S = HostSettings().lease_s
+_KEEP_TRYING_S = 600.0  # a safe end is given up no earlier
+_REMOTE_LEAST_S, _REMOTE_FACTOR = 1.0, 4.0  # of the deadline of a remote call
+
+
+class Promise(IntEnum):
+    """The promises that a simulated flight can break, by their numbers."""
+
+    AUTONOMY = 1
+    BOUNDED_CALLS = 2
+    ONE_ANSWER = 3
+    TRUTHFUL_ERRORS = 4
+    ONE_SELECTION = 5
+    RANGE = 6
+    RESPECT = 7
+    NO_HARM = 8
+    REPRODUCIBLE = 9
+    ADMISSION = 11
+    VEHICLE_FIRST = 13
+
+    def __str__(self) -> str:
+        return f"promise {self.value} ({self.name.lower().replace('_', ' ')})"
+
+
+@dataclass(frozen=True, slots=True)
+class Broken:
+    """A promise that a flight broke, in the world of that seed; `event` is the first bad one, if one can be named."""
+
+    promise: Promise
+    seed: int
+    event: Fact | None
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """What is known of one flight when it is over.
+
+    `seen` are the events of a witness, of other drones' flights in the same world too; `alone` is the same mission
+    by the same chance without any server, where that can be compared.
+    """
+
+    config: DroneConfig
+    run: Run
+    seen: Sequence[Fact] = ()
+    alone: Run | None = None
+
+    def own(self, *names: str) -> Iterator[Fact]:
+        """What the witness saw of this drone, of those names."""
+        return (
+            fact for fact in self.seen if fact["event"] in names and fact.get("drone") == self.config.name
+        )
+
+
+def broken_promises(history: History, *, seed: int) -> list[Broken]:
+    """The promises that the flight in the world of that seed broke, each by its first breach."""
+    found = []
+    for promise, check in CHECKS.items():
+        for event, why in check(history):
+            found.append(Broken(promise, seed, event, why))
+            break
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """One call of the mission with the decisions that were made for it."""
+
+    decisions: tuple[Fact, ...]
+    ended: Fact
+
+    @property
+    def allowed_s(self) -> float:
+        """What the rules allowed it to wait and to try: what was not allowed counts 0."""
+        return sum((each.get("at_most_s", 0.0) + each.get("deadline_s", 0.0) for each in self.decisions), 0.0)
+
+    @property
+    def bound_s(self) -> float:
+        """The longest that it may have taken."""
+        onboard_s: float = self.ended["onboard_s"]
+        return self.allowed_s + onboard_s + _SLACK_S
+
+
+def calls_of(events: Sequence[Fact]) -> Iterator[Call]:
+    """The calls of an event log, in order."""
+    decisions: list[Fact] = []
+    for event in events:
+        if event["event"] == "decided":
+            decisions.append(event)
+        elif event["event"] == "call":
+            yield Call(tuple(decisions), event)
+            decisions = []
+
+
+# --- 1: autonomy --------------------------------------------------------------------------------------------
+
+
+def autonomy(history: History) -> Iterator[Breach]:
+    """Every waypoint in order, its calls answered; an autopilot that failed may cut that short."""
+    events, run = history.run.events, history.run
+    for event in events:
+        if event["event"] == "offloading_failed":
+            yield event, f"offloading ended for the rest of the flight: {event['why']}"
+    arrived = [event["waypoint"] for event in events if event["event"] == "arrived"]
+    planned = [waypoint.index for waypoint in waypoints(history.config.mission)]
+    if arrived != planned[: len(arrived)]:
+        yield None, f"arrived at waypoints {arrived} instead of {planned}"
+    if may_be_cut_short(history.config):
+        return
+    if run.failure or not run.result.completed:
+        yield (events[-1] if events else None), f"the mission was not completed: {run.failure}"
+    elif len(arrived) < len(planned):
+        yield None, f"arrived at {len(arrived)} of {len(planned)} waypoints"
+    if history.alone is not None:
+        made, wanted = (
+            [(call.waypoint, call.operation) for call in each.result.calls] for each in (run, history.alone)
+        )
+        if made != wanted:
+            yield None, f"{len(made)} calls had a result, the drone alone has {len(wanted)}: {made}"
+
+
+def may_be_cut_short(config: DroneConfig) -> bool:
+    """Whether the autopilot fails in this world, so that the mission may end early, in its safe action."""
+    return any(fault.target == "autopilot" and fault.kind != "slow" for fault in config.faults)
+
+
+# --- 2 to 4: calls ------------------------------------------------------------------------------------------
+
+
+def bounded_calls(history: History) -> Iterator[Breach]:
+    """The longest worthwhile wait, the remote deadline and one local call, each as the rules say."""
+    gain_wait = history.config.policy.gain_wait
+    computed = deque(history.own("computed"))
+    for call in calls_of(history.run.events):
+        ended = call.ended
+        if ended["delay_s"] > call.bound_s:
+            yield ended, f"took {ended['delay_s']:.3f} s of at most {call.bound_s:.3f} s"
+        for decided in call.decisions:
+            yield from _allowed_too_much(decided, gain_wait)
+        if computed and ended["place"] == "local":
+            took_s = computed.popleft()["took_s"]
+            if ended["onboard_s"] > took_s + _SLACK_S:
+                yield (
+                    ended,
+                    f"spent {ended['onboard_s']:.3f} s on the drone, whose service took {took_s:.3f} s",
+                )
+
+
+def _allowed_too_much(decided: Fact, gain_wait: float) -> Iterator[Breach]:
+    if decided["decision"] == "wait":
+        longest_s = decided["local_s"] * (1 - gain_wait) - decided["remote_s"]
+        if decided["at_most_s"] > longest_s + _ROUNDING_S:
+            yield decided, f"may wait {decided['at_most_s']:.3f} s, worthwhile are {longest_s:.3f} s"
+    elif decided["decision"] == "remote":
+        longest_s = max(_REMOTE_LEAST_S, min(_REMOTE_FACTOR * decided["remote_s"], decided["local_s"]))
+        if decided["deadline_s"] > longest_s + _ROUNDING_S:
+            yield decided, f"has a deadline of {decided['deadline_s']:.3f} s, allowed are {longest_s:.3f} s"
+
+
+def one_answer(history: History) -> Iterator[Breach]:
+    """One result a call, its own; a server's within the deadline."""
+    for call in calls_of(history.run.events):
+        yield from _unbelievable(call)
+    told = _told(history)
+    for number, (event, heard) in enumerate(told):
+        if heard.asked != number:
+            yield event, f"this is about call {heard.asked}, but number {number} was to come"
+        elif not heard.raised and heard != _expected(history.config, heard.asked):
+            yield event, f"call {heard.asked} was answered by {heard.answer}, which is another call's answer"
+    if _is_probing(history.config) and len(told) != (calls := len(history.run.result.calls)):
+        yield None, f"{calls} calls ended, and {len(told)} answers reached the mission"
+
+
+def _unbelievable(call: Call) -> Iterator[Breach]:
+    ended, tried = call.ended, [each for each in call.decisions if each["decision"] == "remote"]
+    if len(tried) > 1:
+        yield tried[1], "a second server was tried for one call"
+    if ended["place"] == "local":
+        return
+    if not tried or tried[-1]["server"] != ended["place"]:
+        yield ended, f"was answered by {ended['place']}, where it was not sent"
+    elif (took_s := ended["t"] - tried[-1]["t"]) > tried[-1]["deadline_s"] + _SLACK_S:
+        yield (
+            ended,
+            f"was answered {took_s:.3f} s after it was sent, the deadline was {tried[-1]['deadline_s']:.3f} s",
+        )
+
+
+def truthful_errors(history: History) -> Iterator[Breach]:
+    """The service's own exception for the calls that raise it, and no other."""
+    for event, heard in _told(history):
+        wanted = _expected(history.config, heard.asked)
+        if heard.raised != wanted.raised:
+            yield (
+                event,
+                f"call {heard.asked} raised {heard.raised or 'nothing'} instead of {wanted.raised or 'nothing'}",
+            )
+    if not may_be_cut_short(history.config) and history.run.failure:
+        yield None, f"the mission met an error: {history.run.failure}"
+
+
+def _told(history: History) -> list[tuple[Fact, probing.Heard]]:
+    if not _is_probing(history.config):
+        return []
+    return [
+        (event, msgspec.convert(event["message"], probing.Heard))
+        for event in history.run.events
+        if event["event"] == "notified"
+    ]
+
+
+def _is_probing(config: DroneConfig) -> bool:
+    return config.mission.program.startswith(f"{probing.__name__}:")
+
+
+def _expected(config: DroneConfig, number: int) -> probing.Heard:
+    mode: probing.Mode = "light" if config.mission.mode == "light" else "heavy"
+    return probing.expected(config.mission.program, mode, number)
+
+
+# --- 5 to 7: servers ----------------------------------------------------------------------------------------
+
+
+def one_selection(history: History) -> Iterator[Breach]:
+    """Each change starts where the last one ended and is the table's; one server selected, one network joined."""
+    states: dict[str, State] = {}
+    for event in history.run.events:
+        if event["event"] not in _CHANGES:
+            continue
+        name, before, after = event["server"], State(event["before"]), State(event["after"])
+        if states.get(name, State.AVL) is not before:
+            yield event, f"{name} was {states.get(name, State.AVL)} before"
+        if TRANSITIONS.get((before, Event(event["event"]))) is not after:
+            yield event, f"{event['event']} does not lead from {before} to {after}"
+        states[name] = after
+        selected = [each for each, state in states.items() if state in SELECTED]
+        if len(selected) > 1:
+            yield event, f"{' and '.join(selected)} are selected at the same time"
+    joined = ""
+    for fact in history.own("joined", "left"):
+        if fact["event"] == "joined" and joined:
+            yield fact, f"{joined} is still joined"
+        joined = fact["network"] if fact["event"] == "joined" else ""
+
+
+def in_range(history: History) -> Iterator[Breach]:
+    """No call is sent from outside the server's range."""
+    areas = {
+        server.name: server_area(server, history.config.mission.home) for server in history.config.servers
+    }
+    remote = (each for each in history.run.events if each.get("decision") == "remote")
+    sent = (each for each in history.own("sent") if each["path"].startswith(_SERVICE_PATH))
+    for call in (*remote, *sent):
+        if not areas[call["server"]].contains(Position(**call["position"])):
+            yield call, f"a call was sent to {call['server']}, which is out of range"
+
+
+def respect(history: History) -> Iterator[Breach]:
+    """A blacklisted server is left alone, but for the farewell; a call goes to a server that is READY."""
+    blacklisted: dict[str, list[tuple[float, float]]] = {}
+    for event in history.run.events:
+        if event["event"] in _CHANGES and event["after"] == State.BLACKLISTED:
+            until_s = event["t"] + history.config.policy.blacklist_s
+            blacklisted.setdefault(event["server"], []).append((event["t"], until_s))
+        elif event["event"] == Event.SELECTED:
+            spells = blacklisted.get(event["server"], [])
+            if spells and event["t"] < spells[-1][1] - _ROUNDING_S:
+                yield event, f"{event['server']} is blacklisted until {spells[-1][1]:.3f} s"
+        elif event.get("decision") == "remote" and event["state"] != State.READY:
+            yield event, f"{event['selected']} is {event['state']}"
+    for fact in history.own("sent"):
+        for from_s, until_s in blacklisted.get(fact["server"], []):
+            if fact["path"] != LEAVE and from_s + _ROUNDING_S < fact["t"] < until_s - _ROUNDING_S:
+                yield fact, f"{fact['server']} is blacklisted until {until_s:.3f} s"
+
+
+# --- 8: no harm ---------------------------------------------------------------------------------------------
+
+
+def no_harm(history: History) -> Iterator[Breach]:
+    """No later than the drone alone, but for the waits and deadlines that the rules allowed.
+
+    Chance and heat make two local calls differ that would be alike: each counts here as long as it took alone.
+    """
+    if history.alone is None or history.run.failure or history.alone.failure:
+        return
+    calls, alone = list(calls_of(history.run.events)), list(calls_of(history.alone.events))
+    luck_s = sum(
+        ours.ended["onboard_s"] - theirs.ended["onboard_s"]
+        for ours, theirs in zip(calls, alone, strict=False)
+        if ours.ended["onboard_s"]
+    )
+    allowed_s = sum(call.allowed_s for call in calls)
+    latest_s = history.alone.result.mission_time_s + luck_s + allowed_s + _FAREWELL_S + _SLACK_S
+    if (took_s := history.run.result.mission_time_s) > latest_s:
+        yield (
+            None,
+            f"the mission took {took_s:.3f} s; alone, with what the rules allowed, at most {latest_s:.3f} s",
+        )
+
+
+# --- 11: admission ------------------------------------------------------------------------------------------
+
+
+def admission(history: History) -> Iterator[Breach]:
+    """Of each server: one instance of a service, no more drones than slots, and leases that end."""
+    for server in history.config.servers:
+        facts = [fact for fact in history.seen if fact.get("server") == server.name]
+        yield from _instances(facts)
+        yield from _slots(facts, server.truth.slots)
+        yield from _leases(facts, end_s=history.seen[-1]["t"] if history.seen else 0.0)
+
+
+def _instances(facts: Sequence[Fact]) -> Iterator[Breach]:
+    running: set[str] = set()
+    for fact in facts:
+        if fact["event"] == "instance_started":
+            if fact["service"] in running:
+                yield fact, f"a second instance of {fact['service']} on {fact['server']}"
+            running.add(fact["service"])
+        elif fact["event"] == "instance_ended":
+            running.discard(fact["service"])
+
+
+def _slots(facts: Sequence[Fact], slots: int) -> Iterator[Breach]:
+    for fact in facts:
+        if fact["event"] == "admitted" and len(fact["drones"]) > slots:
+            yield fact, f"{fact['server']} serves {', '.join(fact['drones'])}, and has {slots} slots"
+
+
+def _leases(facts: Sequence[Fact], *, end_s: float) -> Iterator[Breach]:
+    """A drone that asks nothing any more is no longer admitted once its lease is over."""
+    asked_s: dict[str, float] = {}
+    admitted: dict[str, Fact] = {}  # by service, as last told to its instance
+    over: Fact = {"event": "over", "t": end_s}
+    for fact in (*facts, over):
+        for told in admitted.values():
+            for drone in told["drones"]:
+                last_s: float = asked_s[drone] if drone in asked_s else told["t"]
+                ends_s = last_s + _LEASE_S + _LOOK_S + _SLACK_S
+                if fact["t"] > ends_s:
+                    yield (
+                        told,
+                        f"{drone} still has its lease at {fact['t']:.3f} s; it was over at {ends_s:.3f} s",
+                    )
+        match fact["event"]:
+            case "asked" | "answered" | "served":
+                asked_s[fact["drone"]] = fact["t"]
+            case "admitted":
+                admitted[fact["service"]] = fact
+            case "instance_ended":
+                admitted.pop(fact["service"], None)
+
+
+# --- 13: the vehicle first ----------------------------------------------------------------------------------
+
+
+def vehicle_first(history: History) -> Iterator[Breach]:
+    """A mission that ends early in the air ends in the configured action, or has tried for long enough."""
+    events = {event["event"]: event for event in history.run.events}  # the last of each kind
+    for over in history.own("flight_over"):
+        if "landed" in events and over["altitude_m"] > 0:
+            yield events["landed"], f"the vehicle is {over['altitude_m']:.1f} m up"
+    if not history.run.failure or "armed" not in events or ("landed" in events and "safe_end" not in events):
+        return
+    last = history.run.events[-1]
+    if last["event"] != "mission_ended":
+        yield last, "the mission failed, and its end is not in the log"
+    begun = events.get("safe_end")
+    if begun is None or begun["action"] != history.config.autopilot.on_failure:
+        yield begun or last, f"the mission failed in the air without {history.config.autopilot.on_failure}"
+    elif given_up := events.get("left_to_pilot"):
+        if given_up["t"] - begun["t"] < _KEEP_TRYING_S:
+            yield given_up, f"the vehicle was given up after {given_up['t'] - begun['t']:.0f} s"
+    elif ("left_hovering" if begun["action"] == "hold" else "landed") not in events:
+        yield last, f"{begun['action']} neither succeeded nor was given up"
+
+
+CHECKS: Mapping[Promise, Callable[[History], Iterator[Breach]]] = {
+    Promise.AUTONOMY: autonomy,
+    Promise.BOUNDED_CALLS: bounded_calls,
+    Promise.ONE_ANSWER: one_answer,
+    Promise.TRUTHFUL_ERRORS: truthful_errors,
+    Promise.ONE_SELECTION: one_selection,
+    Promise.RANGE: in_range,
+    Promise.RESPECT: respect,
+    Promise.NO_HARM: no_harm,
+    Promise.ADMISSION: admission,
+    Promise.VEHICLE_FIRST: vehicle_first,
+}

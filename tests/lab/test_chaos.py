@@ -1,0 +1,112 @@
+"""Worlds full of faults: every promise holds in each of them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tomllib
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from tests.sim.planted import deadline_ignored
+
+from upwash.cli import main
+from upwash.config import drone_config
+from upwash.lab import chaos
+from upwash.lab.chaos_display import judge_all
+from upwash.lab.worlds import SEEDS_PER_SCENARIO, World, as_toml, configs
+
+WORLDS, CHUNK = 1_000, 100  # of the same seeds every time, and as many of seeds of the day
+
+
+def assert_kept(seeds: range) -> None:
+    verdicts = judge_all(seeds)
+    for verdict in verdicts:
+        assert verdict.broken == [], f"see it again: upwash chaos --seed {verdict.seed} --log chaos.jsonl"
+    assert sum(verdict.calls for verdict in verdicts) > 2 * len(seeds)
+
+
+@pytest.mark.parametrize("first", range(1, WORLDS + 1, CHUNK))
+def test_promises_hold_in_known_worlds(first: int) -> None:
+    assert_kept(range(first, first + CHUNK))
+
+
+@pytest.mark.parametrize("chunk", range(WORLDS // CHUNK))
+def test_promises_hold_in_worlds_of_the_day(chunk: int) -> None:
+    first = datetime.now(UTC).toordinal() * WORLDS + chunk * CHUNK + 1
+    sys.stdout.write(f"seeds {first}..{first + CHUNK - 1}\n")
+    assert_kept(range(first, first + CHUNK))
+
+
+def test_a_seed_gives_the_same_world_and_log_in_any_process(tmp_path: Path) -> None:
+    logs = [tmp_path / name / "log.jsonl" for name in ("0", "4711")]
+    for log in logs:
+        subprocess.run(
+            [sys.executable, "-m", "upwash", "chaos", "--seed", "751", "--log", str(log)],
+            env={**os.environ, "PYTHONHASHSEED": log.parent.name},
+            stdout=subprocess.DEVNULL,
+            timeout=60,
+            check=True,
+        )
+    first, second = ({each.name: each.read_bytes() for each in log.parent.iterdir()} for log in logs)
+    assert first == second
+    assert {"log.jsonl", "log.toml", "log-d2.jsonl", "log-d2.toml", "log-seen.jsonl"} <= set(first)
+
+
+def test_the_scenario_that_is_written_is_the_one_that_was_flown() -> None:
+    for seed in range(1, 200, SEEDS_PER_SCENARIO):
+        documents = World(seed).faulty(seed, [])
+        written = [drone_config(tomllib.loads(as_toml(each)), Path("log.toml")) for each in documents]
+        assert written == configs(documents)
+
+
+def test_worlds_have_faults_of_every_kind_everywhere() -> None:
+    drawn = {
+        (fault["target"].partition(":")[0].rstrip("0123456789"), fault["kind"])
+        for seed in range(1, 1000, SEEDS_PER_SCENARIO)
+        for fault in World(seed).faulty(seed, [])[0]["fault"]
+    }
+    moving = {"off", "stuck", "slow", "flapping"}
+    on_servers = moving | {"garbage", "wrong", "full", "crash"}
+    assert drawn == {("s", kind) for kind in on_servers} | {
+        (target, kind) for target in ("link", "autopilot") for kind in moving
+    }
+
+
+def test_a_broken_promise_is_named_with_its_first_bad_event(capsys: pytest.CaptureFixture[str]) -> None:
+    chaos._fly_calm.cache_clear()
+    with deadline_ignored():
+        assert main(["chaos", "--seed", "1"]) == 1
+    chaos._fly_calm.cache_clear()
+    printed = capsys.readouterr().out
+    assert "promise 2 (bounded calls) broken by seed 1: took " in printed
+    assert 'first bad event: {"t":' in printed
+
+
+def test_worlds_are_flown_on_several_cores(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["chaos", "--seeds", "1..42", "--workers", "2"]) == 0
+    printed = capsys.readouterr().out
+    assert "42 worlds with " in printed and "no promise broken" in printed
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--seeds", "7"],
+        ["--seeds", "9..3"],
+        ["--seeds", "0..3"],
+        ["--seed", "0"],
+        [],
+        ["--seed", "1", "--seeds", "1..2"],
+    ],
+)
+def test_seeds_that_are_none_are_refused(options: list[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["chaos", *options])
+
+
+@pytest.mark.parametrize("options", [["--seed", "1", "--minutes", "3"], ["--seeds", "1..2", "--log", "x"]])
+def test_options_that_do_not_go_together_are_refused(options: list[str]) -> None:
+    assert main(["chaos", *options]) == 2

@@ -1,0 +1,336 @@
+"""Defects planted in the programs, to see that the promises' checks find them.
+
+    python -m tests.sim.planted        flies worlds with each until a promise is broken; prints a table
+
+A defect is found where its worlds break a promise; without it they break none.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+from unittest.mock import patch
+
+from upwash.core.geo import Position
+from upwash.core.instances import Command as HostCommand
+from upwash.core.instances import Denied, Host, StartInstance
+from upwash.core.policy import Call as CallSituation
+from upwash.core.policy import Deadline, Decision, Remote, Wait, WaitRule
+from upwash.core.selection import Selection
+from upwash.core.servers import Event, Server, State
+from upwash.errors import LinkError, Refused
+from upwash.lab import chaos
+from upwash.lab.chaos_display import is_replayed
+from upwash.lab.probing import Blurred
+from upwash.lab.promises import Broken
+from upwash.offloading import Offloading, Outcome
+from upwash.service import Method
+from upwash.visit import Visit
+
+MOST_SEEDS = 2_000
+
+
+@dataclass(frozen=True, slots=True)
+class Defect:
+    """What is wrong, and how it is put into the programs for a while."""
+
+    what: str
+    found_by_seed: int  # the first that breaks a promise, as `main` found it
+    plant: Callable[[], contextlib.AbstractContextManager[object]]
+
+
+def first_broken(defect: Defect, seeds: range) -> list[Broken]:
+    """The promises that the planted defect breaks in the first of the worlds where it breaks any."""
+    logging.getLogger("upwash.server").disabled = True
+    with defect.plant(), _nothing_remembered():
+        for seed in seeds:
+            if broken := chaos.judge(seed, replay=is_replayed(seed)).broken:
+                return broken
+    return []
+
+
+@contextlib.contextmanager
+def _nothing_remembered() -> Iterator[None]:
+    """A flight from before a defect was planted is not one with it."""
+    chaos._fly_calm.cache_clear()
+    try:
+        yield
+    finally:
+        chaos._fly_calm.cache_clear()
+
+
+# --- the defects --------------------------------------------------------------------------------------------
+
+
+def wait_without_bound() -> contextlib.AbstractContextManager[object]:
+    decide = WaitRule.decide
+
+    def patient(self: WaitRule, call: CallSituation) -> Decision:
+        decision = decide(self, call)
+        return Wait(decision.server, 1e3, decision.why) if isinstance(decision, Wait) else decision
+
+    return patch.object(WaitRule, "decide", patient)
+
+
+def wait_not_watched() -> contextlib.AbstractContextManager[object]:
+    """The decision says how long, and the program waits longer."""
+    wait = Offloading._wait
+
+    async def patient(self: Offloading, operation: Any, decision: Wait) -> Decision:
+        return await wait(self, operation, Wait(decision.server, decision.at_most_s * 3 + 1, decision.why))
+
+    return patch.object(Offloading, "_wait", patient)
+
+
+def deadline_ignored() -> contextlib.AbstractContextManager[object]:
+    call = Visit.call
+
+    async def stubborn(self: Visit, service: str, method: str, request: bytes, *, deadline_s: float) -> bytes:
+        return await call(self, service, method, request, deadline_s=10 * deadline_s)
+
+    return patch.object(Visit, "call", stubborn)
+
+
+def deadline_of_the_wrong_estimate() -> contextlib.AbstractContextManager[object]:
+    def seconds(self: Deadline, *, local_s: float, remote_s: float) -> float:
+        return max(self.least_s, self.factor * remote_s)
+
+    return patch.object(Deadline, "seconds", seconds)
+
+
+def late_reply_delivered() -> contextlib.AbstractContextManager[object]:
+    """What comes after the deadline answers the next call."""
+    call, late = Visit.call, dict[tuple[int, str], bytes]()
+
+    async def confused(self: Visit, service: str, method: str, request: bytes, *, deadline_s: float) -> bytes:
+        if (old := late.pop((id(self), method), None)) is not None:
+            return old
+        reply = await call(self, service, method, request, deadline_s=deadline_s)
+        late[id(self), method] = reply
+        return reply
+
+    return patch.object(Visit, "call", confused)
+
+
+def duplicate_result() -> contextlib.AbstractContextManager[object]:
+    """A call that fell back is reported twice."""
+    report = Offloading._report
+
+    def twice(self: Offloading, outcome: Outcome) -> None:
+        report(self, outcome)
+        if outcome.fell_back:
+            report(self, outcome)
+
+    return patch.object(Offloading, "_report", twice)
+
+
+def own_exception_swallowed() -> contextlib.AbstractContextManager[object]:
+    """The mission gets another exception than the one that the service raised."""
+    result = Method.result
+
+    def bland(self: Method, decoded: Any) -> object:
+        try:
+            return result(self, decoded)
+        except (Blurred, ValueError) as error:
+            raise ValueError(str(error)) from None
+
+    return patch.object(Method, "result", bland)
+
+
+def network_error_raised() -> contextlib.AbstractContextManager[object]:
+    async def raising(
+        self: Offloading, decision: Remote, operation: Any, method: Method, request: bytes
+    ) -> Any:
+        assert self._visit is not None
+        return method.decode(
+            await self._visit.call(
+                operation.service, operation.method, request, deadline_s=decision.deadline_s
+            )
+        )
+
+    return patch.object(Offloading, "_call_server", raising)
+
+
+def blacklist_ignored() -> contextlib.AbstractContextManager[object]:
+    """A server that failed is as good as any other."""
+    expire = Selection._expire
+
+    def forgiving(self: Selection, commands: Any, now_s: float) -> None:
+        expire(self, commands, now_s + self._settings.blacklist_s * 0.9)
+
+    return patch.object(Selection, "_expire", forgiving)
+
+
+def blacklisted_is_asked() -> contextlib.AbstractContextManager[object]:
+    """The lease of a server that was given up is kept."""
+    end = Visit.end
+
+    async def clinging(self: Visit, *, in_range: bool) -> bool:
+        if in_range:
+            await self._quiet.wait()
+            with contextlib.suppress(LinkError, Refused, AssertionError):
+                await asyncio.sleep(0.2)
+                await self._availability()
+        return await end(self, in_range=in_range)
+
+    return patch.object(Visit, "end", clinging)
+
+
+def range_not_checked() -> contextlib.AbstractContextManager[object]:
+    """A server once in range is in range for ever."""
+
+    def everywhere(self: Selection, position: Position, now_s: float) -> None:
+        for name in self._ranges.crossed(position):
+            server = self.servers[name]
+            server.in_range_since_s = server.in_range_since_s or now_s
+        self._in_range = [server for server in self.servers.values() if server.in_range]
+
+    return patch.object(Selection, "_locate", everywhere)
+
+
+def two_servers_selected() -> contextlib.AbstractContextManager[object]:
+    """A better server is selected without leaving the one before."""
+
+    def forget(self: Selection, why: str, now_s: float) -> list[Any]:
+        self._current = None
+        return []
+
+    return patch.object(Selection, "_deselect", forget)
+
+
+def transition_skipped() -> contextlib.AbstractContextManager[object]:
+    """A server that stopped its services goes on as if they ran."""
+    apply = Server.apply
+
+    def hasty(self: Server, event: Event, *, now_s: float, why: str = "") -> Any:
+        if event is Event.FOUND_STOPPED:
+            self.state = State.CHECK
+            return apply(self, Event.FOUND_RUNNING, now_s=now_s, why=why)
+        return apply(self, event, now_s=now_s, why=why)
+
+    return patch.object(Server, "apply", hasty)
+
+
+def lease_leaked() -> contextlib.AbstractContextManager[object]:
+    def keep(self: Host, now_s: float) -> list[HostCommand]:
+        return []
+
+    return patch.object(Host, "_end_leases", keep)
+
+
+def slots_over_admitted() -> contextlib.AbstractContextManager[object]:
+    deny = Host._deny
+
+    def generous(self: Host, name: str, services: Any, drone: str) -> Denied | None:
+        denied = deny(self, name, services, drone)
+        return None if denied is not None and "no free slot" in denied.why else denied
+
+    return patch.object(Host, "_deny", generous)
+
+
+def started_twice() -> contextlib.AbstractContextManager[object]:
+    """An instance that is being started is not remembered to be."""
+    start = Host.start
+
+    def forgetful(self: Host, server: str, service: str, drone: str, *, now_s: float) -> Any:
+        answer, commands = start(self, server, service, drone, now_s=now_s)
+        if commands and isinstance(commands[-1], StartInstance):
+            self._number += 1
+            commands = [*commands, StartInstance(server, service, self._number)]
+        return answer, commands
+
+    return patch.object(Host, "start", forgetful)
+
+
+def local_call_dawdles() -> contextlib.AbstractContextManager[object]:
+    """Something slows every call on the drone a little."""
+    call = Offloading._call_onboard
+
+    async def slow(self: Offloading, operation: Any, method: Method, request: bytes) -> Any:
+        await asyncio.sleep(0.15)
+        return await call(self, operation, method, request)
+
+    return patch.object(Offloading, "_call_onboard", slow)
+
+
+def long_farewell() -> contextlib.AbstractContextManager[object]:
+    """The flight ends only when its last server has heard the goodbye."""
+    return patch("upwash.visit._FAREWELL_S", 20.0)
+
+
+def borders_not_watched() -> contextlib.AbstractContextManager[object]:
+    """A vehicle that is silent for a moment ends offloading, as it once did."""
+
+    async def watch(self: Offloading) -> None:
+        areas = [server.area for server in self._selection.servers.values()]
+        while True:
+            await self._autopilot.border_crossed(areas)
+
+    return patch.object(Offloading, "_watch_borders", watch)
+
+
+def safe_end_forgotten() -> contextlib.AbstractContextManager[object]:
+    async def leave(*_: Any, **__: Any) -> None:
+        return None
+
+    return patch("upwash.drone.end_safely", leave)
+
+
+def chance_from_outside() -> contextlib.AbstractContextManager[object]:
+    """Something in a decision comes from nowhere: here, from the address of an object."""
+    decide = WaitRule.decide
+
+    def moody(self: WaitRule, call: CallSituation) -> Decision:
+        decision = decide(self, call)
+        if isinstance(decision, Remote):
+            return Remote(
+                decision.server, decision.deadline_s * (1 - (id(call) >> 4) % 97 / 1e6), decision.why
+            )
+        return decision
+
+    return patch.object(WaitRule, "decide", moody)
+
+
+DEFECTS = (
+    Defect("the wait for a server has no bound", 13, wait_without_bound),
+    Defect("the program waits longer than was decided", 13, wait_not_watched),
+    Defect("a remote call's deadline is ignored", 1, deadline_ignored),
+    Defect("a remote call's deadline may exceed a local call", 1, deadline_of_the_wrong_estimate),
+    Defect("an earlier reply answers a later call", 1, late_reply_delivered),
+    Defect("a call that fell back has two results", 1, duplicate_result),
+    Defect("the service's own exception is replaced", 1, own_exception_swallowed),
+    Defect("a failed remote call raises in the mission", 1, network_error_raised),
+    Defect("the blacklist is left too early", 1, blacklist_ignored),
+    Defect("a blacklisted server is asked once more", 1, blacklisted_is_asked),
+    Defect("the range is not checked after it was entered", 1, range_not_checked),
+    Defect("two servers are selected", 1, two_servers_selected),
+    Defect("a transition of the server table is skipped", 95, transition_skipped),
+    Defect("leases do not end", 9, lease_leaked),
+    Defect("more drones are admitted than there are slots", 52, slots_over_admitted),
+    Defect("one start makes two instances", 1, started_twice),
+    Defect("calls on the drone take longer than the service", 1, local_call_dawdles),
+    Defect("the mission's end waits for a server's goodbye", 4, long_farewell),
+    Defect("a silent vehicle ends the watch over ranges", 74, borders_not_watched),
+    Defect("a flight that fails ends without its safe action", 16, safe_end_forgotten),
+    Defect("a decision depends on something besides the seed", 20, chance_from_outside),
+)
+
+
+def main() -> None:
+    """Plants each defect, flies worlds until one breaks a promise, and prints the table."""
+    sys.stdout.write("| planted defect | found by | at seed |\n|---|---|---|\n")
+    for defect in DEFECTS:
+        broken = first_broken(defect, range(1, MOST_SEEDS + 1))
+        promises = ", ".join(dict.fromkeys(str(each.promise) for each in broken))
+        found = f"{promises} | {broken[0].seed}" if broken else f"nothing | > {MOST_SEEDS}"
+        sys.stdout.write(f"| {defect.what} | {found} |\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
