@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run, simulate
 from upwash.lab.simulation import read_scenario
 
@@ -41,6 +42,24 @@ def test_every_mission_is_completed_and_no_later_than_without_servers(scenario: 
     run = fly(scenario, policy)
     assert run.failure == "" and run.result.completed
     assert run.result.mission_time_s <= time_s(scenario, "local-only") + 1.0
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("scenario", FILES)
+def test_no_mission_beats_the_bounds(scenario: str, policy: str) -> None:
+    bound = bound_of(fly(scenario, policy), read_scenario(FILES[scenario]))
+    assert bound is not None
+    assert bound.free_s <= bound.with_joins_s <= time_s(scenario, policy) + 1e-6
+
+
+@pytest.mark.parametrize("scenario", FILES)
+def test_the_bounds_are_those_of_the_world_whatever_policy_flew_in_it(scenario: str) -> None:
+    config = read_scenario(FILES[scenario])
+    bounds = [bound_of(fly(scenario, policy), config) for policy in POLICIES]
+    for other in bounds[1:]:
+        assert bounds[0] is not None and other is not None
+        assert other.free_s == pytest.approx(bounds[0].free_s)
+        assert other.with_joins_s == pytest.approx(bounds[0].with_joins_s)
 
 
 @pytest.mark.parametrize("scenario", FILES)

@@ -32,7 +32,7 @@ def noisy(tmp_path: Path) -> Path:
 def test_json_is_one_object_with_the_fields_of_the_contract(capsys: pytest.CaptureFixture[str]) -> None:
     result = simulate(capsys, THESIS)
     assert list(result) == [
-        "scenario", "policy", "seed", "mission_time_s", "completed", "calls", "totals",
+        "scenario", "policy", "seed", "mission_time_s", "completed", "calls", "totals", "bound",
     ]  # fmt: skip
     assert (result["scenario"], result["policy"], result["seed"]) == ("thesis", "location-aware", 1)
     assert result["completed"] is True

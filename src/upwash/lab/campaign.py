@@ -7,12 +7,14 @@ import itertools
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 
 import msgspec
 
 from upwash.config import Document, drone_config
 from upwash.errors import UsageError
 from upwash.lab import processes
+from upwash.lab.bounds import bound_of
 from upwash.lab.campaign_file import CampaignFile, Row
 from upwash.lab.confidence import Mean, mean_of
 from upwash.lab.run import simulate
@@ -39,6 +41,7 @@ class CombinationSummary:
 
     values: tuple[str, ...]
     mission_time_s: Mean | None
+    bound_s: float | None  # the mean, of the same runs
     failures: dict[int, str]  # reason by seed
 
 
@@ -103,7 +106,7 @@ def _fly(chunk: Chunk, seed: int) -> Row:
     except Exception as error:  # noqa: BLE001 - whatever a mission raises is this run's failure, not the others'
         failure = _one_line(f"{type(error).__name__}: {error}")
         return Row(chunk.values, seed, config.policy.name, failure=failure)
-    totals = run.result.totals
+    totals, bound = run.result.totals, bound_of(run, config)
     return Row(
         chunk.values,
         seed,
@@ -119,6 +122,8 @@ def _fly(chunk: Chunk, seed: int) -> Row:
         switches=totals.switches,
         fallbacks=totals.fallbacks,
         service_delay_s=totals.service_delay_s,
+        bound_s=bound.free_s if bound else None,
+        bound_with_joins_s=bound.with_joins_s if bound else None,
     )
 
 
@@ -137,8 +142,10 @@ def _chunks(sweep: Sweep, done: Iterable[Row]) -> Iterator[Chunk]:
 def _summary(combination: Combination, rows: Iterable[Row]) -> CombinationSummary:
     own = [row for row in rows if row.values == combination.values]
     times_s = [row.mission_time_s for row in own if row.completed and row.mission_time_s is not None]
+    bounds_s = [row.bound_s for row in own if row.completed and row.bound_s is not None]
     return CombinationSummary(
         combination.values,
         mean_of(times_s) if times_s else None,
+        fmean(bounds_s) if bounds_s else None,
         {row.seed: row.failure for row in own if not row.completed},
     )

@@ -43,7 +43,7 @@ def _table(sweep: Sweep, summaries: Sequence[CombinationSummary]) -> Table:
     table = Table(box=None, padding=(0, 2), caption="± 95 % confidence", caption_justify="left")
     for key in sweep.keys:
         table.add_column(key, overflow="fold")
-    for title in ("completed", "failed", "mission time"):
+    for title in ("completed", "failed", "mission time", "over bound"):
         table.add_column(title, justify="right", no_wrap=True)
     for summary in summaries:
         mean = summary.mission_time_s
@@ -53,6 +53,7 @@ def _table(sweep: Sweep, summaries: Sequence[CombinationSummary]) -> Table:
             str(completed),
             Text(str(failed), style="red" if failed else ""),
             _minutes(mean) if mean else "-",
+            f"{100 * (mean.value / summary.bound_s - 1):.1f} %" if mean and summary.bound_s else "-",
         )
     return table
 

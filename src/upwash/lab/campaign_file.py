@@ -35,6 +35,8 @@ class Row(msgspec.Struct, frozen=True):
     switches: int | None = None
     fallbacks: int | None = None
     service_delay_s: float | None = None
+    bound_s: float | None = None
+    bound_with_joins_s: float | None = None
 
 
 _COLUMNS = Row.__struct_fields__[1:]

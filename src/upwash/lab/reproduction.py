@@ -23,6 +23,7 @@ import msgspec
 
 from upwash.config import DroneConfig, ServerConfig, read_drone_config
 from upwash.errors import UpwashError
+from upwash.lab.bounds import bound_of
 from upwash.lab.confidence import Mean, mean_of
 from upwash.lab.run import Run, simulate
 from upwash.lab.simulation import with_policy
@@ -65,6 +66,7 @@ class Flown(NamedTuple):
     """What one mission came to."""
 
     mission_min: float
+    bound_min: float
     service_delay_s: float
     local_call_s: float
     waited_calls_s: Sequence[float]
@@ -85,6 +87,7 @@ class Quantity(NamedTuple):
 
 _LOCAL_ONLY = Quantity("mission_time_local_only", "mission time, no offloading", "min")
 _OFFLOADING = Quantity("mission_time_offloading", "mission time, offloading", "min")
+_BOUND = Quantity("mission_time_over_the_bound", "  above the bound of an all-knowing drone", "percent")
 _RATIO = Quantity("total_service_delay_local_over_offloading", "service delay, local / offloading", "ratio")
 _WAITS = Quantity("waits_decided", "decisions to wait", "count")
 _SAVED = Quantity(
@@ -261,10 +264,12 @@ def _local_only(setup: str, experiment: Experiment) -> Cell:
 
 def _fly(flight: tuple[Cell, int]) -> Flown:
     run = fly(*flight)
-    result = run.result
+    result, bound = run.result, bound_of(run, scenario(flight[0], seed=flight[1]))
+    assert bound is not None  # noqa: S101 - fly() saw it completed
     local_s = [call.delay_s for call in result.calls if call.place == "local" and not call.waited_s]
     return Flown(
         mission_min=result.mission_time_s / 60,
+        bound_min=bound.free_s / 60,
         service_delay_s=result.totals.service_delay_s,
         local_call_s=fmean(local_s),
         waited_calls_s=[
@@ -294,6 +299,7 @@ def _quantities(
     if not experiment.slow_s2:
         yield _LOCAL_ONLY, [each.mission_min for each in local]
     yield _OFFLOADING, [each.mission_min for each in aware]
+    yield _BOUND, [100 * (each.mission_min / each.bound_min - 1) for each in aware]
     yield _RATIO, [ours.service_delay_s / its.service_delay_s for ours, its in zip(local, aware, strict=True)]
     yield _WAITS, [len(each.waited_calls_s) for each in aware]
     waiting = [each for each in aware if each.waited_calls_s]

@@ -16,6 +16,7 @@ from upwash.core.geo import Position
 from upwash.drone import Flight, World
 from upwash.errors import UpwashError
 from upwash.lab.field import Software, serving
+from upwash.lab.stays import Stay, observe
 from upwash.lab.witness import DroneWitness
 from upwash.ports import Dialer, Network
 from upwash.results import RunResult, read_result
@@ -40,10 +41,14 @@ _LONGEST_S = 48 * 3600.0  # of virtual time: a mission that takes longer never e
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One simulated mission: its events, and what they came to. `failure` says why it was not completed."""
+    """One simulated mission: its events, what they came to, and what was in range when.
+
+    `failure` says why it was not completed.
+    """
 
     events: list[dict[str, Any]]
     result: RunResult
+    stays: list[Stay]
     failure: str = ""
 
     def log(self) -> bytes:
@@ -66,21 +71,23 @@ def simulate_fleet(
     notes what it sees of drones and servers.
     """
     journals = [MemoryJournal() for _ in fleet]
+    stays: list[list[Stay]] = [[] for _ in fleet]
     failures = [""] * len(fleet)
     try:
         with sleeps_reported():
-            failures = run_virtually(_fly(fleet, journals, computing=computing, witness=witness))
+            failures = run_virtually(_fly(fleet, journals, stays, computing=computing, witness=witness))
     except UpwashError as error:
         failures = [str(error)] * len(fleet)
     return [
-        Run(journal.events, read_result(journal.events), failure)
-        for journal, failure in zip(journals, failures, strict=True)
+        Run(journal.events, read_result(journal.events), its_stays, failure)
+        for journal, its_stays, failure in zip(journals, stays, failures, strict=True)
     ]
 
 
 async def _fly(
     fleet: Sequence[DroneConfig],
     journals: Sequence[MemoryJournal],
+    stays: Sequence[list[Stay]],
     *,
     computing: bool,
     witness: MemoryJournal | None,
@@ -99,12 +106,13 @@ async def _fly(
             _fly_one(
                 config,
                 journal,
+                its_stays,
                 classes=classes,
                 software=software,
                 switchboard=switchboard,
                 seen_by=witness,
             )
-            for config, journal in zip(fleet, journals, strict=True)
+            for config, journal, its_stays in zip(fleet, journals, stays, strict=True)
         ]
         try:
             async with asyncio.timeout(_LONGEST_S):
@@ -119,6 +127,7 @@ async def _fly(
 async def _fly_one(
     config: DroneConfig,
     journal: MemoryJournal,
+    stays: list[Stay],
     *,
     classes: Mapping[str, type],
     software: Software,
@@ -154,11 +163,14 @@ async def _fly_one(
             journal=journal,
         ),
     )
+    areas = {server.name: server_area(server, config.mission.home) for server in config.servers}
+    observer = asyncio.create_task(observe(autopilot, areas, stays), name="observer of ranges")
     try:
         await flight.run()
     except UpwashError as error:
         return str(error)
     finally:
+        observer.cancel()
         if witness:
             witness.record("flight_over", altitude_m=autopilot.position.altitude_m)
     return ""

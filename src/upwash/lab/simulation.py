@@ -9,14 +9,16 @@ import msgspec
 from rich.console import Console
 
 from upwash.config import DroneConfig, read_drone_config
+from upwash.core.bound import Bound
 from upwash.errors import UpwashError
+from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run, simulate
 from upwash.results import CallResult, Totals
 from upwash.terminal import print_result
 
 
 class Report(msgspec.Struct, frozen=True):
-    """The one object that `upwash simulate --json` prints."""
+    """The one object that `upwash simulate --json` prints; without a completed mission there is no bound."""
 
     scenario: str
     policy: str
@@ -25,6 +27,7 @@ class Report(msgspec.Struct, frozen=True):
     completed: bool
     calls: list[CallResult]
     totals: Totals
+    bound: Bound | None
 
 
 def read_scenario(file: Path, *, policy: str | None = None, seed: int | None = None) -> DroneConfig:
@@ -64,9 +67,12 @@ def simulate_scenario(
 
 
 def _print(run: Run, config: DroneConfig, scenario: str, *, as_json: bool) -> None:
-    result = run.result
+    result, bound = run.result, bound_of(run, config)
     if not as_json:
-        print_result(result, Console(markup=False), paced=False)
+        console = Console(markup=False)
+        print_result(result, console, paced=False)
+        if bound is not None:
+            _print_bound(result.mission_time_s, bound, console)
         return
     report = Report(
         scenario=scenario,
@@ -76,8 +82,18 @@ def _print(run: Run, config: DroneConfig, scenario: str, *, as_json: bool) -> No
         completed=result.completed,
         calls=result.calls,
         totals=result.totals,
+        bound=bound,
     )
     sys.stdout.write(msgspec.json.encode(report).decode() + "\n")
+
+
+def _print_bound(mission_time_s: float, bound: Bound, console: Console) -> None:
+    console.print(
+        f"an all-knowing drone needs at least {bound.free_s:.1f} s with every server ready at once: this is "
+        f"{100 * (mission_time_s / bound.free_s - 1):.1f} % more; joining one network after the other it needs "
+        f"{bound.with_joins_s:.1f} s: {100 * (mission_time_s / bound.with_joins_s - 1):.1f} % more",
+        soft_wrap=True,
+    )
 
 
 def _draw(run: Run, config: DroneConfig, folder: Path) -> None:

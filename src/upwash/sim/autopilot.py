@@ -93,7 +93,7 @@ class ModelAutopilot:
         self._fault = fault
         self._loop = asyncio.get_running_loop()
         self._motion = Motion(0.0, (), self._ground)
-        self._crossings: tuple[Sequence[Circle], list[float]] | None = None  # of this motion, in seconds
+        self._crossings: list[tuple[Sequence[Circle], list[float]]] = []  # of this motion, for each who asked
         self._moved = asyncio.Event()
         self._armed = False
         self._endurance_s = endurance_s
@@ -213,12 +213,13 @@ class ModelAutopilot:
 
     def _begin(self, motion: Motion) -> None:
         self._motion = motion
-        self._crossings = None
+        self._crossings.clear()
 
     def _next_crossing_s(self, circles: Sequence[Circle]) -> float | None:
-        if self._crossings is None or self._crossings[0] is not circles:
-            self._crossings = circles, sorted(_all_crossings_s(self._motion, circles))
-        crossings_s = self._crossings[1]
+        crossings_s = next((times_s for asked, times_s in self._crossings if asked is circles), None)
+        if crossings_s is None:
+            crossings_s = sorted(_all_crossings_s(self._motion, circles))
+            self._crossings.append((circles, crossings_s))
         later = bisect_right(crossings_s, self._loop.time())
         return crossings_s[later] if later < len(crossings_s) else None
 

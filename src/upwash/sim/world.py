@@ -123,9 +123,7 @@ class ServerComputer:
 
     async def compute(self, spec: InstanceSpec, operation: Operation) -> None:
         """The true delay of a call: end to end where the scenario says it so, else the processing alone."""
-        told = self._truth.remote_call_s.get(spec.service, {})
-        source = told or self._truth.processing_s[spec.service]
-        call_s = delay_of(operation, source)
+        call_s = computing_s(operation, self._truth)
         call_s *= self._chance.factor(f"call/{self._name}/{operation}", self._noise)
         await self._take(call_s, f"{spec.name} crashed in a call")
 
@@ -135,6 +133,12 @@ class ServerComputer:
             await asyncio.sleep(time_s / 2)
             raise InstanceError(crash)
         await asyncio.sleep(time_s)
+
+
+def computing_s(operation: Operation, truth: ServerTruth) -> float:
+    """The true delay of a call on a server: end to end where that is told, else of the processing alone."""
+    told = truth.remote_call_s.get(operation.service, {})
+    return delay_of(operation, told or truth.processing_s[operation.service])
 
 
 def delay_of(operation: Operation, delays_s: Mapping[str, float]) -> float:

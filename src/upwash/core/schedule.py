@@ -1,0 +1,156 @@
+"""Which server for which of the calls to come, with one radio, so that they are over soonest.
+
+What holds in this small world:
+- between two calls the drone may leave its server and check another one, from when it is in that one's range;
+- a check that is not over when a call is made is waited for, or the call runs on the drone and the check goes on;
+- a server that was checked once runs its services from then on.
+
+Call by call, the ways to get so far are carried on, for each server those few that may still turn out best. A switch
+follows the cheapest way of all. That is exact where a check takes the same time whether the services run or not, and
+very nearly so elsewhere: there a dearer way may have started the services of a server that is needed later.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from operator import itemgetter
+from typing import NamedTuple
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """A server in whose range a call will be made, and the delay of the call there.
+
+    `head_start_s` is how long before the call its check can begin: the time in range since the call before, which is
+    the whole `gap_s` of the call where its range was not left.
+    """
+
+    server: str
+    call_s: float
+    head_start_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ComingCall:
+    """A call that will be made `gap_s` after the end of the one before; the first, so long after now."""
+
+    local_s: float
+    gap_s: float
+    offers: Sequence[Offer]
+
+
+@dataclass(frozen=True, slots=True)
+class CheckTimes:
+    """How long a check of a server takes; its services are known to run for `runs_for_s` from now."""
+
+    stopped_s: float
+    running_s: float
+    runs_for_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """The server to be on at each call, if any, and the delay of all the calls, waits included."""
+
+    servers: Sequence[str | None]
+    total_s: float
+
+
+class _Way(NamedTuple):
+    cost_s: float
+    ready_in_s: float  # what is left of the server's check
+    server: str | None
+    started: frozenset[str]
+    before: _Way | None
+
+
+_cost_and_rest = itemgetter(0, 1)
+
+
+def quickest(
+    calls: Sequence[ComingCall],
+    checks: Mapping[str, CheckTimes],
+    *,
+    server: str | None = None,
+    ready_in_s: float = 0.0,
+    gain_wait: float = 0.0,
+    stays: bool = False,
+) -> Schedule:
+    """The schedule of least total delay from now on, with `server` selected and its check over in `ready_in_s`.
+
+    A call waits only where that makes it shorter than a local one by more than the fraction `gain_wait`. A drone
+    that `stays` does not leave its server before the first call.
+    """
+    begin = _Way(0.0, ready_in_s, server, frozenset((server,) if server else ()), None)
+    ways, begins_s = [begin], 0.0
+    for call in calls:
+        switched = None if stays else min(ways, key=_cost_and_rest)
+        ways = list(_carried_on(ways, switched, call, checks, begins_s=begins_s, gain_wait=gain_wait))
+        begins_s += call.gap_s
+        stays = False
+    best = min(ways, key=_cost_and_rest)
+    return Schedule(_servers(best), best.cost_s)
+
+
+def _carried_on(
+    ways: Iterable[_Way],
+    switched: _Way | None,
+    call: ComingCall,
+    checks: Mapping[str, CheckTimes],
+    *,
+    begins_s: float,
+    gain_wait: float,
+) -> Iterator[_Way]:
+    """The ways that lead over one more call: on without a server, with the same one, or with another."""
+    alone = min(ways, key=_cost_and_rest)
+    yield _Way(alone.cost_s + call.local_s, math.inf, None, alone.started, alone)
+    by_server: dict[str | None, list[_Way]] = {}
+    for way in ways:
+        by_server.setdefault(way.server, []).append(way)
+    longest_s = call.local_s * (1 - gain_wait)
+    for offer in call.offers:
+        arrivals: list[tuple[_Way, float]] = []
+        never_left = offer.head_start_s >= call.gap_s
+        if never_left:
+            arrivals = [(way, way.ready_in_s - call.gap_s) for way in by_server.get(offer.server, ())]
+        if switched is not None and not (never_left and switched.server == offer.server):
+            check_s = _check_s(checks[offer.server], offer.server in switched.started, begins_s)
+            arrivals.append((switched, check_s - offer.head_start_s))
+        yield from _fewest(_over_call(arrivals, offer, call.local_s, longest_s))
+
+
+def _check_s(times: CheckTimes, started: bool, begins_s: float) -> float:
+    return times.running_s if started or begins_s < times.runs_for_s else times.stopped_s
+
+
+def _over_call(
+    arrivals: Iterable[tuple[_Way, float]], offer: Offer, local_s: float, longest_s: float
+) -> Iterator[_Way]:
+    """The ways over a call that is made with so much of the check left."""
+    for way, left_s in arrivals:
+        started = way.started if offer.server in way.started else way.started | {offer.server}
+        if left_s <= 0:
+            yield _Way(way.cost_s + min(local_s, offer.call_s), 0.0, offer.server, started, way)
+        elif left_s + offer.call_s < longest_s:
+            yield _Way(way.cost_s + left_s + offer.call_s, 0.0, offer.server, started, way)
+        else:
+            yield _Way(way.cost_s + local_s, max(0.0, left_s - local_s), offer.server, started, way)
+
+
+def _fewest(ways: Iterable[_Way]) -> Iterator[_Way]:
+    """Without those that cost no less than another and have no less of the check left."""
+    least_left_s = math.inf
+    for way in sorted(ways, key=_cost_and_rest):
+        if way.ready_in_s < least_left_s:
+            least_left_s = way.ready_in_s
+            yield way
+
+
+def _servers(way: _Way) -> list[str | None]:
+    servers = []
+    while way.before is not None:
+        servers.append(way.server)
+        way = way.before
+    return servers[::-1]
