@@ -26,7 +26,7 @@ from bench.servers import GRPC_PATH, LENGTH_BYTES
 from upwash.config import DroneConfig, MissionConfig, NetworkConfig, PolicyConfig, ServerConfig, ServiceConfig
 from upwash.core.geo import Circle, Position
 from upwash.drone import Drone, Flight, World
-from upwash.ports import Autopilot
+from upwash.ports import Autopilot, Program
 from upwash.real.camera import FolderCamera
 from upwash.real.credentials import Credentials, read_credentials
 from upwash.real.journal import FileJournal, JournalNotifier
@@ -128,7 +128,7 @@ async def fly(folder: Path, rounds: int, addresses: Addresses) -> dict[str, list
             notifier=JournalNotifier(journal),
             journal=journal,
         )
-        programs = {name: f"{cls.__module__}:{cls.__name__}" for name, cls in SERVICES.items()}
+        programs = {name: Program(f"{cls.__module__}:{cls.__name__}") for name, cls in SERVICES.items()}
         await Flight(
             mission, _config(addresses.daemon), services=SERVICES, programs=programs, world=world
         ).run()

@@ -74,6 +74,17 @@ class Workbench:
 
 
 @service
+class Tuned:
+    """Says how it was made."""
+
+    def __init__(self, gain: float, *, mode: Mode = "light", table: Path | None = None) -> None:
+        self._made = f"{gain} {mode} {table}"
+
+    def made(self) -> str:
+        return self._made
+
+
+@service
 class Unstartable:
     def __init__(self) -> None:
         raise OSError("model.onnx is missing")

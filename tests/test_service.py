@@ -234,14 +234,6 @@ class Coroutine:
         """Nothing."""
 
 
-class Needy:
-    def __init__(self, model: str) -> None:
-        """Nothing."""
-
-    def look(self) -> None:
-        """Nothing."""
-
-
 class Empty:
     def _look(self) -> None:
         """Nothing."""
@@ -256,7 +248,6 @@ class Empty:
         (Named, "service Named, method look: parameter 'photos' must be passable by its name"),
         (Positional, "service Positional, method look: parameter 'photos' must be passable by its name"),
         (Coroutine, "service Coroutine, method look: declare it as a plain blocking method"),
-        (Needy, "service Needy: __init__ needs 'model'"),
         (Empty, "service Empty has no public method"),
     ],
 )

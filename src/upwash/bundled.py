@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import functools
 import inspect
-from typing import cast
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, cast
 
-from upwash.config import DroneConfig
+from upwash.config import SettingsTable, convert
 from upwash.drone import Mission
 from upwash.errors import UsageError
 from upwash.loading import load
+from upwash.ports import Program
 from upwash.service import load_service, spec_of
+from upwash.settings import construct, plain, required_settings
 
 _MISSIONS = {"survey": "upwash.missions.survey:survey"}
 _SERVICES = {"detector": "upwash.services.hotspots:HotSpotDetector"}
@@ -38,24 +42,58 @@ def load_mission(program: str, *, mode: str) -> Mission:
     return cast(Mission, mission)
 
 
-def load_configured_services(config: DroneConfig) -> dict[str, type]:
-    """The class of each service of the configuration, by name; raises UsageError."""
-    services = {
-        service.name: load_service(service_program(config, service.name)) for service in config.services
-    }
-    for name, cls in services.items():
-        own = spec_of(cls).name
-        if own != name:
+class ConfiguredService(Protocol):
+    """A service as a drone's or a daemon's configuration has it."""
+
+    @property
+    def name(self) -> str:
+        """As its class is declared."""
+
+    @property
+    def program(self) -> str | None:
+        """The path of its class, if it is not the bundled one of that name."""
+
+    @property
+    def settings(self) -> SettingsTable | None:
+        """What its constructor gets."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedService:
+    """A service's class, and what its instances run."""
+
+    cls: type
+    program: Program
+
+    def made(self) -> object:
+        """An object of the class, made as an instance makes its own."""
+        return construct(self.cls, spec_of(self.cls).settings, self.program.settings)
+
+
+def load_services(configured: Sequence[ConfiguredService]) -> dict[str, LoadedService]:
+    """The services of a configuration, by name; raises UsageError for one that does not fit its class."""
+    return {each.name: _load_service(each, f"service[{index}]") for index, each in enumerate(configured)}
+
+
+def _load_service(configured: ConfiguredService, key: str) -> LoadedService:
+    path = configured.program or bundled_service(configured.name)
+    cls = load_service(path)
+    spec = spec_of(cls)
+    if spec.name != configured.name:
+        raise UsageError(
+            f"service {configured.name!r} runs {cls.__name__}, which is declared as {spec.name!r}: use that name"
+        )
+    table = configured.settings
+    if table is None:
+        if needed := required_settings(spec.settings):
             raise UsageError(
-                f"service {name!r} runs {cls.__name__}, which is declared as {own!r}: use that name"
+                f"service {spec.name!r} needs {', '.join(needed)}: add them in [service.settings]"
             )
-    return services
-
-
-def service_program(config: DroneConfig, service: str) -> str:
-    """The path of a configured service's class."""
-    program = next(each.program for each in config.services if each.name == service)
-    return program or bundled_service(service)
+        return LoadedService(cls, Program(path))
+    settings = convert(
+        table.values, spec.settings, file=table.file, as_written=table.values, at=f"{key}.settings"
+    )
+    return LoadedService(cls, Program(path, plain(settings)))
 
 
 def bundled_service(name: str) -> str:

@@ -19,7 +19,7 @@ from upwash.mission import MissionThread
 from upwash.offloading import Offloading
 from upwash.onboard import OnboardServices
 from upwash.plans import Ending
-from upwash.ports import Autopilot, Camera, Dialer, InstanceSpec, Journal, Network, Notifier, Runtime
+from upwash.ports import Autopilot, Camera, Dialer, InstanceSpec, Journal, Network, Notifier, Program, Runtime
 from upwash.preparation import contacts, make_selection
 from upwash.safety import end_safely, reserve_reached
 from upwash.service import Method, make_stub, spec_of
@@ -266,7 +266,7 @@ class Flight:
         config: DroneConfig,
         *,
         services: Mapping[str, type],
-        programs: Mapping[str, str],
+        programs: Mapping[str, Program],
         world: World,
     ) -> None:
         specs = {name: spec_of(cls) for name, cls in services.items()}

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 
-from upwash.bundled import bundled_service, load_configured_services, load_mission, service_program
+from upwash.bundled import load_mission, load_services
 from upwash.config import (
     DaemonConfig,
     DroneConfig,
@@ -32,7 +32,6 @@ from upwash.real.link import GrpcDialer
 from upwash.real.listener import Caller, Listener
 from upwash.real.runtime import ProcessRuntime
 from upwash.server import EdgeServer
-from upwash.service import load_service, spec_of
 from upwash.sim.network import Cell, ModelNetwork, NoNetwork
 from upwash.vehicle import VehicleSettings, serve_vehicle
 
@@ -65,7 +64,7 @@ async def fly(
     if config.camera.folder is None:
         raise UsageError("camera.folder is missing: say where the photos are")
     mission = load_mission(program or config.mission.program, mode=config.mission.mode)
-    services = load_configured_services(config)
+    services = load_services(config.services)
     dialer = _dialer(config)
     camera = FolderCamera(config.camera.folder, photo_s=config.camera.photo_s)
     home = GeoPosition(config.mission.home.latitude_deg, config.mission.home.longitude_deg)
@@ -85,7 +84,7 @@ async def fly(
         flight = Flight(
             mission,
             config,
-            services=services,
+            services={name: service.cls for name, service in services.items()},
             world=World(
                 autopilot=autopilot,
                 network=_network(config, autopilot),
@@ -98,7 +97,7 @@ async def fly(
                 notifier=JournalNotifier(journal),
                 journal=journal,
             ),
-            programs={name: service_program(config, name) for name in services},
+            programs={name: service.program for name, service in services.items()},
         )
         await stack.enter_async_context(_tracking(autopilot, journal))
         stack.enter_context(_stopping_politely(flight.stop))
@@ -171,10 +170,7 @@ async def serve(config: DaemonConfig, *, ready: Callable[[str], None]) -> None:
     """Runs the daemon until SIGTERM or Ctrl-C; `ready` is told the address once it answers."""
     from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 
-    programs = {image.name: image.program or bundled_service(image.name) for image in config.images}
-    for name, program in programs.items():
-        if spec_of(load_service(program)).name != name:
-            raise UsageError(f"service {name!r}: {program} is declared under another name")
+    services = load_services(config.images)
     credentials = _server_credentials(config)
     loop = asyncio.get_running_loop()
     async with contextlib.AsyncExitStack() as stack:
@@ -184,7 +180,7 @@ async def serve(config: DaemonConfig, *, ready: Callable[[str], None]) -> None:
                 {each.name: ServerOffer(frozenset(each.images), each.slots) for each in config.identities},
                 HostSettings(lease_s=config.lease_s, idle_stop_s=config.idle_stop_s),
             ),
-            programs=programs,
+            programs={name: service.program for name, service in services.items()},
             runtime=ProcessRuntime(
                 _beside(config.listen, sockets),
                 credentials=credentials,

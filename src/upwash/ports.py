@@ -7,7 +7,7 @@ times are seconds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -105,12 +105,20 @@ class Journal(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class Program:
+    """A service class by its import path, and plain values, such as JSON has, for its constructor."""
+
+    path: str
+    settings: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class InstanceSpec:
-    """What to start: a service class by its import path, for one of a daemon's server identities."""
+    """What to start: a service's program, for one of a daemon's server identities."""
 
     server: str
     service: str
-    program: str
+    program: Program
     pace_s: dict[str, float] = field(default_factory=dict)  # least time a call takes, by profile key
 
     @property

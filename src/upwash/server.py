@@ -21,7 +21,7 @@ from upwash.core.instances import (
     StopInstance,
 )
 from upwash.errors import InstanceError, Refused
-from upwash.ports import Instance, InstanceSpec, Runtime
+from upwash.ports import Instance, InstanceSpec, Program, Runtime
 from upwash.protocol import (
     AVAILABILITY,
     LEAVE,
@@ -41,10 +41,10 @@ T = TypeVar("T")
 
 
 class EdgeServer:
-    """One daemon: `host` decides, `runtime` runs, `programs` says which class each service is."""
+    """One daemon: `host` decides, `runtime` runs, `programs` says what each service is."""
 
     def __init__(
-        self, host: Host, *, programs: Mapping[str, str], runtime: Runtime, start_timeout_s: float
+        self, host: Host, *, programs: Mapping[str, Program], runtime: Runtime, start_timeout_s: float
     ) -> None:
         self._host = host
         self._programs = programs

@@ -2,7 +2,7 @@
 
     @service(profile_by="mode")
     class Detector:
-        def __init__(self) -> None: ...                                   # paid once per instance: the cold start
+        def __init__(self, threads: int = 2) -> None: ...                 # paid once per instance: the cold start
         def process_photo(self, photo: bytes, mode: Mode) -> list[Detection]: ...
 
 Arguments and results travel as MessagePack, built and checked by the type hints: a request is a map from
@@ -15,19 +15,19 @@ import enum
 import inspect
 import sys
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType, ModuleType
 from typing import Any, TypeVar, cast, overload
 
 import msgspec
 from msgspec import UNSET, UnsetType
-from msgspec import inspect as types
 
 from upwash.core.estimates import Operation
 from upwash.errors import DeclarationError, GarbledReply, ServiceError, UpwashError, UsageError
 from upwash.loading import load
-from upwash.wire import decode
+from upwash.settings import describe_settings
+from upwash.wire import decode, require_sendable
 
 T = TypeVar("T")
 _PLAIN = (str, int, float, bool, type(None))
@@ -109,6 +109,7 @@ class ServiceSpec:
 
     name: str
     methods: Mapping[str, Method]
+    settings: type[msgspec.Struct]  # what its constructor takes
 
 
 Invoke = Callable[[Operation, Method, bytes], Any]  # runs a request somewhere; returns its decoded reply
@@ -172,7 +173,6 @@ def _stub_method(service_name: str, method: Method, invoke: Invoke) -> Callable[
 
 
 def _describe(cls: type, name: str, profile_by: str | None) -> ServiceSpec:
-    _check_constructor(cls)
     functions = {name: function for name in dir(cls) if (function := _public_method(cls, name))}
     if not functions:
         raise DeclarationError(f"service {cls.__name__} has no public method to call")
@@ -184,7 +184,7 @@ def _describe(cls: type, name: str, profile_by: str | None) -> ServiceSpec:
         raise DeclarationError(
             f"service {cls.__name__}: no method has the parameter {profile_by!r} of profile_by"
         )
-    return ServiceSpec(name, MappingProxyType(methods))
+    return ServiceSpec(name, MappingProxyType(methods), describe_settings(cls))
 
 
 def _public_method(cls: type, name: str) -> Callable[..., object] | None:
@@ -196,17 +196,6 @@ def _public_method(cls: type, name: str) -> Callable[..., object] | None:
             f"service {cls.__name__}, method {name}: declare it as a plain method, with self"
         )
     return attribute if inspect.isfunction(attribute) else None
-
-
-def _check_constructor(cls: type) -> None:
-    for parameter in inspect.signature(cls).parameters.values():
-        if parameter.default is parameter.empty and parameter.kind not in (
-            parameter.VAR_POSITIONAL,
-            parameter.VAR_KEYWORD,
-        ):
-            raise DeclarationError(
-                f"service {cls.__name__}: __init__ needs {parameter.name!r}; a server starts it without arguments"
-            )
 
 
 def _describe_method(cls: type, function: Callable[..., object], profile_by: str | None) -> Method:
@@ -225,11 +214,11 @@ def _describe_method(cls: type, function: Callable[..., object], profile_by: str
             raise DeclarationError(f"{where}: parameter {parameter.name!r} must be passable by its name")
         if parameter.name not in hints:
             raise DeclarationError(f"{where}: parameter {parameter.name!r} has no type hint")
-        _check_type(hints[parameter.name], f"{where}: parameter {parameter.name!r}")
+        require_sendable(hints[parameter.name], f"{where}: parameter {parameter.name!r}")
         fields.append((parameter.name, hints[parameter.name]))
     if "return" not in hints:
         raise DeclarationError(f"{where}: the result has no type hint; write -> None where there is none")
-    _check_type(hints["return"], f"{where}: the result")
+    require_sendable(hints["return"], f"{where}: the result")
     reply_type = msgspec.defstruct(
         f"{cls.__name__}_{function.__name__}_reply",
         [("value", hints["return"] | UnsetType, UNSET), ("fault", Fault | UnsetType, UNSET)],
@@ -243,42 +232,6 @@ def _describe_method(cls: type, function: Callable[..., object], profile_by: str
         reply_type=reply_type,
         reply=msgspec.msgpack.Decoder(reply_type),
     )
-
-
-def _check_type(hint: Any, what: str) -> None:
-    """Refuses a type that would not arrive as it was sent."""
-    try:
-        found = types.type_info(hint)
-    except TypeError as error:
-        raise DeclarationError(f"{what} cannot be sent: {error}") from error
-    for part in _parts(found, set()):
-        if isinstance(part, types.AnyType):
-            raise DeclarationError(f"{what} cannot be sent as {hint}: say which types it may have")
-        if isinstance(part, (types.CustomType, types.RawType, types.ExtType)):
-            raise DeclarationError(
-                f"{what} cannot be sent: {getattr(part, 'cls', hint)} has no encoding; use dataclasses, msgspec "
-                "structs, enums, lists, dicts, numbers, strings, bytes or None"
-            )
-
-
-def _parts(found: types.Type, seen: set[type]) -> Iterator[types.Type]:
-    """The type and every type within it, recursive classes once."""
-    yield found
-    cls = getattr(found, "cls", None)
-    if cls is not None:
-        if cls in seen:
-            return
-        seen.add(cls)
-    inner = [
-        *getattr(found, "types", ()),
-        *getattr(found, "item_types", ()),
-        *(field.type for field in getattr(found, "fields", ())),
-    ]
-    inner += [
-        getattr(found, name) for name in ("item_type", "key_type", "value_type") if hasattr(found, name)
-    ]
-    for part in inner:
-        yield from _parts(part, seen)
 
 
 def _encode_fault(error: BaseException) -> bytes:

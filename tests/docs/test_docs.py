@@ -87,5 +87,6 @@ def test_the_configuration_page_shows_a_file_that_is_understood(tmp_path: Path) 
             "heat",
             "noise",
             "truth",
+            "settings",
         }
         assert known - tables <= written, f"not on the page: {known - tables - written}"

@@ -20,7 +20,7 @@ import pytest
 from tests.children import expect_no_child
 
 from upwash.errors import InstanceError, Refused, Unreachable
-from upwash.ports import InstanceSpec
+from upwash.ports import InstanceSpec, Program
 from upwash.protocol import service_path
 from upwash.real.credentials import Credentials
 from upwash.real.link import GrpcDialer, GrpcLink
@@ -38,8 +38,13 @@ def runtime(folder: Path) -> ProcessRuntime:
     )
 
 
-def spec(services: Path, cls: str = "Workbench", pace_s: dict[str, float] | None = None) -> InstanceSpec:
-    return InstanceSpec("s1", cls.lower(), f"{services}:{cls}", pace_s or {})
+def spec(
+    services: Path,
+    cls: str = "Workbench",
+    pace_s: dict[str, float] | None = None,
+    settings: dict[str, object] | None = None,
+) -> InstanceSpec:
+    return InstanceSpec("s1", cls.lower(), Program(f"{services}:{cls}", settings or {}), pace_s or {})
 
 
 class Bench:
@@ -80,7 +85,7 @@ async def running(
     link = GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES).dial(instance.endpoint, server="s1")
     try:
         await instance.admit(admitted)
-        bench = Bench(instance, link, what.program)
+        bench = Bench(instance, link, what.program.path)
         bench.called, bench.busy = calls, busy
         yield bench
     finally:
@@ -143,7 +148,29 @@ def test_an_instance_with_certificates_is_told_by_its_port(
         try:
             assert int(instance.endpoint.removeprefix(":")) > 0
             await instance.admit(HERON)
-            assert await Bench(instance, link, spec(services).program).call("echo", b"photo") == b"photo"
+            assert await Bench(instance, link, spec(services).program.path).call("echo", b"photo") == b"photo"
+        finally:
+            await link.close()
+            await instance.stop()
+
+    asyncio.run(use())
+
+
+def test_an_instance_is_made_with_its_settings(services: Path, tmp_path: Path) -> None:
+    what = spec(services, "Tuned", settings={"gain": 2.5, "table": "/etc/table"})
+
+    async def use() -> None:
+        instance = await runtime(tmp_path).start(what, called=lambda _: None)
+        link = GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES).dial(
+            instance.endpoint, server="s1"
+        )
+        method = spec_of(load_service(what.program.path)).methods["made"]
+        try:
+            await instance.admit(HERON)
+            reply = await link.request(
+                service_path("tuned", "made"), method.encode((), {})[1], timeout_s=10.0
+            )
+            assert method.result(method.decode(reply)) == "2.5 light /etc/table"
         finally:
             await link.close()
             await instance.stop()
@@ -154,6 +181,7 @@ def test_an_instance_with_certificates_is_told_by_its_port(
 @pytest.mark.parametrize(
     ("cls", "said"),
     [
+        ("Tuned", "tuned@s1 did not start: Tuned cannot be made with its settings: .*gain"),
         ("Unstartable", "unstartable@s1 did not start: .*model.onnx is missing"),
         ("Missing", "missing@s1 did not start: .*there is no Missing"),
         ("Overheated", "overheated@s1 did not start: .*put @service above"),
@@ -177,7 +205,7 @@ def test_a_reason_of_any_length_is_an_instance_error(tmp_path: Path) -> None:
     async def use() -> None:
         with pytest.raises(InstanceError, match="did not start"):
             await runtime(tmp_path).start(
-                InstanceSpec("s1", "wordy", f"{program}:Wordy"), called=lambda _: None
+                InstanceSpec("s1", "wordy", Program(f"{program}:Wordy")), called=lambda _: None
             )
 
     asyncio.run(use())
@@ -428,12 +456,12 @@ def test_stopping_ends_the_call_under_way_and_can_be_repeated(services: Path, tm
 PARENT = """
 import asyncio, sys
 from pathlib import Path
-from upwash.ports import InstanceSpec
+from upwash.ports import InstanceSpec, Program
 from upwash.real.runtime import ProcessRuntime
 
 async def run(folder, program):
     runtime = ProcessRuntime(lambda _: f"unix:{folder}/socket", credentials=None, max_message_bytes=1_000_000)
-    instance = await runtime.start(InstanceSpec("s1", "workbench", program), called=print)
+    instance = await runtime.start(InstanceSpec("s1", "workbench", Program(program)), called=print)
     await instance.admit(frozenset({"heron"}))
     print(instance.endpoint, flush=True)
     await asyncio.sleep(60)

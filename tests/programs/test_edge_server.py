@@ -11,7 +11,7 @@ import pytest
 
 from upwash.core.instances import Host, HostSettings, ServerOffer
 from upwash.errors import InstanceError, Refused
-from upwash.ports import InstanceSpec
+from upwash.ports import InstanceSpec, Program
 from upwash.protocol import (
     AVAILABILITY,
     LEAVE,
@@ -79,7 +79,7 @@ class Daemon:
             Host(
                 {"s1": ServerOffer(frozenset({"detector"}), slots)}, HostSettings(lease_s=30, idle_stop_s=100)
             ),
-            programs={"detector": "somewhere:Detector"},
+            programs={"detector": Program("somewhere:Detector")},
             runtime=self.runtime,
             start_timeout_s=start_timeout_s,
         )

@@ -16,7 +16,7 @@ from tests.children import expect_no_child
 
 from upwash.errors import InstanceError
 from upwash.onboard import OnboardServices
-from upwash.ports import InstanceSpec
+from upwash.ports import InstanceSpec, Program
 from upwash.real.link import GrpcDialer
 from upwash.real.runtime import ProcessRuntime
 from upwash.service import load_service, spec_of
@@ -68,7 +68,7 @@ async def onboard(services: Path, folder: Path, cls: str = "Workbench") -> Async
     diary = Diary()
     program = f"{services}:{cls}"
     running = OnboardServices(
-        [InstanceSpec("heron", cls.lower(), program)],
+        [InstanceSpec("heron", cls.lower(), Program(program))],
         drone="heron",
         runtime=ProcessRuntime(
             lambda _: f"unix:{folder}/{next(sockets)}", credentials=None, max_message_bytes=MAX_MESSAGE_BYTES

@@ -13,13 +13,13 @@ import msgspec
 import pytest
 from rich.console import Console
 
-from upwash.bundled import service_program
 from upwash.config import DroneConfig, FaultConfig, SafeEnd, waypoints
 from upwash.config.drone_file import drone_config
 from upwash.core.geo import Position
 from upwash.drone import Drone, Flight, World
 from upwash.errors import AutopilotOverruled, AutopilotRefused, InstanceError, MissionStopped, Unreachable
 from upwash.missions.survey import survey
+from upwash.ports import Program
 from upwash.results import RunResult, read_result
 from upwash.service import spec_of
 from upwash.services import Detector
@@ -130,7 +130,7 @@ def make_scene(config: DroneConfig, mission: Callable[[Drone], None], kind: type
         notifier=journal,
         journal=journal,
     )
-    programs = {"detector": service_program(config, "detector")}
+    programs = {"detector": Program("upwash.services:Detector")}
     flight = Flight(mission, config, services={"detector": Detector}, programs=programs, world=world)
     return Scene(flight, autopilot, journal, wire)
 

@@ -551,7 +551,7 @@ def test_a_foreign_certificate_is_refused(tmp_path: Path, keys: Path) -> None:
         ("no_such_package:Workbench", "no_such_package"),
         ("services_for_tests:NoSuchClass", "NoSuchClass"),
         ("services_for_tests:Overheated", "put @service above the class"),
-        ("services_for_tests:Unstartable", "declared under another name"),
+        ("services_for_tests:Unstartable", "which is declared as 'unstartable'"),
     ],
 )
 def test_a_service_that_is_not_there_is_named(tmp_path: Path, program: str, said: str) -> None:

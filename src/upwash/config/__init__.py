@@ -30,8 +30,8 @@ from upwash.config.drone import (
 )
 from upwash.config.drone_file import drone_config, read_drone_config
 from upwash.config.problems import Document
-from upwash.config.reading import impossible_values, read_document
-from upwash.config.values import KeysConfig, is_on_this_machine
+from upwash.config.reading import convert, impossible_values, read_document
+from upwash.config.values import KeysConfig, SettingsTable, is_on_this_machine
 
 __all__ = [
     "AutopilotConfig",
@@ -54,8 +54,10 @@ __all__ = [
     "ServerConfig",
     "ServerTruth",
     "ServiceConfig",
+    "SettingsTable",
     "TruthConfig",
     "VehicleConfig",
+    "convert",
     "drone_config",
     "ending",
     "geofence",

@@ -18,6 +18,7 @@ from upwash.config.values import (
     Name,
     Names,
     Positive,
+    Settings,
     Text,
     is_address,
     is_on_this_machine,
@@ -34,10 +35,11 @@ LeaseSeconds = Annotated[float, Meta(ge=2, description="a number of at least 2, 
 
 
 class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A service that can be started here; without a `program` it is the bundled one of that name."""
+    """A service that can be started here, with `settings` for its constructor; bundled if it has no `program`."""
 
     name: Name
     program: ImportPath | None = None
+    settings: Settings | None = None
 
 
 class IdentityConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -27,6 +27,7 @@ from upwash.config.values import (
     SecondsByKey,
     SecondsByService,
     SecondsOfEachKey,
+    Settings,
     Text,
 )
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, Waypoint
@@ -131,7 +132,7 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """A service of the mission; a map's key is a profile key, "" for a service without any.
 
     Without a `program` it is the bundled service of that name. `local_pace_s` is the least time a local
-    call takes: on the desk it stands in for the drone's slower computer.
+    call takes: on the desk it stands in for the drone's slower computer. `settings` is what its constructor gets.
     """
 
     name: Name
@@ -141,6 +142,7 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     local_call_s: SecondsOfEachKey
     local_first_extra_s: NotNegative = 0.0
     local_pace_s: SecondsByKey = {}
+    settings: Settings | None = None
 
 
 class TruthConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

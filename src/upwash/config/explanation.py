@@ -8,27 +8,37 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-from msgspec import inspect
+from msgspec import ValidationError, inspect
 
-from upwash.config.problems import Document, Problem, listed, unknown
+from upwash.config.problems import Problem, listed, unknown
 
 _WORDS = {
     inspect.BoolType: "true or false",
     inspect.FloatType: "a number",
     inspect.IntType: "an integer",
     inspect.StrType: "a string",
+    inspect.ListType: "an array",
+    inspect.VarTupleType: "an array",
+    inspect.TupleType: "an array",
+    inspect.SetType: "an array",
+    inspect.DictType: "a table",
 }
 _LONGEST_SHOWN = 60
 
 
-def explained(message: str, document: Document, kind: type) -> Problem:
-    """The key that a message of msgspec's is about, and what to change there."""
+def explained(error: ValidationError, document: Mapping[str, object], kind: type) -> Problem:
+    """The key that an error of msgspec's is about, and what to change there."""
+    message = str(error)
     said, _, path = message.rpartition(" - at `$") if " - at `$" in message else (message, "", "")
     key = path.removesuffix("`").removeprefix(".").replace("[...]", "")  # [...] is an entry of a map
     steps = re.findall(r"[^.\[\]]+", key)
     expected = _type_at(inspect.type_info(kind), steps)
+    if isinstance(error.__cause__, ValueError) and str(error.__cause__):
+        return key, str(error.__cause__)  # a table that was checked by its own class
     named = re.search(r" field `(.*)`$", said, re.DOTALL)
     if named is None:
         return key, f"expected {_described(expected)}, found {_shown(_value_at(document, steps))}"
@@ -48,10 +58,14 @@ def _type_at(info: inspect.Type, steps: list[str]) -> inspect.Type:
                 info = item
             case inspect.TupleType(item_types=items):
                 info = items[int(step)]
+            case inspect.ListType(item_type=item) | inspect.SetType(item_type=item):
+                info = item
+            case inspect.DataclassType(fields=fields):
+                info = next(field.type for field in fields if field.encode_name == step)
     return info
 
 
-def _value_at(document: Document, steps: list[str]) -> object:
+def _value_at(document: Mapping[str, object], steps: list[str]) -> object:
     value: Any = document
     for step in steps:
         value = value[int(step)] if isinstance(value, list) else value[step]
@@ -76,15 +90,21 @@ def _described(info: inspect.Type) -> str:
             return description
         case inspect.LiteralType(values=values):
             return "one of " + listed(f'"{value}"' for value in values)
-        case inspect.StructType() as table:
+        case inspect.EnumType(cls=cls):
+            return "one of " + listed(json.dumps(each.value) for each in cls)
+        case inspect.StructType() | inspect.DataclassType() as table:
             return f"a table with the keys {listed(_keys(table))}"
+        case inspect.CustomType(cls=cls) if cls is Path:
+            return "a file's path, absolute or from this file's folder"
         case plain:
-            return _WORDS[type(plain)]
+            return _WORDS.get(type(plain), "another kind of value")
 
 
 def _keys(info: inspect.Type) -> list[str]:
     table = _bare(info)
-    return [field.encode_name for field in table.fields] if isinstance(table, inspect.StructType) else []
+    if not isinstance(table, inspect.StructType | inspect.DataclassType):
+        return []
+    return [field.encode_name for field in table.fields]
 
 
 def _shown(value: object) -> str:

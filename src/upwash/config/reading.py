@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TypeVar
 
 import msgspec
 
 from upwash.config.problems import Document, Problem, refuse_first
-from upwash.config.values import PlanFile
+from upwash.config.values import PlanFile, SettingsTable
 from upwash.errors import ConfigError
 
 T = TypeVar("T")
@@ -40,14 +40,24 @@ def read_document(file: Path) -> Document:
     return document
 
 
-def convert(document: Document, kind: type[T], *, file: Path, as_written: Document) -> T:
+def convert(
+    document: Mapping[str, object],
+    kind: type[T],
+    *,
+    file: Path,
+    as_written: Mapping[str, object],
+    at: str = "",
+) -> T:
     """The document as a value of that kind; paths in it count from the file's folder.
 
-    `as_written` is the document before shorthands were written out: error messages quote it.
+    `as_written` is the document before shorthands were written out: error messages quote it. `at` is the key of a
+    document that is a table of the file's.
     """
     folder = file.absolute().parent
 
-    def resolve(kind: type, value: object) -> Path | PlanFile:
+    def resolve(kind: type, value: object) -> Path | PlanFile | SettingsTable:
+        if kind is SettingsTable and isinstance(value, dict):
+            return SettingsTable(file, value)
         if kind not in (Path, PlanFile) or not isinstance(value, str) or not value:
             raise ValueError
         return folder / value if kind is Path else PlanFile(folder / value)
@@ -57,7 +67,8 @@ def convert(document: Document, kind: type[T], *, file: Path, as_written: Docume
     except msgspec.ValidationError as error:
         from upwash.config.explanation import explained  # only needed once something is wrong
 
-        raise ConfigError(str(file), *explained(str(error), as_written, kind)) from None
+        key, problem = explained(error, as_written, kind)
+        raise ConfigError(str(file), ".".join(filter(None, (at, key))), problem) from None
 
 
 def _unreadable(error: OSError | ValueError) -> str:

@@ -39,6 +39,17 @@ class PlanFile:
         self.plan: Plan = read_plan(file)
 
 
+class SettingsTable:
+    """A table whose keys the constructor of the service's class defines, and the file that it was read from."""
+
+    # No dataclass, for the same reason.
+
+    def __init__(self, file: Path, values: Mapping[str, object]) -> None:
+        self.file = file
+        self.values = values
+
+
+Settings = Annotated[SettingsTable, Meta(description="a table of what the service's constructor takes")]
 PlanPath = Annotated[PlanFile, Meta(description="a plan's path, absolute or from this file's folder")]
 
 Positive = Annotated[float, Meta(gt=0, description="a number above 0")]

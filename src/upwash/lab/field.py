@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from upwash.config import DroneConfig, ServerConfig, ServerTruth, server_truth
 from upwash.core.instances import Host, ServerOffer
 from upwash.lab.witness import ServerWitness
-from upwash.ports import Journal
+from upwash.ports import Journal, Program
 from upwash.server import EdgeServer
 from upwash.service import ServiceSpec
 from upwash.sim.chance import Chance
@@ -25,7 +25,7 @@ class Software:
     """What runs on drones and servers: the services, and objects of those that really compute."""
 
     specs: Mapping[str, ServiceSpec]
-    programs: Mapping[str, str]
+    programs: Mapping[str, Program]
     objects: Mapping[str, object]
 
 
@@ -59,7 +59,7 @@ def _edge_server(
     runtime: ModelRuntime,
     *,
     outside: FaultyServer,
-    programs: Mapping[str, str],
+    programs: Mapping[str, Program],
     witness: ServerWitness | None,
 ) -> EdgeServer:
     edge = EdgeServer(

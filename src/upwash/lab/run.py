@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from upwash.bundled import load_configured_services, load_mission, service_program
+from upwash.bundled import load_mission, load_services
 from upwash.config import DroneConfig, server_area, server_truth, waypoints
 from upwash.core.geo import Position
 from upwash.drone import Flight, World
@@ -95,11 +95,12 @@ async def _fly(
     """Returns why each mission was not completed, "" for those that were."""
     for journal in (*journals, *([witness] if witness else [])):
         journal.begin()
-    classes = load_configured_services(fleet[0])
+    services = load_services(fleet[0].services)
+    classes = {name: service.cls for name, service in services.items()}
     software = Software(
         specs={name: spec_of(cls) for name, cls in classes.items()},
-        programs={name: service_program(fleet[0], name) for name in classes},
-        objects={name: cls() for name, cls in classes.items()} if computing else {},
+        programs={name: service.program for name, service in services.items()},
+        objects={name: service.made() for name, service in services.items()} if computing else {},
     )
     async with serving(fleet[0], software, witness=witness) as switchboard:
         flights = [

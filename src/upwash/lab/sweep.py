@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from upwash.bundled import load_configured_services, load_mission
+from upwash.bundled import load_mission, load_services
 from upwash.config import Document, drone_config, impossible_values, read_document
 from upwash.config.values import repeated
 from upwash.errors import ConfigError, UsageError
@@ -71,7 +71,7 @@ def read_sweep(file: Path, settings: Sequence[str], *, seeds: int) -> Sweep:
     for combination in combinations:
         config = drone_config(combination.document, file)
         load_mission(config.mission.program, mode=config.mission.mode)
-        load_configured_services(config)
+        load_services(config.services)
     return Sweep(file, read, combinations, seeds)
 
 

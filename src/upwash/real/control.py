@@ -6,6 +6,8 @@ however it dies, the instance reads an end of file and ends.
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgspec
 
 
@@ -13,6 +15,7 @@ class Begin(msgspec.Struct, frozen=True, tag="begin"):
     """To the instance, first: what to be. The credentials are PEM text; they touch no disk and no command line."""
 
     program: str
+    settings: dict[str, Any]
     service: str
     listen: str
     max_message_bytes: int

@@ -22,6 +22,7 @@ from upwash.real.control import Admit, Admitted, Begin, Called, Failed, Ready, l
 from upwash.real.credentials import Credentials
 from upwash.real.listener import Caller, Listener
 from upwash.service import Method, load_service, spec_of
+from upwash.settings import construct
 
 _CONCURRENT_CALLS = 8  # one runs, the others queue until their deadlines
 _LONGEST_REASON = 10_000  # characters
@@ -33,9 +34,10 @@ class ServiceInstance:
 
     def __init__(self, begin: Begin, control: socket.socket) -> None:
         cls = load_service(begin.program)
-        self._target = cls()
+        spec = spec_of(cls)
+        self._target: object = construct(cls, spec.settings, begin.settings)
         self._methods: dict[str, Method] = {
-            service_path(begin.service, method.name): method for method in spec_of(cls).methods.values()
+            service_path(begin.service, method.name): method for method in spec.methods.values()
         }
         self._pace_s = begin.pace_s
         self._control = control

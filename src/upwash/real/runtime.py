@@ -49,7 +49,8 @@ class ProcessRuntime:
     def _begin(self, spec: InstanceSpec) -> Begin:
         credentials = self._credentials
         return Begin(
-            program=spec.program,
+            program=spec.program.path,
+            settings=dict(spec.program.settings),
             service=spec.service,
             listen=self._listen(spec),
             max_message_bytes=self._max_message_bytes,

@@ -11,7 +11,7 @@ import pytest
 
 from upwash.core.estimates import Operation
 from upwash.errors import LinkError, Refused
-from upwash.ports import Dialer, InstanceSpec, Runtime
+from upwash.ports import Dialer, InstanceSpec, Program, Runtime
 from upwash.protocol import service_path
 from upwash.real.link import GrpcDialer
 from upwash.real.runtime import ProcessRuntime
@@ -44,7 +44,7 @@ class Site:
 
     async def call(self, endpoint: str) -> object:
         """Calls the workbench's `work` over a link of its own."""
-        method = spec_of(load_service(self.spec.program)).methods["work"]
+        method = spec_of(load_service(self.spec.program.path)).methods["work"]
         _, request = method.encode(("light",), {})
         link = self.dialer.dial(endpoint, server="s1")
         try:
@@ -61,7 +61,7 @@ Use = Callable[[Callable[[Site], Awaitable[None]]], None]
 def use(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Use:
     """Does something at a site of one of the twins."""
     program = f"{services}:Workbench"
-    spec = InstanceSpec("s1", "workbench", program)
+    spec = InstanceSpec("s1", "workbench", Program(program))
 
     def model() -> Site:
         switchboard = Switchboard({})
