@@ -509,7 +509,7 @@ def test_its_instances_end_when_it_is_killed(
 def refused(folder: Path, text: str) -> str:
     """What a daemon that does not start says; it must be one line, with exit code 2."""
     with started(folder, text) as process:
-        assert process.wait(timeout=10.0) == 2
+        assert process.wait(timeout=30.0) == 2
         assert process.stdout is not None
         assert process.stdout.read() == ""
     said = (folder / "stderr").read_text()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
-from upwash.bundled import load_configured_services
+from upwash.bundled import load_services
 from upwash.config import DroneConfig, ServerTruth, ServiceConfig, server_area, server_truth
 from upwash.core.bound import Bound, bound
 from upwash.core.estimates import Operation
@@ -35,7 +35,7 @@ def bound_of(run: Run, config: DroneConfig) -> Bound | None:
 
 def _calls(run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth]) -> Iterator[ComingCall]:
     """The calls that the run made, with all that was in range of them."""
-    specs = {name: spec_of(cls) for name, cls in load_configured_services(config).items()}
+    specs = {name: spec_of(each.cls) for name, each in load_services(config.services).items()}
     operations = {str(operation): operation for operation in make_estimates(config, specs).operations}
     services = {service.name: service for service in config.services}
     areas = {server.name: server_area(server, config.mission.home) for server in config.servers}
