@@ -19,16 +19,15 @@ from upwash.config import DroneConfig, KeysConfig, read_drone_config
 from upwash.errors import UpwashError
 from upwash.flying import fly_with_progress
 from upwash.real.credentials import make_keys
-from upwash.services import Box, Detection
-from upwash.services.solar_park import read_truth, render_folder
+from upwash.services import Detection
+from upwash.services.solar_park import TrueBox
 
-_PHOTO_SEED = 1
 _STOP_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Hot-spots in the photos of a flight: how many there truly are, were found, and were imagined."""
+    """Faults in the photos of a flight: how many there truly are, were found, and were imagined."""
 
     photos: int
     true: int
@@ -40,8 +39,6 @@ def fly_demonstration(folder: Path) -> None:
     """Flies it with everything below `folder`; whatever it started is gone when it returns or raises."""
     console = Console(markup=False)
     config = read_demonstration()
-    with console.status("rendering the photos"):
-        render_folder(folder / "photos", count=len(config.mission.waypoints_m or ()), seed=_PHOTO_SEED)
     names = [server.name for server in config.servers]
     make_keys(folder / "keys", servers=[[name] for name in names], drones=[config.name])
     with contextlib.ExitStack() as processes:
@@ -52,38 +49,37 @@ def fly_demonstration(folder: Path) -> None:
             f"the vehicle is at {vehicle}, the servers at {', '.join(daemons.values())}", soft_wrap=True
         )
         fly_with_progress(here, log=folder / "events.jsonl", console=console)
-    score = score_photos(folder)
+    score = score_photos(folder / "events.jsonl")
     console.print(
-        f"hot-spots: {score.found} of {score.true} found, {score.false} false alarms, in {score.photos} photos",
+        f"faulty modules: {score.found} of {score.true} found, {score.false} false alarms, in {score.photos} photos",
         soft_wrap=True,
     )
 
 
-def score_photos(folder: Path) -> Score:
-    """What the flight in the folder told the user, held against what its photos truly show."""
-    truth = list(read_truth(folder / "photos").values())  # the camera returned them in this order
+def score_photos(log: Path) -> Score:
+    """What the flight of that event log told its user, held against what its photos truly show."""
+    truths: list[list[TrueBox]] = []
     told: list[list[Detection]] = []
-    with (folder / "events.jsonl").open("rb") as lines:
+    with log.open("rb") as lines:
         for event in map(msgspec.json.decode, lines):
             match event:
-                case {"event": "call"}:
+                case {"event": "photo", "truth": truth}:
+                    truths.append(msgspec.convert(truth, list[TrueBox]))
                     told.append([])
                 case {"event": "notified", "message": message}:
                     told[-1] = msgspec.convert(message, list[Detection])
     found = false = 0
-    for hot_spots, detections in zip(truth, told, strict=False):
-        hits = {spot for spot in hot_spots for each in detections if _contains(spot, each)}
-        found += len(hits)
-        false += sum(not any(_contains(spot, each) for spot in hot_spots) for each in detections)
-    return Score(photos=len(told), true=sum(map(len, truth[: len(told)])), found=found, false=false)
+    for truth, detections in zip(truths, told, strict=True):
+        found += sum(any(_is_hit(fault, each) for each in detections) for fault in truth)
+        false += sum(not any(_is_hit(fault, each) for fault in truth) for each in detections)
+    return Score(photos=len(truths), true=sum(map(len, truths)), found=found, false=false)
 
 
-def _contains(spot: Box, detection: Detection) -> bool:
-    x = detection.left_px + detection.width_px / 2
-    y = detection.top_px + detection.height_px / 2
-    return (
-        spot.left_px <= x <= spot.left_px + spot.width_px and spot.top_px <= y <= spot.top_px + spot.height_px
-    )
+def _is_hit(fault: TrueBox, detection: Detection) -> bool:
+    """Whether the detection names the fault and has its middle on it."""
+    x = detection.left_px + detection.width_px / 2 - fault.left_px
+    y = detection.top_px + detection.height_px / 2 - fault.top_px
+    return detection.label == fault.label and 0 <= x <= fault.width_px and 0 <= y <= fault.height_px
 
 
 def read_demonstration() -> DroneConfig:
@@ -98,7 +94,6 @@ def _fill_in(config: DroneConfig, folder: Path, *, vehicle: str, daemons: Mappin
     return replace(
         config,
         autopilot=replace(config.autopilot, connection=f"{kind}out:{host}:{port}"),
-        camera=replace(config.camera, folder=folder / "photos"),
         keys=_keys(folder / "keys", config.name),
         servers=tuple(replace(server, address=daemons[server.name]) for server in config.servers),
     )

@@ -190,13 +190,31 @@ class Pilot:
 class Photographer:
     """The camera as a mission uses it."""
 
-    def __init__(self, camera: Camera, thread: MissionThread) -> None:
+    def __init__(
+        self, camera: Camera, thread: MissionThread, journal: Journal, *, position: Callable[[], Position]
+    ) -> None:
         self._camera = camera
         self._thread = thread
+        self._journal = journal
+        self._position = position
 
     def take_photo(self) -> bytes:
-        """Shoots and returns one JPEG."""
-        return self._thread.call(self._camera.take_photo())
+        """Shoots and returns one JPEG; raises CameraError."""
+        return self._thread.call(self._take_photo())
+
+    async def _take_photo(self) -> bytes:
+        at = self._position()
+        photo = await self._camera.take_photo(at)
+        truth = {} if photo.truth is None else {"truth": photo.truth}
+        self._journal.record(
+            "photo",
+            source=photo.source,
+            bytes=len(photo.jpeg),
+            age_s=round(asyncio.get_running_loop().time() - photo.captured_s, 6),
+            position={"east_m": at.east_m, "north_m": at.north_m, "altitude_m": at.altitude_m},
+            **truth,
+        )
+        return photo.jpeg
 
 
 class User:
@@ -389,7 +407,12 @@ class Flight:
             altitude_m=self._config.mission.altitude_m,
             ending=ending(self._config.mission),
             autopilot=self._pilot,
-            camera=Photographer(self._world.camera, self._thread),
+            camera=Photographer(
+                self._world.camera,
+                self._thread,
+                self._world.journal,
+                position=lambda: self._world.autopilot.position,
+            ),
             user=User(self._world.notifier, self._thread),
             services=frozenset(service.name for service in self._config.services),
             invoke=invoke,

@@ -10,6 +10,7 @@ UpwashError
 │   │   └── AutopilotOverruled      the pilot or a fail-safe has taken the vehicle over
 │   ├── AutopilotTimeout        it did not get there in time
 │   └── AutopilotLost           its link went silent
+├── CameraError               the camera gave no photo: names the camera and what is wrong with it
 ├── NetworkError              a server's network could not be joined
 ├── LinkError                 a request got no answer
 │   ├── Unreachable             nobody there, or the connection broke
@@ -30,6 +31,7 @@ __all__ = [
     "AutopilotOverruled",
     "AutopilotRefused",
     "AutopilotTimeout",
+    "CameraError",
     "ConfigError",
     "CredentialsError",
     "DeadlineExceeded",
@@ -99,6 +101,15 @@ class AutopilotTimeout(AutopilotError):
 
 class AutopilotLost(AutopilotError):
     """The link to the vehicle went silent."""
+
+
+class CameraError(UpwashError):
+    """The camera gave no photo."""
+
+    def __init__(self, camera: str, problem: str) -> None:
+        self.camera = camera
+        self.problem = problem
+        super().__init__(f"camera {camera}: {problem}")
 
 
 class NetworkError(UpwashError):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from upwash.bundled import load_mission, load_services
 from upwash.config import (
+    CameraConfig,
     DaemonConfig,
     DroneConfig,
     KeysConfig,
@@ -23,7 +24,7 @@ from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.core.instances import Host, HostSettings, ServerOffer
 from upwash.drone import Flight, World
 from upwash.errors import CredentialsError, Refused, UsageError
-from upwash.ports import Autopilot, InstanceSpec, Journal, Network
+from upwash.ports import Autopilot, Camera, InstanceSpec, Journal, Network
 from upwash.real.autopilot import FlightSettings, connect_autopilot
 from upwash.real.camera import FolderCamera
 from upwash.real.credentials import Credentials, read_credentials
@@ -31,7 +32,9 @@ from upwash.real.journal import FileJournal, JournalNotifier, Watcher
 from upwash.real.link import GrpcDialer
 from upwash.real.listener import Caller, Listener
 from upwash.real.runtime import ProcessRuntime
+from upwash.real.video import VideoCamera
 from upwash.server import EdgeServer
+from upwash.sim.camera import RenderedCamera
 from upwash.sim.network import Cell, ModelNetwork, NoNetwork
 from upwash.vehicle import VehicleSettings, serve_vehicle
 
@@ -61,14 +64,12 @@ async def fly(
         raise UsageError(
             "autopilot.connection is missing: say how the vehicle is reached, or use --autopilot"
         )
-    if config.camera.folder is None:
-        raise UsageError("camera.folder is missing: say where the photos are")
     mission = load_mission(program or config.mission.program, mode=config.mission.mode)
     services = load_services(config.services)
     dialer = _dialer(config)
-    camera = FolderCamera(config.camera.folder, photo_s=config.camera.photo_s)
     home = GeoPosition(config.mission.home.latitude_deg, config.mission.home.longitude_deg)
     async with contextlib.AsyncExitStack() as stack:
+        camera = await _camera(config.camera, stack)
         journal = stack.enter_context(contextlib.closing(FileJournal(log, watchers=watchers)))
         autopilot = await connect_autopilot(
             config.autopilot.connection,
@@ -102,6 +103,18 @@ async def fly(
         await stack.enter_async_context(_tracking(autopilot, journal))
         stack.enter_context(_stopping_politely(flight.stop))
         await flight.run()
+
+
+async def _camera(config: CameraConfig, stack: contextlib.AsyncExitStack) -> Camera:
+    if config.folder is not None:
+        return FolderCamera(config.folder, photo_s=config.photo_s)
+    if config.park_seed is not None:
+        return RenderedCamera(config.park_seed, photo_s=config.photo_s, in_thread=True)
+    if config.device is not None:
+        return stack.enter_context(contextlib.closing(await VideoCamera.open(config.device)))
+    raise UsageError(
+        "no camera: say in [camera] where photos come from: folder, device, or park_seed for rendered ones"
+    )
 
 
 def _dialer(config: DroneConfig) -> GrpcDialer:

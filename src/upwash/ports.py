@@ -83,11 +83,25 @@ class Dialer(Protocol):
         """A link to the address, where only `server` is believed; connects when first used."""
 
 
+@dataclass(frozen=True, slots=True)
+class Photo:
+    """One JPEG, and what is known of it.
+
+    `captured_s` is by the event loop's clock, `source` says where it came from. Where it was rendered, `truth`
+    holds what is on it, for a log.
+    """
+
+    jpeg: bytes
+    captured_s: float
+    source: str
+    truth: Sequence[object] | None = None
+
+
 class Camera(Protocol):
     """The drone's camera."""
 
-    async def take_photo(self) -> bytes:
-        """Shoots and returns one JPEG."""
+    async def take_photo(self, at: Position) -> Photo:
+        """Shoots and returns one photo; `at` is where the drone is. Raises CameraError."""
 
 
 class Notifier(Protocol):

@@ -126,3 +126,27 @@ def test_figures_are_drawn_on_request(capsys: pytest.CaptureFixture[str], tmp_pa
     pytest.importorskip("matplotlib")
     simulate(capsys, THESIS, "--figures", str(tmp_path / "figures"))
     assert sorted(file.name for file in (tmp_path / "figures").iterdir()) == ["call_delay.png", "map.png"]
+
+
+def test_a_camera_over_a_park_shows_a_mission_real_photos_and_the_log_their_truth(tmp_path: Path) -> None:
+    mission = tmp_path / "looking.py"
+    mission.write_text(
+        "def look(drone):\n    drone.autopilot.arm()\n    drone.autopilot.takeoff(15.0)\n"
+        "    for waypoint in drone.plan:\n        drone.autopilot.goto(waypoint)\n"
+        "        drone.user.notify(len(drone.camera.take_photo()), at=waypoint)\n    drone.end_flight()\n"
+    )
+    scenario = tmp_path / "park.toml"
+    scenario.write_text(
+        f'[mission]\nprogram = "{mission}:look"\nwaypoints_m = [[0, 0], [40, 0], [0, 0]]\naltitude_m = 15.0\n'
+        "[camera]\npark_seed = 3\n"
+    )
+    log = tmp_path / "events.jsonl"
+    assert main(["simulate", str(scenario), "--json", "--log", str(log)]) == 0
+    events = [json.loads(line) for line in log.read_text().splitlines()]
+    photos = [event for event in events if event["event"] == "photo"]
+    sizes = [event["message"] for event in events if event["event"] == "notified"]
+    assert [photo["bytes"] for photo in photos] == sizes
+    assert all(400_000 <= size <= 450_000 for size in sizes)
+    assert [photo["position"]["east_m"] for photo in photos] == pytest.approx([0, 40, 0], abs=1)
+    first, other, again = ([fault["label"] for fault in photo["truth"]] for photo in photos)
+    assert first == again != other

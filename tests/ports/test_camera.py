@@ -1,16 +1,22 @@
-"""The camera that shoots the files of a folder."""
+"""The camera that shoots the files of a folder, and the one that renders what lies below."""
 
 from __future__ import annotations
 
 import asyncio
+import sys
 import threading
 from pathlib import Path
 
 import pytest
 
-from upwash.errors import UpwashError, UsageError
-from upwash.ports import Camera
+from upwash.core.geo import Position
+from upwash.errors import CameraError, UsageError
+from upwash.ports import Camera, Photo
 from upwash.real.camera import FolderCamera
+from upwash.sim.camera import RenderedCamera
+from upwash.sim.loop import run_virtually
+
+HERE = Position(0, 0, 10)
 
 
 def fill(folder: Path, *names: str) -> Path:
@@ -21,7 +27,7 @@ def fill(folder: Path, *names: str) -> Path:
 
 def shoot(camera: Camera, count: int) -> list[bytes]:
     async def shots() -> list[bytes]:
-        return [await camera.take_photo() for _ in range(count)]
+        return [(await camera.take_photo(HERE)).jpeg for _ in range(count)]
 
     return asyncio.run(shots())
 
@@ -42,7 +48,7 @@ def test_a_photo_takes_its_time(tmp_path: Path) -> None:
         camera = FolderCamera(fill(tmp_path, "photo.jpg"), photo_s=0.05)
         clock = asyncio.get_running_loop().time
         start_s = clock()
-        await camera.take_photo()
+        await camera.take_photo(HERE)
         return clock() - start_s
 
     assert asyncio.run(seconds()) >= 0.05
@@ -51,11 +57,11 @@ def test_a_photo_takes_its_time(tmp_path: Path) -> None:
 def test_a_cancelled_shot_is_not_skipped(tmp_path: Path) -> None:
     async def first_after_cancelling() -> bytes:
         camera = FolderCamera(fill(tmp_path, "a.jpg", "b.jpg"), photo_s=0.01)
-        shot = asyncio.create_task(camera.take_photo())
+        shot = asyncio.create_task(camera.take_photo(HERE))
         await asyncio.sleep(0)
         shot.cancel()
         await asyncio.gather(shot, return_exceptions=True)
-        return await camera.take_photo()
+        return (await camera.take_photo(HERE)).jpeg
 
     assert asyncio.run(first_after_cancelling()) == b"a.jpg"
 
@@ -85,5 +91,60 @@ def test_a_folder_without_photos_is_refused_at_once(tmp_path: Path) -> None:
 def test_a_photo_that_is_gone_is_named(tmp_path: Path) -> None:
     camera = FolderCamera(fill(tmp_path, "photo.jpg"), photo_s=0)
     (tmp_path / "photo.jpg").unlink()
-    with pytest.raises(UpwashError, match=r"photo\.jpg cannot be read: No such file"):
+    with pytest.raises(CameraError, match=r"photo\.jpg cannot be read: No such file"):
         shoot(camera, 1)
+
+
+# --- rendered photos -------------------------------------------------------------------------------
+
+
+def photos_from(*places: Position, park_seed: int = 3) -> list[Photo]:
+    async def fly() -> list[Photo]:
+        camera = RenderedCamera(park_seed, photo_s=0.5, in_thread=False)
+        return [await camera.take_photo(place) for place in places]
+
+    return run_virtually(fly())
+
+
+def test_what_is_on_a_rendered_photo_depends_on_where_the_drone_is() -> None:
+    here, there, back = photos_from(Position(0, 0, 15), Position(40, 0, 15), Position(0, 0, 15))
+    assert here.truth and there.truth and back.truth
+    assert len(here.truth) == len(back.truth) != len(there.truth)
+    assert here.jpeg != back.jpeg  # the wind and the sensor are never the same
+    (elsewhere,) = photos_from(Position(0, 0, 15), park_seed=4)
+    assert elsewhere.truth != here.truth
+
+
+def test_a_rendered_photo_takes_its_time_on_either_clock() -> None:
+    async def shoot(in_thread: bool) -> float:
+        camera = RenderedCamera(3, photo_s=0.5, in_thread=in_thread)
+        clock = asyncio.get_running_loop().time
+        began_s = clock()
+        photo = await camera.take_photo(HERE)
+        assert photo.captured_s == pytest.approx(began_s, abs=0.01)
+        return clock() - began_s
+
+    assert run_virtually(shoot(in_thread=False)) == pytest.approx(0.5)
+    assert asyncio.run(shoot(in_thread=True)) >= 0.5
+
+
+def test_rendering_does_not_hold_up_the_flight() -> None:
+    async def ticks_while_rendering() -> int:
+        camera = RenderedCamera(3, photo_s=0.0, in_thread=True)
+        shot = asyncio.create_task(camera.take_photo(HERE))
+        ticks = 0
+        while not shot.done():
+            await asyncio.sleep(0.01)
+            ticks += 1
+        return ticks
+
+    assert asyncio.run(ticks_while_rendering()) > 3
+
+
+def test_without_opencv_a_rendered_camera_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in [name for name in sys.modules if name.startswith("upwash.services.solar_park")]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    monkeypatch.delattr("upwash.services.solar_park", raising=False)
+    with pytest.raises(UsageError, match=r"pip install 'upwash\[detector\]'"):
+        RenderedCamera(3, photo_s=0.0, in_thread=False)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from upwash.config.drone import (
     RADIOS,
+    CameraConfig,
     DroneConfig,
     FaultConfig,
     MissionConfig,
@@ -32,6 +33,7 @@ _HOME = Position(0.0, 0.0)
 def problems(config: DroneConfig) -> Iterator[Problem]:
     """Everything about the configuration that cannot be, though each value by itself could."""
     yield from _mission_problems(config.mission, config.services)
+    yield from _camera_problems(config.camera)
     for index, name in repeated([service.name for service in config.services]):
         yield f"service[{index}].name", f'a second service named "{name}": give each its own name'
     for index, name in repeated([server.name for server in config.servers]):
@@ -56,6 +58,13 @@ def _mission_problems(mission: MissionConfig, services: tuple[ServiceConfig, ...
     keys = list(dict.fromkeys(key for service in services for key in service.local_call_s if key))
     if mission.program == "survey" and keys and mission.mode not in keys:
         yield "mission.mode", unknown("profile key", mission.mode, keys)
+
+
+def _camera_problems(camera: CameraConfig) -> Iterator[Problem]:
+    sources = {"folder": camera.folder, "device": camera.device, "park_seed": camera.park_seed}
+    found = [key for key, value in sources.items() if value is not None]
+    if len(found) > 1:
+        yield "camera", f"photos from several places: give one of {listed(sources)}, found {listed(found)}"
 
 
 def plan_problems(mission: MissionConfig, plan: Plan) -> Iterator[Problem]:

@@ -27,8 +27,10 @@ from upwash.config.values import (
     SecondsByKey,
     SecondsByService,
     SecondsOfEachKey,
+    Seed,
     Settings,
     Text,
+    VideoSource,
 )
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.geofence import Fence
@@ -110,10 +112,15 @@ class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The camera: how long a photo takes, and the folder of photos, absolute, if one is given."""
+    """Where photos come from, one of three, and how long one takes.
+
+    They are the files of a folder, a video device's (its number, or a URL), or rendered from a solar park's seed.
+    """
 
     photo_s: NotNegative = 1.0
     folder: FilePath | None = None
+    device: VideoSource | None = None
+    park_seed: Seed | None = None
 
 
 class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

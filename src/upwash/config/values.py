@@ -60,6 +60,11 @@ Latitude = Annotated[float, Meta(ge=-90, le=90, description="degrees from -90 to
 Longitude = Annotated[float, Meta(ge=-180, le=180, description="degrees from -180 to 180")]
 Count = Annotated[int, Meta(ge=1, description="an integer of at least 1")]
 GridCount = Annotated[int, Meta(ge=1, le=1000, description="an integer from 1 to 1000")]
+Seed = Annotated[int, Meta(ge=0, description="an integer of at least 0")]
+VideoSource = Annotated[
+    Annotated[int, Meta(ge=0)] | Annotated[str, Meta(min_length=1)],
+    Meta(description="a video device's number, such as 0, or the URL of a stream"),
+]
 Bytes = Annotated[int, Meta(ge=0, description="an integer of at least 0, in bytes")]
 
 SecondsByKey = Annotated[

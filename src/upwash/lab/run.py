@@ -11,18 +11,18 @@ from typing import Any
 import msgspec
 
 from upwash.bundled import load_mission, load_services
-from upwash.config import DroneConfig, server_area, server_truth, waypoints
+from upwash.config import CameraConfig, DroneConfig, server_area, server_truth, waypoints
 from upwash.core.geo import Position
 from upwash.drone import Flight, World
 from upwash.errors import UpwashError
 from upwash.lab.field import Software, serving
 from upwash.lab.stays import Stay, observe
 from upwash.lab.witness import DroneWitness
-from upwash.ports import Dialer, Network
+from upwash.ports import Camera, Dialer, Network
 from upwash.results import RunResult, read_result
 from upwash.service import spec_of
 from upwash.sim.autopilot import ModelAutopilot, Plain
-from upwash.sim.camera import ModelCamera
+from upwash.sim.camera import ModelCamera, RenderedCamera
 from upwash.sim.chance import Chance
 from upwash.sim.faults import Faults
 from upwash.sim.heat import Heat
@@ -159,7 +159,7 @@ async def _fly_one(
                 onboard,
                 objects=software.objects,
             ),
-            camera=ModelCamera(photo_s=config.camera.photo_s),
+            camera=_camera(config.camera),
             notifier=journal,
             journal=journal,
         ),
@@ -197,6 +197,13 @@ def _radio(
         )
     network = ModelNetwork(cells, lambda: autopilot.position)
     return network, ModelDialer(config.name, switchboard, radio)
+
+
+def _camera(config: CameraConfig) -> Camera:
+    """Rendered photos where they are asked for; a folder's or a device's are not there in simulation."""
+    if config.park_seed is None:
+        return ModelCamera(photo_s=config.photo_s)
+    return RenderedCamera(config.park_seed, photo_s=config.photo_s, in_thread=False)
 
 
 def _autopilot(config: DroneConfig, chance: Chance, faults: Faults) -> ModelAutopilot:

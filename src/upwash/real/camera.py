@@ -6,7 +6,9 @@ import asyncio
 import itertools
 from pathlib import Path
 
-from upwash.errors import UpwashError, UsageError
+from upwash.core.geo import Position
+from upwash.errors import CameraError, UsageError
+from upwash.ports import Photo
 
 _SUFFIXES = frozenset({".jpg", ".jpeg"})
 
@@ -22,16 +24,18 @@ class FolderCamera:
         self._photo_s = photo_s
         self._paths = itertools.cycle(_photos(folder))
 
-    async def take_photo(self) -> bytes:
-        """Returns the next file's bytes after `photo_s` seconds; raises UpwashError if it cannot be read."""
+    async def take_photo(self, at: Position) -> Photo:
+        """Returns the next file after `photo_s` seconds; raises CameraError if it cannot be read."""
         await asyncio.sleep(self._photo_s)
         path = next(self._paths)
         try:
-            return await asyncio.to_thread(path.read_bytes)
+            jpeg = await asyncio.to_thread(path.read_bytes)
         except OSError as error:
-            raise UpwashError(
-                f"camera: {path} cannot be read: {error.strerror}; put it back, or start again without it"
+            raise CameraError(
+                str(path.parent),
+                f"{path.name} cannot be read: {error.strerror}; put it back, or start again without it",
             ) from error
+        return Photo(jpeg, asyncio.get_running_loop().time(), source=path.name)
 
 
 def _photos(folder: Path) -> list[Path]:

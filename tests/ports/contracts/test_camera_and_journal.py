@@ -4,37 +4,76 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import msgspec
+import numpy as np
 import pytest
 
 from upwash.core.geo import Position
 from upwash.ports import Camera, Journal, Notifier
 from upwash.real.camera import FolderCamera
 from upwash.real.journal import FileJournal, JournalNotifier
-from upwash.sim.camera import ModelCamera
+from upwash.real.video import VideoCamera
+from upwash.sim.camera import ModelCamera, RenderedCamera
 from upwash.sim.journal import MemoryJournal
 from upwash.sim.loop import run_virtually
 
 JPEG = b"\xff\xd8\xff"
 
 
-@pytest.mark.parametrize("kind", ["model", "folder"])
-def test_a_photo_is_a_jpeg_and_takes_its_time(kind: str, tmp_path: Path) -> None:
-    (tmp_path / "photo.jpg").write_bytes(JPEG + b" and so on")
+@contextlib.asynccontextmanager
+async def a_camera(kind: str, folder: Path) -> AsyncIterator[Camera]:
+    match kind:
+        case "model":
+            yield ModelCamera(photo_s=0.1)
+        case "rendered":
+            yield RenderedCamera(1, photo_s=0.1, in_thread=False)
+        case "folder":
+            (folder / "photo.jpg").write_bytes(JPEG + b" and so on")
+            yield FolderCamera(folder, photo_s=0.1)
+        case "video":
+            with contextlib.closing(await VideoCamera.open(str(write_video(folder / "video.avi")))) as camera:
+                yield camera
 
-    async def shoot() -> tuple[bytes, float]:
+
+def write_video(file: Path) -> Path:
+    writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"MJPG"), 20, (64, 48))
+    for brightness in range(0, 250, 10):
+        writer.write(np.full((48, 64, 3), brightness, np.uint8))
+    writer.release()
+    return file
+
+
+@pytest.mark.parametrize("kind", ["model", "rendered", "folder", "video"])
+def test_a_photo_is_a_jpeg_of_a_known_time(kind: str, tmp_path: Path) -> None:
+    async def shoot() -> None:
         clock = asyncio.get_running_loop().time
-        camera: Camera = ModelCamera(photo_s=0.1) if kind == "model" else FolderCamera(tmp_path, photo_s=0.1)
-        began_s = clock()
-        return await camera.take_photo(), clock() - began_s
+        async with a_camera(kind, tmp_path) as camera:
+            asked_s = clock()
+            photo = await camera.take_photo(Position(1, 2, 10))
+            assert photo.jpeg.startswith(JPEG)
+            assert asked_s <= photo.captured_s <= clock()
+            assert photo.source
 
-    photo, took_s = (run_virtually if kind == "model" else asyncio.run)(shoot())
-    assert photo.startswith(JPEG)
-    assert took_s == pytest.approx(0.1, abs=1e-6 if kind == "model" else 0.09)
+    (run_virtually if kind in {"model", "rendered"} else asyncio.run)(shoot())
+
+
+@pytest.mark.parametrize("kind", ["model", "rendered", "folder"])
+def test_a_photo_takes_its_time(kind: str, tmp_path: Path) -> None:
+    async def seconds() -> float:
+        clock = asyncio.get_running_loop().time
+        async with a_camera(kind, tmp_path) as camera:
+            began_s = clock()
+            await camera.take_photo(Position(1, 2, 10))
+            return clock() - began_s
+
+    virtual = kind != "folder"
+    took_s = (run_virtually if virtual else asyncio.run)(seconds())
+    assert took_s == pytest.approx(0.1, abs=1e-6 if virtual else 0.09)
 
 
 class Found(msgspec.Struct):

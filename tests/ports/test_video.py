@@ -1,0 +1,171 @@
+"""The camera behind OpenCV, on a stream that this test serves: frames whose brightness counts them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import threading
+import time
+from collections.abc import AsyncIterator, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from upwash.core.geo import Position
+from upwash.errors import CameraError
+from upwash.ports import Photo
+from upwash.real import video
+from upwash.real.video import VideoCamera
+
+HERE = Position(0, 0, 10)
+FRAMES_PER_S = 20
+STEP = 10  # of brightness, from frame to frame
+
+
+class Stream:
+    """What the stream does, and which frame it sent last; `address` is its URL."""
+
+    def __init__(self) -> None:
+        self.address = ""
+        self.sent = 0
+        self.connections = 0
+        self.flowing = threading.Event()
+        self.flowing.set()
+        self.breaks_after: int | None = None  # frames, of each connection
+
+
+@pytest.fixture
+def stream() -> Iterator[Stream]:
+    stream, ended = Stream(), threading.Event()
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            stream.connections += 1
+            self.send_response(200)
+            self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
+            self.end_headers()
+            with contextlib.suppress(OSError):
+                self.send_frames()
+
+        def send_frames(self) -> None:
+            left = stream.breaks_after
+            while not ended.is_set() and left != 0:
+                if stream.flowing.wait(0.05):
+                    frame = np.full((48, 64, 3), (stream.sent + 1) * STEP % 250, np.uint8)
+                    jpeg = cv2.imencode(".jpg", frame)[1].tobytes()
+                    head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+                    self.wfile.write(head.encode() + jpeg + b"\r\n")
+                    stream.sent += 1
+                    left = None if left is None else left - 1
+                    ended.wait(1 / FRAMES_PER_S)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.daemon_threads = True
+    stream.address = f"http://127.0.0.1:{server.server_port}/stream.mjpg"
+    serving = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
+    serving.start()
+    yield stream
+    ended.set()
+    server.shutdown()
+    serving.join()
+    server.server_close()
+
+
+@contextlib.asynccontextmanager
+async def camera_on(source: int | str) -> AsyncIterator[VideoCamera]:
+    with contextlib.closing(await VideoCamera.open(source)) as camera:
+        yield camera
+
+
+def frame_of(photo: Photo) -> int:
+    """Which frame of the stream it is, counted from 1 and modulo 25."""
+    image = cv2.imdecode(np.frombuffer(photo.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert image is not None
+    return round(float(image.mean()) / STEP)
+
+
+def test_a_photo_is_the_newest_frame_and_not_one_from_a_buffer(stream: Stream) -> None:
+    async def frames_behind() -> list[int]:
+        behind = []
+        async with camera_on(stream.address) as camera:
+            for _ in range(3):
+                await asyncio.sleep(0.4)  # eight frames that nobody asks for
+                photo = await camera.take_photo(HERE)
+                behind.append((stream.sent - frame_of(photo)) % 25)
+        return behind
+
+    assert max(asyncio.run(frames_behind())) <= 3  # of which the way through the decoder takes one or two
+
+
+def test_a_photo_knows_when_its_frame_came(stream: Stream) -> None:
+    async def shoot() -> tuple[float, Photo, float]:
+        async with camera_on(stream.address) as camera:
+            clock = asyncio.get_running_loop().time
+            asked_s = clock()
+            return asked_s, await camera.take_photo(HERE), clock()
+
+    asked_s, photo, got_s = asyncio.run(shoot())
+    assert asked_s <= photo.captured_s <= got_s
+    assert photo.source == stream.address
+
+
+def test_a_stream_that_hangs_is_an_error_in_bounded_time(
+    stream: Stream, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(video, "_FRAME_S", 0.5)
+
+    async def shoot() -> Photo:
+        async with camera_on(stream.address) as camera:
+            stream.flowing.clear()
+            await asyncio.sleep(0.2)
+            return await camera.take_photo(HERE)
+
+    began_s = time.monotonic()
+    with pytest.raises(CameraError, match=r"no frame within 0.5 s: .*; see that it is connected"):
+        asyncio.run(shoot())
+    assert time.monotonic() - began_s < 10
+
+
+def test_a_stream_that_breaks_is_opened_again(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(video, "_REOPEN_S", 0.05)
+    stream.breaks_after = 10
+
+    async def shoot() -> None:
+        async with camera_on(stream.address) as camera:
+            while stream.connections < 3:
+                await camera.take_photo(HERE)
+
+    asyncio.run(shoot())
+
+
+@pytest.mark.parametrize("source", [97, "/nowhere/video.avi", "http://127.0.0.1:9/none"])
+def test_a_camera_that_is_not_there_is_an_error_in_bounded_time(
+    source: int | str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(video, "_FIRST_FRAME_S", 0.5)
+    with pytest.raises(CameraError, match=rf"camera {source}: no frame within 0.5 s: it does not open"):
+        asyncio.run(VideoCamera.open(source))
+
+
+def test_a_video_file_starts_over_at_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(video, "_REOPEN_S", 0.01)
+    file = tmp_path / "flight.avi"
+    writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"MJPG"), 50, (64, 48))
+    for frame in range(1, 6):
+        writer.write(np.full((48, 64, 3), frame * STEP, np.uint8))
+    writer.release()
+
+    async def frames() -> list[int]:
+        async with camera_on(str(file)) as camera:
+            return [frame_of(await camera.take_photo(HERE)) for _ in range(12)]
+
+    seen = asyncio.run(frames())
+    assert set(seen) <= {1, 2, 3, 4, 5}
+    assert any(later < earlier for earlier, later in itertools.pairwise(seen))
