@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from tests.engines import OwnEngine, own_engine, why_not
 
 from upwash.real.credentials import Credentials, make_keys, read_credentials
 
@@ -43,3 +44,21 @@ def credentials(keys: Path) -> Callable[[str], Credentials]:
 def services() -> Path:
     """The file of the services that tests start in processes of their own."""
     return Path(__file__).parent / "services_for_tests.py"
+
+
+@pytest.fixture(scope="session")
+def lxd() -> Iterator[OwnEngine]:
+    """An LXD of the tests' own."""
+    if why := why_not("lxd"):
+        pytest.skip(why)
+    with own_engine("lxd") as engine:
+        yield engine
+
+
+@pytest.fixture(scope="session")
+def workbench_image(services: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The image of the workbench."""
+    from upwash.packaging.image import Recipe, package
+
+    recipe = Recipe("workbench", f"{services}:Workbench", requirements=())
+    return package(recipe, tmp_path_factory.mktemp("images"), report=lambda _: None)

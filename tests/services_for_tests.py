@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -101,3 +102,54 @@ class SlowToStart:
 
     def nothing(self) -> None:
         """Never reached."""
+
+
+@service
+class Vandal:
+    """Does what a service must not get away with."""
+
+    def identity(self) -> list[int]:
+        """Its user, and whether it holds any capability."""
+        status = Path("/proc/self/status").read_text()
+        capabilities = [int(line.split()[1], 16) for line in status.splitlines() if line.startswith("Cap")]
+        return [os.getuid(), sum(capabilities)]
+
+    def reach(self, host: str, port: int) -> str:
+        """What comes of an attempt to talk to someone."""
+        try:
+            with socket.create_connection((host, port), timeout=1.0):
+                return "connected"
+        except OSError as error:
+            return type(error).__name__
+
+    def eat_memory(self) -> None:
+        """Takes memory until it gets no more."""
+        hoard = []
+        while True:
+            hoard.append(bytearray(os.urandom(2**20)) * 16)
+
+    def fork_without_end(self) -> int:
+        """Starts processes that stay until it may start no more; returns how many those were."""
+        script = "import time; time.sleep(60)"
+        children = 0
+        try:
+            while children < 10_000:
+                subprocess.Popen([sys.executable, "-S", "-c", script])
+                children += 1
+        except OSError:
+            pass
+        return children
+
+    def fill_disk(self) -> int:
+        """Writes wherever it may until it may no more; returns how many bytes those were."""
+        written = 0
+        for folder, _, _ in os.walk("/"):
+            if folder.startswith(("/proc", "/sys")) or not os.access(folder, os.W_OK):
+                continue
+            try:
+                with Path(folder, "filling").open("wb", buffering=0) as file:
+                    while written < 2**32:
+                        written += file.write(bytes(2**20))
+            except OSError:
+                pass
+        return written

@@ -8,11 +8,23 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from upwash.commands import campaign, chaos, demo, fly, keys, reproduce, serve, simulate, vehicle
+from upwash.commands import (
+    campaign,
+    chaos,
+    demo,
+    fly,
+    images,
+    keys,
+    package,
+    reproduce,
+    serve,
+    simulate,
+    vehicle,
+)
 from upwash.errors import MissionStopped, UpwashError, UsageError
 
 _OK, _FAILURE, _USAGE, _INTERRUPTED = 0, 1, 2, 130
-_COMMANDS = (fly, serve, keys, vehicle, demo, simulate, reproduce, campaign, chaos)
+_COMMANDS = (fly, serve, keys, package, images, vehicle, demo, simulate, reproduce, campaign, chaos)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

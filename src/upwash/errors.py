@@ -18,6 +18,7 @@ UpwashError
 │   ├── Refused                 the other side said no, with its reason
 │   └── GarbledReply            an answer that cannot be decoded
 ├── InstanceError             a service instance did not start, or crashed
+│   └── EngineError             the container engine refused, failed, or does not answer
 ├── ServiceError              the service's own exception, of a class that is unknown here
 ├── MissionStopped            the mission is being ended from outside
 └── TransitionError           a programming error: an event that a server's state does not allow
@@ -36,6 +37,7 @@ __all__ = [
     "CredentialsError",
     "DeadlineExceeded",
     "DeclarationError",
+    "EngineError",
     "GarbledReply",
     "InstanceError",
     "LinkError",
@@ -138,6 +140,10 @@ class GarbledReply(LinkError):
 
 class InstanceError(UpwashError):
     """A service instance did not start, or crashed."""
+
+
+class EngineError(InstanceError):
+    """The container engine refused what it was asked, failed at it, or does not answer."""
 
 
 class ServiceError(UpwashError):

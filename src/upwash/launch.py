@@ -24,7 +24,7 @@ from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.core.instances import Host, HostSettings, ServerOffer
 from upwash.drone import Flight, World
 from upwash.errors import CredentialsError, Refused, UsageError
-from upwash.ports import Autopilot, Camera, InstanceSpec, Journal, Network
+from upwash.ports import Autopilot, Camera, InstanceSpec, Journal, Network, Program, Runtime
 from upwash.real.autopilot import FlightSettings, connect_autopilot
 from upwash.real.camera import FolderCamera
 from upwash.real.credentials import Credentials, read_credentials
@@ -183,7 +183,7 @@ async def serve(config: DaemonConfig, *, ready: Callable[[str], None]) -> None:
     """Runs the daemon until SIGTERM or Ctrl-C; `ready` is told the address once it answers."""
     from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 
-    services = load_services(config.images)
+    programs = _programs(config)
     credentials = _server_credentials(config)
     loop = asyncio.get_running_loop()
     async with contextlib.AsyncExitStack() as stack:
@@ -193,12 +193,8 @@ async def serve(config: DaemonConfig, *, ready: Callable[[str], None]) -> None:
                 {each.name: ServerOffer(frozenset(each.images), each.slots) for each in config.identities},
                 HostSettings(lease_s=config.lease_s, idle_stop_s=config.idle_stop_s),
             ),
-            programs={name: service.program for name, service in services.items()},
-            runtime=ProcessRuntime(
-                _beside(config.listen, sockets),
-                credentials=credentials,
-                max_message_bytes=config.max_message_bytes,
-            ),
+            programs=programs,
+            runtime=await stack.enter_async_context(_runtime(config, credentials, sockets)),
             start_timeout_s=config.start_timeout_s,
         )
 
@@ -232,6 +228,34 @@ async def serve(config: DaemonConfig, *, ready: Callable[[str], None]) -> None:
         stack.callback(watch.cancel)
         await stopped.wait()
         status.enter_graceful_shutdown()
+
+
+def _programs(config: DaemonConfig) -> dict[str, Program]:
+    """The program of each service; in a container it is the image's, and checks its settings there."""
+    if config.runtime.kind == "lxd":
+        return {
+            image.name: Program("", image.settings.values if image.settings else {})
+            for image in config.images
+        }
+    return {name: service.program for name, service in load_services(config.images).items()}
+
+
+@contextlib.asynccontextmanager
+async def _runtime(
+    config: DaemonConfig, credentials: Credentials | None, sockets: Path
+) -> AsyncIterator[Runtime]:
+    if config.runtime.kind == "lxd":
+        from upwash.hosting import container_runtime
+
+        assert credentials is not None  # noqa: S101 - the configuration was checked for that
+        async with container_runtime(config, credentials) as containers:
+            yield containers
+    else:
+        yield ProcessRuntime(
+            _beside(config.listen, sockets),
+            credentials=credentials,
+            max_message_bytes=config.max_message_bytes,
+        )
 
 
 def _server_credentials(config: DaemonConfig) -> Credentials | None:

@@ -69,6 +69,12 @@ def test_without_certificates_it_may_not_listen_to_others(tmp_path: Path, addres
         ('name = "s2"', 'name = "s1"', "server[1].name", 'a second server named "s1"'),
         ('name = "counter"', 'name = "detector"', "service[1].name", 'a second service named "detector"'),
         ('name = "counter"', 'name = "count er"', "service[1].name", "letters, digits"),
+        ('kind = "process"', 'kind = "docker"', "runtime.kind", 'one of "lxd", "process"'),
+        ("memory_bytes = 2_147_483_648", "memory_bytes = 2_147", "runtime.memory_bytes", "64 MiB"),
+        ("unix:/var/lib", "ssh:/var/lib", "runtime.engine.addresses[0]", "https://host:port"),
+        ("unix:/var/lib", "https://10.0.0.2", "runtime.engine.certificate", "missing"),
+        ("10.147.70.0/24", "10.147.70.1/24", "runtime.network.subnet", "host bits set"),
+        ("10.147.70.0/24", "10.147.70.0/31", "runtime.network.subnet", "from /16 to /30"),
         (REST, "", "service", "[[service]], at least one"),
         (REST, '[[service]]\nname = "detector"\n', "server", "[[server]], at least one"),
     ],
@@ -81,6 +87,13 @@ def test_a_refusal_names_the_key_and_the_remedy(
         read(tmp_path, FULL.replace(old, new, 1))
     assert refusal.value.key == key
     assert named in refusal.value.problem
+
+
+def test_containers_need_certificates_and_a_network(tmp_path: Path) -> None:
+    text = f'allow_without_certificates = true\nlisten = "unix:/run/upwash"\n[runtime]\nkind = "lxd"\n{REST}'
+    with pytest.raises(ConfigError, match="over the network") as refusal:
+        read(tmp_path, text)
+    assert refusal.value.key == "runtime.kind"
 
 
 def test_reading_configuration_imports_no_heavy_parts() -> None:

@@ -11,8 +11,18 @@ import pytest
 
 import upwash
 from upwash.cli import _parser
-from upwash.config import read_drone_config
+from upwash.config import read_daemon_config, read_drone_config
 
+KEYS_AND_REST = """
+[keys]
+authority = "a.pem"
+certificate = "s1.pem"
+key = "s1.key"
+[[service]]
+name = "detector"
+[[server]]
+name = "s1"
+"""
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 
@@ -28,6 +38,20 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
 def test_pages_that_are_named_exist(page: Path) -> None:
     for name in re.findall(r"\bdocs/[\w./-]+\.md", page.read_text()):
         assert (ROOT / name).exists(), f"{page.name} names {name}"
+
+
+def test_the_page_on_containers_shows_a_runtime_that_is_understood(tmp_path: Path) -> None:
+    (block,) = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/containers.md").read_text(), flags=re.DOTALL)
+    file = tmp_path / "server.toml"
+    file.write_text(
+        (ROOT / "tests/config/daemon.toml").read_text().partition("[runtime]")[0] + block + KEYS_AND_REST
+    )
+    runtime = read_daemon_config(file).runtime
+    written = set(re.findall(r"^#? ?(\w+) = ", block, flags=re.MULTILINE))
+    known = {
+        name for table in (runtime, runtime.engine, runtime.network) for name in msgspec.structs.asdict(table)
+    }
+    assert written == known - {"engine", "network"}
 
 
 def test_every_command_is_documented_and_every_documented_command_exists() -> None:

@@ -31,6 +31,7 @@ from upwash.config.drone import (
 from upwash.config.drone_file import drone_config, read_drone_config
 from upwash.config.problems import Document
 from upwash.config.reading import convert, impossible_values, read_document
+from upwash.config.runtime import RuntimeConfig
 from upwash.config.values import KeysConfig, SettingsTable, is_on_this_machine
 
 __all__ = [
@@ -50,6 +51,7 @@ __all__ = [
     "NetworkConfig",
     "NoiseConfig",
     "PolicyConfig",
+    "RuntimeConfig",
     "SafeEnd",
     "ServerConfig",
     "ServerTruth",

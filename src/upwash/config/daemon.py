@@ -10,6 +10,7 @@ from msgspec import Meta, Struct
 
 from upwash.config.problems import Document, Problem, refuse_first, unknown
 from upwash.config.reading import convert, read_document
+from upwash.config.runtime import RuntimeConfig, runtime_problems
 from upwash.config.shorthand import with_program_from
 from upwash.config.values import (
     Count,
@@ -66,6 +67,7 @@ class DaemonConfig(
     start_timeout_s: Positive = 60.0
     allow_without_certificates: bool = False
     keys: KeysConfig | None = None
+    runtime: RuntimeConfig = RuntimeConfig()
     images: Annotated[
         tuple[ImageConfig, ...],
         Meta(min_length=1, description="tables that each begin with [[service]], at least one"),
@@ -107,6 +109,12 @@ def _has_name(table: dict[str, Any]) -> bool:
 
 def _problems(config: DaemonConfig) -> Iterator[Problem]:
     yield from _access_problems(config)
+    yield from runtime_problems(config.runtime)
+    if config.runtime.kind == "lxd" and (config.keys is None or config.listen.startswith("unix:")):
+        yield (
+            "runtime.kind",
+            '"lxd" needs [keys] and a "host:port" to listen on: containers are called over the network',
+        )
     for index, name in repeated([image.name for image in config.images]):
         yield f"service[{index}].name", f'a second service named "{name}": give each its own name'
     for index, name in repeated([identity.name for identity in config.identities]):

@@ -46,7 +46,7 @@ class Conversation:
     ) -> None:
         self.code: int | None = None  # with which a container's service ended, if it said so
         self._name = name
-        self._called = called
+        self.called = called
         self._output = output
         self._reports = reports
         self._orders = orders
@@ -75,7 +75,7 @@ class Conversation:
 
     async def admit(self, drones: frozenset[str]) -> None:
         """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
-        if self._listening is None or self._listening.done():
+        if self.is_over:
             raise InstanceError(f"{self._name} is gone")
         confirmed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._admissions.append(confirmed)
@@ -86,6 +86,11 @@ class Conversation:
         except TimeoutError:
             raise InstanceError(f"{self._name} does not answer its runtime") from None
 
+    @property
+    def is_over(self) -> bool:
+        """Whether the other end is gone, or never said that it serves."""
+        return self._listening is None or self._listening.done()
+
     async def ended(self) -> None:
         """Returns when the other end is gone."""
         if self._listening is not None:
@@ -95,7 +100,7 @@ class Conversation:
         """Hangs up, by which the instance ends."""
         if self._listening is not None:
             self._listening.cancel()
-        self._orders.close()
+        self._orders.transport.abort()  # whoever is frozen takes no part in a farewell
         with contextlib.suppress(OSError):
             await self._orders.wait_closed()
 
@@ -118,7 +123,7 @@ class Conversation:
             while (message := await self._hear()) is not None:
                 match message:
                     case Called(drone):
-                        self._called(drone)
+                        self.called(drone)
                     case Admitted() if self._admissions:
                         confirmed = self._admissions.popleft()
                         if not confirmed.done():

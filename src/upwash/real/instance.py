@@ -20,7 +20,7 @@ from upwash.errors import Refused, UsageError
 from upwash.protocol import service_path
 from upwash.real.control import Admit, Admitted, Begin, Called, Failed, Ready, line, to_instance
 from upwash.real.credentials import Credentials
-from upwash.real.listener import Caller, Listener
+from upwash.real.listener import AlwaysServing, Caller, Listener
 from upwash.service import Method, load_service, spec_of
 from upwash.settings import construct
 
@@ -57,6 +57,7 @@ class ServiceInstance:
             threads=1,
             concurrent_requests=_CONCURRENT_CALLS,
         )
+        self._listener.add(AlwaysServing())
 
     def serve(self) -> None:
         """Begins to answer, and says so."""

@@ -27,6 +27,10 @@ SERVER_OPTIONS: tuple[tuple[str, int], ...] = (
 )
 
 
+HEALTH_CHECK = "/grpc.health.v1.Health/Check"  # gRPC's standard question
+SERVING = b"\x08\x01"  # and its answer, a HealthCheckResponse of one byte that says so
+
+
 @dataclass(frozen=True, slots=True)
 class Caller:
     """Who sent a request, and whether they still wait for the answer."""
@@ -128,6 +132,16 @@ def _cannot_listen(listen: str) -> UsageError:
         f"cannot listen on {listen}: the address is in use or not this machine's; "
         "stop the other program or choose another address"
     )
+
+
+class AlwaysServing(grpc.GenericRpcHandler):  # type: ignore[misc]
+    """Answers the standard health check of a server that is healthy as long as it answers."""
+
+    def service(self, handler_call_details: Any) -> Any:
+        """The handler of that one request."""
+        if handler_call_details.method != HEALTH_CHECK:
+            return None
+        return grpc.unary_unary_rpc_method_handler(lambda _, __: SERVING)
 
 
 class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]

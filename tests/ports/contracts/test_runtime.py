@@ -1,10 +1,12 @@
-"""What every Runtime does: the model on virtual time, and processes."""
+"""What every Runtime does: the model on virtual time, processes, and containers, stopped or frozen when idle."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass
+from ipaddress import IPv4Network
 from pathlib import Path
 
 import pytest
@@ -13,7 +15,11 @@ from upwash.core.estimates import Operation
 from upwash.errors import LinkError, Refused
 from upwash.ports import Dialer, InstanceSpec, Program, Runtime
 from upwash.protocol import service_path
+from upwash.real.credentials import Credentials
 from upwash.real.link import GrpcDialer
+from upwash.real.lxd.container import ContainerSettings
+from upwash.real.lxd.engine import Engine, EngineAddress
+from upwash.real.lxd.runtime import ContainerRuntime
 from upwash.real.runtime import ProcessRuntime
 from upwash.service import load_service, spec_of
 from upwash.sim.link import ModelDialer, Switchboard
@@ -57,30 +63,75 @@ class Site:
 Use = Callable[[Callable[[Site], Awaitable[None]]], None]
 
 
-@pytest.fixture(params=["model", "process"])
+CONTAINER = (pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group("lxd"))
+
+
+@pytest.fixture(
+    params=[
+        "model",
+        "process",
+        pytest.param("stopped container", marks=CONTAINER),
+        pytest.param("frozen container", marks=CONTAINER),
+    ]
+)
 def use(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Use:
     """Does something at a site of one of the twins."""
     program = f"{services}:Workbench"
     spec = InstanceSpec("s1", "workbench", Program(program))
 
-    def model() -> Site:
+    @asynccontextmanager
+    async def model() -> AsyncIterator[Site]:
         switchboard = Switchboard({})
         runtime = ModelRuntime({"workbench": spec_of(load_service(program))}, Sure(), switchboard)
-        return Site(runtime, ModelDialer("heron", switchboard, Wire()), spec)
+        yield Site(runtime, ModelDialer("heron", switchboard, Wire()), spec)
 
-    def process() -> Site:
+    @asynccontextmanager
+    async def process() -> AsyncIterator[Site]:
         runtime = ProcessRuntime(
             lambda _: f"unix:{tmp_path}/s1.sock", credentials=None, max_message_bytes=1_000_000
         )
-        return Site(runtime, GrpcDialer("heron", None, max_message_bytes=1_000_000), spec)
+        yield Site(runtime, GrpcDialer("heron", None, max_message_bytes=1_000_000), spec)
+
+    def site() -> AbstractAsyncContextManager[Site]:
+        match request.param:
+            case "model":
+                return model()
+            case "process":
+                return process()
+            case other:
+                lxd, image = (request.getfixturevalue(name) for name in ("lxd", "workbench_image"))
+                shown: Callable[[str], Credentials] = request.getfixturevalue("credentials")
+                return containers(lxd.socket, image, shown, spec, freezes=other == "frozen container")
 
     def used(what: Callable[[Site], Awaitable[None]]) -> None:
         async def at_site() -> None:
-            await what(model() if request.param == "model" else process())
+            async with site() as there:
+                await what(there)
 
         (run_virtually if request.param == "model" else asyncio.run)(at_site())
 
     return used
+
+
+@asynccontextmanager
+async def containers(
+    socket: Path, image: Path, shown: Callable[[str], Credentials], spec: InstanceSpec, *, freezes: bool
+) -> AsyncIterator[Site]:
+    engine = Engine([EngineAddress(f"unix:{socket}")], project="default")
+    runtime = ContainerRuntime(
+        engine,
+        ContainerSettings(IPv4Network("10.147.70.0/24")),
+        freezes=freezes,
+        credentials=shown("s1"),
+        max_message_bytes=1_000_000,
+    )
+    try:
+        await engine.connect()
+        await engine.import_image(image)
+        await runtime.prepare(["s1"], [("s1", "workbench")])
+        yield Site(runtime, GrpcDialer("heron", shown("heron"), max_message_bytes=1_000_000), spec)
+    finally:
+        await runtime.close()
 
 
 def test_an_instance_answers_those_who_are_admitted_and_says_who_called(use: Use) -> None:

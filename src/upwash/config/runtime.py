@@ -1,0 +1,76 @@
+"""What a daemon's services run in: processes of the daemon's, or containers of LXD or Incus."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from upwash.config.problems import Problem
+from upwash.config.values import Count, FilePath, Name, Names, Text
+
+# Less than a Python interpreter with gRPC needs helps nobody.
+MemoryBytes = Annotated[int, Meta(ge=2**26, description="an integer of at least 67108864 (64 MiB), in bytes")]
+Processes = Annotated[int, Meta(ge=32, description="an integer of at least 32, threads included")]
+EngineAddresses = Annotated[
+    tuple[Text, ...], Meta(min_length=1, description='an array of "unix:/path" or "https://host:port"')
+]
+
+
+class EngineConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Which container engine, and what of it: several addresses are those of one cluster's members."""
+
+    addresses: EngineAddresses = ("unix:/var/lib/lxd/unix.socket",)
+    project: Name = "default"
+    pool: Name = "default"
+    profiles: Names = ()
+    certificate: FilePath | None = None
+    key: FilePath | None = None
+    engine_certificate: FilePath | None = None
+
+
+class ContainerNetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The addresses that containers get, and the interface on which they are answered for."""
+
+    subnet: Text = "10.147.70.0/24"
+    interface: Name | None = None
+
+
+class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What services run in, and what each instance may use at most."""
+
+    kind: Literal["process", "lxd"] = "process"
+    memory_bytes: MemoryBytes = 2**31
+    processes: Processes = 256
+    cpus: Count | None = None
+    idle: Literal["stop", "freeze"] = "freeze"
+    engine: EngineConfig = EngineConfig()
+    network: ContainerNetworkConfig = ContainerNetworkConfig()
+
+
+def runtime_problems(runtime: RuntimeConfig) -> Iterator[Problem]:
+    """What is wrong with a runtime's table beyond its types."""
+    import ipaddress  # only needed where a daemon is configured
+
+    engine = runtime.engine
+    for index, address in enumerate(engine.addresses):
+        if not address.startswith(("unix:/", "https://")):
+            yield (
+                f"runtime.engine.addresses[{index}]",
+                f'expected "unix:/path" or "https://host:port", found "{address}"',
+            )
+    if any(address.startswith("https://") for address in engine.addresses):
+        for name in ("certificate", "key", "engine_certificate"):
+            if getattr(engine, name) is None:
+                yield (
+                    f"runtime.engine.{name}",
+                    "missing: an engine at an https address is shown and shows one",
+                )
+    try:
+        subnet = ipaddress.IPv4Network(runtime.network.subnet)
+    except ValueError as error:
+        yield "runtime.network.subnet", f'expected a subnet like "10.147.70.0/24": {error}'
+    else:
+        if not 16 <= subnet.prefixlen <= 30:
+            yield "runtime.network.subnet", f'expected a subnet from /16 to /30, found "{subnet}"'

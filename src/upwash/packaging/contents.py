@@ -1,0 +1,120 @@
+"""What a service needs: its own files, and the Python distributions that it imports, as they are installed here."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+from collections.abc import Iterable, Iterator
+from importlib.metadata import Distribution, PackageNotFoundError, distribution
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING
+
+from upwash.errors import UsageError
+
+if TYPE_CHECKING:
+    from packaging.requirements import Requirement
+
+LIBRARY = "opt/upwash/lib"  # below the image's root
+PROGRAM = "opt/upwash/program"
+
+# Of upwash's own requirements those that a service instance and its container's warden import.
+_OF_EVERY_INSTANCE = ("grpcio", "msgspec")
+_LEFT_OUT = {"__pycache__", "tests"}
+
+
+def copy_program(program: str, root: Path, *, beside: Iterable[Path] = ()) -> str:
+    """Copies a service's module or file, and what lies `beside` it; returns its import path in the image."""
+    module, _, name = program.rpartition(":")
+    for path in beside:
+        _copy(path, root / PROGRAM / path.name)
+    if module.endswith(".py"):
+        file = Path(module)
+        _copy(file, root / PROGRAM / file.name)
+        return f"/{PROGRAM}/{file.name}:{name}"
+    top = module.partition(".")[0]
+    if top != "upwash":
+        _copy(_source(top), root / LIBRARY / _source(top).name)
+    return program
+
+
+def copy_distributions(requirements: Iterable[str], root: Path) -> list[str]:
+    """Copies upwash and what is required, with all that these require; returns name and version of each, sorted."""
+    library = root / LIBRARY
+    _copy(_source("upwash"), library / "upwash")
+    found: dict[str, Distribution] = {}
+    for requirement in (*_OF_EVERY_INSTANCE, *requirements):
+        _close(requirement, found)
+    for each in found.values():
+        for file in each.files or ():
+            source = Path(str(each.locate_file(file)))
+            if ".." not in file.parts and source.is_file() and not _is_left_out(file):
+                target = library / file
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(source, target)
+    return sorted({f"{each.name} {each.version}" for each in found.values()})
+
+
+def extra_of(service: str) -> list[str]:
+    """What the extra of upwash with the service's name requires; nothing where there is no such extra."""
+    from packaging.requirements import Requirement
+
+    own = map(Requirement, distribution("upwash").requires or ())
+    return [
+        _without_marker(each)
+        for each in own
+        if each.marker is not None
+        and each.marker.evaluate({"extra": service})
+        and not each.marker.evaluate({"extra": ""})
+    ]
+
+
+def _close(text: str, found: dict[str, Distribution]) -> None:
+    """Adds the distribution that the requirement names and everything that it requires itself."""
+    from packaging.requirements import Requirement
+
+    required = Requirement(text)
+    try:
+        known = distribution(required.name)
+    except PackageNotFoundError:
+        raise UsageError(
+            f"{required.name} is not installed here: install it, so that it can be packaged"
+        ) from None
+    wanted = {known.name, *(f"{known.name}[{extra}]" for extra in required.extras)}
+    if wanted <= found.keys():
+        return
+    found |= dict.fromkeys(wanted, known)
+    for inner in map(Requirement, known.requires or ()):
+        extras = ("", *required.extras)
+        if inner.marker is None or any(inner.marker.evaluate({"extra": extra}) for extra in extras):
+            _close(_without_marker(inner), found)
+
+
+def _without_marker(required: Requirement) -> str:
+    return str(required).partition(";")[0].strip()
+
+
+def _source(module: str) -> Path:
+    """The folder of a package, or the file of a module."""
+    spec = importlib.util.find_spec(module)
+    if spec is None or spec.origin is None:
+        raise UsageError(f"{module} cannot be packaged: there is no such module here")
+    origin = Path(spec.origin)
+    return origin.parent if spec.submodule_search_locations else origin
+
+
+def _copy(source: Path, target: Path) -> None:
+    if not source.exists():
+        raise UsageError(f"{source}: no such file: check the path")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if source.is_dir():
+        shutil.copytree(source, target, ignore=_left_out, dirs_exist_ok=True)
+    else:
+        shutil.copyfile(source, target)
+
+
+def _left_out(_: str, names: list[str]) -> Iterator[str]:
+    return (name for name in names if _is_left_out(PurePath(name)))
+
+
+def _is_left_out(path: PurePath) -> bool:
+    return path.suffix == ".pyc" or not _LEFT_OUT.isdisjoint(path.parts)

@@ -1,0 +1,147 @@
+"""What a container is made of: its limits, its one network address, and the marks by which it is known again."""
+
+from __future__ import annotations
+
+import re
+import secrets
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from ipaddress import IPv4Address, IPv4Network
+
+from upwash.errors import EngineError
+from upwash.real.leash import Leash, new_leash
+from upwash.real.lxd.engine import EngineInstance
+from upwash.real.lxd.image import ServiceImage
+from upwash.real.warden import LEASH
+
+_SERVER, _SERVICE, _IMAGE = "user.upwash.server", "user.upwash.service", "user.upwash.image"
+_NIC = "eth0"
+
+
+@dataclass(frozen=True, slots=True)
+class ContainerSettings:
+    """What every container of a daemon gets.
+
+    Each has an address of the subnet, which this machine reaches, and the interface's network if one is named.
+    """
+
+    subnet: IPv4Network
+    interface: str = ""
+    pool: str = "default"
+    profiles: Sequence[str] = ()
+    memory_bytes: int = 2**31
+    processes: int = 256
+    cpus: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Container:
+    """A container of one server's service, made from one image."""
+
+    name: str
+    server: str
+    service: str
+    image: str
+    member: str
+    status: str
+    address: str
+    leash: Leash
+
+
+def new_container(
+    server: str, image: ServiceImage, *, member: str, others: Collection[EngineInstance], subnet: IPv4Network
+) -> Container:
+    """A container that is not there yet, with an address that none of the others has; raises EngineError."""
+    return Container(
+        name=f"upwash-{_slug(image.service)}-{_slug(server)}-{secrets.token_hex(3)}",
+        server=server,
+        service=image.service,
+        image=image.fingerprint,
+        member=member,
+        status="Stopped",
+        address=_free_address(subnet, others),
+        leash=new_leash(),
+    )
+
+
+def known_container(instance: EngineInstance) -> Container | None:
+    """The container that an engine's instance is; None for one that upwash did not make."""
+    config, nic = instance.config, instance.devices.get(_NIC, {})
+    if not {_SERVER, _SERVICE, _IMAGE, f"environment.{LEASH}"} <= config.keys():
+        return None
+    return Container(
+        name=instance.name,
+        server=config[_SERVER],
+        service=config[_SERVICE],
+        image=config[_IMAGE],
+        member=instance.member,
+        status=instance.status,
+        address=nic.get("ipv4.address", ""),
+        leash=Leash.from_text(config[f"environment.{LEASH}"]),
+    )
+
+
+def definition(container: Container, settings: ContainerSettings, *, base: str) -> dict[str, object]:
+    """What an engine is asked to create: unprivileged, limited, with nothing but its image and its address."""
+    devices: dict[str, Mapping[str, str]] = {
+        "root": {"type": "disk", "path": "/", "pool": settings.pool},
+        # No bridge, no DHCP, no neighbours: a cable to the host, which answers for the address on its interface.
+        _NIC: {
+            "type": "nic",
+            "nictype": "routed",
+            "name": _NIC,
+            "ipv4.address": container.address,
+            **({"parent": settings.interface} if settings.interface else {}),
+        },
+    }
+    if base == "host":
+        devices["usr"] = {"type": "disk", "path": "/usr", "source": "/usr", "readonly": "true"}
+    config = {
+        "security.privileged": "false",
+        "security.nesting": "false",
+        "security.devlxd": "false",
+        "boot.autostart": "false",
+        "limits.memory": str(settings.memory_bytes),
+        "limits.processes": str(settings.processes),
+        f"environment.{LEASH}": container.leash.text(),
+        _SERVER: container.server,
+        _SERVICE: container.service,
+        _IMAGE: container.image,
+    }
+    if settings.cpus is not None:
+        config["limits.cpu"] = str(settings.cpus)
+    return {
+        "name": container.name,
+        "type": "container",
+        "description": f"{container.service}@{container.server} of upwash",
+        "source": {"type": "image", "fingerprint": container.image},
+        "profiles": list(settings.profiles),
+        "config": config,
+        "devices": devices,
+    }
+
+
+def in_order(
+    online: Collection[str], containers: Collection[Container], suspects: Collection[str]
+) -> list[str]:
+    """The members to try: those that are not suspected of being lost first, then those with the least to do."""
+    busy = [container.member for container in containers if container.status == "Running"]
+    return sorted(online, key=lambda member: (member in suspects, busy.count(member), member))
+
+
+def _free_address(subnet: IPv4Network, others: Collection[EngineInstance]) -> str:
+    """One at random: the site's network may still remember who had the last one."""
+    taken = {device.get("ipv4.address") for other in others for device in other.devices.values()}
+    free = [str(address) for address in _hosts(subnet) if str(address) not in taken]
+    if not free:
+        raise EngineError(f"every address of {subnet} is taken: give runtime.network a larger subnet")
+    return secrets.choice(free)
+
+
+def _hosts(subnet: IPv4Network) -> list[IPv4Address]:
+    return list(subnet.hosts())
+
+
+def _slug(name: str) -> str:
+    """The name as it may stand in a host's name."""
+    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:16] or "x"

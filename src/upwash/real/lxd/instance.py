@@ -1,0 +1,156 @@
+"""One service that runs in a container."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+
+from upwash.errors import EngineError, InstanceError, LinkError
+from upwash.real.control import Begin
+from upwash.real.conversation import LONGEST_LINE_BYTES, Conversation
+from upwash.real.leash import CONTROL_PORT, SERVICE_PORT, notice_silence
+from upwash.real.link import GrpcDialer
+from upwash.real.listener import HEALTH_CHECK, SERVING
+from upwash.real.lxd.container import Container
+from upwash.real.lxd.engine import Engine
+from upwash.real.output import Output
+
+_log = logging.getLogger("upwash.lxd")
+
+_START_S = 20.0
+_STOP_S = 10.0
+_FREEZE_S = 5.0
+_REACHED_S = 10.0  # from the start of a container until its process 1 answers
+_RETRY_S = 0.02
+_HEALTHY_S = 5.0
+
+
+class ContainerInstance:
+    """A service in a container, from its start until it is stopped or frozen."""
+
+    def __init__(
+        self,
+        container: Container,
+        *,
+        name: str,
+        engine: Engine,
+        lost: Callable[[str], None],
+        keep: Callable[[ContainerInstance], None] | None,
+    ) -> None:
+        self.container = container
+        self.endpoint = f"{container.address}:{SERVICE_PORT}"
+        self._lost = lost  # is told the member of one that ended without a word
+        self._name = name
+        self._engine = engine
+        self._keep = keep  # takes the instance once it is frozen
+        self._output = Output(name)
+        self._conversation: Conversation | None = None
+        self._stopped = asyncio.Event()
+
+    async def begin(self, begin: Begin, *, called: Callable[[str], None], max_message_bytes: int) -> None:
+        """Starts the container and tells it what to be; returns when it is healthy, raises InstanceError."""
+        name = self.container.name
+        await self._engine.change(name, "start", wait_s=_START_S, done_already="already running")
+        reports, orders = await self._reach()
+        self._conversation = Conversation(self._name, called, self._output, reports=reports, orders=orders)
+        try:
+            await self._conversation.begin(begin)
+        except EOFError:
+            raise InstanceError(f"{self._name} did not start: {self._how_it_ended()}") from None
+        await self._check_health(begin, max_message_bytes)
+
+    async def resume(self, *, called: Callable[[str], None]) -> None:
+        """Has a frozen instance serve again; raises InstanceError."""
+        assert self._conversation is not None  # noqa: S101 - it has begun
+        self._stopped.clear()
+        self._conversation.called = called
+        await self._engine.change(self.container.name, "unfreeze", wait_s=_FREEZE_S)
+        await self._conversation.admit(frozenset())
+
+    async def admit(self, drones: frozenset[str]) -> None:
+        """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
+        assert self._conversation is not None  # noqa: S101 - it has begun
+        await self._conversation.admit(drones)
+
+    async def exited(self) -> str:
+        """Returns how the service ended, with its last words, when it does."""
+        assert self._conversation is not None  # noqa: S101 - it has begun
+        gone = asyncio.create_task(self._conversation.ended())
+        stopped = asyncio.create_task(self._stopped.wait())
+        try:
+            await asyncio.wait([gone, stopped], return_when=asyncio.FIRST_COMPLETED)
+            return "stopped" if self._stopped.is_set() else self._how_it_ended()
+        finally:
+            gone.cancel()
+            stopped.cancel()
+
+    async def stop(self) -> None:
+        """Freezes the container if it is to be kept so, or stops it; returns when that is done."""
+        if self._stopped.is_set():
+            return
+        self._stopped.set()
+        if self._keep is not None and self._conversation is not None and not self._conversation.is_over:
+            try:
+                await self._conversation.admit(frozenset())
+                await self._engine.change(self.container.name, "freeze", wait_s=_FREEZE_S)
+            except InstanceError as error:
+                _log.warning("%s cannot be frozen and is stopped: %s", self._name, error)
+            else:
+                self._keep(self)
+                return
+        await self.end()
+
+    async def end(self) -> None:
+        """Stops the container; where the engine does not answer, what runs in it ends by itself."""
+        self._stopped.set()
+        if self._conversation is not None:
+            await self._conversation.close()
+        try:
+            await self._engine.change(
+                self.container.name, "stop", wait_s=_STOP_S, done_already="already stopped"
+            )
+        except EngineError as error:
+            _log.warning("%s could not be stopped: %s", self.container.name, error)
+
+    async def _reach(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        """The control line to the container's process 1, which is about to listen."""
+        leash = self.container.leash.context(is_server=False)
+        try:
+            async with asyncio.timeout(_REACHED_S):
+                while True:
+                    try:
+                        reports, orders = await asyncio.open_connection(
+                            self.container.address, CONTROL_PORT, ssl=leash, limit=LONGEST_LINE_BYTES
+                        )
+                    except OSError:
+                        await asyncio.sleep(_RETRY_S)
+                    else:
+                        notice_silence(orders.get_extra_info("socket"))
+                        return reports, orders
+        except TimeoutError:
+            raise EngineError(
+                f"{self.container.name} was started, but nobody answers at {self.container.address}: "
+                "is there a route to the subnet of runtime.network?"
+            ) from None
+
+    async def _check_health(self, begin: Begin, max_message_bytes: int) -> None:
+        credentials = self.container.leash.credentials(begin.authority.encode())
+        dialer = GrpcDialer("", credentials, max_message_bytes=max_message_bytes)
+        link = dialer.dial(self.endpoint, server=self.container.server)
+        try:
+            health = await link.request(HEALTH_CHECK, b"", timeout_s=_HEALTHY_S)
+        except LinkError as error:
+            raise InstanceError(f"{self._name} runs, but does not answer: {error}") from error
+        finally:
+            await link.close()
+        if health != SERVING:
+            raise InstanceError(f"{self._name} runs, but says that it is not serving")
+
+    def _how_it_ended(self) -> str:
+        assert self._conversation is not None  # noqa: S101 - it has begun
+        code = self._conversation.code
+        if code is None:
+            self._lost(self.container.member)
+            return "the container is gone, or cannot be reached"
+        return self._output.explain(code)

@@ -1,0 +1,214 @@
+"""Service instances in containers that are made once and then kept, stopped or frozen."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Collection, Sequence
+
+from upwash.errors import EngineError, InstanceError
+from upwash.ports import InstanceSpec
+from upwash.real.control import Begin
+from upwash.real.credentials import Credentials
+from upwash.real.leash import SERVICE_PORT
+from upwash.real.lxd.container import (
+    Container,
+    ContainerSettings,
+    definition,
+    in_order,
+    known_container,
+    new_container,
+)
+from upwash.real.lxd.engine import THE_ONLY_ONE, Engine
+from upwash.real.lxd.image import ServiceImage, newest_images
+from upwash.real.lxd.instance import ContainerInstance
+
+_log = logging.getLogger("upwash.lxd")
+
+_CREATE_S = 120.0  # unpacking an image onto a slow disk
+_CREATE_ON_MEMBER_S = 20.0  # another member may be faster
+_STOP_S = 10.0
+
+
+class ContainerRuntime:
+    """Starts each instance in a container of its own, on any member of a cluster that is online."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        settings: ContainerSettings,
+        *,
+        freezes: bool,
+        credentials: Credentials,
+        max_message_bytes: int,
+    ) -> None:
+        self._engine = engine
+        self._settings = settings
+        self._freezes = freezes
+        self._credentials = credentials
+        self._max_message_bytes = max_message_bytes
+        self._frozen: dict[tuple[str, str], ContainerInstance] = {}
+        self._suspects: set[str] = set()  # members that lost an instance and are not known to be offline yet
+
+    async def prepare(self, servers: Collection[str], wanted: Sequence[tuple[str, str]]) -> None:
+        """Ends what an earlier daemon left of these servers, and makes a container for each service wanted.
+
+        Raises UsageError where no engine answers, EngineError where it refuses or an image is missing.
+        """
+        await self._engine.connect()
+        images = {service: await self._image(service) for _, service in wanted}
+        current = {(server, service): images[service].fingerprint for server, service in wanted}
+        kept: set[tuple[str, str]] = set()
+        for container in await self._containers():
+            if container.server not in servers:
+                continue
+            place = (container.server, container.service)
+            if await self._recover(
+                container, keep=current.get(place) == container.image and place not in kept
+            ):
+                kept.add(place)
+        for server, service in wanted:
+            if (server, service) not in kept:
+                await self._create_somewhere(server, images[service])
+                _log.info("%s@%s has a container", service, server)
+
+    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> ContainerInstance:
+        """Returns when the instance is healthy; raises InstanceError, with nothing left running."""
+        image = await self._image(spec.service)
+        frozen = self._frozen.pop((spec.server, spec.service), None)
+        if frozen is not None and frozen.container.image == image.fingerprint:
+            try:
+                await frozen.resume(called=called)
+            except InstanceError as error:
+                _log.warning("%s cannot be thawed and is started anew: %s", spec.name, error)
+            else:
+                return frozen
+        if frozen is not None:
+            await frozen.end()
+        return await self._start_somewhere(spec, image, called)
+
+    async def close(self) -> None:
+        """Ends what was kept frozen; nothing runs afterwards."""
+        for instance in self._frozen.values():
+            await instance.end()
+        self._frozen.clear()
+        await self._engine.close()
+
+    async def _image(self, service: str) -> ServiceImage:
+        if image := newest_images(await self._engine.images()).get(service):
+            return image
+        raise EngineError(
+            f"the container engine has no image of {service}: make one with `upwash package {service}`, "
+            "and import its file with `lxc image import FILE`"
+        )
+
+    async def _containers(self) -> list[Container]:
+        known = (known_container(instance) for instance in await self._engine.instances())
+        return [container for container in known if container is not None]
+
+    async def _recover(self, container: Container, *, keep: bool) -> bool:
+        """Stops what runs in it, and deletes it unless it is to be kept; says whether it is there to be used."""
+        try:
+            if container.status != "Stopped":
+                _log.info("%s was left by an earlier daemon: stopping it", container.name)
+                await self._engine.change(
+                    container.name, "stop", wait_s=_STOP_S, done_already="already stopped"
+                )
+            if not keep:
+                await self._engine.delete(container.name)
+        except EngineError as error:
+            _log.warning("%s is left as it is: %s", container.name, error)
+            return False
+        return keep
+
+    async def _create_somewhere(self, server: str, image: ServiceImage) -> Container:
+        """A new container on the first member that makes it; raises EngineError where none does."""
+        online = await self._online()
+        problem = EngineError("no member of the cluster is online")
+        for member in in_order(online, await self._containers(), self._suspects):
+            try:
+                return await self._create(server, image, member)
+            except EngineError as error:
+                _log.warning("no container on %s: %s", member, error)
+                problem = error
+        raise problem
+
+    async def _create(self, server: str, image: ServiceImage, member: str) -> Container:
+        container = new_container(
+            server,
+            image,
+            member=member,
+            others=await self._engine.instances(),
+            subnet=self._settings.subnet,
+        )
+        await self._engine.create(
+            definition(container, self._settings, base=image.base),
+            member=member,
+            wait_s=_CREATE_S if member == THE_ONLY_ONE else _CREATE_ON_MEMBER_S,
+        )
+        return container
+
+    async def _start_somewhere(
+        self, spec: InstanceSpec, image: ServiceImage, called: Callable[[str], None]
+    ) -> ContainerInstance:
+        """In the container that is kept for it, or else in a new one elsewhere."""
+        online = await self._online()
+        for container in await self._containers():
+            is_its_own = (container.server, container.service, container.image) == (
+                spec.server,
+                spec.service,
+                image.fingerprint,
+            )
+            if is_its_own and container.member in online and container.member not in self._suspects:
+                try:
+                    return await self._run(container, spec, image, called)
+                except EngineError as error:
+                    _log.warning("%s cannot be used: %s", container.name, error)
+                    self._suspect(container.member)
+        return await self._run(await self._create_somewhere(spec.server, image), spec, image, called)
+
+    async def _online(self) -> list[str]:
+        online = await self._engine.members()
+        self._suspects.intersection_update(online)  # one that was offline meanwhile is believed again
+        return online
+
+    def _suspect(self, member: str) -> None:
+        if member != THE_ONLY_ONE:
+            self._suspects.add(member)
+
+    async def _run(
+        self, container: Container, spec: InstanceSpec, image: ServiceImage, called: Callable[[str], None]
+    ) -> ContainerInstance:
+        instance = ContainerInstance(
+            container,
+            name=spec.name,
+            engine=self._engine,
+            lost=self._suspect,
+            keep=self._keep if self._freezes else None,
+        )
+        try:
+            await instance.begin(
+                self._begin(spec, image, container), called=called, max_message_bytes=self._max_message_bytes
+            )
+        except BaseException:
+            await instance.end()
+            raise
+        return instance
+
+    def _keep(self, instance: ContainerInstance) -> None:
+        self._frozen[instance.container.server, instance.container.service] = instance
+
+    def _begin(self, spec: InstanceSpec, image: ServiceImage, container: Container) -> Begin:
+        """What to be is the image's to say: the daemon need not have the service's program."""
+        credentials = self._credentials
+        authority = credentials.authority + container.leash.certificate  # which may ask for its health
+        return Begin(
+            program=image.program,
+            settings=dict(spec.program.settings),
+            service=spec.service,
+            listen=f"0.0.0.0:{SERVICE_PORT}",
+            max_message_bytes=self._max_message_bytes,
+            pace_s=spec.pace_s,
+            authority=authority.decode(),
+            certificate=credentials.certificate.decode(),
+            key=credentials.key.decode(),
+        )

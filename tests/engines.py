@@ -1,0 +1,156 @@
+"""A container engine of a test's own: a daemon of LXD or Incus in a folder, of which nothing is left in the end."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+Kind = Literal["lxd", "incus"]
+_READY_S = 60
+_STOP_S = 20.0
+_PRESEED = """\
+config: {}
+storage_pools:
+- {name: default, driver: dir}
+profiles:
+- {name: default, devices: {}}
+"""
+
+
+@dataclass(frozen=True)
+class OwnEngine:
+    """One that runs: its socket, and its command line."""
+
+    kind: Kind
+    folder: Path
+
+    @property
+    def socket(self) -> Path:
+        return self.folder / "unix.socket"
+
+    def command(self, *arguments: str) -> str:
+        """What the engine's own client answers; raises CalledProcessError."""
+        program = "lxc" if self.kind == "lxd" else "incus"
+        return subprocess.run(
+            (program, *arguments),
+            env=_environment(self.kind, self.folder),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            check=True,
+            text=True,
+            timeout=60.0,
+        ).stdout
+
+    def running(self) -> list[str]:
+        """The names of the containers that run or are frozen."""
+        return [
+            name
+            for name, state in (
+                line.split(",") for line in self.command("list", "-f", "csv", "-c", "ns").split()
+            )
+            if state != "STOPPED"
+        ]
+
+
+def why_not(kind: Kind) -> str:
+    """Why no engine of that kind can be started here; empty where it can."""
+    daemon = _daemon(kind)
+    if os.geteuid() != 0:
+        return "a container engine needs root"
+    return (
+        ""
+        if shutil.which(daemon)
+        else f"no {daemon} here: tests/system/install-packages installs it if it can"
+    )
+
+
+@contextlib.contextmanager
+def own_engine(kind: Kind) -> Iterator[OwnEngine]:
+    """A fresh engine, with a pool named default and no network, until the end of the block."""
+    home = Path(tempfile.mkdtemp(prefix=f"upwash-{kind}-"))
+    home.chmod(0o711)  # containers are other users
+    folder = home / "engine"
+    folder.mkdir(mode=0o711)
+    environment = _environment(kind, folder)
+    with (home / f"{kind}.log").open("wb") as log:
+        process = subprocess.Popen(
+            (_daemon(kind), "--group", "root"), env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+            start_new_session=True,
+        )  # fmt: skip
+    admin = ("lxd",) if kind == "lxd" else ("incus", "admin")
+    try:
+        subprocess.run(
+            (*admin, "waitready", f"--timeout={_READY_S}"), env=environment, check=True, timeout=_READY_S + 5
+        )
+        subprocess.run(
+            (*admin, "init", "--preseed"), env=environment, input=_PRESEED, text=True, check=True, timeout=60
+        )
+        yield OwnEngine(kind, folder)
+    finally:
+        _end(process, (*admin, "shutdown", "--timeout=15"), environment, folder)
+        shutil.rmtree(home, ignore_errors=True)
+
+
+def _end(
+    process: subprocess.Popen[bytes], shutdown: tuple[str, ...], environment: dict[str, str], folder: Path
+) -> None:
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        subprocess.run(shutdown, env=environment, timeout=_STOP_S, check=False)
+    try:
+        process.wait(timeout=_STOP_S)
+    except subprocess.TimeoutExpired:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    for mount in sorted(_mounts_below(folder), reverse=True):
+        subprocess.run(("umount", "--lazy", mount), check=False)
+    for _ in range(100):
+        left = _processes_of(folder)
+        if not left:
+            break
+        for process_id in left:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process_id, signal.SIGKILL)
+        time.sleep(0.05)
+
+
+def _mounts_below(folder: Path) -> list[str]:
+    return [
+        line.split()[1]
+        for line in Path("/proc/self/mounts").read_text().splitlines()
+        if line.split()[1].startswith(f"{folder}/")
+    ]
+
+
+def _processes_of(folder: Path) -> list[int]:
+    """What was started for containers in the folder: their monitors, which name it."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        with contextlib.suppress(OSError):
+            if entry.name.isdigit() and str(folder).encode() in (entry / "cmdline").read_bytes():
+                found.append(int(entry.name))
+    return [process_id for process_id in found if process_id != os.getpid()]
+
+
+def _daemon(kind: Kind) -> str:
+    return "lxd" if kind == "lxd" else "incusd"
+
+
+def _environment(kind: Kind, folder: Path) -> dict[str, str]:
+    home = folder.parent / f"{kind}-client"
+    return {
+        **os.environ,
+        f"{kind.upper()}_DIR": str(folder),
+        "HOME": str(home),
+        "LXD_CONF": str(home),
+        "INCUS_CONF": str(home),
+    }

@@ -1,0 +1,111 @@
+"""Images: the same from the same, whoever makes them, and complete."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tarfile
+from pathlib import Path
+
+import pytest
+
+from upwash.errors import UsageError
+from upwash.packaging.archive import write_archive
+from upwash.packaging.base import lay_base
+from upwash.packaging.contents import copy_distributions, copy_program, extra_of
+from upwash.packaging.image import Recipe, package
+
+
+@pytest.fixture
+def base_of_the_host(tmp_path: Path) -> Path:
+    """A folder with the host's base in it."""
+    root = tmp_path / "base"
+    root.mkdir()
+    try:
+        lay_base("host", root)
+    except UsageError as why:
+        pytest.skip(str(why))
+    return root
+
+
+@pytest.mark.usefixtures("base_of_the_host")
+def test_the_same_service_makes_the_same_file_and_another_another(services: Path, tmp_path: Path) -> None:
+    def made(folder: str, umask: int, cls: str = "Workbench") -> Path:
+        before = os.umask(umask)
+        try:
+            recipe = Recipe("workbench", f"{services}:{cls}", requirements=())
+            return package(recipe, tmp_path / folder, report=lambda _: None)
+        finally:
+            os.umask(before)
+
+    first, again, other = made("a", 0o022), made("b", 0o077), made("c", 0o022, "Vandal")
+    assert first.name == again.name
+    assert first.read_bytes() == again.read_bytes()
+    assert other.name != first.name
+
+
+@pytest.mark.usefixtures("base_of_the_host")
+def test_an_image_says_what_it_holds_and_belongs_to_root(services: Path, tmp_path: Path) -> None:
+    recipe = Recipe("workbench", f"{services}:Workbench", requirements=("cryptography",))
+    with tarfile.open(package(recipe, tmp_path, report=lambda _: None)) as image:
+        metadata = image.extractfile("metadata.yaml")
+        assert metadata is not None
+        properties = json.load(metadata)["properties"]
+        entries = {entry.name: entry for entry in image}
+    assert properties["upwash.service"] == "workbench"
+    assert properties["upwash.program"] == "/opt/upwash/program/services_for_tests.py:Workbench"
+    assert {(entry.uid, entry.gid, entry.uname) for entry in entries.values()} == {(0, 0, "")}
+    assert entries["rootfs/sbin/init"].mode & 0o777 == 0o755
+    for needed in ("grpc", "msgspec", "cryptography", "cffi", "upwash"):
+        assert f"rootfs/opt/upwash/lib/{needed}/__init__.py" in entries
+    assert not any(name.endswith(".key") for name in entries)
+
+
+def test_what_was_copied_is_enough_to_import_an_instance(services: Path, tmp_path: Path) -> None:
+    program = copy_program(f"{services}:Workbench", tmp_path)
+    copy_distributions((), tmp_path)
+    script = (
+        "import upwash.real.instance, upwash.real.warden; from upwash.service import load_service; "
+        f"load_service({str(tmp_path) + program!r})"
+    )
+    subprocess.run(
+        [
+            sys.executable,
+            "-I",
+            "-S",
+            "-c",
+            f"import sys; sys.path.insert(0, {str(tmp_path / 'opt/upwash/lib')!r}); {script}",
+        ],
+        check=True,
+    )
+
+
+def test_a_service_of_upwashs_own_brings_what_its_extra_requires() -> None:
+    assert any(requirement.startswith("numpy") for requirement in extra_of("detector"))
+    assert extra_of("workbench") == []
+
+
+def test_what_cannot_be_packaged_is_named(services: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no_such_distribution is not installed here"):
+        copy_distributions(("no_such_distribution",), tmp_path)
+    with pytest.raises(UsageError, match="no_such_module cannot be packaged"):
+        copy_program("no_such_module:Service", tmp_path)
+    with pytest.raises(UsageError, match="models: no such file"):
+        copy_program(f"{services}:Workbench", tmp_path, beside=[tmp_path / "models"])
+
+
+def test_links_and_rights_survive_the_archive_and_times_do_not(tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    (folder / "program").write_text("#!/bin/sh\n")
+    (folder / "program").chmod(0o700)
+    (folder / "link").symlink_to("program")
+    write_archive(folder, tmp_path / "a")
+    os.utime(folder / "program", (1, 1))
+    write_archive(folder, tmp_path / "b")
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    with tarfile.open(tmp_path / "a") as archive:
+        assert archive.getmember("program").mode == 0o755
+        assert archive.getmember("link").linkname == "program"
