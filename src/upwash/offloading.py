@@ -25,6 +25,7 @@ from upwash.core.selection import (
     LocalCallEnded,
     Looked,
     MissionEnded,
+    NetworkLost,
     RemoteCallCut,
     RemoteCallEnded,
     RemoteCallFailed,
@@ -86,6 +87,7 @@ class Offloading:
         self._orders: asyncio.Queue[Check | Start | Leave] = asyncio.Queue()
         self._visit: Visit | None = None
         self._errand: asyncio.Task[None] | None = None  # what the visit is busy with
+        self._watch: asyncio.Task[None] | None = None  # over the network that the visit joined
         self._cut: RemoteCallCut | None = None  # the call that ended the visit by taking too long
         self._look_now = asyncio.Event()
         self._changed = asyncio.Event()
@@ -276,7 +278,8 @@ class Offloading:
                 finally:
                     self._orders.task_done()
         finally:
-            await self._stop_errand()
+            await _stop(self._errand)
+            await _stop(self._watch)
 
     async def _follow(self, order: Check | Start | Leave) -> None:
         match order:
@@ -286,30 +289,29 @@ class Offloading:
             case Start(server, check) if self._visit is not None:
                 self._errand = asyncio.create_task(self._start(self._visit, server, check))
             case Leave(server):
-                await self._stop_errand()
+                await _stop(self._errand)
                 if self._visit is not None:
                     answered = await self._visit.end(in_range=self._selection.servers[server].in_range)
                     if answered and self._cut is not None:
                         self._tell(self._cut)
-                self._visit = self._cut = None
-
-    async def _stop_errand(self) -> None:
-        if self._errand is not None:
-            self._errand.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._errand
-            self._errand = None
+                await _stop(self._watch)
+                self._visit = self._errand = self._watch = self._cut = None
 
     async def _ask(self, visit: Visit, server: str, check: int) -> None:
         try:
-            async with asyncio.timeout(self._limit_s(server)):
-                running = await visit.ask()
-        except (NetworkError, LinkError, TimeoutError) as error:
-            self._tell(CheckFailed(check, str(error) or "no answer in time"))
+            await visit.join(timeout_s=self._limit_s(server))
+            self._journal.record("joined", server=server, network=self._contacts[server].network)
+            self._watch = asyncio.create_task(self._notice_loss(visit, check))
+            running = await visit.ask()
+        except (NetworkError, LinkError) as error:
+            self._tell(CheckFailed(check, str(error)))
             return
         self._tell(CheckAnswered(check, running))
         if running:
             await visit.keep_lease()
+
+    async def _notice_loss(self, visit: Visit, check: int) -> None:
+        self._tell(NetworkLost(check, await visit.lost()))
 
     async def _start(self, visit: Visit, server: str, check: int) -> None:
         limit_s = self._limit_s(server)
@@ -322,8 +324,19 @@ class Offloading:
         await visit.keep_lease()
 
     def _limit_s(self, server: str) -> float:
-        """How long joining and asking, or else starting, may take."""
+        """How long joining, or else starting, may take."""
         return max(_CHECK_LEAST_S, _CHECK_FACTOR * self._selection.estimates.check_s(server, running=False))
 
     def _now_s(self) -> float:
         return asyncio.get_running_loop().time()
+
+
+async def _stop(task: asyncio.Task[None] | None) -> None:
+    """Cancels the task and waits for its end; raises what else it ended with."""
+    if task is not None:
+        task.cancel()
+        (ended,) = await asyncio.gather(
+            task, return_exceptions=True
+        )  # which is cancelled only by our own caller
+        if isinstance(ended, Exception):
+            raise ended

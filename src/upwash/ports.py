@@ -59,8 +59,11 @@ class Autopilot(Protocol):
 class Network(Protocol):
     """The radio: one network joined at a time."""
 
-    async def join(self, network: str) -> None:
-        """Joins the pre-loaded network of that name; raises NetworkError with the reason."""
+    async def join(self, network: str, *, timeout_s: float) -> None:
+        """Joins the pre-loaded network of that name; raises NetworkError, with the reason, by the timeout."""
+
+    async def lost(self) -> str:
+        """Returns why, once the network that is joined is no longer connected; it is still to be left."""
 
     async def leave(self) -> None:
         """Leaves the network that is joined, if any."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import msgspec
 
-from upwash.errors import LinkError, Refused, UpwashError
+from upwash.errors import LinkError, Refused, Unreachable, UpwashError
 from upwash.ports import Dialer, Link, Network
 from upwash.protocol import (
     AVAILABILITY,
@@ -48,13 +48,23 @@ class Visit:
         self._daemon: Link | None = None
         self._instances: dict[str, Link] = {}
         self._lease_s = 0.0
+        self._lost = ""  # why, once the network is
         self._calls = 0
         self._quiet = asyncio.Event()
         self._quiet.set()
 
+    async def join(self, *, timeout_s: float) -> None:
+        """Joins the server's network; raises NetworkError."""
+        await self._network.join(self._contact.network, timeout_s=timeout_s)
+
+    async def lost(self) -> str:
+        """Returns why, once the network that was joined is lost; whatever is under way there has failed by then."""
+        self._lost = await self._network.lost()
+        await self._hang_up()
+        return self._lost
+
     async def ask(self) -> bool:
-        """Joins and asks; returns whether all wanted services run. Raises NetworkError or LinkError."""
-        await self._network.join(self._contact.network)
+        """Asks for the services; returns whether all that are wanted run. Raises LinkError."""
         self._daemon = self._dialer.dial(self._contact.address, server=self._contact.name)
         answer = await self._availability()
         for service, endpoint in answer.endpoints.items():
@@ -92,6 +102,10 @@ class Visit:
         self._quiet.clear()
         try:
             return await instance.request(service_path(service, method), request, timeout_s=deadline_s)
+        except LinkError as error:
+            if self._lost:
+                raise Unreachable(f"{self._contact.name}: its network was lost: {self._lost}") from error
+            raise
         finally:
             self._calls -= 1
             if self._calls == 0:
@@ -109,11 +123,14 @@ class Visit:
                 with contextlib.suppress(LinkError):
                     await self._tell(LEAVE, LeaveRequest(self._contact.name), timeout_s=_FAREWELL_S)
                     answered = True
+        await self._hang_up()
+        await self._network.leave()
+        return answered
+
+    async def _hang_up(self) -> None:
         for link in (*self._instances.values(), self._daemon):
             if link is not None:
                 await link.close()
-        await self._network.leave()
-        return answered
 
     async def _availability(self) -> AvailabilityReply:
         request = AvailabilityRequest(self._contact.name, list(self._contact.services))

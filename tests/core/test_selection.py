@@ -16,6 +16,7 @@ from upwash.core.selection import (
     LocalCallEnded,
     Looked,
     MissionEnded,
+    NetworkLost,
     RemoteCallEnded,
     RemoteCallFailed,
     Selection,
@@ -240,6 +241,39 @@ def test_services_cannot_be_started_by_a_check_that_asked_for_no_start() -> None
     machine.handle(Looked(), now_s=30.0, position=UNDER_S1)
     with pytest.raises(TransitionError, match="started is impossible in CHECK-R"):
         machine.handle(ServicesStarted(2), now_s=31.0, position=UNDER_S1)
+
+
+# ---- networks that are lost
+
+
+def test_a_network_that_is_lost_in_range_blacklists_and_the_next_best_is_selected() -> None:
+    machine = with_s1_ready(selection(), position=UNDER_BOTH)
+    lost = machine.handle(NetworkLost(1, "no carrier"), now_s=20.0, position=UNDER_BOTH)
+    assert written(lost) == ["s1 READY BLACKLISTED", "leave s1", "s2 AVL CHECK", "check s2 2"]
+    assert isinstance(lost[0], Change) and lost[0].why == "no carrier"
+
+
+def test_a_network_that_is_lost_out_of_range_is_no_failure_of_the_server() -> None:
+    machine = with_s1_ready(selection())
+    lost = machine.handle(NetworkLost(1, "no carrier"), now_s=20.0, position=NOWHERE)
+    assert written(lost) == ["s1 READY AVL-R", "leave s1"]
+
+
+def test_a_network_that_is_lost_during_a_check_ends_it() -> None:
+    machine = selection()
+    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    lost = machine.handle(NetworkLost(1, "no carrier"), now_s=4.0, position=UNDER_S1)
+    assert written(lost) == ["s1 CHECK BLACKLISTED", "leave s1"]
+
+
+def test_a_network_that_an_earlier_check_joined_can_be_lost_without_consequence() -> None:
+    machine = with_s1_left_running(selection())
+    machine.handle(Looked(), now_s=21.0, position=UNDER_S1)
+    assert machine.handle(NetworkLost(1, "no carrier"), now_s=22.0, position=UNDER_S1) == []
+    assert machine.is_checking(2)
+    assert (
+        with_s1_left_running(selection()).handle(NetworkLost(1, "late"), now_s=22.0, position=NOWHERE) == []
+    )
 
 
 # ---- calls that end

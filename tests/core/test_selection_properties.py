@@ -36,6 +36,7 @@ from upwash.core.selection import (
     LocalCallEnded,
     Looked,
     MissionEnded,
+    NetworkLost,
     RemoteCallEnded,
     RemoteCallFailed,
     Selection,
@@ -156,6 +157,13 @@ class Flights(RuleBasedStateMachine):
     def check_fails(self, back: int) -> None:
         check = self.checks[-1 - back % len(self.checks)]
         self.happens(CheckFailed(check, "no answer"), check=check)
+
+    @precondition(lambda self: self.checks)
+    @rule(back=BACK)
+    def network_is_lost(self, back: int) -> None:
+        check = self.checks[-1 - back % len(self.checks)]
+        is_joined = self.joined is not None and check == self.checks[-1]
+        self.happens(NetworkLost(check, "no carrier"), check=None if is_joined else check)
 
     @rule(operation=operations, delay_s=delays_s)
     def local_call_ends(self, operation: Operation, delay_s: float) -> None:

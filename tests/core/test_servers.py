@@ -35,6 +35,9 @@ TABLE = {
     (READY, "deselected"): AVL_R,  # out of range, slower than local, better one
     (READY, "call_failed_in_range"): BLACKLISTED,
     (READY, "call_failed_out_of_range"): AVL_R,
+    (CHECK, "network_lost"): BLACKLISTED,
+    (CHECK_R, "network_lost"): BLACKLISTED,
+    (READY, "network_lost"): BLACKLISTED,
     (BLACKLISTED, "blacklist_expired"): AVL,
     (AVL_R, "idle_expired"): AVL,
 }

@@ -86,7 +86,7 @@ def test_remote_calls_that_fail_are_answered_on_the_drone_and_blacklist_the_serv
     run = fly(
         tmp_path,
         truth="join_s = 1.0\nstart_s = 1.0",
-        more='[[fault]]\ntarget = "link:s1"\nkind = "off"\nfrom_s = 50.0\n',
+        more='[[fault]]\ntarget = "link:s1"\nkind = "stuck"\nfrom_s = 50.0\n',
     )
     call = run.result.calls[2]
     assert call.place == "local"
@@ -127,7 +127,7 @@ def test_a_call_cut_short_by_a_dead_link_says_nothing_of_the_server(tmp_path: Pa
     run = fly(
         tmp_path,
         truth="join_s = 1.0\nstart_s = 1.0",
-        more='[policy]\nblacklist_s = 1.0\n[[fault]]\ntarget = "link:s1"\nkind = "off"\nfrom_s = 50.0\nto_s = 60.0\n',
+        more='[policy]\nblacklist_s = 1.0\n[[fault]]\ntarget = "link:s1"\nkind = "stuck"\nfrom_s = 50\nto_s = 60\n',
     )
     assert run.result.totals.fallbacks == 1
     assert set(remote_estimates(run)) == {0.7}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
+import msgspec
 import pytest
 from tests.sim.scenarios_for_tests import fault, scenario, server
 
@@ -12,7 +13,7 @@ from upwash.config import FaultConfig
 from upwash.errors import UsageError
 from upwash.lab.run import Run, simulate
 from upwash.sim.faults import Faults
-from upwash.sim.loop import run_virtually
+from upwash.sim.loop import DeadlockError, run_virtually
 
 NEAR = server("s1", 0.0, 0.0, range_m=1000.0)  # always in range
 
@@ -109,13 +110,54 @@ def test_a_link_that_is_down(kind: str, after_s: float, why: str) -> None:
     assert why in failed["why"]
 
 
-def test_a_link_that_breaks_in_a_call_costs_the_deadline() -> None:
+@pytest.mark.parametrize(
+    ("kind", "lost_s", "why"),
+    [
+        ("off", 0.6, "s1: its network was lost: network s1 is off the air"),
+        ("stuck", 4 * 0.7, "no answer within 2.8 s"),
+    ],
+)
+def test_a_call_is_cut_at_once_by_a_network_that_is_lost_but_ends_with_its_deadline_where_nothing_gets_through(
+    kind: str, lost_s: float, why: str
+) -> None:
     ready = fly()
     call = events(ready, "call")[1]
-    broken = fly(fault("link:s1", "off", from_s=call["t"] - 0.1))
+    broken = fly(fault("link:s1", kind, from_s=call["t"] - 0.1))
     at = events(broken, "call")[1]
     assert (call["place"], at["place"], at["fell_back"]) == ("s1", "local", True)
-    assert at["delay_s"] == pytest.approx(4 * 0.7 + 10.0)
+    assert at["delay_s"] == pytest.approx(lost_s + 10.0)
+    assert why in first(broken, "remote_failed")["why"]
+
+
+def test_a_network_that_is_lost_between_calls_ends_the_use_of_its_server_then() -> None:
+    run = fly(fault("link:s1", "off", from_s=27.0, to_s=29.0))
+    lost = first(run, "network_lost")
+    assert (lost["t"], lost["before"], lost["after"]) == (27.0, "READY", "BLACKLISTED")
+    assert lost["why"] == "network s1 is off the air"
+    assert events(run, "remote_failed") == []
+
+
+def test_a_network_that_is_lost_while_its_server_is_asked_ends_the_check() -> None:
+    lost = first(fly(fault("link:s1", "off", from_s=5.0)), "network_lost")
+    assert (lost["t"], lost["before"], lost["after"]) == (5.0, "CHECK", "BLACKLISTED")
+
+
+def test_what_befalls_a_target_is_known_when_it_does() -> None:
+    async def when(*faults: FaultConfig, now_s: float = 3.0) -> float:
+        await asyncio.sleep(now_s)
+        await Faults(faults).befalls("link:s1", "off")
+        return asyncio.get_running_loop().time()
+
+    def link(kind: str, from_s: float, to_s: float) -> FaultConfig:
+        return msgspec.convert(fault("link:s1", kind, from_s=from_s, to_s=to_s), FaultConfig)
+
+    assert run_virtually(when(link("off", 0.0, 9.0))) == 3.0
+    assert run_virtually(when(link("off", 4.0, 9.0))) == 4.0
+    assert run_virtually(when(link("flapping", 0.1, 9.0))) == 3.0
+    assert run_virtually(when(link("flapping", 0.1, 90.0), now_s=6.0)) == pytest.approx(10.1)
+    assert run_virtually(when(link("slow", 2.0, 6.0), link("off", 4.0, 9.0))) == 6.0, "one fault at a time"
+    with pytest.raises(DeadlockError):
+        run_virtually(when(link("off", 1.0, 2.0), link("stuck", 5.0, 6.0)))
 
 
 def test_a_slow_link_takes_half_of_its_time_each_way() -> None:

@@ -48,6 +48,14 @@ class CheckFailed:
 
 
 @dataclass(frozen=True, slots=True)
+class NetworkLost:
+    """The network that was joined for the check is no longer connected."""
+
+    check: int
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
 class LocalCallEnded:
     """A call ran on the drone."""
 
@@ -92,6 +100,7 @@ Happening = (
     | CheckAnswered
     | ServicesStarted
     | CheckFailed
+    | NetworkLost
     | LocalCallEnded
     | RemoteCallEnded
     | RemoteCallFailed
@@ -231,7 +240,9 @@ class Selection:
             case ServicesStarted(check) if self.is_checking(check):
                 return [self._ready(Event.STARTED, now_s)]
             case CheckFailed(check, why) if self.is_checking(check):
-                return self._check_failed(why, now_s)
+                return self._failed(Event.CHECK_FAILED, why, now_s)
+            case NetworkLost(check, why) if check == self.check and self._current is not None:
+                return self._failed(Event.NETWORK_LOST, why, now_s)
             case RemoteCallFailed(server, check, why) if self._is_ready(server, check):
                 return self._call_failed(why, now_s)
             case RemoteCallCut(server, operation, waited_s):
@@ -275,12 +286,12 @@ class Selection:
         )
         return change
 
-    def _check_failed(self, why: str, now_s: float) -> list[Command]:
+    def _failed(self, event: Event, why: str, now_s: float) -> list[Command]:
         server = self._selected()
         if not server.in_range:
             return self._deselect("out of range", now_s)  # the server did nothing wrong
         self._current = None
-        return [server.apply(Event.CHECK_FAILED, now_s=now_s, why=why), Leave(server.name)]
+        return [server.apply(event, now_s=now_s, why=why), Leave(server.name)]
 
     def _call_failed(self, why: str, now_s: float) -> list[Command]:
         server = self._selected()

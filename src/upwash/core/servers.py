@@ -43,6 +43,7 @@ class Event(StrEnum):
     DESELECTED_AFTER_START = "deselected_after_start"  # as above, once the start was requested
     CALL_FAILED_IN_RANGE = "call_failed_in_range"
     CALL_FAILED_OUT_OF_RANGE = "call_failed_out_of_range"
+    NETWORK_LOST = "network_lost"  # in range, though: out of range is a de-selection
     BLACKLIST_EXPIRED = "blacklist_expired"
     IDLE_EXPIRED = "idle_expired"
 
@@ -62,6 +63,9 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.READY, Event.DESELECTED): State.AVL_R,
     (State.READY, Event.CALL_FAILED_IN_RANGE): State.BLACKLISTED,
     (State.READY, Event.CALL_FAILED_OUT_OF_RANGE): State.AVL_R,
+    (State.CHECK, Event.NETWORK_LOST): State.BLACKLISTED,
+    (State.CHECK_R, Event.NETWORK_LOST): State.BLACKLISTED,
+    (State.READY, Event.NETWORK_LOST): State.BLACKLISTED,
     (State.BLACKLISTED, Event.BLACKLIST_EXPIRED): State.AVL,
     (State.AVL_R, Event.IDLE_EXPIRED): State.AVL,
 }

@@ -193,7 +193,12 @@ def _radio(
     cells: dict[str, list[Cell]] = {}
     for server in config.servers:
         cells.setdefault(server.network, []).append(
-            Cell(areas[server.name], truths[server.name].join_s, functools.partial(radio.is_up, server.name))
+            Cell(
+                areas[server.name],
+                truths[server.name].join_s,
+                is_up=functools.partial(radio.is_up, server.name),
+                goes_down=functools.partial(radio.goes_down, server.name),
+            )
         )
     network = ModelNetwork(cells, lambda: autopilot.position)
     return network, ModelDialer(config.name, switchboard, radio)

@@ -111,9 +111,12 @@ class _Network:
     seen: Network
     witness: DroneWitness
 
-    async def join(self, network: str) -> None:
-        await self.seen.join(network)
+    async def join(self, network: str, *, timeout_s: float) -> None:
+        await self.seen.join(network, timeout_s=timeout_s)
         self.witness.record("joined", network=network)
+
+    async def lost(self) -> str:
+        return await self.seen.lost()
 
     async def leave(self) -> None:
         await self.seen.leave()

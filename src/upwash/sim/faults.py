@@ -15,7 +15,7 @@ On a server (what runs there when a fault begins still runs when it is over):
 
 On a link, `link:SERVER`:
 
-- `off`: its network cannot be joined, and of what was joined nothing gets through, either way
+- `off`: its network cannot be joined, and one that was joined is lost, which shows at once
 - `stuck`: its network can be joined, and nothing gets through
 - `slow`: a request and its reply take `extra_s` more, half of it each way
 - `flapping`: off for 5 s, well for 5 s, and so on
@@ -31,6 +31,8 @@ On the autopilot:
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import math
 from collections.abc import Awaitable, Callable, Sequence
 from typing import NoReturn, Protocol
 
@@ -50,6 +52,7 @@ from upwash.protocol import (
 from upwash.sim.link import Handler
 
 _FLAP_S = 5.0
+_LEAST_STEP_S = 1e-6  # so that a flap that rounding puts at this very moment is waited for, too
 _MOVING = ("off", "stuck", "slow", "flapping")  # what can befall links and the autopilot
 _NOBODY = "nobody.invalid:1"
 _UNDECODABLE = b"\xc1" * 16  # the one byte that MessagePack never uses
@@ -78,9 +81,30 @@ class Faults:
                 return msgspec.structs.replace(fault, kind="off") if fault.kind == "flapping" else fault
         return None
 
+    async def befalls(self, target: str, kind: str) -> None:
+        """Returns as soon as the target suffers from that kind of fault."""
+        loop = asyncio.get_running_loop()
+        while (fault := self.now(target)) is None or fault.kind != kind:
+            changes = [_next_change_s(each, loop.time()) for each in self._faults if each.target == target]
+            next_s = min(changes, default=math.inf)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout_at(next_s if next_s < math.inf else None):
+                    await never()
+
 
 def _is_on(fault: FaultConfig, now_s: float) -> bool:
     return fault.kind != "flapping" or int((now_s - fault.from_s) / _FLAP_S) % 2 == 0
+
+
+def _next_change_s(fault: FaultConfig, now_s: float) -> float:
+    """When the fault next begins, ends or flaps; infinite for one that stays as it is."""
+    if now_s < fault.from_s:
+        return fault.from_s
+    if fault.kind == "flapping" and now_s < fault.to_s:
+        flaps = int((now_s - fault.from_s) / _FLAP_S) + 1
+        next_s = min(fault.from_s + flaps * _FLAP_S, fault.to_s)
+        return max(next_s, now_s + _LEAST_STEP_S)
+    return fault.to_s if now_s < fault.to_s else math.inf
 
 
 class Plugboard(Protocol):

@@ -76,7 +76,10 @@ class ModelLink:
                 f"{self._server} at {self._address}: no answer within {timeout_s:.1f} s"
             ) from None
         except asyncio.CancelledError:
-            if self._closed:  # close() cancelled the exchange, not the caller
+            caller = asyncio.current_task()
+            if (
+                self._closed and caller is not None and not caller.cancelling()
+            ):  # close() cancelled the exchange
                 raise Unreachable(f"{self._server} at {self._address}: the link was closed") from None
             raise
         finally:

@@ -63,6 +63,10 @@ class Radio:
         fault = self._faults.now(f"link:{server}")
         return fault is None or fault.kind != "off"
 
+    async def goes_down(self, server: str) -> None:
+        """Returns as soon as the server's network is not up."""
+        await self._faults.befalls(f"link:{server}", "off")
+
     async def send(self, server: str, path: str, *, reply: bool) -> None:
         """The transfer time at the drone's distance; what is no service's call is too small to count."""
         fault = self._faults.now(f"link:{server}")

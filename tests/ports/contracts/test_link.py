@@ -143,3 +143,15 @@ def test_a_request_that_is_cancelled_leaves_the_link_as_it_was(hold: Hold) -> No
         assert await link.request(PATH, b"next", timeout_s=5.0) == b"heron next"
 
     hold(talk, True)
+
+
+def test_a_request_that_is_cancelled_as_its_link_closes_is_cancelled(hold: Hold) -> None:
+    async def talk(link: Link) -> None:
+        asked = asyncio.create_task(link.request(PATH, b"stuck", timeout_s=5.0))
+        await asyncio.sleep(0.1)
+        await link.close()
+        asked.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await asked
+
+    hold(talk, True)

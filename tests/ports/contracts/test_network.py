@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 
 import pytest
 
@@ -14,47 +15,117 @@ from upwash.sim.loop import run_virtually
 from upwash.sim.network import Cell, ModelNetwork, NoNetwork
 
 INSIDE, OUTSIDE = Position(5.0, 0.0), Position(50.0, 0.0)
+JOIN_S = 3.5
 
 
-def model(position: Callable[[], Position] = lambda: INSIDE, *, is_up: bool = True) -> ModelNetwork:
-    area = Circle(Position(0.0, 0.0), 10.0)
-    return ModelNetwork({name: [Cell(area, 3.5, lambda: is_up)] for name in ("a", "b")}, position)
+@dataclass(frozen=True)
+class Stage:
+    """A radio that can join the networks a and b, and a way to take a off the air."""
+
+    network: Network
+    take_off_the_air: Callable[[], None]
 
 
-@pytest.mark.parametrize("make", [model, NoNetwork])
-def test_networks_are_joined_and_left_one_after_the_other(make: Callable[[], Network]) -> None:
-    async def visit() -> None:
-        network = make()
-        await network.leave()  # none is joined
+Scene = Callable[[Stage], Awaitable[None]]
+
+
+def on_the_model(scene: Scene) -> None:
+    async def play() -> None:
+        off = asyncio.Event()
+
+        async def goes_down() -> None:
+            await off.wait()
+
+        area = Circle(Position(0.0, 0.0), 10.0)
+        cells = {
+            "a": [Cell(area, JOIN_S, is_up=lambda: not off.is_set(), goes_down=goes_down)],
+            "b": [Cell(area, JOIN_S)],
+        }
+        await scene(Stage(ModelNetwork(cells, lambda: INSIDE), off.set))
+
+    run_virtually(play())
+
+
+TWINS = pytest.mark.parametrize("play", [on_the_model])
+
+
+@TWINS
+def test_networks_are_joined_and_left_one_after_the_other(play: Callable[[Scene], None]) -> None:
+    async def scene(stage: Stage) -> None:
+        await stage.network.leave()  # none is joined
         for name in ("a", "b", "a"):
-            await network.join(name)
-            await network.leave()
-            await network.leave()
+            await stage.network.join(name, timeout_s=10.0)
+            await stage.network.leave()
+            await stage.network.leave()
 
-    run_virtually(visit())
+    play(scene)
 
 
-@pytest.mark.parametrize("make", [model, NoNetwork])
-def test_a_join_that_was_given_up_joined_nothing(make: Callable[[], Network]) -> None:
-    async def hesitate() -> None:
-        network = make()
-        joining = asyncio.create_task(network.join("a"))
+@TWINS
+def test_a_join_that_was_given_up_joined_nothing(play: Callable[[Scene], None]) -> None:
+    async def scene(stage: Stage) -> None:
+        joining = asyncio.create_task(stage.network.join("a", timeout_s=10.0))
         await asyncio.sleep(0)
         joining.cancel()
         await asyncio.gather(joining, return_exceptions=True)
-        await network.leave()
-        await network.join("b")
+        await stage.network.leave()
+        await stage.network.join("b", timeout_s=10.0)
 
-    run_virtually(hesitate())
+    play(scene)
+
+
+@TWINS
+def test_one_radio_joins_one_network(play: Callable[[Scene], None]) -> None:
+    async def scene(stage: Stage) -> None:
+        await stage.network.join("a", timeout_s=10.0)
+        with pytest.raises(NetworkError, match="cannot join b while a is joined"):
+            await stage.network.join("b", timeout_s=10.0)
+
+    play(scene)
+
+
+@TWINS
+def test_what_is_not_joined_in_time_is_not_joined(play: Callable[[Scene], None]) -> None:
+    async def scene(stage: Stage) -> None:
+        with pytest.raises(NetworkError, match=r"a was not joined within 0\.0 s"):
+            await stage.network.join("a", timeout_s=0.0)
+        await stage.network.join("b", timeout_s=10.0)
+
+    play(scene)
+
+
+@TWINS
+def test_a_network_that_goes_off_the_air_is_lost_and_then_left(play: Callable[[Scene], None]) -> None:
+    async def scene(stage: Stage) -> None:
+        await stage.network.join("a", timeout_s=10.0)
+        lost = asyncio.create_task(stage.network.lost())
+        await asyncio.sleep(0)
+        assert not lost.done()
+        stage.take_off_the_air()
+        assert await lost
+        assert await stage.network.lost(), "and stays so"
+        await stage.network.leave()
+        with pytest.raises(NetworkError):
+            await stage.network.join("a", timeout_s=10.0)
+        await stage.network.join("b", timeout_s=10.0)
+
+    play(scene)
+
+
+# --- the model ----------------------------------------------------------------------------------------------
+
+
+def model(position: Callable[[], Position] = lambda: INSIDE, *, is_up: bool = True) -> ModelNetwork:
+    return ModelNetwork({"a": [Cell(Circle(Position(0.0, 0.0), 10.0), JOIN_S, lambda: is_up)]}, position)
 
 
 def test_joining_takes_its_time_and_is_tried_where_the_drone_is_by_then() -> None:
     async def fly(*, arrives_s: float) -> float:
         clock = asyncio.get_running_loop().time
-        await model(lambda: INSIDE if clock() >= arrives_s else OUTSIDE).join("a")
+        await model(lambda: INSIDE if clock() >= arrives_s else OUTSIDE).join("a", timeout_s=10.0)
         return clock()
 
-    assert run_virtually(fly(arrives_s=3.0)) == 3.5
+    assert run_virtually(fly(arrives_s=3.0)) == JOIN_S
     with pytest.raises(NetworkError, match="network a is out of range"):
         run_virtually(fly(arrives_s=4.0))
 
@@ -69,14 +140,35 @@ def test_joining_takes_its_time_and_is_tried_where_the_drone_is_by_then() -> Non
 )
 def test_what_cannot_be_joined(network: Network, joined: str, problem: str) -> None:
     with pytest.raises(NetworkError, match=problem):
-        run_virtually(network.join(joined))
+        run_virtually(network.join(joined, timeout_s=10.0))
 
 
-def test_one_radio_joins_one_network() -> None:
-    async def greedy() -> None:
-        network = model()
-        await network.join("a")
-        await network.join("b")
+def test_a_network_of_several_servers_is_lost_with_the_last_of_them() -> None:
+    async def scene() -> float:
+        clock = asyncio.get_running_loop().time
+        area = Circle(Position(0.0, 0.0), 10.0)
 
-    with pytest.raises(NetworkError, match="cannot join b while a is joined"):
-        run_virtually(greedy())
+        def until(down_s: float) -> Cell:
+            async def goes_down() -> None:
+                await asyncio.sleep(down_s - clock())
+
+            return Cell(area, 0.0, is_up=lambda: clock() < down_s, goes_down=goes_down)
+
+        network = ModelNetwork({"a": [until(5.0), until(9.0), until(7.0)]}, lambda: INSIDE)
+        await network.join("a", timeout_s=1.0)
+        await network.lost()
+        return clock()
+
+    assert run_virtually(scene()) == 9.0
+
+
+def test_without_a_network_everything_is_always_joined() -> None:
+    async def scene() -> None:
+        network = NoNetwork()
+        await network.join("a", timeout_s=0.0)
+        await network.leave()
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(1e6):
+                await network.lost()
+
+    run_virtually(scene())
