@@ -297,7 +297,7 @@ class Flight:
         self._stopped = ""  # why, once it is
         self._onboard = OnboardServices(
             [
-                InstanceSpec(config.name, service.name, programs[service.name], dict(service.local_pace_s))
+                InstanceSpec(config.name, service.name, programs[service.name], service.local_pace_s)
                 for service in config.services
             ],
             drone=config.name,

@@ -33,7 +33,7 @@ from upwash.real.link import GrpcDialer
 from upwash.real.listener import Caller, Listener
 from upwash.real.runtime import ProcessRuntime
 from upwash.real.video import VideoCamera
-from upwash.server import EdgeServer
+from upwash.server import EdgeServer, Image
 from upwash.sim.camera import RenderedCamera
 from upwash.sim.network import Cell, ModelNetwork, NoNetwork
 from upwash.vehicle import VehicleSettings, serve_vehicle
@@ -183,7 +183,7 @@ async def serve(config: DaemonConfig, *, ready: Callable[[str], None]) -> None:
     """Runs the daemon until SIGTERM or Ctrl-C; `ready` is told the address once it answers."""
     from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 
-    programs = _programs(config)
+    images = _images(config)
     credentials = _server_credentials(config)
     loop = asyncio.get_running_loop()
     async with contextlib.AsyncExitStack() as stack:
@@ -193,7 +193,7 @@ async def serve(config: DaemonConfig, *, ready: Callable[[str], None]) -> None:
                 {each.name: ServerOffer(frozenset(each.images), each.slots) for each in config.identities},
                 HostSettings(lease_s=config.lease_s, idle_stop_s=config.idle_stop_s),
             ),
-            programs=programs,
+            images=images,
             runtime=await stack.enter_async_context(_runtime(config, credentials, sockets)),
             start_timeout_s=config.start_timeout_s,
         )
@@ -230,14 +230,15 @@ async def serve(config: DaemonConfig, *, ready: Callable[[str], None]) -> None:
         status.enter_graceful_shutdown()
 
 
-def _programs(config: DaemonConfig) -> dict[str, Program]:
-    """The program of each service; in a container it is the image's, and checks its settings there."""
+def _images(config: DaemonConfig) -> dict[str, Image]:
+    """What each service is; in a container its program is the image's, and checks its settings there."""
     if config.runtime.kind == "lxd":
-        return {
-            image.name: Program("", image.settings.values if image.settings else {})
-            for image in config.images
+        programs = {
+            each.name: Program("", each.settings.values if each.settings else {}) for each in config.images
         }
-    return {name: service.program for name, service in load_services(config.images).items()}
+    else:
+        programs = {name: service.program for name, service in load_services(config.images).items()}
+    return {each.name: Image(programs[each.name], each.pace_s, each.start_pace_s) for each in config.images}
 
 
 @contextlib.asynccontextmanager

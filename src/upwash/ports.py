@@ -136,7 +136,8 @@ class InstanceSpec:
     server: str
     service: str
     program: Program
-    pace_s: dict[str, float] = field(default_factory=dict)  # least time a call takes, by profile key
+    pace_s: Mapping[str, float] = field(default_factory=dict)  # least time a call takes, by profile key
+    start_pace_s: float = 0.0  # least time a start takes
 
     @property
     def name(self) -> str:

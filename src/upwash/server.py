@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NoReturn, TypeVar
 
 import msgspec
@@ -40,14 +41,23 @@ _LEAST_LOOK_S = 1.0  # between two looks at what has come to its end
 T = TypeVar("T")
 
 
+@dataclass(frozen=True, slots=True)
+class Image:
+    """A service that can be started: its program, and the least times that its calls and its start take."""
+
+    program: Program
+    pace_s: Mapping[str, float] = field(default_factory=dict)
+    start_pace_s: float = 0.0
+
+
 class EdgeServer:
-    """One daemon: `host` decides, `runtime` runs, `programs` says what each service is."""
+    """One daemon: `host` decides, `runtime` runs, `images` says what each service is."""
 
     def __init__(
-        self, host: Host, *, programs: Mapping[str, Program], runtime: Runtime, start_timeout_s: float
+        self, host: Host, *, images: Mapping[str, Image], runtime: Runtime, start_timeout_s: float
     ) -> None:
         self._host = host
-        self._programs = programs
+        self._images = images
         self._runtime = runtime
         self._start_timeout_s = start_timeout_s
         self._instances: dict[StartInstance, Instance] = {}
@@ -141,7 +151,10 @@ class EdgeServer:
 
     async def _live(self, start: StartInstance) -> None:
         """The life of one instance, from its start to its end."""
-        spec = InstanceSpec(start.server, start.service, self._programs[start.service])
+        image = self._images[start.service]
+        spec = InstanceSpec(
+            start.server, start.service, image.program, pace_s=image.pace_s, start_pace_s=image.start_pace_s
+        )
         instance: Instance | None = None
         why = "stopped"
         try:

@@ -100,3 +100,12 @@ def test_reading_configuration_imports_no_heavy_parts() -> None:
     script = "import sys, upwash.config; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
     assert not {"asyncio", "grpc", "cryptography", "numpy", "difflib", "upwash.ports"} & set(loaded.split())
+
+
+def test_a_service_may_stand_in_for_that_of_a_slower_computer(tmp_path: Path) -> None:
+    paced = FULL.replace('name = "counter"\n', 'name = "counter"\npace_s = 2\nstart_pace_s = 8\n', 1).replace(
+        'HotSpotDetector"\n', 'HotSpotDetector"\npace_s = { light = 0.2, heavy = 0.6 }\n'
+    )
+    detector, counter = read(tmp_path, paced).images
+    assert (detector.pace_s, detector.start_pace_s) == ({"light": 0.2, "heavy": 0.6}, 0.0)
+    assert (counter.pace_s, counter.start_pace_s) == ({"": 2.0}, 8.0)

@@ -366,6 +366,19 @@ def test_a_service_that_wants_to_exit_answers_and_goes_on(services: Path, tmp_pa
     with_bench(services, tmp_path, use)
 
 
+def test_a_paced_start_takes_its_time(services: Path, tmp_path: Path) -> None:
+    async def run() -> float:
+        began_s = time.monotonic()
+        slow = InstanceSpec("s1", "workbench", Program(f"{services}:Workbench"), start_pace_s=1.5)
+        instance = await runtime(tmp_path).start(slow, called=lambda _: None)
+        took_s = time.monotonic() - began_s
+        await instance.stop()
+        return took_s
+
+    assert asyncio.run(run()) >= 1.5
+    expect_no_child()
+
+
 def test_a_paced_call_takes_its_time_and_no_longer(services: Path, tmp_path: Path) -> None:
     async def use(bench: Bench) -> None:
         for mode, at_least_s, at_most_s in (("heavy", 0.3, 1.0), ("light", 0.0, 0.25)):

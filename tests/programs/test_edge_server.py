@@ -22,7 +22,7 @@ from upwash.protocol import (
     StartReply,
     StartRequest,
 )
-from upwash.server import EdgeServer
+from upwash.server import EdgeServer, Image
 from upwash.sim.loop import run_virtually
 
 T = TypeVar("T")
@@ -79,7 +79,7 @@ class Daemon:
             Host(
                 {"s1": ServerOffer(frozenset({"detector"}), slots)}, HostSettings(lease_s=30, idle_stop_s=100)
             ),
-            programs={"detector": Program("somewhere:Detector")},
+            images={"detector": Image(Program("somewhere:Detector"))},
             runtime=self.runtime,
             start_timeout_s=start_timeout_s,
         )

@@ -21,7 +21,7 @@ from tests.system.test_serve import Guest
 
 from upwash.errors import InstanceError, LinkError, Refused, ServiceError
 from upwash.packaging.image import Recipe, package
-from upwash.ports import Instance, InstanceSpec
+from upwash.ports import Instance, InstanceSpec, Program
 from upwash.protocol import service_path
 from upwash.real.credentials import Credentials
 from upwash.real.link import GrpcDialer
@@ -53,7 +53,7 @@ class Site:
         return instance
 
     def spec(self, server: str, service: str) -> InstanceSpec:
-        return InstanceSpec(server, service, "")
+        return InstanceSpec(server, service, Program(""))
 
     async def call(
         self, instance: Instance, server: str, name: str, *arguments: object, timeout_s: float = 20.0

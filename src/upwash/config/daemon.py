@@ -11,14 +11,16 @@ from msgspec import Meta, Struct
 from upwash.config.problems import Document, Problem, refuse_first, unknown
 from upwash.config.reading import convert, read_document
 from upwash.config.runtime import RuntimeConfig, runtime_problems
-from upwash.config.shorthand import with_program_from
+from upwash.config.shorthand import image_written_out
 from upwash.config.values import (
     Count,
     ImportPath,
     KeysConfig,
     Name,
     Names,
+    NotNegative,
     Positive,
+    SecondsByKey,
     Settings,
     Text,
     is_address,
@@ -36,11 +38,16 @@ LeaseSeconds = Annotated[float, Meta(ge=2, description="a number of at least 2, 
 
 
 class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A service that can be started here, with `settings` for its constructor; bundled if it has no `program`."""
+    """A service that can be started here, with `settings` for its constructor; bundled if it has no `program`.
+
+    `pace_s` is the least time a call takes, `start_pace_s` a start: they stand in for a slower computer.
+    """
 
     name: Name
     program: ImportPath | None = None
     settings: Settings | None = None
+    pace_s: SecondsByKey = {}
+    start_pace_s: NotNegative = 0.0
 
 
 class IdentityConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -98,7 +105,7 @@ def _written_out(document: Document, folder: Path) -> Document:
         return document
     names = [each["name"] for each in services if isinstance(each, dict) and _has_name(each)]
     return document | {
-        "service": [with_program_from(each, folder) if isinstance(each, dict) else each for each in services],
+        "service": [image_written_out(each, folder) if isinstance(each, dict) else each for each in services],
         "server": [{"images": names} | each if isinstance(each, dict) else each for each in servers],
     }
 

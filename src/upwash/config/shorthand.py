@@ -46,12 +46,17 @@ def with_program_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:
     return table
 
 
+def image_written_out(image: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """A daemon's service with its times by profile key and its program's file as a path from the folder."""
+    return with_program_from(image, folder) | _by_key(image, "pace_s")
+
+
 def _service(service: dict[str, Any], folder: Path) -> dict[str, Any]:
-    return with_program_from(service, folder) | {
-        name: {"": service[name]}
-        for name in ("local_call_s", "local_pace_s")
-        if _is_number(service.get(name))
-    }
+    return with_program_from(service, folder) | _by_key(service, "local_call_s", "local_pace_s")
+
+
+def _by_key(table: dict[str, Any], *names: str) -> dict[str, Any]:
+    return {name: {"": table[name]} for name in names if _is_number(table.get(name))}
 
 
 def _server(server: dict[str, Any], services: list[dict[str, Any]], folder: Path) -> dict[str, Any]:

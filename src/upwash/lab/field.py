@@ -11,7 +11,7 @@ from upwash.config import DroneConfig, ServerConfig, ServerTruth, server_truth
 from upwash.core.instances import Host, ServerOffer
 from upwash.lab.witness import ServerWitness
 from upwash.ports import Journal, Program
-from upwash.server import EdgeServer
+from upwash.server import EdgeServer, Image
 from upwash.service import ServiceSpec
 from upwash.sim.chance import Chance
 from upwash.sim.faults import Faults, FaultyServer
@@ -64,7 +64,7 @@ def _edge_server(
 ) -> EdgeServer:
     edge = EdgeServer(
         Host({server.name: ServerOffer(frozenset(truth.images), truth.slots)}),
-        programs=programs,
+        images={name: Image(program) for name, program in programs.items()},
         runtime=witness.runtime(runtime) if witness else runtime,
         start_timeout_s=60.0,
     )

@@ -6,6 +6,7 @@ however it dies, the instance reads an end of file and ends.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -19,7 +20,7 @@ class Begin(msgspec.Struct, frozen=True, tag="begin"):
     service: str
     listen: str
     max_message_bytes: int
-    pace_s: dict[str, float]
+    pace_s: Mapping[str, float]
     authority: str = ""
     certificate: str = ""
     key: str = ""

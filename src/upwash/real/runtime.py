@@ -38,9 +38,12 @@ class ProcessRuntime:
 
     async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> ProcessInstance:
         """Returns when the instance is ready to serve; raises InstanceError, leaving nothing behind."""
+        loop = asyncio.get_running_loop()
+        paced_until_s = loop.time() + spec.start_pace_s
         instance = ProcessInstance(spec, called)
         try:
             await instance.begin(self._begin(spec))
+            await asyncio.sleep(paced_until_s - loop.time())
         except BaseException:
             await instance.stop()
             raise
