@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: run test test-system lint format bench lock clean
+.PHONY: run test test-system native lint format bench lock clean
 
 run: $(READY)
 	$(BIN)/upwash demo
@@ -15,6 +15,10 @@ test: $(READY)
 test-system: $(READY)
 	tests/system/install-packages
 	$(BIN)/python -m pytest -n 2 --dist loadgroup -m root
+
+# The ns-3 programs of `upwash emulate --radio ns3` and `upwash goodput`; nothing else needs them.
+native:
+	$(MAKE) -C native
 
 lint: $(READY)
 	$(BIN)/ruff format --check .

@@ -12,6 +12,7 @@ from upwash.commands import (
     campaign,
     chaos,
     demo,
+    emulate,
     fly,
     images,
     keys,
@@ -24,7 +25,20 @@ from upwash.commands import (
 from upwash.errors import MissionStopped, UpwashError, UsageError
 
 _OK, _FAILURE, _USAGE, _INTERRUPTED = 0, 1, 2, 130
-_COMMANDS = (fly, serve, keys, package, images, vehicle, demo, simulate, reproduce, campaign, chaos)
+_COMMANDS = (
+    fly,
+    serve,
+    keys,
+    package,
+    images,
+    vehicle,
+    demo,
+    simulate,
+    reproduce,
+    campaign,
+    chaos,
+    emulate,
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import signal
-import subprocess
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources import as_file, files
@@ -15,14 +11,12 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
-from upwash.config import DroneConfig, KeysConfig, read_drone_config
-from upwash.errors import UpwashError
+from upwash.config import DroneConfig, read_drone_config
 from upwash.flying import fly_with_progress
-from upwash.real.credentials import make_keys
+from upwash.real.credentials import keys_in, make_keys
+from upwash.running import ready_program, ready_vehicle
 from upwash.services import Detection
 from upwash.services.solar_park import TrueBox
-
-_STOP_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +36,7 @@ def fly_demonstration(folder: Path) -> None:
     names = [server.name for server in config.servers]
     make_keys(folder / "keys", servers=[[name] for name in names], drones=[config.name])
     with contextlib.ExitStack() as processes:
-        vehicle = processes.enter_context(_vehicle(config, folder))
+        vehicle = processes.enter_context(ready_vehicle("vehicle", folder, config))
         daemons = {name: processes.enter_context(_daemon(name, folder)) for name in names}
         here = _fill_in(config, folder, vehicle=vehicle, daemons=daemons)
         console.print(
@@ -90,36 +84,12 @@ def read_demonstration() -> DroneConfig:
 
 def _fill_in(config: DroneConfig, folder: Path, *, vehicle: str, daemons: Mapping[str, str]) -> DroneConfig:
     replace = msgspec.structs.replace
-    kind, host, port = vehicle.split(":")
     return replace(
         config,
-        autopilot=replace(config.autopilot, connection=f"{kind}out:{host}:{port}"),
-        keys=_keys(folder / "keys", config.name),
+        autopilot=replace(config.autopilot, connection=vehicle),
+        keys=keys_in(folder / "keys", config.name),
         servers=tuple(replace(server, address=daemons[server.name]) for server in config.servers),
     )
-
-
-def _keys(folder: Path, name: str) -> KeysConfig:
-    return KeysConfig(
-        authority=(folder / "authority.pem").absolute(),
-        certificate=(folder / f"{name}.pem").absolute(),
-        key=(folder / f"{name}.key").absolute(),
-    )
-
-
-@contextlib.contextmanager
-def _vehicle(config: DroneConfig, folder: Path) -> Iterator[str]:
-    home = config.mission.home
-    assert home is not None  # noqa: S101 - the demonstration's own file says it
-    with _program(
-        "vehicle",
-        folder,
-        *("vehicle", "--listen", "udp:127.0.0.1:0"),
-        *("--home", f"{home.latitude_deg},{home.longitude_deg}"),
-        *("--acceleration", str(config.vehicle.acceleration_m_s2)),
-        *("--armable-after", "1"),
-    ) as address:
-        yield address
 
 
 @contextlib.contextmanager
@@ -132,42 +102,5 @@ def _daemon(name: str, folder: Path) -> Iterator[str]:
         f'[[service]]\nname = "detector"\n\n'
         f'[[server]]\nname = "{name}"\n'
     )
-    with _program(name, folder, "serve", "--config", str(config)) as address:
+    with ready_program(name, folder, "serve", "--config", str(config)) as address:
         yield address
-
-
-@contextlib.contextmanager
-def _program(name: str, folder: Path, *arguments: str) -> Iterator[str]:
-    """Runs an upwash command until the end of the block, its log in the folder; yields its address once ready.
-
-    A session of its own keeps a Ctrl-C at the terminal from it: the drone lands first.
-    """
-    with (folder / f"{name}.log").open("wb") as log:
-        process = subprocess.Popen(  # noqa: S603 - this very program
-            [sys.executable, "-m", "upwash", *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=log,
-            start_new_session=True,
-            text=True,
-        )
-    assert process.stdout is not None  # noqa: S101
-    try:
-        said = process.stdout.readline()
-        _, ready, address = said.strip().partition(" ready at ")
-        if not ready:
-            raise UpwashError(f"{name} did not start; {folder / f'{name}.log'} says why")
-        yield address
-    finally:
-        _end(process)
-        process.stdout.close()
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    process.terminate()
-    try:
-        process.wait(timeout=_STOP_S)
-    except subprocess.TimeoutExpired:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()

@@ -15,6 +15,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from upwash.config import KeysConfig
 from upwash.errors import CredentialsError, UsageError
 
 if TYPE_CHECKING:
@@ -55,6 +56,14 @@ class Credentials:
 class _Authority:
     certificate: Certificate
     key: EllipticCurvePrivateKey
+
+
+def keys_in(folder: Path, name: str) -> KeysConfig:
+    """Where `make_keys` put the files of the holder of that name."""
+    folder = folder.absolute()
+    return KeysConfig(
+        authority=folder / "authority.pem", certificate=folder / f"{name}.pem", key=folder / f"{name}.key"
+    )
 
 
 def make_keys(

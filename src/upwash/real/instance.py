@@ -86,10 +86,14 @@ class ServiceInstance:
             self._reported_s[caller.drone] = began_s
             self._report(Called(caller.drone))
         key, reply = method.perform(self._target, body)
-        short_s = self._pace_s.get(key, 0.0) - (time.monotonic() - began_s)
+        short_s = self._least_s(key, method.name) - (time.monotonic() - began_s)
         if short_s > 0:
             time.sleep(short_s)
         return reply
+
+    def _least_s(self, key: str, method: str) -> float:
+        """The least time of an operation; a configuration may tell operations apart by key, by method or not."""
+        return next((self._pace_s[name] for name in (key, method, "") if name in self._pace_s), 0.0)
 
 
 def main() -> NoReturn:

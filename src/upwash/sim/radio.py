@@ -24,10 +24,11 @@ class GoodputTable:
 
     def transfer_s(self, data_bytes: int, distance_m: float) -> float:
         """How long the bytes need over the distance; infinitely long where nothing gets through."""
-        goodput_bit_s = self._at(distance_m)
+        goodput_bit_s = self.at(distance_m)
         return 8 * data_bytes / goodput_bit_s if goodput_bit_s > 0 else float("inf")
 
-    def _at(self, distance_m: float) -> float:
+    def at(self, distance_m: float) -> float:
+        """The goodput at the distance, in bit/s."""
         after = bisect.bisect_left(self.distances_m, distance_m)
         if after == 0:
             return self.goodput_bit_s[0]

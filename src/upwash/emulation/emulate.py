@@ -1,0 +1,121 @@
+"""One emulation, from inside its enclosure: sets the field up, flies, and says how well it kept up."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+
+from upwash.config import DroneConfig
+from upwash.core.geo import GeoPosition, LocalFrame, Position
+from upwash.emulation.field import Field, Radio, drone_namespace
+from upwash.emulation.ghosts import GhostRadio
+from upwash.emulation.namespaces import inside, make_namespace
+from upwash.emulation.order import Order
+from upwash.emulation.outcome import Outcome
+from upwash.emulation.programs import Flight, ready_daemon
+from upwash.emulation.shaped import ShapedRadio
+from upwash.emulation.tracking import tracked
+from upwash.real.credentials import make_keys
+from upwash.running import ready_vehicle
+
+_MOVE_PERIOD_S = 0.1
+
+
+async def emulate(order: Order, stop: asyncio.Event) -> Outcome:
+    """Flies every drone of the order at once; `stop` has them end their missions and land."""
+    field = Field(order.read())
+    with contextlib.ExitStack() as stack:
+        radio = stack.enter_context(_field_set_up(field, order))
+        flights: list[Flight] = []
+        positions: dict[str, Callable[[], Position]] = {}
+        for drone in field.drones:
+            vehicle, positions[drone.name] = stack.enter_context(_vehicle(drone, order.folder))
+            flights.append(Flight(drone, field, order.folder, vehicle=vehicle))
+        mover = _Mover(radio, positions)
+        exit_codes = await _fly(flights, mover, stop)
+        return Outcome(
+            radio=order.radio,
+            radio_lag_s=radio.lag_s,
+            position_lag_s=mover.lag_s,
+            exit_codes=exit_codes,
+        )
+
+
+@contextlib.contextmanager
+def _field_set_up(field: Field, order: Order) -> Iterator[Radio]:
+    """The namespaces, the radio and the daemons, until the end of the block."""
+    folder = order.folder
+    _say(f"setting up {len(field.drones)} drone(s) and {len(field.servers)} server(s)")
+    for namespace in field.namespaces():
+        make_namespace(namespace)
+    make_keys(
+        folder / "keys",
+        servers=[[server.name] for server in field.servers],
+        drones=[drone.name for drone in field.drones],
+    )
+    with contextlib.ExitStack() as stack:
+        links = list(field.links())
+        make_radio = GhostRadio if order.radio == "ns3" else ShapedRadio
+        radio: Radio = stack.enter_context(contextlib.closing(make_radio(links)))
+        for server in field.servers:
+            stack.enter_context(ready_daemon(server, field, folder))
+        yield radio
+
+
+@contextlib.contextmanager
+def _vehicle(drone: DroneConfig, folder: Path) -> Iterator[tuple[str, Callable[[], Position]]]:
+    """How to connect to the drone's vehicle, and where it is, until the end of the block."""
+    namespace, home = drone_namespace(drone.name), drone.mission.home
+    assert home is not None  # noqa: S101 - Order.read refuses a scenario without
+    frame = LocalFrame(GeoPosition(home.latitude_deg, home.longitude_deg))
+    with (
+        ready_vehicle(f"{drone.name}-vehicle", folder, drone, through=inside(namespace)) as connection,
+        tracked(connection, namespace=namespace, frame=frame) as position,
+    ):
+        yield connection, position
+
+
+async def _fly(flights: Iterable[Flight], mover: _Mover, stop: asyncio.Event) -> dict[str, int]:
+    """Each flight's exit code, once all are over."""
+    async with asyncio.TaskGroup() as group:
+        moving = group.create_task(mover.run())
+        stopping = group.create_task(_stop_all(flights, stop))
+        flying = {flight.drone: group.create_task(flight.fly()) for flight in flights}
+        exit_codes = {drone: await each for drone, each in flying.items()}
+        moving.cancel()
+        stopping.cancel()
+    return exit_codes
+
+
+async def _stop_all(flights: Iterable[Flight], stop: asyncio.Event) -> None:
+    await stop.wait()
+    for flight in flights:
+        flight.stop()
+
+
+class _Mover:
+    """Tells the radio ten times a second where the drones are."""
+
+    def __init__(self, radio: Radio, positions: Mapping[str, Callable[[], Position]]) -> None:
+        self.lag_s = 0.0
+        self._radio = radio
+        self._positions = positions
+
+    async def run(self) -> None:
+        """Moves them until cancelled; raises NetworkError where the radio has failed."""
+        loop = asyncio.get_running_loop()
+        due_s = loop.time()
+        while True:
+            for drone, position in self._positions.items():
+                self._radio.move(drone, position())
+            self.lag_s = max(self.lag_s, loop.time() - due_s)
+            due_s = max(due_s + _MOVE_PERIOD_S, loop.time())
+            await asyncio.sleep(due_s - loop.time())
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()

@@ -1,0 +1,149 @@
+"""Namespaces that keep a program to itself, and in which nothing outlives it.
+
+The program is the first process of a process namespace, with networks, mounts and temporary files that nobody else
+sees. When it ends, however it ends, the kernel kills whatever it had started and takes the networks down with it;
+when the command that started it ends, it reads an end of file and ends too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from upwash.errors import UsageError
+
+_MARK = "UPWASH_EMULATION"  # in the environment: the process, and when it started, of the command that owns this one
+_TOOLS = {"unshare": "util-linux", "ip": "iproute2", "tc": "iproute2"}
+_GONE_WITHIN_S = 5.0
+_STOP = b"stop\n"
+
+
+def require_root_and_tools() -> None:
+    """UsageError where emulations are not possible."""
+    if os.geteuid() != 0:
+        raise UsageError("an emulation makes network namespaces: run it as root")
+    missing = [tool for tool in _TOOLS if shutil.which(tool) is None]
+    if missing:
+        packages = ", ".join(dict.fromkeys(_TOOLS[tool] for tool in missing))
+        raise UsageError(f"{', '.join(missing)} not found: install Debian's {packages}")
+
+
+def run_enclosed(*arguments: str) -> int:
+    """Runs `python ARGUMENTS` enclosed and returns its exit code; nothing that it started is left by then.
+
+    The first SIGINT or SIGTERM asks the program to stop, the second kills it.
+    """
+    process = subprocess.Popen(  # noqa: S603 - this very program
+        [
+            *("unshare", "--net", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc", "--"),
+            *(sys.executable, *arguments),
+        ],
+        stdin=subprocess.PIPE,
+        env=os.environ | {_MARK: _owner(os.getpid())},
+        start_new_session=True,  # a Ctrl-C at the terminal is for this process alone, which passes it on
+    )
+    with _passed_on(process):
+        try:
+            return process.wait()
+        finally:
+            process.kill()
+            process.wait()
+
+
+@contextlib.contextmanager
+def _passed_on(process: subprocess.Popen[bytes]) -> Iterator[None]:
+    asked: list[int] = []
+
+    def on_signal(number: int, _: object) -> None:
+        if asked:
+            process.kill()
+            return
+        asked.append(number)
+        assert process.stdin is not None  # noqa: S101
+        with contextlib.suppress(OSError):
+            os.write(process.stdin.fileno(), _STOP)
+
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, on_signal) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+
+
+def settle_in(stop: Callable[[], object]) -> None:
+    """To be called first by the enclosed program: gives it its own temporary files, and ends it with its owner.
+
+    `stop` is called from a thread when the owner asks for it.
+    """
+    _run("mount", "-t", "tmpfs", "-o", "mode=755", "tmpfs", "/run")
+    Path("/run/netns").mkdir()
+    Path("/run/tmp").mkdir(mode=0o1777)
+    os.environ["TMPDIR"] = "/run/tmp"
+    _run("ip", "link", "set", "lo", "up")
+    threading.Thread(target=_listen, args=(stop,), name="leash", daemon=True).start()
+
+
+def _listen(stop: Callable[[], object]) -> None:
+    while said := os.read(0, 100):  # not by sys.stdin, whose lock would be held when the interpreter ends
+        if _STOP in said:
+            stop()
+    os._exit(1)  # the first process of its namespace: all others die with it
+
+
+def clean() -> int:
+    """Kills what is left of emulations whose command is gone; returns how many processes that were.
+
+    Their namespaces and devices go with their processes. Other emulations, and everything else, are left alone.
+    """
+    killed: set[int] = set()
+    deadline_s = time.monotonic() + _GONE_WITHIN_S
+    while left := list(_orphans()):
+        for process in left:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process, signal.SIGKILL)
+            killed.add(process)
+        if time.monotonic() > deadline_s:
+            raise UsageError(f"these processes of a former emulation cannot be killed: {sorted(left)}")
+        time.sleep(0.02)
+    return len(killed)
+
+
+def _orphans() -> Iterator[int]:
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal() and (owner := _owner_of(entry)) is not None:
+            pid = int(owner.partition(":")[0])
+            if owner != _owner(pid):
+                yield int(entry.name)
+
+
+def _owner_of(process: Path) -> str | None:
+    """Who owns the process, if it is one of an emulation and not dead."""
+    with contextlib.suppress(OSError):
+        prefix = f"{_MARK}=".encode()
+        for variable in (process / "environ").read_bytes().split(b"\0"):
+            if variable.startswith(prefix):
+                return variable.removeprefix(prefix).decode(errors="replace")
+    return None
+
+
+def _owner(pid: int) -> str:
+    """A process for ever: its number is used again one day, its number and start time are not."""
+    try:
+        started = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19]
+    except OSError:
+        return ""
+    return f"{pid}:{started}"
+
+
+def _run(*command: str) -> None:
+    subprocess.run(command, check=True)  # noqa: S603

@@ -1,0 +1,86 @@
+"""Who is where in the emulated field: namespaces, addresses and the links between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from upwash.config import DroneConfig, ServerConfig, server_position
+from upwash.core.geo import Position
+from upwash.emulation.namespaces import End
+
+_DAEMON_PORT = 7070
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """The network that joins one drone and one server."""
+
+    drone: str
+    server: ServerConfig
+    server_at: Position
+    drone_end: End
+    server_end: End
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """The drones and the servers that all of them know."""
+
+    drones: Sequence[DroneConfig]
+
+    @property
+    def servers(self) -> Sequence[ServerConfig]:
+        """The servers, each by what the drones' scenarios say of it."""
+        return self.drones[0].servers
+
+    def links(self) -> Iterator[Link]:
+        """A link for every drone and every server."""
+        for number, drone in enumerate(self.drones):
+            for index, server in enumerate(self.servers):
+                yield Link(
+                    drone=drone.name,
+                    server=server,
+                    server_at=server_position(server, drone.mission.home),
+                    drone_end=End(drone_namespace(drone.name), f"to{index}", f"10.83.{index}.{number + 2}"),
+                    server_end=End(server_namespace(server.name), f"to{number}", self._address(index)),
+                )
+
+    def daemon_address(self, server: ServerConfig) -> str:
+        """Where the server's daemon listens, on the server's own network."""
+        return f"{self._address(self.servers.index(server))}:{_DAEMON_PORT}"
+
+    def _address(self, index: int) -> str:
+        return f"10.83.{index}.1"
+
+    def namespaces(self) -> list[str]:
+        """The namespace of each drone and of each server."""
+        return [
+            *(drone_namespace(drone.name) for drone in self.drones),
+            *(server_namespace(server.name) for server in self.servers),
+        ]
+
+
+def drone_namespace(name: str) -> str:
+    """The namespace of the drone of that name."""
+    return f"drone-{name}"
+
+
+def server_namespace(name: str) -> str:
+    """The namespace of the server of that name."""
+    return f"server-{name}"
+
+
+class Radio(Protocol):
+    """What joins the drones and the servers, as good as their distance lets it be."""
+
+    @property
+    def lag_s(self) -> float:
+        """How far it was ever behind the real time."""
+
+    def move(self, drone: str, position: Position) -> None:
+        """The drone is there now. Raises NetworkError where the radio has failed."""
+
+    def close(self) -> None:
+        """Ends it."""

@@ -1,0 +1,71 @@
+"""The configuration files of the emulated programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from upwash.config import (
+    DaemonConfig,
+    DroneConfig,
+    IdentityConfig,
+    ImageConfig,
+    KeysConfig,
+    ServerConfig,
+    server_truth,
+)
+from upwash.config.values import PlanFile
+from upwash.emulation.order import server_paces
+
+
+def write_drone_file(file: Path, config: DroneConfig) -> None:
+    """Writes the configuration so that reading the file gives it back."""
+    _write(file, config)
+
+
+def write_daemon_file(
+    file: Path, server: ServerConfig, config: DroneConfig, *, listen: str, keys: KeysConfig
+) -> None:
+    """Writes the configuration of the daemon that acts as one of the drone's servers."""
+    truth = server_truth(server, config.services)
+    paces = server_paces(server, config)
+    daemon = DaemonConfig(
+        listen=listen,
+        keys=keys,
+        images=tuple(
+            ImageConfig(
+                name=service.name,
+                program=service.program,
+                pace_s=paces[service.name].call_s,
+                start_pace_s=paces[service.name].start_s,
+            )
+            for service in config.services
+            if service.name in paces
+        ),
+        identities=(IdentityConfig(name=server.name, slots=truth.slots, images=tuple(paces)),),
+    )
+    _write(file, daemon)
+
+
+def _write(file: Path, config: DroneConfig | DaemonConfig) -> None:
+    import tomli_w
+
+    tables = _without_nothing(msgspec.to_builtins(config, enc_hook=_as_text))
+    file.write_bytes(tomli_w.dumps(tables).encode())
+
+
+def _as_text(value: object) -> str:
+    if isinstance(value, PlanFile):
+        return str(value.file.absolute())
+    if isinstance(value, Path):
+        return str(value)
+    raise NotImplementedError(f"no text for {value!r}")
+
+
+def _without_nothing(value: Any) -> Any:
+    """The value without the Nones in it, which TOML cannot write."""
+    if isinstance(value, dict):
+        return {key: _without_nothing(item) for key, item in value.items() if item is not None}
+    return [_without_nothing(item) for item in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,77 @@
+"""Network namespaces, and the devices in them, by iproute2.
+
+They are made inside the emulation's own enclosure: no name here can be another program's.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from upwash.errors import NetworkError
+
+_CLONE_NEWNET = 0x40000000
+_QUIET = (
+    "echo 1 >/proc/sys/net/ipv6/conf/all/disable_ipv6; echo 1 >/proc/sys/net/ipv6/conf/default/disable_ipv6"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """One end of a link: a device in a namespace, and its address there."""
+
+    namespace: str
+    device: str
+    address: str
+
+
+def make_namespace(name: str) -> None:
+    """Makes a network namespace with nothing but its loopback, which no frame leaves by itself."""
+    command("ip", "netns", "add", name)
+    command(*inside(name), "sh", "-c", _QUIET)  # no router solicitations, no duplicate address detection
+    command("ip", "-n", name, "link", "set", "lo", "up")
+
+
+def inside(namespace: str) -> tuple[str, ...]:
+    """The words that run a command inside a namespace."""
+    return ("ip", "netns", "exec", namespace)
+
+
+def enter(namespace: str) -> None:
+    """Moves the calling thread into the namespace, and what it opens from then on."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    with Path("/run/netns", namespace).open("rb") as handle:
+        if libc.setns(handle.fileno(), _CLONE_NEWNET) != 0:
+            error = ctypes.get_errno()
+            raise OSError(error, os.strerror(error), namespace)
+
+
+def join_by_cable(one: End, other: End) -> None:
+    """Makes a pair of virtual Ethernet devices that joins the two ends."""
+    command(
+        *("ip", "link", "add", one.device, "netns", one.namespace, "type", "veth"),
+        *("peer", "name", other.device, "netns", other.namespace),
+    )
+    for end, peer in ((one, other), (other, one)):
+        command(*_ip(end), "address", "add", end.address, "peer", peer.address, "dev", end.device)
+        command(*_ip(end), "link", "set", end.device, "up")
+
+
+def give_address(end: End, *, prefix_bits: int) -> None:
+    """Gives a device that is there its address, and switches it on."""
+    command(*_ip(end), "address", "add", f"{end.address}/{prefix_bits}", "dev", end.device)
+    command(*_ip(end), "link", "set", end.device, "up")
+
+
+def command(*words: str) -> None:
+    """Runs a command; NetworkError with what it said where it failed."""
+    done = subprocess.run(words, capture_output=True, text=True, check=False)  # noqa: S603
+    if done.returncode != 0:
+        raise NetworkError(f"{' '.join(words)}: {done.stderr.strip() or f'ended with {done.returncode}'}")
+
+
+def _ip(end: End) -> tuple[str, ...]:
+    return ("ip", "-n", end.namespace)

@@ -1,0 +1,133 @@
+"""What is to be emulated: what the command says, and the drones and servers that follow from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from upwash.config import (
+    DroneConfig,
+    ServerConfig,
+    ServerTruth,
+    ServiceConfig,
+    read_drone_config,
+    server_truth,
+)
+from upwash.errors import UsageError
+
+RadioKind = Literal["table", "ns3"]
+_MOST_STATIONS = 250  # on one server's network, by their addresses
+
+
+class Order(msgspec.Struct, frozen=True, kw_only=True):
+    """What the command says, for the enclosed program."""
+
+    scenarios: tuple[Path, ...]
+    drones: int = 1  # of each scenario
+    radio: RadioKind = "table"
+    folder: Path
+
+    def encoded(self) -> str:
+        """The order as text, which `decoded` reads."""
+        return msgspec.json.encode(self, enc_hook=str).decode()
+
+    @classmethod
+    def decoded(cls, text: str) -> Order:
+        """The order that the text says."""
+        return msgspec.json.decode(text, type=cls, dec_hook=lambda kind, value: kind(value))
+
+    def read(self) -> tuple[DroneConfig, ...]:
+        """The configuration of each drone, as it is emulated; raises UsageError."""
+        configs = [emulated(read_drone_config(file)) for file in self.scenarios]
+        require_same_servers(configs)
+        drones = [config for config in configs for _ in range(self.drones)]
+        if len(drones) > _MOST_STATIONS:
+            raise UsageError(f"{len(drones)} drones are more than an emulation has addresses for")
+        return tuple(_named_apart(drones))
+
+
+def emulated(config: DroneConfig) -> DroneConfig:
+    """The scenario as far as it is emulated: without noise, heat, faults and the first call's cold start.
+
+    Calls on the drone take at least the configured time. The same scenario can be simulated, to compare.
+    """
+    if config.mission.home is None:
+        raise UsageError("mission.home is missing: an emulated vehicle needs a place on the Earth")
+    replace = msgspec.structs.replace
+    return replace(
+        config,
+        network=replace(config.network, kind="stand-in"),
+        keys=None,
+        services=tuple(
+            replace(service, local_pace_s=service.local_call_s, local_first_extra_s=0.0)
+            for service in config.services
+        ),
+        heat=None,
+        noise=type(config.noise)(),
+        faults=(),
+    )
+
+
+def left_out(config: DroneConfig) -> list[str]:
+    """What the scenario says that an emulation leaves out."""
+    found = {
+        "heat": config.heat is not None,
+        "noise": config.noise != type(config.noise)(),
+        "fault": bool(config.faults),
+        "local_first_extra_s": any(service.local_first_extra_s for service in config.services),
+    }
+    return [name for name, there in found.items() if there]
+
+
+def require_same_servers(configs: Sequence[DroneConfig]) -> None:
+    """UsageError where the scenarios do not agree about the servers and their services."""
+    for config in configs[1:]:
+        if (config.servers, config.services) != (configs[0].servers, configs[0].services):
+            raise UsageError(
+                "scenarios that are emulated together need the same [[server]] and [[service]] tables"
+            )
+
+
+def _named_apart(configs: Sequence[DroneConfig]) -> list[DroneConfig]:
+    if len(configs) == 1:
+        return list(configs)
+    return [
+        msgspec.structs.replace(config, name=f"{config.name}-{number}")
+        for number, config in enumerate(configs, start=1)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Paces:
+    """The least times of one service on one server: of a call, by profile key, and of its start."""
+
+    call_s: dict[str, float]
+    start_s: float
+
+
+def server_paces(server: ServerConfig, config: DroneConfig) -> dict[str, Paces]:
+    """How long the server's services take, so that calls take as long as the scenario says.
+
+    An end-to-end time includes the transfer, which the link takes for itself.
+    """
+    truth = server_truth(server, config.services)
+    return {
+        service.name: Paces(_call_paces_s(server, truth, service), truth.start_s)
+        for service in config.services
+        if service.name in truth.images
+    }
+
+
+def _call_paces_s(server: ServerConfig, truth: ServerTruth, service: ServiceConfig) -> dict[str, float]:
+    transfer_s = 0.0
+    if truth.radio == "fixed" and server.bandwidth_bit_s is not None:
+        transfer_s = 8 * service.request_bytes / server.bandwidth_bit_s
+    end_to_end_s = truth.remote_call_s.get(service.name, {})
+    return {
+        **truth.processing_s.get(service.name, {}),
+        **{key: max(0.0, call_s - transfer_s) for key, call_s in end_to_end_s.items()},
+    }

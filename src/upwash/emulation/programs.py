@@ -1,0 +1,95 @@
+"""The emulated programs: an edge daemon, a vehicle and a flight, each a process in its namespace."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+
+from upwash.config import CameraConfig, DroneConfig, ServerConfig
+from upwash.emulation.field import Field, drone_namespace, server_namespace
+from upwash.emulation.files import write_daemon_file, write_drone_file
+from upwash.emulation.namespaces import inside
+from upwash.real.credentials import keys_in
+from upwash.running import ready_program
+
+_PARK_SEED = 1  # of the photos of a drone that has no camera
+_INTERRUPTED = 130  # the exit code of a program that a Ctrl-C has ended
+
+
+@contextlib.contextmanager
+def ready_daemon(server: ServerConfig, field: Field, folder: Path) -> Iterator[None]:
+    """Runs the server's daemon until the end of the block."""
+    file = folder / f"{server.name}.toml"
+    write_daemon_file(
+        file,
+        server,
+        field.drones[0],
+        listen=field.daemon_address(server),
+        keys=keys_in(folder / "keys", server.name),
+    )
+    through = inside(server_namespace(server.name))
+    with ready_program(server.name, folder, "serve", "--config", str(file), through=through):
+        yield
+
+
+class Flight:
+    """One drone's `upwash fly`, from its configuration to its exit code."""
+
+    def __init__(self, drone: DroneConfig, field: Field, folder: Path, *, vehicle: str) -> None:
+        self.drone = drone.name
+        self._prefix = f"{drone.name}: " if len(field.drones) > 1 else ""
+        self._file = folder / f"{drone.name}.toml"
+        self._log = folder / f"{drone.name}.jsonl"
+        replace = msgspec.structs.replace
+        write_drone_file(
+            self._file,
+            replace(
+                drone,
+                autopilot=replace(drone.autopilot, connection=vehicle),
+                camera=_camera(drone.camera),
+                keys=keys_in(folder / "keys", drone.name),
+                servers=tuple(
+                    replace(server, address=field.daemon_address(server)) for server in drone.servers
+                ),
+            ),
+        )
+        self._process: asyncio.subprocess.Process | None = None
+        self._stopped = False
+
+    async def fly(self) -> int:
+        """Flies, passes on what the program prints, and returns its exit code."""
+        if self._stopped:
+            return _INTERRUPTED
+        self._process = process = await asyncio.create_subprocess_exec(
+            *inside(drone_namespace(self.drone)),
+            *(sys.executable, "-m", "upwash", "fly", "--config", str(self._file), "--log", str(self._log)),
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        )
+        assert process.stdout is not None  # noqa: S101
+        async for line in process.stdout:
+            sys.stdout.write(self._prefix + line.decode(errors="replace"))
+            sys.stdout.flush()
+        return await process.wait()
+
+    def stop(self) -> None:
+        """Has it end its mission and land, as a Ctrl-C would."""
+        self._stopped = True
+        if self._process is not None and self._process.returncode is None:
+            self._process.send_signal(signal.SIGINT)
+
+
+def _camera(config: CameraConfig) -> CameraConfig:
+    """The drone's own, or one whose photos are rendered."""
+    if (config.folder, config.device, config.park_seed) == (None, None, None):
+        return msgspec.structs.replace(config, park_seed=_PARK_SEED)
+    return config

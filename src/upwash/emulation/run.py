@@ -1,0 +1,46 @@
+"""An emulation as the command runs it: enclosed, with what it came to at the end."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from upwash.config import read_drone_config
+from upwash.emulation.enclosure import run_enclosed
+from upwash.emulation.native import native_program, wifi_of
+from upwash.emulation.order import Order, left_out
+from upwash.emulation.outcome import POSITION_LAG_LIMIT_S, RADIO_LAG_LIMIT_S, Outcome, read_outcome
+from upwash.errors import UpwashError
+
+
+def run_emulation(order: Order) -> bool:
+    """Emulates and prints how it goes; returns whether every flight was completed and what was measured is valid."""
+    console = Console(markup=False)
+    configs = order.read()  # so that what is wrong with it is said before anything is set up
+    if order.radio == "ns3":
+        native_program("ghosts")
+        for server in configs[0].servers:
+            wifi_of(server)
+    for file in order.scenarios:
+        if missing := left_out(read_drone_config(file)):
+            console.print(f"{file.name}: not emulated: {', '.join(missing)}", soft_wrap=True)
+    order.folder.mkdir(parents=True, exist_ok=True)
+    code = run_enclosed("-m", "upwash.emulation", order.encoded())
+    outcome = read_outcome(order.folder)
+    if outcome is None:
+        raise UpwashError(
+            f"the emulation was not completed (exit code {code}); the logs in {order.folder} say why"
+        )
+    _print(outcome, console)
+    console.print(f"everything of the run: {order.folder}", soft_wrap=True)
+    return outcome.completed and outcome.valid
+
+
+def _print(outcome: Outcome, console: Console) -> None:
+    console.print(
+        f"radio {outcome.radio}: at most {1000 * outcome.radio_lag_s:.1f} ms late "
+        f"(limit {1000 * RADIO_LAG_LIMIT_S:.0f}); positions at most {1000 * outcome.position_lag_s:.0f} ms late "
+        f"(limit {1000 * POSITION_LAG_LIMIT_S:.0f})",
+        soft_wrap=True,
+    )
+    if not outcome.valid:
+        console.print("NOT VALID: this machine was too busy to keep up", style="bold red", soft_wrap=True)

@@ -1,0 +1,72 @@
+"""Runs upwash's own commands as processes beside this one."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from upwash.config import DroneConfig
+from upwash.errors import UpwashError, UsageError
+
+_STOP_S = 5.0
+
+
+@contextlib.contextmanager
+def ready_program(name: str, folder: Path, *arguments: str, through: Sequence[str] = ()) -> Iterator[str]:
+    """Runs an upwash command until the end of the block, its log in the folder; yields its address once ready.
+
+    `through` is a command that runs it, such as one that enters a namespace. A session of its own keeps a Ctrl-C at
+    the terminal from it: the drone lands first.
+    """
+    with (folder / f"{name}.log").open("wb") as log:
+        process = subprocess.Popen(  # noqa: S603 - this very program
+            [*through, sys.executable, "-m", "upwash", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            start_new_session=True,
+            text=True,
+        )
+    assert process.stdout is not None  # noqa: S101
+    try:
+        said = process.stdout.readline()
+        _, ready, address = said.strip().partition(" ready at ")
+        if not ready:
+            raise UpwashError(f"{name} did not start; {folder / f'{name}.log'} says why")
+        yield address
+    finally:
+        _end(process)
+        process.stdout.close()
+
+
+@contextlib.contextmanager
+def ready_vehicle(
+    name: str, folder: Path, config: DroneConfig, *, through: Sequence[str] = ()
+) -> Iterator[str]:
+    """Runs a stand-in for the configured vehicle until the end of the block; yields how to connect to it."""
+    home = config.mission.home
+    if home is None:
+        raise UsageError("mission.home is missing: a stand-in vehicle needs a place on the Earth")
+    arguments = ["--listen", "udp:127.0.0.1:0", "--home", f"{home.latitude_deg},{home.longitude_deg}"]
+    if config.vehicle.profile is None:
+        arguments += ["--acceleration", str(config.vehicle.acceleration_m_s2)]
+    with ready_program(
+        name, folder, "vehicle", *arguments, "--armable-after", "1", through=through
+    ) as address:
+        kind, host, port = address.split(":")
+        yield f"{kind}out:{host}:{port}"
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    process.terminate()
+    try:
+        process.wait(timeout=_STOP_S)
+    except subprocess.TimeoutExpired:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
