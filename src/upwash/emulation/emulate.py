@@ -13,7 +13,7 @@ from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.emulation.field import Field, Radio, drone_namespace
 from upwash.emulation.ghosts import GhostRadio
 from upwash.emulation.namespaces import inside, make_namespace
-from upwash.emulation.order import Order
+from upwash.emulation.order import Order, RadioKind
 from upwash.emulation.outcome import Outcome
 from upwash.emulation.programs import Flight, ready_daemon
 from upwash.emulation.shaped import ShapedRadio
@@ -57,12 +57,15 @@ def _field_set_up(field: Field, order: Order) -> Iterator[Radio]:
         drones=[drone.name for drone in field.drones],
     )
     with contextlib.ExitStack() as stack:
-        links = list(field.links())
-        make_radio = GhostRadio if order.radio == "ns3" else ShapedRadio
-        radio: Radio = stack.enter_context(contextlib.closing(make_radio(links)))
+        radio = stack.enter_context(contextlib.closing(make_radio(order.radio, field)))
         for server in field.servers:
             stack.enter_context(ready_daemon(server, field, folder))
         yield radio
+
+
+def make_radio(kind: RadioKind, field: Field) -> Radio:
+    """The radio of that kind between namespaces that are there."""
+    return GhostRadio(list(field.links())) if kind == "ns3" else ShapedRadio(field.links())
 
 
 @contextlib.contextmanager

@@ -56,6 +56,8 @@ def run_enclosed(*arguments: str) -> int:
         finally:
             process.kill()
             process.wait()
+            assert process.stdin is not None  # noqa: S101
+            process.stdin.close()
 
 
 @contextlib.contextmanager

@@ -20,6 +20,7 @@ from upwash.config import (
 from upwash.errors import UsageError
 
 RadioKind = Literal["table", "ns3"]
+_SOMEWHERE = HomeConfig(latitude_deg=39.3666, longitude_deg=22.9507)  # for scenarios of the plane alone
 _MOST_STATIONS = 250  # on one server's network, by their addresses
 
 
@@ -55,11 +56,10 @@ def emulated(config: DroneConfig) -> DroneConfig:
 
     Calls on the drone take at least the configured time. The same scenario can be simulated, to compare.
     """
-    if config.mission.home is None:
-        raise UsageError("mission.home is missing: an emulated vehicle needs a place on the Earth")
     replace = msgspec.structs.replace
     return replace(
         config,
+        mission=replace(config.mission, home=config.mission.home or _SOMEWHERE),
         network=replace(config.network, kind="stand-in"),
         keys=None,
         services=tuple(

@@ -9,7 +9,9 @@ from upwash.emulation.enclosure import run_enclosed
 from upwash.emulation.native import native_program, wifi_of
 from upwash.emulation.order import Order, left_out
 from upwash.emulation.outcome import POSITION_LAG_LIMIT_S, RADIO_LAG_LIMIT_S, Outcome, read_outcome
-from upwash.errors import UpwashError
+from upwash.errors import MissionStopped, UpwashError
+
+_INTERRUPTED = 130  # the exit code of `upwash fly` after a Ctrl-C
 
 
 def run_emulation(order: Order) -> bool:
@@ -30,6 +32,8 @@ def run_emulation(order: Order) -> bool:
         raise UpwashError(
             f"the emulation was not completed (exit code {code}); the logs in {order.folder} say why"
         )
+    if _INTERRUPTED in outcome.exit_codes.values():
+        raise MissionStopped("Ctrl-C")
     _print(outcome, console)
     console.print(f"everything of the run: {order.folder}", soft_wrap=True)
     return outcome.completed and outcome.valid

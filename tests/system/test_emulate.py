@@ -1,0 +1,248 @@
+"""Emulations for real: radios, flights, kills; as root, in namespaces of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from upwash.config import read_drone_config
+from upwash.emulation.enclosure import clean, run_enclosed
+from upwash.emulation.order import emulated
+from upwash.flying import read_log
+from upwash.lab.run import Run, simulate
+from upwash.results import CallResult
+
+pytestmark = [
+    pytest.mark.root,
+    pytest.mark.system,
+    pytest.mark.timeout(280),
+    pytest.mark.skipif(os.geteuid() != 0, reason="makes network namespaces: needs root"),
+    pytest.mark.skipif(not shutil.which("ip"), reason="needs iproute2"),
+]
+
+ROOT = Path(__file__).parents[2]
+EMULATED = Path(__file__).parent / "emulated"
+DEMONSTRATION = ROOT / "scenarios" / "demonstration.toml"
+
+
+@pytest.fixture(params=["table", "ns3"])
+def radio(request: pytest.FixtureRequest) -> str:
+    """Each kind of radio; ns-3's programs are built first, where it is installed."""
+    if request.param == "ns3":
+        if not Path("/usr/include/ns3/core-module.h").exists() or not shutil.which("g++"):
+            pytest.skip("needs g++ and libns3-dev")
+        built = subprocess.run(["make", "native"], cwd=ROOT, capture_output=True, text=True, check=False)
+        assert built.returncode == 0, built.stderr
+    return str(request.param)
+
+
+class Emulation:
+    """`upwash emulate` as a process, and everything that it started."""
+
+    def __init__(self, folder: Path, *arguments: str) -> None:
+        self.folder = folder
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "upwash", "emulate", "--folder", str(folder), *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            text=True,
+        )
+
+    def processes(self) -> dict[int, str]:
+        """Commands by process, of all that belong to it but the command itself."""
+        found = {}
+        mark = f"UPWASH_EMULATION={self.process.pid}:".encode()
+        for entry in Path("/proc").iterdir():
+            try:
+                if entry.name.isdecimal() and mark in (entry / "environ").read_bytes():
+                    found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+            except OSError:
+                continue
+        return found
+
+    def events(self, drone: str = "drone") -> list[dict[str, Any]]:
+        log = self.folder / f"{drone}.jsonl"
+        return [msgspec.json.decode(line) for line in log.read_bytes().splitlines()] if log.exists() else []
+
+    def wait_until(self, is_so: Callable[[], bool]) -> None:
+        while not is_so():
+            assert self.process.poll() is None, self.process.communicate()[0]
+            time.sleep(0.05)
+
+    def finish(self) -> str:
+        """Waits for its end and returns what it printed; nothing of it may be left."""
+        output = self.process.communicate()[0]
+        assert self.processes() == {}
+        assert "Traceback" not in output
+        return output
+
+    def finish_in_time(self) -> None:
+        """Waits for its end; skips the test where this machine was too busy to keep up."""
+        output = self.finish()
+        outcome = json.loads((self.folder / "emulation.json").read_text())
+        assert outcome["exit_codes"] and not any(outcome["exit_codes"].values()), output
+        if not outcome["valid"]:
+            assert "NOT VALID" in output and self.process.returncode == 1
+            pytest.skip(f"this machine was too busy to keep up: {outcome}")
+        assert self.process.returncode == 0, output
+
+
+@pytest.fixture
+def emulate(tmp_path: Path) -> Iterator[Callable[..., Emulation]]:
+    """Starts an emulation, which is gone after the test."""
+    started: list[Emulation] = []
+
+    def start(*arguments: str) -> Emulation:
+        started.append(Emulation(tmp_path / "run", *arguments))
+        return started[-1]
+
+    yield start
+    for each in started:
+        each.process.kill()
+        each.process.communicate()
+    clean()
+
+
+def outside() -> list[str]:
+    """The network namespaces, devices and rules of the machine itself."""
+    commands = (["ip", "netns"], ["ip", "-brief", "link"], ["ip", "rule"], ["ip", "route"])
+    return [subprocess.run(each, capture_output=True, text=True, check=True).stdout for each in commands]
+
+
+def test_links_are_as_fast_as_the_settings_say_and_end_at_their_range(radio: str, tmp_path: Path) -> None:
+    assert run_enclosed(str(EMULATED / "links.py"), radio, str(tmp_path / "seen.json")) == 0
+    seen = json.loads((tmp_path / "seen.json").read_text())
+    assert seen["50"]["answers"] and 8 < seen["50"]["goodput_mbit_s"] < 13, seen
+    assert not seen["110"]["answers"], seen
+    assert seen["99"]["answers"], "the link is there again"
+
+
+@pytest.mark.flight
+def test_the_demonstration_goes_as_it_is_simulated(radio: str, emulate: Callable[..., Emulation]) -> None:
+    emulation = emulate(str(DEMONSTRATION), "--radio", radio)
+    emulation.finish_in_time()
+    flown = read_log(emulation.folder / "drone.jsonl")
+    run = simulate(emulated(read_drone_config(DEMONSTRATION)))
+    assert flown.completed and len(flown.calls) == len(run.result.calls)
+    assert {call.place for call in flown.calls} == {"local", "s1", "s2"}
+    for ours, simulated in zip(flown.calls, run.result.calls, strict=True):
+        if ours.waypoint not in waits_at_their_threshold(run):
+            assert ours.place == simulated.place, f"at waypoint {ours.waypoint}"
+            assert computing_s(ours) == pytest.approx(computing_s(simulated), rel=0.1), ours
+
+
+def computing_s(call: CallResult) -> float:
+    return call.delay_s - call.waited_s
+
+
+def waits_at_their_threshold(run: Run) -> set[int]:
+    """Where the wait that was expected is within 20 % of the longest one that is worth it."""
+    found, waypoint = set(), -1
+    for event in run.events:
+        match event:
+            case {"event": "arrived", "waypoint": waypoint}:
+                pass
+            case {"event": "decided", "state": "CHECK" | "CHECK-R"}:
+                wait_s = event["check_s"] - event["check_elapsed_s"]
+                longest_s = event["local_s"] * 0.75 - event["remote_s"]
+                if abs(wait_s - longest_s) < 0.2 * longest_s:
+                    found.add(waypoint)
+    return found
+
+
+@pytest.mark.flight
+def test_a_call_is_cut_when_the_drone_leaves_the_range_and_answered_on_the_drone(
+    radio: str, emulate: Callable[..., Emulation]
+) -> None:
+    emulation = emulate(str(EMULATED / "leaving.toml"), "--radio", radio)
+    emulation.finish_in_time()
+    _, cut = read_log(emulation.folder / "drone.jsonl").calls
+    assert cut.place == "local" and cut.decision != "no server selected"
+    out_of_range_after_s, local_s = 3.5, 5.0
+    assert local_s < cut.delay_s < out_of_range_after_s + local_s + 0.5
+    events = [event["event"] for event in emulation.events()]
+    assert "remote_failed" in events
+
+
+@pytest.mark.flight
+def test_several_drones_fly_at_once_and_share_the_servers(emulate: Callable[..., Emulation]) -> None:
+    emulation = emulate(str(EMULATED / "leaving.toml"), "--drones", "3")
+    output = emulation.finish()
+    assert "late" in output
+    for drone in ("drone-1", "drone-2", "drone-3"):
+        assert read_log(emulation.folder / f"{drone}.jsonl").completed
+
+
+def test_ctrl_c_lands_the_drones_and_leaves_nothing(emulate: Callable[..., Emulation]) -> None:
+    before = outside()
+    emulation = emulate(str(DEMONSTRATION))
+    emulation.wait_until(lambda: any(event["event"] == "took_off" for event in emulation.events()))
+    os.killpg(emulation.process.pid, signal.SIGINT)
+    output = emulation.finish()
+    assert emulation.process.returncode == 130, output
+    events = [event["event"] for event in emulation.events()]
+    assert events.index("stopping") < events.index("landed")
+    assert outside() == before
+
+
+VICTIMS = {
+    "the command": "",
+    "its namespaces' owner": "unshare ",
+    "the enclosed program": "-m upwash.emulation",
+    "a daemon": "upwash serve",
+    "the vehicle": "upwash vehicle",
+    "the drone": "upwash fly",
+    "an instance": "upwash.real.instance",
+}
+
+
+@pytest.mark.parametrize("victim", VICTIMS)
+def test_whatever_is_killed_in_flight_nothing_is_left(victim: str, emulate: Callable[..., Emulation]) -> None:
+    before = outside()
+    emulation = emulate(str(DEMONSTRATION), "--drones", "2")
+    emulation.wait_until(lambda: any(event["event"] == "took_off" for event in emulation.events("drone-1")))
+    kill(emulation, VICTIMS[victim])
+    if victim in ("a daemon", "the vehicle", "the drone", "an instance"):  # the others go on without it
+        time.sleep(1.0)
+        emulation.process.kill()
+    emulation.process.wait()
+    expect_clean(emulation, before)
+
+
+@pytest.mark.parametrize("after_s", [0.3, 0.8, 1.5, 3.0, 6.0])
+def test_whenever_the_command_is_killed_nothing_is_left(
+    after_s: float, emulate: Callable[..., Emulation]
+) -> None:
+    before = outside()
+    emulation = emulate(str(DEMONSTRATION))
+    time.sleep(after_s)
+    emulation.process.kill()
+    emulation.process.wait()
+    expect_clean(emulation, before)
+
+
+def kill(emulation: Emulation, victim: str) -> None:
+    pids = [pid for pid, command in emulation.processes().items() if victim in command]
+    assert pids
+    os.kill(pids[0] if victim else emulation.process.pid, signal.SIGKILL)
+
+
+def expect_clean(emulation: Emulation, before: list[str]) -> None:
+    cleaned = subprocess.run(
+        [sys.executable, "-m", "upwash", "emulate", "--clean"], capture_output=True, text=True, check=True
+    )
+    assert emulation.processes() == {}, cleaned.stdout
+    assert outside() == before
