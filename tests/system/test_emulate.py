@@ -111,15 +111,22 @@ def emulate(tmp_path: Path) -> Iterator[Callable[..., Emulation]]:
 
     yield start
     for each in started:
-        each.process.kill()
-        each.process.communicate()
+        with each.process:
+            each.process.kill()
     clean()
 
 
-def outside() -> list[str]:
-    """The network namespaces, devices and rules of the machine itself."""
-    commands = (["ip", "netns"], ["ip", "-brief", "link"], ["ip", "rule"], ["ip", "route"])
-    return [subprocess.run(each, capture_output=True, text=True, check=True).stdout for each in commands]
+def seen_outside() -> list[str]:
+    """What of an emulation's namespaces, devices and addresses is the machine's own; other tests may have others."""
+    commands = (["ip", "netns"], ["ip", "-brief", "address"], ["ip", "rule"], ["ip", "route"])
+    lines = [
+        line
+        for each in commands
+        for line in subprocess.run(each, capture_output=True, text=True, check=True).stdout.splitlines()
+    ]
+    return [
+        line for line in lines if line.startswith(("drone-", "server-", "to0@", "air")) or "10.83." in line
+    ]
 
 
 def test_links_are_as_fast_as_the_settings_say_and_end_at_their_range(radio: str, tmp_path: Path) -> None:
@@ -187,7 +194,6 @@ def test_several_drones_fly_at_once_and_share_the_servers(emulate: Callable[...,
 
 
 def test_ctrl_c_lands_the_drones_and_leaves_nothing(emulate: Callable[..., Emulation]) -> None:
-    before = outside()
     emulation = emulate(str(DEMONSTRATION))
     emulation.wait_until(lambda: any(event["event"] == "took_off" for event in emulation.events()))
     os.killpg(emulation.process.pid, signal.SIGINT)
@@ -195,7 +201,7 @@ def test_ctrl_c_lands_the_drones_and_leaves_nothing(emulate: Callable[..., Emula
     assert emulation.process.returncode == 130, output
     events = [event["event"] for event in emulation.events()]
     assert events.index("stopping") < events.index("landed")
-    assert outside() == before
+    assert seen_outside() == []
 
 
 VICTIMS = {
@@ -211,7 +217,6 @@ VICTIMS = {
 
 @pytest.mark.parametrize("victim", VICTIMS)
 def test_whatever_is_killed_in_flight_nothing_is_left(victim: str, emulate: Callable[..., Emulation]) -> None:
-    before = outside()
     emulation = emulate(str(DEMONSTRATION), "--drones", "2")
     emulation.wait_until(lambda: any(event["event"] == "took_off" for event in emulation.events("drone-1")))
     kill(emulation, VICTIMS[victim])
@@ -219,19 +224,18 @@ def test_whatever_is_killed_in_flight_nothing_is_left(victim: str, emulate: Call
         time.sleep(1.0)
         emulation.process.kill()
     emulation.process.wait()
-    expect_clean(emulation, before)
+    expect_clean(emulation)
 
 
 @pytest.mark.parametrize("after_s", [0.3, 0.8, 1.5, 3.0, 6.0])
 def test_whenever_the_command_is_killed_nothing_is_left(
     after_s: float, emulate: Callable[..., Emulation]
 ) -> None:
-    before = outside()
     emulation = emulate(str(DEMONSTRATION))
     time.sleep(after_s)
     emulation.process.kill()
     emulation.process.wait()
-    expect_clean(emulation, before)
+    expect_clean(emulation)
 
 
 def kill(emulation: Emulation, victim: str) -> None:
@@ -240,9 +244,9 @@ def kill(emulation: Emulation, victim: str) -> None:
     os.kill(pids[0] if victim else emulation.process.pid, signal.SIGKILL)
 
 
-def expect_clean(emulation: Emulation, before: list[str]) -> None:
+def expect_clean(emulation: Emulation) -> None:
     cleaned = subprocess.run(
         [sys.executable, "-m", "upwash", "emulate", "--clean"], capture_output=True, text=True, check=True
     )
     assert emulation.processes() == {}, cleaned.stdout
-    assert outside() == before
+    assert seen_outside() == []

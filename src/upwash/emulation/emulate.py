@@ -72,7 +72,7 @@ def make_radio(kind: RadioKind, field: Field) -> Radio:
 def _vehicle(drone: DroneConfig, folder: Path) -> Iterator[tuple[str, Callable[[], Position]]]:
     """How to connect to the drone's vehicle, and where it is, until the end of the block."""
     namespace, home = drone_namespace(drone.name), drone.mission.home
-    assert home is not None  # noqa: S101 - Order.read refuses a scenario without
+    assert home is not None  # noqa: S101 - Order.read gives it one
     frame = LocalFrame(GeoPosition(home.latitude_deg, home.longitude_deg))
     with (
         ready_vehicle(f"{drone.name}-vehicle", folder, drone, through=inside(namespace)) as connection,

@@ -11,6 +11,7 @@ import msgspec
 
 from upwash.config import (
     DroneConfig,
+    HomeConfig,
     ServerConfig,
     ServerTruth,
     ServiceConfig,
