@@ -14,6 +14,7 @@ from upwash.commands import (
     demo,
     emulate,
     fly,
+    goodput,
     images,
     keys,
     package,
@@ -38,6 +39,7 @@ _COMMANDS = (
     campaign,
     chaos,
     emulate,
+    goodput,
 )
 
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from tests.system.ns3 import require_ns3
 
 from upwash.config import read_drone_config
 from upwash.emulation.enclosure import clean, run_enclosed
@@ -40,10 +41,7 @@ DEMONSTRATION = ROOT / "scenarios" / "demonstration.toml"
 def radio(request: pytest.FixtureRequest) -> str:
     """Each kind of radio; ns-3's programs are built first, where it is installed."""
     if request.param == "ns3":
-        if not Path("/usr/include/ns3/core-module.h").exists() or not shutil.which("g++"):
-            pytest.skip("needs g++ and libns3-dev")
-        built = subprocess.run(["make", "native"], cwd=ROOT, capture_output=True, text=True, check=False)
-        assert built.returncode == 0, built.stderr
+        require_ns3()
     return str(request.param)
 
 
@@ -193,6 +191,25 @@ def test_several_drones_fly_at_once_and_share_the_servers(emulate: Callable[...,
         assert read_log(emulation.folder / f"{drone}.jsonl").completed
 
 
+@pytest.mark.flight
+def test_a_vehicle_of_the_machine_itself_is_flown_from_inside(emulate: Callable[..., Emulation]) -> None:
+    vehicle = subprocess.Popen(
+        [sys.executable, "-m", "upwash", "vehicle", "--listen", "tcp:127.0.0.1:0", "--armable-after", "1"],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert vehicle.stdout is not None
+        address = vehicle.stdout.readline().split()[-1]
+        emulation = emulate(str(EMULATED / "leaving.toml"), "--autopilot", address)
+        emulation.finish()
+        assert read_log(emulation.folder / "drone.jsonl").completed
+        assert not (emulation.folder / "drone-vehicle.log").exists()
+    finally:
+        with vehicle:
+            vehicle.terminate()
+
+
 def test_ctrl_c_lands_the_drones_and_leaves_nothing(emulate: Callable[..., Emulation]) -> None:
     emulation = emulate(str(DEMONSTRATION))
     emulation.wait_until(lambda: any(event["event"] == "took_off" for event in emulation.events()))
@@ -248,5 +265,6 @@ def expect_clean(emulation: Emulation) -> None:
     cleaned = subprocess.run(
         [sys.executable, "-m", "upwash", "emulate", "--clean"], capture_output=True, text=True, check=True
     )
-    assert emulation.processes() == {}, cleaned.stdout
+    assert "killed" not in cleaned.stdout, "all of it died with what was killed, before anybody cleaned"
+    assert emulation.processes() == {}
     assert seen_outside() == []

@@ -29,6 +29,10 @@ def add(commands: Commands) -> None:
         "--radio", choices=("table", "ns3"), default="table",
         help="cables shaped by tables of goodput (default), or ns-3 in real time (make native)",
     )  # fmt: skip
+    emulate.add_argument(
+        "--autopilot", action="append", default=[], dest="autopilots", metavar="CONNECTION",
+        help="fly this vehicle instead of a stand-in, such as an ArduPilot's SITL; one for each drone",
+    )  # fmt: skip
     emulate.add_argument("--folder", type=Path, help="where everything of the run goes (default: runs/TIME)")
     emulate.add_argument(
         "--clean", action="store_true", help="only remove what emulations left whose command was killed"
@@ -55,6 +59,7 @@ def run(options: argparse.Namespace) -> bool:
         scenarios=tuple(file.absolute() for file in options.scenarios),
         drones=options.drones,
         radio=options.radio,
+        autopilots=tuple(options.autopilots),
         folder=(options.folder or new_run_folder()).absolute(),
     )
     return run_emulation(order)

@@ -16,6 +16,7 @@ from upwash.emulation.namespaces import inside, make_namespace
 from upwash.emulation.order import Order, RadioKind
 from upwash.emulation.outcome import Outcome
 from upwash.emulation.programs import Flight, ready_daemon
+from upwash.emulation.relay import relayed
 from upwash.emulation.shaped import ShapedRadio
 from upwash.emulation.tracking import tracked
 from upwash.real.credentials import make_keys
@@ -31,8 +32,8 @@ async def emulate(order: Order, stop: asyncio.Event) -> Outcome:
         radio = stack.enter_context(_field_set_up(field, order))
         flights: list[Flight] = []
         positions: dict[str, Callable[[], Position]] = {}
-        for drone in field.drones:
-            vehicle, positions[drone.name] = stack.enter_context(_vehicle(drone, order.folder))
+        for number, drone in enumerate(field.drones):
+            vehicle, positions[drone.name] = stack.enter_context(_vehicle(drone, number, order))
             flights.append(Flight(drone, field, order.folder, vehicle=vehicle))
         mover = _Mover(radio, positions)
         exit_codes = await _fly(flights, mover, stop)
@@ -69,15 +70,16 @@ def make_radio(kind: RadioKind, field: Field) -> Radio:
 
 
 @contextlib.contextmanager
-def _vehicle(drone: DroneConfig, folder: Path) -> Iterator[tuple[str, Callable[[], Position]]]:
+def _vehicle(drone: DroneConfig, number: int, order: Order) -> Iterator[tuple[str, Callable[[], Position]]]:
     """How to connect to the drone's vehicle, and where it is, until the end of the block."""
     namespace, home = drone_namespace(drone.name), drone.mission.home
     assert home is not None  # noqa: S101 - Order.read gives it one
     frame = LocalFrame(GeoPosition(home.latitude_deg, home.longitude_deg))
-    with (
-        ready_vehicle(f"{drone.name}-vehicle", folder, drone, through=inside(namespace)) as connection,
-        tracked(connection, namespace=namespace, frame=frame) as position,
-    ):
+    if order.autopilots:
+        reached = relayed(order.autopilots[number], namespace=namespace, outside=order.outside)
+    else:
+        reached = ready_vehicle(f"{drone.name}-vehicle", order.folder, drone, through=inside(namespace))
+    with reached as connection, tracked(connection, namespace=namespace, frame=frame) as position:
         yield connection, position
 
 

@@ -15,7 +15,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from upwash.errors import UsageError
@@ -36,10 +36,10 @@ def require_root_and_tools() -> None:
         raise UsageError(f"{', '.join(missing)} not found: install Debian's {packages}")
 
 
-def run_enclosed(*arguments: str) -> int:
+def run_enclosed(*arguments: str, handles: Sequence[int] = ()) -> int:
     """Runs `python ARGUMENTS` enclosed and returns its exit code; nothing that it started is left by then.
 
-    The first SIGINT or SIGTERM asks the program to stop, the second kills it.
+    The first SIGINT or SIGTERM asks the program to stop, the second kills it. It inherits the handles.
     """
     process = subprocess.Popen(  # noqa: S603 - this very program
         [
@@ -47,6 +47,7 @@ def run_enclosed(*arguments: str) -> int:
             *(sys.executable, *arguments),
         ],
         stdin=subprocess.PIPE,
+        pass_fds=handles,
         env=os.environ | {_MARK: _owner(os.getpid())},
         start_new_session=True,  # a Ctrl-C at the terminal is for this process alone, which passes it on
     )

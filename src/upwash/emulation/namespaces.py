@@ -42,11 +42,16 @@ def inside(namespace: str) -> tuple[str, ...]:
 
 def enter(namespace: str) -> None:
     """Moves the calling thread into the namespace, and what it opens from then on."""
+    with Path("/run/netns", namespace).open("rb") as file:
+        enter_handle(file.fileno())
+
+
+def enter_handle(handle: int) -> None:
+    """Moves the calling thread into the namespace of an open file of it."""
     libc = ctypes.CDLL(None, use_errno=True)
-    with Path("/run/netns", namespace).open("rb") as handle:
-        if libc.setns(handle.fileno(), _CLONE_NEWNET) != 0:
-            error = ctypes.get_errno()
-            raise OSError(error, os.strerror(error), namespace)
+    if libc.setns(handle, _CLONE_NEWNET) != 0:
+        error = ctypes.get_errno()
+        raise OSError(error, os.strerror(error))
 
 
 def join_by_cable(one: End, other: End) -> None:

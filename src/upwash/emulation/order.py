@@ -31,6 +31,10 @@ class Order(msgspec.Struct, frozen=True, kw_only=True):
     scenarios: tuple[Path, ...]
     drones: int = 1  # of each scenario
     radio: RadioKind = "table"
+    autopilots: tuple[
+        str, ...
+    ] = ()  # how each drone's vehicle is reached; stand-ins fly where there are none
+    outside: int = -1  # a handle of the network namespace in which they are reached
     folder: Path
 
     def encoded(self) -> str:
@@ -49,6 +53,8 @@ class Order(msgspec.Struct, frozen=True, kw_only=True):
         drones = [config for config in configs for _ in range(self.drones)]
         if len(drones) > _MOST_STATIONS:
             raise UsageError(f"{len(drones)} drones are more than an emulation has addresses for")
+        if self.autopilots and len(self.autopilots) != len(drones):
+            raise UsageError(f"{len(drones)} drone(s) need as many autopilots: found {len(self.autopilots)}")
         return tuple(_named_apart(drones))
 
 

@@ -48,7 +48,8 @@ def read_goodput(radio: str) -> GoodputTable | None:
     bundled = _BUNDLED.get(radio)
     source = files("upwash.sim") / bundled if bundled else Path(radio)
     try:
-        rows = list(csv.DictReader(source.read_text(encoding="utf-8").splitlines()))
+        lines = source.read_text(encoding="utf-8").splitlines()
+        rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
         return GoodputTable(
             [float(row["distance_m"]) for row in rows], [1e6 * float(row["goodput_mbit_s"]) for row in rows]
         )
