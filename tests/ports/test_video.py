@@ -154,6 +154,14 @@ def test_a_camera_that_is_not_there_is_an_error_in_bounded_time(
         asyncio.run(VideoCamera.open(source))
 
 
+def test_a_password_in_a_url_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(video, "_FIRST_FRAME_S", 0.2)
+    with pytest.raises(CameraError) as raised:
+        asyncio.run(VideoCamera.open("http://pilot:secret@127.0.0.1:9/none"))
+    assert raised.value.camera == "http://127.0.0.1:9/none"
+    assert "secret" not in str(raised.value)
+
+
 def test_a_video_file_starts_over_at_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(video, "_REOPEN_S", 0.01)
     file = tmp_path / "flight.avi"

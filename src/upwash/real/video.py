@@ -5,17 +5,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import re
 import threading
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from upwash.core.geo import Position
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Photo
-
-if TYPE_CHECKING:
-    from cv2.typing import MatLike
 
 _JPEG_QUALITY = 95
 _FIRST_FRAME_S = 10.0  # a USB camera takes a second or two, a stream may have to wait for a key frame
@@ -40,12 +37,13 @@ class VideoCamera:
 
     def __init__(self, source: int | str) -> None:
         self._source = source
+        self._name = _without_password(source)
         self._loop = asyncio.get_running_loop()
         self._trouble = "it has not been opened yet"
         self._wishes: list[_Wish] = []
         self._closed = threading.Event()
         # A daemon: nothing frees a thread that a driver does not return to.
-        self._thread = threading.Thread(target=self._read, name=f"camera {source}", daemon=True)
+        self._thread = threading.Thread(target=self._read, name=f"camera {self._name}", daemon=True)
 
     @classmethod
     async def open(cls, source: int | str) -> VideoCamera:
@@ -80,7 +78,7 @@ class VideoCamera:
             return await asyncio.wait_for(wish.photo, timeout_s)
         except TimeoutError:
             raise CameraError(
-                str(self._source),
+                self._name,
                 f"no frame within {timeout_s:g} s: {self._trouble}; see that it is connected, and that no other "
                 "program uses it",
             ) from None
@@ -92,28 +90,22 @@ class VideoCamera:
     def _read(self) -> None:
         while not self._closed.is_set():
             self._trouble = "it does not open, or not in time"
-            capture = _open(self._source)
-            try:
-                if capture.isOpened():
+            with contextlib.closing(_Capture(self._source)) as capture:
+                if capture.is_open:
                     self._read_frames(capture)
-            finally:
-                capture.release()
             self._closed.wait(_REOPEN_S)
 
-    def _read_frames(self, capture: Any) -> None:
-        self._trouble = "it is open, but its driver does not return"
-        pause_s = _pause_s(self._source, capture)
-        while not self._closed.wait(pause_s):
-            if not capture.grab():
+    def _read_frames(self, capture: _Capture) -> None:
+        self._trouble = "it is open, but shows nothing"
+        while not self._closed.wait(capture.pause_s):
+            if not capture.next():
                 self._trouble = "its frames have come to an end"
                 return
             captured_s = self._loop.time()
-            if self._wishes:
-                whole, frame = capture.retrieve()
-                if whole:
-                    photo = Photo(_encoded(frame), captured_s, source=str(self._source))
-                    with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
-                        self._loop.call_soon_threadsafe(self._hand_out, photo)
+            if self._wishes and (jpeg := capture.jpeg()) is not None:
+                photo = Photo(jpeg, captured_s, source=self._name)
+                with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+                    self._loop.call_soon_threadsafe(self._hand_out, photo)
 
     # --- in the loop ---
 
@@ -123,29 +115,45 @@ class VideoCamera:
                 wish.photo.set_result(photo)
 
 
-def _open(source: int | str) -> Any:
-    import cv2
+class _Capture:
+    """An opened source, frame by frame; `pause_s` is what to wait between two, for a file as it was recorded."""
 
-    if isinstance(source, int):
-        return cv2.VideoCapture(source)
-    limit_ms = int(1000 * _FRAME_S)
-    limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, limit_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, limit_ms]
-    return cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
+    def __init__(self, source: int | str) -> None:
+        import cv2
+
+        if isinstance(source, int):
+            self._capture = cv2.VideoCapture(source)
+            self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        else:
+            limit_ms = int(1000 * _FRAME_S)
+            limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, limit_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, limit_ms]
+            self._capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
+        self.is_open = self._capture.isOpened()
+        is_file = isinstance(source, str) and Path(source).is_file()
+        self.pause_s = 1 / max(1.0, self._capture.get(cv2.CAP_PROP_FPS)) if is_file else 0.0
+
+    def next(self) -> bool:
+        """Goes on to the next frame, which it waits for; False where there is none."""
+        return self._capture.grab()
+
+    def jpeg(self) -> bytes | None:
+        """The frame as a JPEG; None if it cannot be decoded."""
+        import cv2
+
+        try:
+            whole, frame = self._capture.retrieve()
+            whole, jpeg = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        except cv2.error:
+            return None
+        return jpeg.tobytes() if whole else None
+
+    def close(self) -> None:
+        self._capture.release()
 
 
-def _pause_s(source: int | str, capture: Any) -> float:
-    """Between two frames: a camera takes its own time, a file is read as fast as it was recorded."""
-    import cv2
-
-    is_file = isinstance(source, str) and Path(source).is_file()
-    return 1 / max(1.0, capture.get(cv2.CAP_PROP_FPS)) if is_file else 0.0
-
-
-def _encoded(frame: MatLike) -> bytes:
-    import cv2
-
-    _, jpeg = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    return jpeg.tobytes()
+def _without_password(source: int | str) -> str:
+    """The source for logs and messages: a URL without the user and password that it may contain."""
+    return re.sub(r"(?<=://)[^/@]*@", "", str(source))
 
 
 def _silence_opencv() -> None:
