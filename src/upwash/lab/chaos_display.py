@@ -20,6 +20,7 @@ from upwash.lab.worlds import as_toml
 _CHUNK = 20  # worlds that one process flies in one go
 _REPLAYED_EVERY = 20  # worlds, of which one is flown again and must leave the same log
 _FAILURES_SHOWN = 20
+_LINE_EVERY_S = 60.0
 
 
 class Summary(msgspec.Struct):
@@ -60,21 +61,42 @@ def show_chaos(seeds: range, *, minutes: float | None = None, workers: int | Non
     """
     console, summary, began_s = Console(), Summary(), time.monotonic()
     chunks = [seeds[first : first + _CHUNK] for first in range(0, len(seeds), _CHUNK)]
-    columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
-    with (
-        Progress(*columns, console=console) as progress,
-        in_processes(judge_all, chunks, workers=workers) as done,
-    ):
-        bar = progress.add_task("worlds", total=len(seeds))
+    with _Bar(len(seeds), console) as bar, in_processes(judge_all, chunks, workers=workers) as done:
         for verdicts in done:
             for verdict in verdicts:
                 _show_broken(verdict.broken, console, shown=len(summary.broken))
                 summary.add(verdict)
-            progress.advance(bar, len(verdicts))
+            bar.advance(summary.worlds)
             if minutes is not None and time.monotonic() - began_s > 60 * minutes:
                 break
     _show_summary(summary, time.monotonic() - began_s, console)
     return not summary.broken
+
+
+class _Bar:
+    """How far it is: a bar on a terminal, a line now and then elsewhere."""
+
+    def __init__(self, worlds: int, console: Console) -> None:
+        columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
+        self._progress = Progress(*columns, console=console, disable=not console.is_terminal)
+        self._bar = self._progress.add_task("worlds", total=worlds)
+        self._worlds = worlds
+        self._console = console
+        self._said_s = time.monotonic()
+
+    def __enter__(self) -> _Bar:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def advance(self, done: int) -> None:
+        """So many worlds have been flown."""
+        self._progress.update(self._bar, completed=done)
+        if not self._console.is_terminal and time.monotonic() - self._said_s > _LINE_EVERY_S:
+            self._said_s = time.monotonic()
+            self._console.print(f"{done:,} of {self._worlds:,} worlds", highlight=False)
 
 
 def replay(seed: int, log: Path | None) -> bool:
