@@ -62,6 +62,7 @@ class Pilot:
         self._journal = journal
         self._fences = fences
         self._in_the_air = False
+        self._found_flying = False  # it has taken off before this program began, and not landed since
         self._coming_down = False
         self._ground_speed_m_s: float | None = None  # as it was last set
         self._stands_at: Position | None = None  # where exactly it was sent, which is not quite where it is
@@ -86,13 +87,24 @@ class Pilot:
         """What is left in the battery, as last reported; None where the vehicle does not say."""
         return self._autopilot.battery_percent
 
+    def found_flying(self) -> None:
+        """The vehicle is in the air, where another program left it."""
+        self._in_the_air = self._found_flying = True
+
     def arm(self) -> None:
         """Waits until the vehicle is ready to fly, then arms its motors."""
-        self._thread.call(self._logged(self._autopilot.arm, "armed"))
+        if not self._found_flying:  # arming would change the mode that it flies in
+            self._thread.call(self._logged(self._autopilot.arm, "armed"))
 
     def takeoff(self, altitude_m: float) -> None:
-        """Climbs to the altitude above home; AutopilotRefused where the vehicle stands too far from the mission."""
+        """Climbs to the altitude above home; AutopilotRefused where the vehicle stands too far from the mission.
+
+        One that was found flying climbs where it is, if it is lower.
+        """
         self._require_near_home()
+        if self._found_flying:
+            self._thread.call(self._climb(altitude_m))
+            return
         self._stands_at = None
         self._in_the_air = True  # from the attempt on: it may fail half-way up
         self._thread.call(self._takeoff(altitude_m))
@@ -133,7 +145,7 @@ class Pilot:
         self._coming_down = True
         try:
             self._thread.call(self._logged(verb, "landed", before=doing))
-            self._in_the_air = False
+            self._in_the_air = self._found_flying = False
         finally:
             self._coming_down = False
 
@@ -177,6 +189,11 @@ class Pilot:
     async def _takeoff(self, altitude_m: float) -> None:
         await self._autopilot.takeoff(altitude_m)
         self._journal.record("took_off", altitude_m=altitude_m)
+
+    async def _climb(self, altitude_m: float) -> None:
+        here = self._autopilot.position
+        if here.altitude_m < altitude_m:  # never down: only the plan knows what is below
+            await self._autopilot.goto(Position(here.east_m, here.north_m, altitude_m))
 
     async def _logged(
         self, verb: Callable[[], Coroutine[Any, Any, None]], event: str, *, before: str = ""
@@ -276,7 +293,11 @@ class Drone:
 
 
 class Flight:
-    """One mission from the first check of the services to the landed vehicle."""
+    """One mission from the first check of the services to the landed vehicle.
+
+    With `done` it takes up a mission that was broken off, which has these waypoints behind it: the vehicle may be in
+    the air, and the plan holds the other waypoints. Where none is left the vehicle is brought to the ground.
+    """
 
     def __init__(
         self,
@@ -286,6 +307,7 @@ class Flight:
         services: Mapping[str, type],
         programs: Mapping[str, Program],
         world: World,
+        done: frozenset[int] | None = None,
     ) -> None:
         specs = {name: spec_of(cls) for name, cls in services.items()}
         self._mission = mission
@@ -293,7 +315,9 @@ class Flight:
         self._world = world
         self._thread = MissionThread()
         self._pilot = Pilot(world.autopilot, self._thread, world.journal, fences=geofence(config.mission))
-        self._plan = waypoints(config.mission)
+        self._waypoints = waypoints(config.mission)
+        self._done = done
+        self._plan = tuple(each for each in self._waypoints if each.index not in (done or ()))
         self._stopped = ""  # why, once it is
         self._onboard = OnboardServices(
             [
@@ -321,9 +345,14 @@ class Flight:
         """Flies the mission; raises what ended it, after the configured action where the vehicle obeys."""
         journal, config = self._world.journal, self._config
         try:
-            await self._onboard.start()
+            await self._find_vehicle()
+            await self._start_services()
             journal.record(
-                "mission_started", drone=config.name, policy=config.policy.name, waypoints=len(self._plan)
+                "mission_started",
+                drone=config.name,
+                policy=config.policy.name,
+                waypoints=len(self._waypoints),
+                done=sorted(self._done or ()),
             )
             async with self._offloading_in_background():
                 await self._fly()
@@ -340,6 +369,25 @@ class Flight:
         self._world.journal.record("stopping", why=why)
         self._thread.stop(why)
 
+    async def _find_vehicle(self) -> None:
+        """Refuses to begin a mission in the air, and takes up one that was broken off there."""
+        if not await self._world.autopilot.in_the_air():
+            return
+        if self._done is None:
+            raise AutopilotRefused(
+                "start",
+                "the vehicle is in the air: land it first, or take up the flight that was broken off with "
+                "--resume and its event log; nothing was sent",
+            )
+        self._pilot.found_flying()
+
+    async def _start_services(self) -> None:
+        try:
+            await self._onboard.start()
+        except (Exception, asyncio.CancelledError) as error:
+            await self._end_in_the_air(str(error) or type(error).__name__)
+            raise
+
     async def _fly(self) -> None:
         try:
             await self._run_mission()
@@ -354,11 +402,16 @@ class Flight:
     async def _run_mission(self) -> None:
         watch = asyncio.create_task(self._watch_battery())
         try:
-            await self._thread.run(lambda: self._mission(self._drone()))
+            await self._thread.run(lambda: self._program()(self._drone()))
         finally:
             watch.cancel()
         if self._stopped:  # though the mission made nothing of it
             raise MissionStopped(self._stopped)
+
+    def _program(self) -> Mission:
+        if self._plan or self._done is None:
+            return self._mission
+        return _come_down if self._pilot.in_the_air else _stay_down
 
     async def _end_in_the_air(self, why: str) -> None:
         if self._pilot.in_the_air:
@@ -417,3 +470,12 @@ class Flight:
             services=frozenset(service.name for service in self._config.services),
             invoke=invoke,
         )
+
+
+def _come_down(drone: Drone) -> None:
+    drone.end_flight()
+    drone.autopilot.disarm()
+
+
+def _stay_down(_: Drone) -> None:
+    pass

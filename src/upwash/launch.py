@@ -28,11 +28,12 @@ from upwash.ports import Autopilot, Camera, InstanceSpec, Journal, Network, Prog
 from upwash.real.autopilot import FlightSettings, connect_autopilot
 from upwash.real.camera import FolderCamera
 from upwash.real.credentials import Credentials, read_credentials
-from upwash.real.journal import FileJournal, JournalNotifier, Watcher
+from upwash.real.journal import FileJournal, JournalNotifier, Watcher, read_events
 from upwash.real.link import GrpcDialer
 from upwash.real.listener import Caller, Listener
 from upwash.real.runtime import ProcessRuntime
 from upwash.real.video import VideoCamera
+from upwash.resumption import waypoints_done
 from upwash.server import EdgeServer, Image
 from upwash.sim.camera import RenderedCamera
 from upwash.sim.network import Cell, ModelNetwork, NoNetwork
@@ -48,11 +49,17 @@ _DAEMON_THREADS = 16
 
 
 async def fly(
-    config: DroneConfig, *, program: str | None = None, log: Path, watchers: tuple[Watcher, ...] = ()
+    config: DroneConfig,
+    *,
+    program: str | None = None,
+    log: Path,
+    resumes: bool = False,
+    watchers: tuple[Watcher, ...] = (),
 ) -> None:
     """Flies the configured mission with the configured vehicle, or another program with it.
 
-    The event log goes to `log`, and each event to the watchers too. Ctrl-C ends the mission, as any failure does:
+    The event log goes to `log`, and each event to the watchers too; with `resumes` it takes up the mission that this
+    log is of, where that was broken off. Ctrl-C ends the mission, as any failure does:
     in what autopilot.on_failure says; a second one ends the program at once. Raises what ended the mission early.
     """
     if config.mission.home is None:
@@ -66,11 +73,14 @@ async def fly(
         )
     mission = load_mission(program or config.mission.program, mode=config.mission.mode)
     services = load_services(config.services)
+    done = waypoints_done(read_events(log), config) if resumes else None
     dialer = _dialer(config)
     home = GeoPosition(config.mission.home.latitude_deg, config.mission.home.longitude_deg)
     async with contextlib.AsyncExitStack() as stack:
         camera = await _camera(config.camera, stack)
-        journal = stack.enter_context(contextlib.closing(FileJournal(log, watchers=watchers)))
+        journal = stack.enter_context(
+            contextlib.closing(FileJournal(log, watchers=watchers, resumes=resumes))
+        )
         autopilot = await connect_autopilot(
             config.autopilot.connection,
             frame=LocalFrame(home),
@@ -99,6 +109,7 @@ async def fly(
                 journal=journal,
             ),
             programs={name: service.program for name, service in services.items()},
+            done=done,
         )
         await stack.enter_async_context(_tracking(autopilot, journal))
         stack.enter_context(_stopping_politely(flight.stop))

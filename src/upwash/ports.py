@@ -25,6 +25,9 @@ class Autopilot(Protocol):
     def battery_percent(self) -> float | None:
         """What is left in the battery, as last reported; None where the vehicle does not say."""
 
+    async def in_the_air(self) -> bool:
+        """Whether the vehicle flies at the program's command; AutopilotOverruled if at somebody else's."""
+
     async def arm(self) -> None:
         """Waits until the vehicle is ready to fly, then arms its motors."""
 

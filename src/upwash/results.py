@@ -57,8 +57,12 @@ class RunResult(msgspec.Struct, frozen=True):
 
 
 def read_result(events: Iterable[Mapping[str, Any]]) -> RunResult:
-    """The result of the run that left these events, the last of several, whether it was completed or not."""
-    policy, began_s, ended_s, completed = "", 0.0, 0.0, False
+    """The result of the run that left these events, the last of several, whether it was completed or not.
+
+    All parts of a run that was broken off and taken up again count, and the time between them too.
+    """
+    policy, ended_s, completed = "", 0.0, False
+    began_s: float | None = None  # of the first part, where a flight was taken up again
     waypoint: int | None = None
     calls: list[CallResult] = []
     selected: list[str] = []
@@ -69,7 +73,9 @@ def read_result(events: Iterable[Mapping[str, Any]]) -> RunResult:
         ended_s = event["t"]
         match event["event"]:
             case "mission_started":
-                policy, began_s, waypoints = event["policy"], event["t"], event.get("waypoints", 0)
+                policy, waypoints = event["policy"], event.get("waypoints", 0)
+                began_s = event["t"] if began_s is None else began_s
+                waypoint, left_hovering = None, False
             case "mission_completed":
                 completed = True
             case "arrived":
@@ -80,7 +86,7 @@ def read_result(events: Iterable[Mapping[str, Any]]) -> RunResult:
             case "selected":
                 selected.append(event["server"])
             case "call":
-                calls.append(_call(event, waypoint, began_s))
+                calls.append(_call(event, waypoint, began_s or 0.0))
                 waits += [event["wait"]] if event["wait"] else []
                 fallbacks += event["fell_back"]
         if completed:
@@ -91,7 +97,7 @@ def read_result(events: Iterable[Mapping[str, Any]]) -> RunResult:
             remote[call.place] = remote.get(call.place, 0) + 1
     return RunResult(
         policy=policy,
-        mission_time_s=ended_s - began_s,
+        mission_time_s=ended_s - (began_s or 0.0),
         completed=completed,
         calls=calls,
         totals=Totals(

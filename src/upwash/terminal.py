@@ -82,7 +82,10 @@ class Progress:
             case {"event": "mission_started", "policy": policy}:
                 self.started = True
                 self._doing = "before take-off"
-                said = Text(f"mission started, policy {policy}")
+                done = event.get("done", ())
+                self._reached = len(done)
+                before = f"taken up again, {len(done)} waypoints done before" if done else "started"
+                said = Text(f"mission {before}, policy {policy}")
             case {"event": "leg", "waypoint": waypoint}:
                 self._doing = f"flying to waypoint {waypoint}"
             case {"event": "arrived", "waypoint": waypoint}:

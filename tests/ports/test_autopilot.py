@@ -16,6 +16,7 @@ from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, distance_
 from upwash.errors import (
     AutopilotError,
     AutopilotLost,
+    AutopilotOverruled,
     AutopilotRefused,
     AutopilotTimeout,
     UsageError,
@@ -183,6 +184,8 @@ def test_when_the_pilot_takes_over_the_leg_ends_and_the_vehicle_is_left_to_the_p
                 await leg
             with pytest.raises(AutopilotRefused, match="LOITER"):
                 await autopilot.goto(Position(0.0, 0.0, 3.0))
+            with pytest.raises(AutopilotOverruled, match=r"start: .*LOITER"):
+                await autopilot.in_the_air()
             await pilot.close()
 
     asyncio.run(mission())

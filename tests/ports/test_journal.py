@@ -15,7 +15,7 @@ import pytest
 
 from upwash.core.geo import Position
 from upwash.errors import UsageError
-from upwash.real.journal import FileJournal, JournalNotifier
+from upwash.real.journal import FileJournal, JournalNotifier, read_events
 
 
 class Found(msgspec.Struct):
@@ -134,3 +134,60 @@ def test_the_user_is_told_through_the_log(tmp_path: Path) -> None:
     told = events(tmp_path / "log")[-1]
     assert (told["event"], told["at"]) == ("notified", {"east_m": 1.0, "north_m": 2.0, "altitude_m": 3.0})
     assert told["message"] == [{"label": "hot-spot"}]
+
+
+def test_a_log_that_is_resumed_goes_on_in_time(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    journalled(log, lambda journal: journal.record("arrived"))
+    journalled(log, lambda journal: journal.record("landed"), resumes=True)
+    assert [each["event"] for each in events(log)] == ["log_opened", "arrived", "log_resumed", "landed"]
+    times_s = [each["t"] for each in events(log)]
+    assert times_s == sorted(times_s)
+
+
+def test_a_clock_that_has_gone_back_does_not_take_the_log_back(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    tomorrow = (datetime.now(UTC) + timedelta(days=1)).isoformat()
+    opened = {"t": 0.0, "event": "log_opened", "time": tomorrow}
+    log.write_bytes(
+        b"".join(msgspec.json.encode(each) + b"\n" for each in (opened, {"t": 70.0, "event": "arrived"}))
+    )
+    journalled(log, lambda journal: journal.record("landed"), resumes=True)
+    assert [70.0 <= each["t"] < 80.0 for each in events(log)] == [False, True, True, True]
+
+
+def test_a_line_that_a_failing_computer_left_unfinished_is_dropped(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    journalled(log, lambda journal: journal.record("arrived"))
+    log.write_bytes(log.read_bytes() + b'{"t":7.0,"eve')
+    assert [each["event"] for each in read_events(log)] == ["log_opened", "arrived"]
+    journalled(log, lambda journal: journal.record("landed"), resumes=True)
+    assert [each["event"] for each in events(log)] == ["log_opened", "arrived", "log_resumed", "landed"]
+
+
+def test_a_log_that_another_flight_writes_is_not_resumed(tmp_path: Path) -> None:
+    def resume(journal: FileJournal) -> None:
+        with pytest.raises(UsageError, match="is the flight still under way"):
+            FileJournal(journal.path, resumes=True)
+        journal.record("landed")
+
+    log = tmp_path / "log"
+    journalled(log, resume)
+    assert [each["event"] for each in events(log)] == ["log_opened", "landed"]
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (b"", "not the event log"),
+        (b"photo\n", "is not an event log"),
+        (b'{"t":1}\n', "not the event log"),
+        (b"[1]\n", "is not an event log"),
+    ],
+)
+def test_what_is_no_log_is_not_resumed(tmp_path: Path, content: bytes, why: str) -> None:
+    log = tmp_path / "log"
+    log.write_bytes(content)
+    with pytest.raises(UsageError, match=why):
+        read_events(log)
+    assert log.read_bytes() == content

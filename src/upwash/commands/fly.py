@@ -21,7 +21,14 @@ def add(commands: Commands) -> None:
     )
     fly.add_argument("--config", type=Path, required=True, help="the drone's configuration, a TOML file")
     fly.add_argument("--autopilot", metavar="CONNECTION", help="instead of the configured one")
-    fly.add_argument("--log", type=Path, help="where the event log goes (default: runs/TIME/events.jsonl)")
+    log = fly.add_mutually_exclusive_group()
+    log.add_argument("--log", type=Path, help="where the event log goes (default: runs/TIME/events.jsonl)")
+    log.add_argument(
+        "--resume",
+        type=Path,
+        metavar="LOG",
+        help="take up the mission that this event log is of, where it broke off",
+    )
     fly.set_defaults(run=run)
 
 
@@ -37,6 +44,6 @@ def run(options: argparse.Namespace) -> bool:
     if options.autopilot:
         autopilot = msgspec.structs.replace(config.autopilot, connection=options.autopilot)
         config = msgspec.structs.replace(config, autopilot=autopilot)
-    log = options.log or new_run_folder() / "events.jsonl"
-    fly_with_progress(config, program=options.mission, log=log)
+    log = options.resume or options.log or new_run_folder() / "events.jsonl"
+    fly_with_progress(config, program=options.mission, log=log, resumes=options.resume is not None)
     return True

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from pathlib import Path
 
 from upwash.config import DroneConfig
 from upwash.core.geo import GeoPosition, LocalFrame, Position

@@ -120,6 +120,20 @@ class MavlinkAutopilot:
         geo = self._vehicle.position
         return self._frame.position(geo) if geo else _HOME
 
+    async def in_the_air(self) -> bool:
+        """Whether it flies in GUIDED; AutopilotOverruled if it flies in any other mode."""
+        async with self._within("start", self._settings.margin_s):
+            await self._copter.until("start", self._tells_whether_it_flies)
+        if self._vehicle.armed and self._vehicle.in_the_air:
+            self._require_mode("start", (_GUIDED,))
+            return True
+        return False
+
+    def _tells_whether_it_flies(self) -> bool:
+        vehicle = self._vehicle
+        told = vehicle.on_ground or vehicle.in_the_air
+        return not vehicle.armed or (told and vehicle.position is not None)
+
     async def arm(self) -> None:
         """Waits until the vehicle is ready to fly, then arms its motors; AutopilotRefused has its reason if not."""
         loop = asyncio.get_running_loop()

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import fcntl
 import logging
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -22,22 +23,29 @@ Watcher = Callable[[Mapping[str, Any]], None]
 class FileJournal:
     """Appends each event as one line in one write, so that a crash leaves no torn line behind.
 
-    `t` counts seconds of the event loop's clock from the first event; that one also tells the time of day.
+    `t` counts seconds of the event loop's clock from the first event; that one also tells the time of day. With
+    `resumes` a log that another process began is continued, its time too. One process at a time writes to a log.
     """
 
-    def __init__(self, path: Path, *, watchers: tuple[Watcher, ...] = ()) -> None:
+    def __init__(self, path: Path, *, watchers: tuple[Watcher, ...] = (), resumes: bool = False) -> None:
         self.path = path
         self._watchers = watchers
         self._loop = asyncio.get_running_loop()
-        self._began_s = self._loop.time()
         self._failed = False
+        now = datetime.now(UTC)
+        opened_s = _seconds_since(read_events(path), now) if resumes else 0.0
+        self._began_s = self._loop.time() - opened_s
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
         except OSError as error:
             raise UsageError(f"cannot write the event log {path}: {error.strerror}") from error
         try:
-            self._append({"t": 0.0, "event": "log_opened", "time": datetime.now(UTC).isoformat()})
+            self._lock()
+            if resumes:
+                _cut_torn_line(path)
+            event = "log_resumed" if resumes else "log_opened"
+            self._append({"t": round(opened_s, 6), "event": event, "time": now.isoformat()})
         except OSError as error:
             os.close(self._file)
             raise UsageError(f"cannot write the event log {path}: {error.strerror}") from error
@@ -63,9 +71,45 @@ class FileJournal:
             line = msgspec.json.encode({name: _printable(fact) for name, fact in entry.items()})
         os.write(self._file, line + b"\n")
 
+    def _lock(self) -> None:
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(self._file)
+            raise UsageError(
+                f"another program is writing the event log {self.path}: is the flight still under way?"
+            ) from None
+
     def close(self) -> None:
         """Ends the log."""
         os.close(self._file)
+
+
+def read_events(path: Path) -> list[dict[str, Any]]:
+    """The events of a log, but for a last line that a failing computer left unfinished; raises UsageError."""
+    try:
+        lines = path.read_bytes().split(b"\n")[:-1]  # what follows the last line's end is nothing, or torn
+    except OSError as error:
+        raise UsageError(f"cannot read the event log {path}: {error.strerror}") from error
+    try:
+        events = msgspec.convert([msgspec.json.decode(line) for line in lines], list[dict[str, Any]])
+    except msgspec.MsgspecError as error:
+        raise UsageError(f"{path} is not an event log: {error}") from error
+    if not events or events[0].get("event") != "log_opened":
+        raise UsageError(f"{path} is not the event log of a flight")
+    return events
+
+
+def _seconds_since(events: Sequence[Mapping[str, Any]], now: datetime) -> float:
+    """The log's time now: by the time of day, unless that has gone back since."""
+    opened = datetime.fromisoformat(events[0]["time"])
+    last_s: float = events[-1]["t"]
+    return max(last_s, (now - opened).total_seconds())
+
+
+def _cut_torn_line(path: Path) -> None:
+    content = path.read_bytes()
+    os.truncate(path, content.rfind(b"\n") + 1)
 
 
 def _printable(fact: object) -> object:

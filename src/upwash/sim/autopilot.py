@@ -74,6 +74,7 @@ class ModelAutopilot:
 
     `stretch` gives a factor on the duration of each leg, for noise, and `fault` what is wrong with the vehicle
     now; `sim.faults` says what each fault means. The battery is empty `endurance_s` after the first take-off.
+    One that `hovers_at` a place has been left there by another program.
     """
 
     def __init__(
@@ -85,6 +86,7 @@ class ModelAutopilot:
         stretch: Callable[[], float] = lambda: 1.0,
         fault: Callable[[], FaultConfig | None] = lambda: None,
         endurance_s: float | None = None,
+        hovers_at: Position | None = None,
     ) -> None:
         self._ground = Position(start.east_m, start.north_m)
         self._ground_speed_m_s = ground_speed_m_s
@@ -92,10 +94,10 @@ class ModelAutopilot:
         self._stretch = stretch
         self._fault = fault
         self._loop = asyncio.get_running_loop()
-        self._motion = Motion(0.0, (), self._ground)
+        self._motion = Motion(0.0, (), hovers_at or self._ground)
         self._crossings: list[tuple[Sequence[Circle], list[float]]] = []  # of this motion, for each who asked
         self._moved = asyncio.Event()
-        self._armed = False
+        self._armed = hovers_at is not None
         self._endurance_s = endurance_s
         self._took_off_s: float | None = None
 
@@ -111,6 +113,11 @@ class ModelAutopilot:
             return None
         flown_s = 0.0 if self._took_off_s is None else self._loop.time() - self._took_off_s
         return 100.0 * max(0.0, 1 - flown_s / self._endurance_s)
+
+    async def in_the_air(self) -> bool:
+        """By its altitude; nobody else commands it."""
+        self._reach("start")
+        return self.position.altitude_m > 0
 
     async def arm(self) -> None:
         """At once."""

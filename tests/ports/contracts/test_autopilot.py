@@ -88,13 +88,16 @@ async def take_off(autopilot: Autopilot) -> None:
 
 def test_each_verb_returns_when_it_is_true(fly: Fly) -> None:
     async def mission(autopilot: Autopilot) -> None:
+        assert not await autopilot.in_the_air()
         await take_off(autopilot)
+        assert await autopilot.in_the_air()
         assert distance_m(autopilot.position, Position(0.0, 0.0, 5.0)) <= 1.0
         for waypoint in Position(10.0, 0.0, 5.0), Position(10.0, -10.0, 7.0):
             await autopilot.goto(waypoint)
             assert distance_m(autopilot.position, waypoint) <= 1.01
         await autopilot.return_home_and_land()
         assert distance_m(autopilot.position, Position(0.0, 0.0, 0.0)) <= 1.0
+        assert not await autopilot.in_the_air()
         await autopilot.disarm()
 
     fly(mission)

@@ -1,0 +1,111 @@
+"""Which waypoints a flight that was broken off has behind it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from upwash.config import DroneConfig
+from upwash.config.drone_file import drone_config
+from upwash.errors import UsageError
+from upwash.resumption import waypoints_done
+
+PLACES = [[0.0, 0.0], [20.0, 0.0], [40.0, 0.0]]
+
+
+def config(services: int = 1, **mission: Any) -> DroneConfig:
+    names = ["detector", "counter"][:services]
+    document = {
+        "mission": {"mode": "heavy", "waypoints_m": PLACES, **mission},
+        "service": [
+            {"name": name, "program": "a:B", "local_call_s": {"light": 3.0, "heavy": 10.0}} for name in names
+        ],
+    }
+    return drone_config(document, Path("drone.toml"))
+
+
+def event(name: str, **facts: Any) -> dict[str, Any]:
+    return {"t": 0.0, "event": name, **facts}
+
+
+def at(index: int, *results: str) -> list[dict[str, Any]]:
+    east_m, north_m = PLACES[index]
+    place = {"waypoint": index, "east_m": east_m, "north_m": north_m}
+    return [
+        event("leg", **place),
+        event("arrived", **place),
+        *(event("call", operation=each) for each in results),
+    ]
+
+
+OPENED = event("log_opened", time="2026-01-01T00:00:00+00:00")
+STARTED = event("mission_started", drone="drone", policy="location-aware", waypoints=3)
+BEGUN = [OPENED, STARTED]
+
+
+def done(*events: dict[str, Any], services: int = 1) -> list[int]:
+    return sorted(waypoints_done(events, config(services)))
+
+
+def test_nothing_is_done_before_the_first_result() -> None:
+    assert done(*BEGUN) == done(*BEGUN, *at(0)) == []
+
+
+def test_a_waypoint_is_done_with_its_result_and_the_next_one_is_not() -> None:
+    assert done(*BEGUN, *at(0, "look")) == [0]
+    assert done(*BEGUN, *at(0, "look"), event("leg", waypoint=1)) == [0]
+    assert done(*BEGUN, *at(0, "look"), *at(1)) == [0]
+    assert done(*BEGUN, *at(0, "look"), *at(1, "look"), *at(2, "look")) == [0, 1, 2]
+
+
+def test_a_waypoint_is_done_only_with_as_many_results_as_those_before() -> None:
+    two = at(0, "look", "count")
+    assert done(*BEGUN, *at(0, "look"), services=2) == []
+    assert done(*BEGUN, *two, services=2) == [0]
+    assert done(*BEGUN, *two, *at(1, "look"), services=2) == [0]
+    assert done(*BEGUN, *two, *at(1, "look", "count"), services=2) == [0, 1]
+    assert done(*BEGUN, *at(0, "look", "look"), *at(1, "look")) == [0], "one service, called twice"
+
+
+def test_a_mission_that_calls_nothing_sees_its_last_waypoint_again() -> None:
+    assert done(*BEGUN, *at(0), *at(1)) == [0]
+
+
+def test_a_waypoint_that_the_vehicle_returned_from_without_a_result_is_not_done() -> None:
+    assert done(*BEGUN, *at(0, "look"), *at(1), event("returning"), event("landed")) == [0]
+
+
+def test_the_parts_of_a_flight_that_was_taken_up_count_together() -> None:
+    again = [event("log_resumed"), STARTED]
+    assert done(*BEGUN, *at(0, "look"), *at(1), *again, *at(1, "look")) == [0, 1]
+
+
+def test_an_earlier_flight_in_the_same_file_does_not_count() -> None:
+    earlier = [*BEGUN, *at(0, "look"), *at(1, "look"), event("mission_completed")]
+    assert done(*earlier, *BEGUN, *at(0, "look")) == [0]
+
+
+def test_a_waypoint_that_the_drone_only_circles_is_not_done() -> None:
+    around = event("leg", waypoint=None, east_m=5.0, north_m=5.0)
+    assert done(*BEGUN, *at(0), around) == []
+    assert done(*BEGUN, *at(0), around, event("call")) == [0]
+
+
+@pytest.mark.parametrize(
+    ("events", "why"),
+    [
+        ([*BEGUN, event("mission_completed")], "was completed: there is nothing to take up"),
+        ([OPENED, {**STARTED, "drone": "heron"}], "of the drone heron, not of drone"),
+        ([OPENED, {**STARTED, "waypoints": 4}], "it had 4 waypoints, this one has 3"),
+        (
+            [*BEGUN, event("arrived", waypoint=1, east_m=25.0, north_m=0.0)],
+            "waypoint 1 was 5.00 m from where it is now",
+        ),
+        ([*BEGUN, event("arrived", waypoint=7, east_m=25.0, north_m=0.0)], "this one has no waypoint 7"),
+    ],
+)
+def test_a_log_of_something_else_is_refused(events: list[dict[str, Any]], why: str) -> None:
+    with pytest.raises(UsageError, match=why):
+        waypoints_done(events, config())
