@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from upwash import Drone
-from upwash.bundled import service_program
+from upwash.bundled import load_services
 from upwash.config import DroneConfig
 from upwash.config.drone_file import drone_config
 from upwash.core.geo import Position
@@ -102,7 +102,7 @@ def fly(
             mission,
             config,
             services={"detector": Detector},
-            programs={"detector": service_program(config, "detector")},
+            programs={"detector": load_services(config.services)["detector"].program},
             world=world,
             done=waypoints_done(earlier, config) if after else None,
         )
