@@ -75,6 +75,12 @@ def load_services(configured: Sequence[ConfiguredService]) -> dict[str, LoadedSe
     return {each.name: _load_service(each, f"service[{index}]") for index, each in enumerate(configured)}
 
 
+def load_service_alone(name: str) -> LoadedService:
+    """A service without a configuration: a bundled one by its name, or any by its class's path; raises UsageError."""
+    path = name if ":" in name else bundled_service(name)
+    return LoadedService(load_service(path), Program(path))
+
+
 def _load_service(configured: ConfiguredService, key: str) -> LoadedService:
     path = configured.program or bundled_service(configured.name)
     cls = load_service(path)

@@ -7,15 +7,18 @@ import contextlib
 import itertools
 import signal
 import tempfile
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from pathlib import Path
 
-from upwash.bundled import load_mission, load_services
+import msgspec
+
+from upwash.bundled import LoadedService, load_mission, load_services
 from upwash.config import (
     CameraConfig,
     DaemonConfig,
     DroneConfig,
     KeysConfig,
+    ServerConfig,
     is_on_this_machine,
     server_area,
     server_truth,
@@ -25,24 +28,29 @@ from upwash.core.instances import Host, HostSettings, ServerOffer
 from upwash.drone import Flight, World
 from upwash.errors import CredentialsError, Refused, UsageError
 from upwash.ports import Autopilot, Camera, InstanceSpec, Journal, Network, Program, Runtime
+from upwash.profiling import OnboardProfile, Sample, ServerProfile, Watch, profile_onboard, profile_server
 from upwash.real.autopilot import FlightSettings, connect_autopilot
 from upwash.real.camera import FolderCamera
 from upwash.real.credentials import Credentials, read_credentials
 from upwash.real.journal import FileJournal, JournalNotifier, Watcher, read_events
 from upwash.real.link import GrpcDialer
 from upwash.real.listener import Caller, Listener
+from upwash.real.memory import peak_memory_bytes
 from upwash.real.runtime import ProcessRuntime
 from upwash.real.video import VideoCamera
 from upwash.resumption import waypoints_done
 from upwash.server import EdgeServer, Image
+from upwash.service import spec_of
 from upwash.sim.camera import RenderedCamera
 from upwash.sim.network import Cell, ModelNetwork, NoNetwork
 from upwash.vehicle import VehicleSettings, serve_vehicle
+from upwash.visit import Contact
 
 _MAX_MESSAGE_BYTES = 16 * 2**20
 _TRACK_PERIOD_S = 1.0
 _SECOND_SIGNAL_S = 0.5  # a terminal and a parent may both pass on one Ctrl-C
 _DAEMON_THREADS = 16
+_PROFILER = "profiler"
 
 
 # --- a drone ------------------------------------------------------------------------------------------------
@@ -100,10 +108,8 @@ async def fly(
                 autopilot=autopilot,
                 network=_network(config, autopilot),
                 dialer=dialer,
-                onboard_dialer=GrpcDialer(config.name, None, max_message_bytes=_MAX_MESSAGE_BYTES),
-                onboard_runtime=ProcessRuntime(
-                    _sockets_in(sockets), credentials=None, max_message_bytes=_MAX_MESSAGE_BYTES
-                ),
+                onboard_dialer=_onboard_dialer(config.name),
+                onboard_runtime=_onboard_runtime(sockets),
                 camera=camera,
                 notifier=JournalNotifier(journal),
                 journal=journal,
@@ -126,6 +132,14 @@ async def _camera(config: CameraConfig, stack: contextlib.AsyncExitStack) -> Cam
     raise UsageError(
         "no camera: say in [camera] where photos come from: folder, device, or park_seed for rendered ones"
     )
+
+
+def _onboard_runtime(sockets: Path) -> ProcessRuntime:
+    return ProcessRuntime(_sockets_in(sockets), credentials=None, max_message_bytes=_MAX_MESSAGE_BYTES)
+
+
+def _onboard_dialer(drone: str) -> GrpcDialer:
+    return GrpcDialer(drone, None, max_message_bytes=_MAX_MESSAGE_BYTES)
 
 
 def _dialer(config: DroneConfig) -> GrpcDialer:
@@ -185,6 +199,36 @@ async def _tracking(autopilot: Autopilot, journal: Journal) -> AsyncIterator[Non
         task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await task
+
+
+# --- a service, before the flight ---------------------------------------------------------------------------
+
+
+async def profile_on_this_computer(
+    service: LoadedService, found: Sequence[Sample], *, calls: int, watch: Watch
+) -> OnboardProfile:
+    """Measures the service in instances such as the drone's own."""
+    with tempfile.TemporaryDirectory(prefix="upwash-") as sockets:
+        return await profile_onboard(
+            InstanceSpec(_PROFILER, spec_of(service.cls).name, service.program),
+            found,
+            calls=calls,
+            drone=_PROFILER,
+            runtime=_onboard_runtime(Path(sockets)),
+            dialer=_onboard_dialer(_PROFILER),
+            memory_bytes=peak_memory_bytes,
+            watch=watch,
+        )
+
+
+async def profile_at(
+    server: ServerConfig, config: DroneConfig, found: Sequence[Sample], *, calls: int, watch: Watch
+) -> ServerProfile:
+    """Measures a service at one of the drone's servers, with the drone's certificate."""
+    dialer = _dialer(msgspec.structs.replace(config, servers=(server,)))
+    services = tuple(dict.fromkeys(sample.operation.service for sample in found))
+    contact = Contact(server.name, server.network, server.address or "", services)
+    return await profile_server(contact, found, calls=calls, network=NoNetwork(), dialer=dialer, watch=watch)
 
 
 # --- an edge server -----------------------------------------------------------------------------------------

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import msgspec
+import numpy as np
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from upwash.bundled import load_services
+from upwash.config import read_daemon_config, read_drone_config
+from upwash.service import spec_of
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SCENARIOS = sorted(file for file in EXAMPLES.glob("*.toml") if "[mission]" in file.read_text())
 
 
-@pytest.mark.parametrize("scenario", sorted((ROOT / "examples").glob("*.toml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda path: path.stem)
 def test_an_example_is_flown_on_the_drone_and_on_its_server(scenario: Path) -> None:
     run = subprocess.run(
         [sys.executable, "-m", "upwash", "simulate", str(scenario), "--json"],
@@ -24,3 +32,43 @@ def test_an_example_is_flown_on_the_drone_and_on_its_server(scenario: Path) -> N
     totals = msgspec.json.decode(run.stdout)["totals"]
     assert totals["local"] > 0
     assert totals["remote"]["s1"] > 0
+
+
+@pytest.fixture
+def beetle_counters() -> Iterator[tuple[type, type]]:
+    """The drone's and the server's, as their configurations name them."""
+    drone = load_services(read_drone_config(EXAMPLES / "pests.toml").services)
+    daemon = load_services(read_daemon_config(EXAMPLES / "pests_server.toml").images)
+    yield drone["beetlecounter"].cls, daemon["beetlecounter"].cls
+    sys.path.remove(str(EXAMPLES))
+
+
+def test_what_the_drone_asks_its_counter_is_understood_by_the_other_one_on_the_server(
+    beetle_counters: tuple[type, type],
+) -> None:
+    for asked, asking in (beetle_counters, reversed(beetle_counters)):
+        stub, instance = spec_of(asking).methods["count"], spec_of(asked).methods["count"]
+        _, request = stub.encode((_leaf(beetles=12),), {})
+        found = stub.result(stub.decode(instance.perform(asked(), request)[1]))
+        assert getattr(found, "number", None) == pytest.approx(12, abs=1)
+
+
+def test_the_server_counts_beetles_that_the_drone_only_estimates(beetle_counters: tuple[type, type]) -> None:
+    on_drone, on_server = (counter().count(_leaf(beetles=60)) for counter in beetle_counters)
+    assert on_server.counted
+    assert on_server.number == 60
+    assert not on_drone.counted
+    assert on_drone.number == pytest.approx(60, rel=0.1)
+
+
+def _leaf(*, beetles: int) -> bytes:
+    """A photo of that many red ellipses in rows, each its own way round, on a noisy green."""
+    noise = np.random.default_rng(1)
+    image = np.full((600, 800, 3), (60, 140, 70), np.uint8) + noise.integers(
+        0, 20, (600, 800, 3), dtype=np.uint8
+    )
+    for number in range(beetles):
+        row, column = divmod(number, 10)
+        place = (50 + 70 * column, 50 + 80 * row)
+        cv2.ellipse(image, place, (8, 6), 17.0 * number, 0, 360, (30, 30, 200), -1)
+    return bytes(cv2.imencode(".jpg", image)[1])

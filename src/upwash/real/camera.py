@@ -38,6 +38,11 @@ class FolderCamera:
         return Photo(jpeg, asyncio.get_running_loop().time(), source=path.name)
 
 
+def read_photos(folder: Path) -> list[bytes]:
+    """Every JPEG file of the folder, in name order; raises UsageError where there is none."""
+    return [path.read_bytes() for path in _photos(folder)]
+
+
 def _photos(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise UsageError(f"camera: there is no folder {folder}; name a folder that holds JPEG photos")

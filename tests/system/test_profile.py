@@ -1,0 +1,59 @@
+"""upwash profile, with a service in a process of its own."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from upwash.cli import main
+
+pytestmark = pytest.mark.system
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> Path:
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    (folder / "one.jpg").write_bytes(b"\xff\xd8" + bytes(50_000))
+    return folder
+
+
+def test_a_service_is_measured_here_and_the_result_is_a_configuration(
+    services: Path, photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "service.toml"
+    arguments = [
+        "profile",
+        f"{services}:Workbench",
+        "--photos",
+        str(photos),
+        "--calls",
+        "3",
+        "--out",
+        str(out),
+    ]
+    assert main(arguments) == 0
+    (table,) = tomllib.loads(out.read_text())["service"]
+    assert table["name"] == "workbench"
+    assert table["program"] == f"{services}:Workbench"
+    assert table["request_bytes"] == pytest.approx(50_000, rel=0.01)
+    assert 0 < table["local_call_s"]["echo"] < 5
+    memory_mb = int(out.read_text().partition(" MB of memory")[0].rpartition(" ")[2])
+    assert 10 < memory_mb < 2000
+    assert f"written: {out}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--server", "s1"], "--server needs --config"),
+        (["--photos", "/nowhere"], "there is no folder /nowhere"),
+    ],
+)
+def test_what_is_missing_is_said(
+    arguments: list[str], said: str, services: Path, photos: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["profile", f"{services}:Workbench", "--photos", str(photos), *arguments]) == 2
+    assert said in capsys.readouterr().err
