@@ -33,6 +33,7 @@ format: $(READY)
 bench: $(READY)
 	$(BIN)/python bench/call.py
 	$(BIN)/python bench/simulate.py
+	$(BIN)/python -m bench.detector
 
 # Pins every dependency for Linux and macOS, x86-64 and aarch64, and every supported Python.
 lock: $(READY)

@@ -1,8 +1,7 @@
 """The mission of two-services.toml, with its second service."""
 
 from upwash import Drone, service
-from upwash.services import Detector
-from upwash.services.hotspots import Mode
+from upwash.services import Detector, Mode
 
 
 @service(name="dirt")

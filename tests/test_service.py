@@ -301,7 +301,7 @@ def test_a_class_that_was_not_declared_itself_is_no_service() -> None:
 
 
 def test_only_a_class_can_be_loaded_as_a_service() -> None:
-    assert load_service("upwash.services.hotspots:HotSpotDetector")
+    assert load_service("upwash.services:Detector")
     with pytest.raises(UsageError, match="not a class"):
         load_service("upwash.service:service")
     with pytest.raises(UsageError, match="put @service above"):

@@ -17,7 +17,7 @@ from upwash.service import load_service, spec_of
 from upwash.settings import construct, plain, required_settings
 
 _MISSIONS = {"survey": "upwash.missions.survey:survey"}
-_SERVICES = {"detector": "upwash.services.hotspots:HotSpotDetector"}
+_SERVICES = {"detector": "upwash.services:Detector"}
 
 
 def load_mission(program: str, *, mode: str) -> Mission:

@@ -4,7 +4,8 @@ UpwashError
 ├── UsageError                what the user typed, configured or declared cannot work
 │   ├── ConfigError             a configuration file: names the file, the key and the remedy
 │   ├── CredentialsError        certificates or keys: missing, unreadable, of another authority
-│   └── DeclarationError        a service class that cannot be offered
+│   ├── DeclarationError        a service class that cannot be offered
+│   └── ModelError              a detector's network: names the file and the place in it
 ├── AutopilotError            the vehicle: names the step and what the vehicle last said
 │   ├── AutopilotRefused        it answered no
 │   │   └── AutopilotOverruled      the pilot or a fail-safe has taken the vehicle over
@@ -26,6 +27,8 @@ UpwashError
 
 from __future__ import annotations
 
+from pathlib import Path
+
 __all__ = [
     "AutopilotError",
     "AutopilotLost",
@@ -42,6 +45,7 @@ __all__ = [
     "InstanceError",
     "LinkError",
     "MissionStopped",
+    "ModelError",
     "NetworkError",
     "Refused",
     "ServiceError",
@@ -76,6 +80,16 @@ class CredentialsError(UsageError):
 
 class DeclarationError(UsageError):
     """A class that cannot be offered as a service."""
+
+
+class ModelError(UsageError):
+    """A file of a detector's network that cannot be used; `where` says in which line or layer or at which offset."""
+
+    def __init__(self, file: Path, where: str, problem: str) -> None:
+        self.file = file
+        self.where = where
+        self.problem = problem
+        super().__init__(": ".join(filter(None, (str(file), where, problem))))
 
 
 class AutopilotError(UpwashError):

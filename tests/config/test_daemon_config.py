@@ -25,7 +25,7 @@ def read(tmp_path: Path, text: str) -> DaemonConfig:
 def test_every_printed_value_is_read(tmp_path: Path) -> None:
     config = read(tmp_path, FULL)
     assert config.images == (
-        ImageConfig(name="detector", program="upwash.services.hotspots:HotSpotDetector"),
+        ImageConfig(name="detector", program="upwash.services:Detector"),
         ImageConfig(name="counter"),
     )
     assert [identity.images for identity in config.identities] == [("detector",), ("detector", "counter")]
@@ -104,7 +104,7 @@ def test_reading_configuration_imports_no_heavy_parts() -> None:
 
 def test_a_service_may_stand_in_for_that_of_a_slower_computer(tmp_path: Path) -> None:
     paced = FULL.replace('name = "counter"\n', 'name = "counter"\npace_s = 2\nstart_pace_s = 8\n', 1).replace(
-        'HotSpotDetector"\n', 'HotSpotDetector"\npace_s = { light = 0.2, heavy = 0.6 }\n'
+        'services:Detector"\n', 'services:Detector"\npace_s = { light = 0.2, heavy = 0.6 }\n'
     )
     detector, counter = read(tmp_path, paced).images
     assert (detector.pace_s, detector.start_pace_s) == ({"light": 0.2, "heavy": 0.6}, 0.0)

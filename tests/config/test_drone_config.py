@@ -251,7 +251,7 @@ REFUSED = [
     ("gain_wait = 0.25", "gain_wait = -0.1", "policy.gain_wait", "from 0 to 1"),
     ("period_s = 1.0", "period_s = 0", "policy.period_s", "above 0"),
     ("blacklist_s = 60.0", "blacklist_s = -60", "policy.blacklist_s", "at least 1"),
-    ("HotSpotDetector", "", "service[0].program", "package.module:Class"),
+    ("services:Detector", "services:", "service[0].program", "package.module:Class"),
     ("request_bytes = 425_000", "request_bytes = -1", "service[0].request_bytes", "at least 0"),
     ("local_call_s = { light = 3.0, heavy = 10.0 }", "", "service[0].local_call_s", "missing: add seconds"),
     ("{ light = 3.0, heavy = 10.0 }", "{}", "service[0].local_call_s", "one for each profile key"),

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from upwash.drone import Drone
-from upwash.services import Detector
-from upwash.services.hotspots import Mode
+from upwash.services import Detector, Mode
 
 
 def survey(drone: Drone, mode: Mode = "heavy") -> None:

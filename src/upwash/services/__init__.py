@@ -1,7 +1,8 @@
 """Services that come with upwash: what a drone can have computed on itself or on an edge server."""
 
-from upwash.services.hotspots import Box, Detection, HotSpotDetector, Mode, NotAPhoto
+from upwash.services.detection import Box, Detection, Mode
+from upwash.services.detector import Detector
+from upwash.services.inference import ModelFiles
+from upwash.services.photo import NotAPhoto
 
-Detector = HotSpotDetector  # the one that the bundled missions use
-
-__all__ = ["Box", "Detection", "Detector", "HotSpotDetector", "Mode", "NotAPhoto"]
+__all__ = ["Box", "Detection", "Detector", "Mode", "ModelFiles", "NotAPhoto"]

@@ -6,11 +6,11 @@ import asyncio
 
 from upwash import Drone
 from upwash.core.geo import Position
-from upwash.services.hotspots import HotSpotDetector
+from upwash.services import Detector
 
 
 def leave_during_a_call(drone: Drone) -> None:
-    detector = drone.service(HotSpotDetector)
+    detector = drone.service(Detector)
     pilot = drone.autopilot
     pilot.arm()
     pilot.takeoff(drone.altitude_m)

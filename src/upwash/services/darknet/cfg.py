@@ -1,0 +1,131 @@
+"""A Darknet cfg as text: sections in the order of the file, each with its options."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TypeVar
+
+from upwash.errors import ModelError
+
+T = TypeVar("T")
+
+_MOST_BYTES = 1_000_000  # YOLOv3's has 8,300
+_MOST_SECTIONS = 2000
+
+
+class Section:
+    """One `[section]` and its options: read by name, and refused by `finish` where nobody asked for them."""
+
+    def __init__(self, file: Path, name: str, line: int) -> None:
+        self.name = name
+        self.where = f"line {line} [{name}]"  # until it is known which layer it is
+        self._file = file
+        self._options: dict[str, str] = {}
+        self._read: set[str] = set()
+
+    def add(self, name: str, value: str, line: int) -> None:
+        """Takes one `name=value`; raises ModelError where the section has it already."""
+        if name in self._options:
+            raise self.error(f"line {line}: a second {name}: remove one of the two")
+        self._options[name] = value
+
+    def error(self, problem: str) -> ModelError:
+        """An error that says where it is."""
+        return ModelError(self._file, self.where, problem)
+
+    def integer(self, name: str, default: int | None = None, *, least: int, most: int = 100_000) -> int:
+        """A whole number; without a default it must be there."""
+
+        def read(text: str) -> int:
+            number = _integer(text)
+            if not least <= number <= most:
+                raise ValueError
+            return number
+
+        return self._value(name, read, default, f"a whole number from {least} to {most}")
+
+    def integers(self, name: str) -> tuple[int, ...]:
+        """Whole numbers with commas between them."""
+        return self._value(name, lambda text: tuple(map(_integer, text.split(","))), None, "whole numbers")
+
+    def sizes(self, name: str) -> tuple[tuple[float, float], ...]:
+        """Pairs of width and height, all above 0."""
+
+        def read(text: str) -> tuple[tuple[float, float], ...]:
+            numbers = [float(number) for number in text.rstrip(",").split(",")]
+            if not all(0 < number < 1e6 for number in numbers):
+                raise ValueError
+            return tuple(zip(numbers[::2], numbers[1::2], strict=True))
+
+        return self._value(name, read, None, "pairs of width and height, all above 0")
+
+    def choice(self, name: str, default: str | None, allowed: tuple[str, ...]) -> str:
+        """One of the words that are allowed; without a default it must be there."""
+
+        def read(text: str) -> str:
+            if text not in allowed:
+                raise ValueError
+            return text
+
+        return self._value(name, read, default, f"one of {', '.join(allowed)}")
+
+    def has(self, name: str) -> bool:
+        """Whether the file gives the option."""
+        return name in self._options
+
+    def finish(self, *, ignored: frozenset[str]) -> None:
+        """Raises ModelError for an option that was not read: it might change what the network computes."""
+        for name in self._options:
+            if name not in self._read and name not in ignored:
+                raise self.error(f"unsupported option {name}={self._options[name]}")
+
+    def _value(self, name: str, read: Callable[[str], T], default: T | None, expected: str) -> T:
+        self._read.add(name)
+        if name not in self._options:
+            if default is None:
+                raise self.error(f"{name} is missing: expected {expected}")
+            return default
+        try:
+            return read(self._options[name])
+        except ValueError:
+            raise self.error(f"{name}={self._options[name][:60]}: expected {expected}") from None
+
+
+def read_sections(file: Path, content: bytes) -> list[Section]:
+    """The sections of a cfg; raises ModelError, with the line, for what is none."""
+    if len(content) > _MOST_BYTES:
+        raise ModelError(
+            file, "", f"{len(content)} bytes are too many for a cfg: name the text file of layers"
+        )
+    try:
+        text = content.decode()
+    except UnicodeDecodeError as error:
+        raise ModelError(file, f"byte {error.start}", "not text: name the .cfg, not the weights") from None
+    sections: list[Section] = []
+    for number, line in _lines(text):
+        if line.startswith("["):
+            if not line.endswith("]") or len(sections) == _MOST_SECTIONS:
+                raise ModelError(file, f"line {number}", f"not a section: {line[:60]}")
+            sections.append(Section(file, line[1:-1], number))
+            continue
+        name, equals, value = line.partition("=")
+        if not equals or not name or not value or not sections:
+            raise ModelError(file, f"line {number}", f"expected [section] or option=value, found {line[:60]}")
+        sections[-1].add(name, value, number)
+    return sections
+
+
+def _lines(text: str) -> Iterator[tuple[int, str]]:
+    """The lines that say something, with their numbers; blanks mean nothing anywhere in them, as in Darknet."""
+    for number, line in enumerate(text.splitlines(), start=1):
+        said = "".join(line.partition("#")[0].split())
+        if said and not said.startswith(";"):
+            yield number, said
+
+
+def _integer(text: str) -> int:
+    if not re.fullmatch(r"-?[0-9]{1,9}", text):
+        raise ValueError
+    return int(text)

@@ -1,0 +1,153 @@
+"""A Darknet network as an ONNX model with raw heads: what the decoder gets is what the last convolutions say.
+
+The model refers to its numbers in a file of their own, where they stand in the order of the layers, for each
+convolution its weights and then its biases: onnxruntime maps that file instead of reading it into memory twice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from upwash.services.darknet.layers import (
+    Activation,
+    Convolutional,
+    Layer,
+    MaxPool,
+    Network,
+    Route,
+    Shortcut,
+    Upsample,
+    Yolo,
+)
+from upwash.services.heads import HEADS_METADATA, Head, encode_heads
+
+if TYPE_CHECKING:
+    import onnx
+
+_OPSET = 13
+_IR_VERSION = 8
+_FLOAT_BYTES = 4
+_LEAKY_SLOPE = 0.1
+_INPUT = "picture"  # 1, 3, height, width: red, green, blue from 0 to 1
+
+
+def build_model(network: Network, numbers: str) -> onnx.ModelProto:
+    """The model, for any input size that its largest stride divides; `numbers` names the file beside it."""
+    import onnx
+    from onnx import TensorProto, helper
+
+    graph = onnx.GraphProto(name="darknet")
+    graph.input.append(helper.make_tensor_value_info(_INPUT, TensorProto.FLOAT, [1, 3, "height", "width"]))
+    for layer in network.layers:
+        graph.node.extend(_nodes(layer, network))
+        if isinstance(layer.operator, Upsample):
+            factor = float(layer.operator.factor)
+            scales = helper.make_tensor(
+                f"scales{layer.index}", TensorProto.FLOAT, [4], [1.0, 1.0, factor, factor]
+            )
+            graph.initializer.append(scales)
+    graph.initializer.extend(_parameters(network, numbers))
+    for layer in network.heads:
+        shape = [1, layer.output.channels, None, None]
+        graph.output.append(helper.make_tensor_value_info(_output(layer), TensorProto.FLOAT, shape))
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR_VERSION)
+    helper.set_model_props(model, {HEADS_METADATA: encode_heads(_heads(network))})
+    return model
+
+
+def _parameters(network: Network, numbers: str) -> Iterator[onnx.TensorProto]:
+    """A tensor for each convolution's weights and biases, which stand one after the other in the file."""
+    from onnx import StringStringEntryProto, TensorProto
+
+    offset = 0
+    for layer in network.layers:
+        if not isinstance(layer.operator, Convolutional):
+            continue
+        convolution = layer.operator
+        shape = (convolution.filters, layer.input.channels // convolution.groups, *[convolution.size] * 2)
+        for name, dimensions in (("weights", shape), ("biases", shape[:1])):
+            length = _FLOAT_BYTES * math.prod(dimensions)
+            place = {"location": numbers, "offset": str(offset), "length": str(length)}
+            yield TensorProto(
+                name=f"{name}{layer.index}",
+                data_type=TensorProto.FLOAT,
+                dims=dimensions,
+                data_location=TensorProto.EXTERNAL,
+                external_data=[StringStringEntryProto(key=key, value=value) for key, value in place.items()],
+            )
+            offset += length
+
+
+def _heads(network: Network) -> Iterator[Head]:
+    for layer in network.heads:
+        assert isinstance(layer.operator, Yolo)  # noqa: S101 - that is what heads are
+        yield Head(output=_output(layer), stride=layer.output.stride, anchors=layer.operator.anchors)
+
+
+def _nodes(layer: Layer, network: Network) -> Iterator[onnx.NodeProto]:
+    from onnx import helper
+
+    before = _output(network.layers[layer.index - 1]) if layer.index else _INPUT
+    output = _output(layer)
+    match layer.operator:
+        case Convolutional() as convolution:
+            yield from _activated(
+                "Conv",
+                [before, f"weights{layer.index}", f"biases{layer.index}"],
+                output,
+                convolution.activation,
+                kernel_shape=[convolution.size] * 2,
+                strides=[convolution.stride] * 2,
+                pads=[convolution.padding] * 4,
+                group=convolution.groups,
+            )
+        case MaxPool(size, stride, padding):
+            yield helper.make_node(
+                "MaxPool",
+                [before],
+                [output],
+                kernel_shape=[size] * 2,
+                strides=[stride] * 2,
+                pads=[padding // 2] * 2 + [padding - padding // 2] * 2,
+            )
+        case Upsample():
+            yield helper.make_node(
+                "Resize",
+                [before, "", f"scales{layer.index}"],
+                [output],
+                mode="nearest",
+                coordinate_transformation_mode="asymmetric",
+                nearest_mode="floor",
+            )
+        case Route(sources):
+            yield helper.make_node(
+                "Concat", [_output(network.layers[each]) for each in sources], [output], axis=1
+            )
+        case Shortcut(source, activation):
+            yield from _activated("Add", [before, _output(network.layers[source])], output, activation)
+        case Yolo():
+            yield helper.make_node("Identity", [before], [output])
+
+
+def _activated(
+    kind: str, inputs: list[str], output: str, activation: Activation, **attributes: Any
+) -> Iterator[onnx.NodeProto]:
+    from onnx import helper
+
+    if activation == "linear":
+        yield helper.make_node(kind, inputs, [output], **attributes)
+        return
+    yield helper.make_node(kind, inputs, [f"{output}-linear"], **attributes)
+    match activation:
+        case "leaky":
+            yield helper.make_node("LeakyRelu", [f"{output}-linear"], [output], alpha=_LEAKY_SLOPE)
+        case "relu":
+            yield helper.make_node("Relu", [f"{output}-linear"], [output])
+        case "logistic":
+            yield helper.make_node("Sigmoid", [f"{output}-linear"], [output])
+
+
+def _output(layer: Layer) -> str:
+    return f"head{layer.index}" if isinstance(layer.operator, Yolo) else f"layer{layer.index}"

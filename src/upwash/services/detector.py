@@ -1,0 +1,85 @@
+"""The detector: a YOLOv3 network, its own or the user's, on photos of any size."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta
+
+from upwash.errors import UsageError
+from upwash.service import service
+from upwash.services.detection import Detection, Mode
+from upwash.services.heads import best_of_each, read_heads
+from upwash.services.inference import Inference, ModelFiles, Provider
+from upwash.services.photo import read_photo
+
+Threads = Annotated[int, Meta(ge=1, le=1024, description="an integer from 1 to 1024")]
+Side = Annotated[int, Meta(ge=32, le=4096, description="an integer from 32 to 4096, in pixels")]
+
+_MODELS = Path(__file__).with_name("models")
+SOLAR_PARK = ModelFiles(
+    names=_MODELS / "solar_park.names",
+    cfg=_MODELS / "solar_park.cfg",
+    weights=_MODELS / "solar_park.weights",
+)
+
+
+@service(profile_by="mode")
+class Detector:
+    """Finds what its network knows: `light` on pictures of 320 pixels, `heavy` of 608, where smaller things show.
+
+    `threads` are all cores that it may use, unless given. Raises ModelError for model files that cannot be used, and
+    UsageError for what is not installed.
+    """
+
+    def __init__(
+        self,
+        *,
+        model: ModelFiles = SOLAR_PARK,
+        threads: Threads | None = None,
+        provider: Provider = "cpu",
+        light_px: Side = 320,
+        heavy_px: Side = 608,
+    ) -> None:
+        _require_packages()
+        self._inference = Inference(model, threads=threads or len(os.sched_getaffinity(0)), provider=provider)
+        self._sides_px: dict[Mode, int] = {"light": light_px, "heavy": heavy_px}
+        for side_px in self._sides_px.values():
+            self._inference.require_side(side_px)
+
+    def process_photo(self, photo: bytes, mode: Mode = "heavy", confidence: float = 0.25) -> list[Detection]:
+        """What scores above `confidence` on a JPEG of at most 40 megapixels, surest first; raises NotAPhoto."""
+        if not 0 <= confidence <= 1:
+            raise ValueError(f"confidence = {confidence}: give a number from 0 to 1")
+        picture, letterbox = read_photo(photo, self._sides_px[mode])
+        outputs = self._inference.run(picture)
+        found = best_of_each(read_heads(outputs, self._inference.heads, confidence=confidence))
+        detections = []
+        for corners, score, label in zip(found.boxes, found.scores, found.classes, strict=True):
+            box = letterbox.on_photo(corners)
+            if box is not None:
+                detections.append(
+                    Detection(
+                        box.left_px,
+                        box.top_px,
+                        box.width_px,
+                        box.height_px,
+                        label=self._inference.labels[label],
+                        score=float(score),
+                    )
+                )
+        return detections
+
+
+def _require_packages() -> None:
+    try:
+        import cv2  # noqa: F401
+        import numpy as np  # noqa: F401
+        import onnx  # noqa: F401
+        import onnxruntime  # noqa: F401
+    except ImportError as missing:
+        raise UsageError(
+            f"the detector needs OpenCV, numpy, onnx and onnxruntime ({missing}); pip install 'upwash[detector]'"
+        ) from missing

@@ -1,0 +1,166 @@
+"""A detection network that runs: its model's files, and onnxruntime's session of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import msgspec
+
+from upwash.errors import ModelError, UsageError
+from upwash.services.darknet.conversion import converted
+from upwash.services.heads import HEADS_METADATA, Head, decode_heads
+
+if TYPE_CHECKING:
+    import numpy as np
+    import onnxruntime
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float32]
+
+Provider = Literal["cpu", "cuda"]
+
+_PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
+_MOST_LABELS = 100_000
+
+
+class ModelFiles(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A network and the names of its classes: Darknet's cfg and weights, or ONNX with raw heads.
+
+    `heads` says what an ONNX model's outputs mean, where its metadata does not.
+    """
+
+    names: Path
+    cfg: Path | None = None
+    weights: Path | None = None
+    onnx: Path | None = None
+    heads: tuple[Head, ...] = ()
+
+    def __post_init__(self) -> None:
+        given = (self.cfg is not None, self.weights is not None, self.onnx is not None)
+        if given not in ((True, True, False), (False, False, True)):
+            raise ValueError("no single network: give either cfg and weights, or onnx")
+        if self.heads and self.onnx is None:
+            raise ValueError("heads are for onnx: a cfg has its own")
+
+
+class Inference:
+    """One network, ready to be run on square pictures."""
+
+    def __init__(self, files: ModelFiles, *, threads: int, provider: Provider) -> None:
+        """Loads the model; raises ModelError for its files and UsageError for what is not installed."""
+        self._file = files.onnx or files.weights or files.names
+        self._session = self._open(files, threads, provider)
+        self.labels = _read_labels(files.names)
+        self.heads = files.heads or self._heads_in_metadata()
+        self._input = self._checked_input()
+        outputs = [output.name for output in self._session.get_outputs()]
+        for head in self.heads:
+            if head.output not in outputs:
+                raise self._error(f"it has no output {head.output}; its outputs are {', '.join(outputs)}")
+
+    def require_side(self, side_px: int) -> None:
+        """Raises ModelError where pictures of that size do not give what the heads say; the first run is slow."""
+        import numpy as np
+
+        fixed = {side for side in self._input.shape[2:] if isinstance(side, int)} - {side_px}
+        if fixed:
+            raise self._error(
+                f"it takes only pictures of {_by(self._input.shape[2:])}, not {side_px}: export it "
+                "with variable height and width, or set light_px and heavy_px"
+            )
+        if coarse := [head.stride for head in self.heads if side_px % head.stride]:
+            raise UsageError(
+                f"a picture of {side_px} pixels is not whole cells of {max(coarse)}: give a multiple of it"
+            )
+        outputs = self.run(np.full((1, 3, side_px, side_px), 0.5, np.float32))
+        for head, output in zip(self.heads, outputs, strict=True):
+            cells = side_px // head.stride
+            expected = (1, len(head.anchors) * (5 + len(self.labels)), cells, cells)
+            if output.shape != expected:
+                raise self._error(
+                    f"output {head.output} is {_by(output.shape)} for a picture of {side_px}, not {_by(expected)}, "
+                    f"as {len(head.anchors)} anchors, {len(self.labels)} names and stride {head.stride} say"
+                )
+
+    def run(self, picture: Floats) -> list[Floats]:
+        """The heads' outputs for a picture of 1, 3, side, side: red, green, blue from 0 to 1."""
+        names = [head.output for head in self.heads]
+        outputs: list[Floats] = self._session.run(names, {self._input.name: picture})
+        return outputs
+
+    def _open(self, files: ModelFiles, threads: int, provider: Provider) -> onnxruntime.InferenceSession:
+        import onnxruntime
+
+        if _PROVIDERS[provider] not in onnxruntime.get_available_providers():
+            raise UsageError(
+                f'provider = "{provider}" is not in the onnxruntime that is installed; for cuda install '
+                "onnxruntime-gpu in its place"
+            )
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
+        options.log_severity_level = 3  # errors only: they are raised too
+        with _onnx(files) as model:
+            try:
+                session = onnxruntime.InferenceSession(str(model), options, providers=[_PROVIDERS[provider]])
+            except Exception as error:  # its errors have no base of their own
+                raise ModelError(model, "", f"onnxruntime cannot load it ({error})") from error
+        if _PROVIDERS[provider] not in session.get_providers():
+            raise UsageError(f'provider = "{provider}" cannot run here; onnxruntime says why above')
+        return session
+
+    def _heads_in_metadata(self) -> tuple[Head, ...]:
+        metadata = self._session.get_modelmeta().custom_metadata_map.get(HEADS_METADATA, "[]")
+        try:
+            heads = decode_heads(metadata)
+        except msgspec.MsgspecError as error:
+            raise self._error(f"its metadata {HEADS_METADATA} cannot be read ({error})") from error
+        if not heads:
+            raise self._error(f"nothing says what its outputs mean: give heads, or metadata {HEADS_METADATA}")
+        return heads
+
+    def _checked_input(self) -> onnxruntime.NodeArg:
+        inputs = self._session.get_inputs()
+        (first, *more) = inputs
+        shape = first.shape
+        if (
+            more
+            or first.type != "tensor(float)"
+            or len(shape) != 4
+            or shape[1] != 3
+            or (shape[0] != 1 and isinstance(shape[0], int))
+        ):
+            raise self._error(
+                f"its inputs are {', '.join(f'{each.type} {each.shape}' for each in inputs)}: one of float 1 x 3 x "
+                "height x width is needed"
+            )
+        return first
+
+    def _error(self, problem: str) -> ModelError:
+        return ModelError(self._file, "", problem)
+
+
+def _onnx(files: ModelFiles) -> AbstractContextManager[Path]:
+    """The ONNX model's file, which the session no longer needs once it is made."""
+    if files.cfg is not None and files.weights is not None:
+        return converted(files.cfg, files.weights)
+    assert files.onnx is not None  # noqa: S101 - it has the one or the other
+    return nullcontext(files.onnx)
+
+
+def _read_labels(file: Path) -> list[str]:
+    try:
+        labels = [line.strip() for line in file.read_bytes().decode().rstrip().splitlines()]
+    except OSError as error:
+        raise ModelError(file, "", f"cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError as error:
+        raise ModelError(file, f"byte {error.start}", "not text: give a file with one name a line") from None
+    if not 0 < len(labels) <= _MOST_LABELS or not all(labels):
+        raise ModelError(file, "", "expected the name of a class in every line")
+    return labels
+
+
+def _by(shape: Iterable[object]) -> str:
+    return " x ".join(map(str, shape))

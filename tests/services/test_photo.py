@@ -1,0 +1,188 @@
+"""Photos on their way to the network and back, and bytes that are no photos."""
+
+from __future__ import annotations
+
+import random
+import resource
+
+import cv2
+import numpy as np
+import pytest
+from cv2.typing import MatLike
+from hypothesis import given
+from hypothesis import strategies as st
+
+from upwash.services.photo import Letterbox, NotAPhoto, read_photo
+
+sides = st.sampled_from([32, 320, 608, 1024])
+lengths = st.integers(1, 20_000)
+
+
+def jpeg_of(image: MatLike) -> bytes:
+    return cv2.imencode(".jpg", image)[1].tobytes()
+
+
+def gradient(width_px: int, height_px: int) -> MatLike:
+    """Blue grows to the right and green downwards, so that every place has a colour of its own."""
+    image = np.zeros((height_px, width_px, 3), np.uint8)
+    image[:, :, 0] = np.linspace(0, 255, width_px).astype(np.uint8)
+    image[:, :, 1] = np.linspace(0, 255, height_px).astype(np.uint8)[:, np.newaxis]
+    image[:, :, 2] = 200
+    return image
+
+
+PHOTO = jpeg_of(gradient(1000, 600))
+
+
+# --- to the network and back --------------------------------------------------------------------------------
+
+
+@given(lengths, lengths, sides)
+def test_a_photo_fits_its_picture_in_the_middle(width_px: int, height_px: int, side_px: int) -> None:
+    box = Letterbox(width_px, height_px, side_px)
+    assert max(box.width_px, box.height_px) == side_px
+    assert min(box.width_px, box.height_px) >= 1
+    whole = box.on_photo(np.array([0, 0, side_px, side_px], np.float32))
+    assert whole is not None
+    assert (whole.left_px, whole.top_px) == (0, 0)
+    assert (whole.width_px, whole.height_px) == pytest.approx((width_px, height_px))
+
+
+@given(lengths, lengths, sides, st.data())
+def test_a_box_on_the_picture_is_where_its_thing_is_on_the_photo(
+    width_px: int, height_px: int, side_px: int, data: st.DataObject
+) -> None:
+    box = Letterbox(width_px, height_px, side_px)
+    left, right = sorted(data.draw(st.tuples(*[st.floats(0, width_px)] * 2)))
+    top, bottom = sorted(data.draw(st.tuples(*[st.floats(0, height_px)] * 2)))
+    # As a picture shows it: scaled, and half of what is left over to each side, whole pixels.
+    x = [(side_px - box.width_px) // 2 + each * box.width_px / width_px for each in (left, right)]
+    y = [(side_px - box.height_px) // 2 + each * box.height_px / height_px for each in (top, bottom)]
+    back = box.on_photo(np.array([x[0], y[0], x[1], y[1]], np.float64))
+    near = max(width_px, height_px) / side_px * 1e-3
+    if back is None:
+        assert right - left <= near or bottom - top <= near
+        return
+    assert back.left_px == pytest.approx(left, abs=near)
+    assert back.top_px == pytest.approx(top, abs=near)
+    assert back.left_px + back.width_px == pytest.approx(right, abs=near)
+    assert back.top_px + back.height_px == pytest.approx(bottom, abs=near)
+
+
+@given(lengths, lengths, sides, st.lists(st.floats(-1e9, 1e9, width=32), min_size=4, max_size=4))
+def test_no_box_leaves_the_photo(width_px: int, height_px: int, side_px: int, corners: list[float]) -> None:
+    box = Letterbox(width_px, height_px, side_px).on_photo(np.array(corners, np.float32))
+    if box is not None:
+        assert 0 <= box.left_px < box.left_px + box.width_px <= width_px + 1e-6
+        assert 0 <= box.top_px < box.top_px + box.height_px <= height_px + 1e-6
+
+
+@pytest.mark.parametrize("side_px", [320, 608, 1024])
+@pytest.mark.parametrize(("width_px", "height_px"), [(1440, 1080), (1080, 1440), (5000, 700), (200, 150)])
+def test_a_picture_shows_the_photo_at_any_resolution(width_px: int, height_px: int, side_px: int) -> None:
+    photo = gradient(width_px, height_px)
+    picture, box = read_photo(jpeg_of(photo), side_px)
+    assert picture.shape == (1, 3, side_px, side_px)
+    assert picture.dtype == np.float32
+    left, top = (side_px - box.width_px) // 2, (side_px - box.height_px) // 2
+    shown = picture[0, :, top : top + box.height_px, left : left + box.width_px]
+    # Sampled by hand from the whole photo: the middle of what each pixel of the picture shows.
+    rows = ((np.arange(box.height_px) + 0.5) * height_px / box.height_px).astype(int)
+    columns = ((np.arange(box.width_px) + 0.5) * width_px / box.width_px).astype(int)
+    expected = photo[rows][:, columns, ::-1].transpose(2, 0, 1) / 255
+    assert np.abs(shown - expected).mean() < 0.01
+    assert np.abs(shown - expected).max() < 0.06
+    outside = picture.copy()
+    outside[0, :, top : top + box.height_px, left : left + box.width_px] = 0.5
+    assert (outside == 0.5).all()
+
+
+def test_gray_and_tiny_photos_are_photos() -> None:
+    assert read_photo(jpeg_of(np.full((300, 400), 90, np.uint8)), 320)[0].shape == (1, 3, 320, 320)
+    assert read_photo(jpeg_of(np.full((1, 1, 3), 200, np.uint8)), 320)[1] == Letterbox(1, 1, 320)
+
+
+def test_the_cameras_note_to_turn_the_photo_is_not_followed() -> None:
+    turn_right = bytes.fromhex("4d4d002a00000008 0001 0112 0003 00000001 00060000 00000000")
+    exif = b"Exif\0\0" + turn_right
+    turned = PHOTO[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2) + exif + PHOTO[2:]
+    followed = cv2.imdecode(np.frombuffer(turned, np.uint8), cv2.IMREAD_COLOR)
+    assert followed is not None
+    assert followed.shape[:2] == (1000, 600)
+    np.testing.assert_array_equal(read_photo(turned, 320)[0], read_photo(PHOTO, 320)[0])
+
+
+# --- bytes that are no photo --------------------------------------------------------------------------------
+
+
+def with_size(photo: bytes, *, width_px: int, height_px: int) -> bytes:
+    at = photo.index(b"\xff\xc0") + 5
+    return photo[:at] + height_px.to_bytes(2) + width_px.to_bytes(2) + photo[at + 4 :]
+
+
+def png() -> bytes:
+    return cv2.imencode(".png", np.zeros((8, 8, 3), np.uint8))[1].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("photo", "complaint"),
+    [
+        (b"", r"empty \(0 bytes\)"),
+        (b"\x00\x01\x02\x03\x04", r"5 bytes that start with 00 01 02 03, not a JPEG"),
+        (png(), r"is a PNG, not a JPEG"),
+        (b"\xff\xd8\xff", r"cut off after 3 bytes"),
+        (b"\xff\xd8\xff\xe0\x00\x04ab" + bytes(100), r"byte 8 starts no segment"),
+        (b"\xff\xd8\xff\x00\xff\xff" + bytes(100), r"byte 2 starts no segment"),
+        (b"\xff\xd8\xff\xda" + bytes(100) + b"\xff\xd9", r"never says its size"),
+        (PHOTO[:-2], r"cut off after [\d,]+ bytes"),
+        (PHOTO[: len(PHOTO) // 2], r"cut off after [\d,]+ bytes"),
+        (
+            with_size(PHOTO, width_px=10_000, height_px=10_000),
+            r"10000 x 10000 pixels; photos of 1 to 40,000,000",
+        ),
+        (with_size(PHOTO, width_px=1000, height_px=0), r"1000 x 0 pixels"),
+    ],
+    ids=[
+        "empty",
+        "noise",
+        "png",
+        "stub",
+        "zeros",
+        "no-marker",
+        "sizeless",
+        "no-end",
+        "half",
+        "giant",
+        "flat",
+    ],
+)
+def test_what_is_no_photo_is_refused_with_what_it_is(photo: bytes, complaint: str) -> None:
+    with pytest.raises(NotAPhoto, match=complaint):
+        read_photo(photo, 320)
+
+
+def test_a_true_photo_of_100_megapixels_is_refused_before_it_is_decoded() -> None:
+    giant = jpeg_of(np.zeros((10_000, 10_000), np.uint8))
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(NotAPhoto, match="10000 x 10000 pixels"):
+        read_photo(giant, 608)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 1000
+
+
+def test_every_cut_is_noticed() -> None:
+    for length in range(0, len(PHOTO), 61):
+        with pytest.raises(NotAPhoto):
+            read_photo(PHOTO[:length], 320)
+
+
+def test_damaged_headers_raise_nothing_but_not_a_photo() -> None:
+    chance, refused = random.Random(7), 0
+    for _ in range(300):
+        damaged = bytearray(PHOTO)
+        for _ in range(3):
+            damaged[chance.randrange(2, 640)] = chance.randrange(256)
+        try:
+            read_photo(bytes(damaged), 320)
+        except NotAPhoto:
+            refused += 1
+    assert 0 < refused < 300
