@@ -32,7 +32,7 @@ from upwash.services.solar_park import render_photo
 T = TypeVar("T")
 
 PHOTO_SEED = 1
-THREADS = len(os.sched_getaffinity(0))
+THREADS = os.cpu_count() or 1
 MOST_OVER_BARE = 1.15
 SIDES_PX: Mapping[Mode, int] = {"light": 320, "heavy": 608}
 DECODED_AT = {"light": cv2.IMREAD_REDUCED_COLOR_4, "heavy": cv2.IMREAD_REDUCED_COLOR_2}

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
 from msgspec import Meta
+from msgspec.structs import asdict
 
 from upwash.errors import UsageError
 from upwash.service import service
@@ -44,7 +47,7 @@ class Detector:
         heavy_px: Side = 608,
     ) -> None:
         _require_packages()
-        self._inference = Inference(model, threads=threads or len(os.sched_getaffinity(0)), provider=provider)
+        self._inference = Inference(model, threads=threads or _cores(), provider=provider)
         self._sides_px: dict[Mode, int] = {"light": light_px, "heavy": heavy_px}
         for side_px in self._sides_px.values():
             self._inference.require_side(side_px)
@@ -56,30 +59,21 @@ class Detector:
         picture, letterbox = read_photo(photo, self._sides_px[mode])
         outputs = self._inference.run(picture)
         found = best_of_each(read_heads(outputs, self._inference.heads, confidence=confidence))
-        detections = []
-        for corners, score, label in zip(found.boxes, found.scores, found.classes, strict=True):
-            box = letterbox.on_photo(corners)
-            if box is not None:
-                detections.append(
-                    Detection(
-                        box.left_px,
-                        box.top_px,
-                        box.width_px,
-                        box.height_px,
-                        label=self._inference.labels[label],
-                        score=float(score),
-                    )
-                )
-        return detections
+        return [
+            Detection(**asdict(box), label=self._inference.labels[index], score=float(score))
+            for corners, score, index in zip(found.boxes, found.scores, found.classes, strict=True)
+            if (box := letterbox.on_photo(corners)) is not None
+        ]
+
+
+def _cores() -> int:
+    """How many this process may use, where the system says; else how many there are."""
+    if sys.platform == "linux":
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _require_packages() -> None:
-    try:
-        import cv2  # noqa: F401
-        import numpy as np  # noqa: F401
-        import onnx  # noqa: F401
-        import onnxruntime  # noqa: F401
-    except ImportError as missing:
-        raise UsageError(
-            f"the detector needs OpenCV, numpy, onnx and onnxruntime ({missing}); pip install 'upwash[detector]'"
-        ) from missing
+    missing = [name for name in ("cv2", "numpy", "onnx", "onnxruntime") if find_spec(name) is None]
+    if missing:
+        raise UsageError(f"the detector needs {', '.join(missing)}: pip install 'upwash[detector]'")
