@@ -32,6 +32,7 @@ pytestmark = [
     pytest.mark.skipif(not shutil.which("ip"), reason="needs iproute2"),
 ]
 
+DIES_WITHIN_S = 10.0
 ROOT = Path(__file__).parents[2]
 EMULATED = Path(__file__).parent / "emulated"
 DEMONSTRATION = ROOT / "scenarios" / "demonstration.toml"
@@ -262,9 +263,28 @@ def kill(emulation: Emulation, victim: str) -> None:
 
 
 def expect_clean(emulation: Emulation) -> None:
+    """All of it dies with what was killed, so that nothing is left to clean."""
+    deadline_s = time.monotonic() + DIES_WITHIN_S
+    while emulation.processes() and time.monotonic() < deadline_s:
+        time.sleep(0.05)
     cleaned = subprocess.run(
         [sys.executable, "-m", "upwash", "emulate", "--clean"], capture_output=True, text=True, check=True
     )
-    assert "killed" not in cleaned.stdout, "all of it died with what was killed, before anybody cleaned"
     assert emulation.processes() == {}
+    assert "killed" not in cleaned.stdout
     assert seen_outside() == []
+
+
+def test_what_outlives_its_command_all_the_same_is_cleaned() -> None:
+    left = subprocess.Popen(["sleep", "600"], env=os.environ | {"UPWASH_EMULATION": "999999999:1"})
+    alive = subprocess.Popen(["sleep", "600"], env=os.environ | {"UPWASH_EMULATION": owner_mark()})
+    with left, alive:
+        assert clean() >= 1
+        assert left.wait(5.0) == -signal.SIGKILL
+        assert alive.poll() is None, "it has an owner"
+        alive.kill()
+
+
+def owner_mark() -> str:
+    started = Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19]
+    return f"{os.getpid()}:{started}"

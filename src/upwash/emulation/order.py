@@ -31,9 +31,7 @@ class Order(msgspec.Struct, frozen=True, kw_only=True):
     scenarios: tuple[Path, ...]
     drones: int = 1  # of each scenario
     radio: RadioKind = "table"
-    autopilots: tuple[
-        str, ...
-    ] = ()  # how each drone's vehicle is reached; stand-ins fly where there are none
+    autopilots: tuple[str, ...] = ()  # how each drone's vehicle is reached; without any, stand-ins fly
     outside: int = -1  # a handle of the network namespace in which they are reached
     folder: Path
 

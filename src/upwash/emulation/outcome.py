@@ -11,6 +11,7 @@ from upwash.emulation.order import RadioKind
 
 RADIO_LAG_LIMIT_S = 0.02  # more, and the radio's times mean nothing
 POSITION_LAG_LIMIT_S = 0.5  # more, and a drone is metres away from where its radio believes it to be
+INTERRUPTED = 130  # the exit code of a flight that a Ctrl-C has ended
 _FILE = "emulation.json"
 
 
@@ -31,6 +32,11 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     def completed(self) -> bool:
         """Whether every flight ended as it should."""
         return not any(self.exit_codes.values())
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether a flight was ended by a Ctrl-C."""
+        return INTERRUPTED in self.exit_codes.values()
 
     def write(self, folder: Path) -> None:
         """Leaves it in the folder."""

@@ -16,11 +16,11 @@ from upwash.config import CameraConfig, DroneConfig, ServerConfig
 from upwash.emulation.field import Field, drone_namespace, server_namespace
 from upwash.emulation.files import write_daemon_file, write_drone_file
 from upwash.emulation.namespaces import inside
+from upwash.emulation.outcome import INTERRUPTED
 from upwash.real.credentials import keys_in
 from upwash.running import ready_program
 
 _PARK_SEED = 1  # of the photos of a drone that has no camera
-_INTERRUPTED = 130  # the exit code of a program that a Ctrl-C has ended
 
 
 @contextlib.contextmanager
@@ -66,7 +66,7 @@ class Flight:
     async def fly(self) -> int:
         """Flies, passes on what the program prints, and returns its exit code."""
         if self._stopped:
-            return _INTERRUPTED
+            return INTERRUPTED
         self._process = process = await asyncio.create_subprocess_exec(
             *inside(drone_namespace(self.drone)),
             *(sys.executable, "-m", "upwash", "fly", "--config", str(self._file), "--log", str(self._log)),

@@ -12,14 +12,14 @@ from upwash.emulation.enclosure import run_enclosed
 from upwash.emulation.native import native_program, wifi_of
 from upwash.emulation.order import Order, left_out
 from upwash.emulation.outcome import POSITION_LAG_LIMIT_S, RADIO_LAG_LIMIT_S, Outcome, read_outcome
-from upwash.errors import MissionStopped, UpwashError
-
-_INTERRUPTED = 130  # the exit code of `upwash fly` after a Ctrl-C
+from upwash.errors import MissionStopped, UpwashError, UsageError
 
 
 def run_emulation(order: Order) -> bool:
     """Emulates and prints how it goes; returns whether every flight was completed and what was measured is valid."""
     console = Console(markup=False)
+    if read_outcome(order.folder) is not None:
+        raise UsageError(f"{order.folder} holds another run: name a new --folder")
     configs = order.read()  # so that what is wrong with it is said before anything is set up
     if order.radio == "ns3":
         native_program("ghosts")
@@ -35,7 +35,7 @@ def run_emulation(order: Order) -> bool:
         raise UpwashError(
             f"the emulation was not completed (exit code {code}); the logs in {order.folder} say why"
         )
-    if _INTERRUPTED in outcome.exit_codes.values():
+    if outcome.interrupted:
         raise MissionStopped("Ctrl-C")
     _print(outcome, console)
     console.print(f"everything of the run: {order.folder}", soft_wrap=True)
