@@ -15,10 +15,11 @@ from typing import Any
 
 import msgspec
 import pytest
+from tests.system.thresholds import waits_at_their_threshold
 
 from upwash.demo import read_demonstration, score_photos
 from upwash.flying import read_log
-from upwash.lab.run import Run, simulate
+from upwash.lab.run import simulate
 from upwash.results import RunResult
 
 pytestmark = [pytest.mark.system, pytest.mark.flight, pytest.mark.timeout(240)]
@@ -138,23 +139,9 @@ def check_against_simulation(flown: RunResult) -> None:
     simulated = {call.waypoint: call for call in run.result.calls}
     for call in flown.calls:
         waited_in_vain = call.waited_s > 0 and call.place == "local"
-        if not waited_in_vain and call.waypoint not in waits_at_their_threshold(run):
+        if not waited_in_vain and call.waypoint not in waits_at_their_threshold(run, within=0.1):
             assert call.place == simulated[call.waypoint].place, f"at waypoint {call.waypoint}"
     assert flown.mission_time_s == pytest.approx(run.result.mission_time_s, rel=0.1)
-
-
-def waits_at_their_threshold(run: Run) -> set[int]:
-    found, waypoint = set(), -1
-    for event in run.events:
-        match event:
-            case {"event": "arrived", "waypoint": waypoint}:
-                pass
-            case {"event": "decided", "state": "CHECK" | "CHECK-R"}:
-                wait_s = event["check_s"] - event["check_elapsed_s"]
-                longest_s = event["local_s"] * 0.75 - event["remote_s"]
-                if abs(wait_s - longest_s) < 0.1 * longest_s:
-                    found.add(waypoint)
-    return found
 
 
 def test_the_mission_survives_the_kill_of_both_daemons(demonstration: Demonstration) -> None:

@@ -16,12 +16,13 @@ from typing import Any
 import msgspec
 import pytest
 from tests.system.ns3 import require_ns3
+from tests.system.thresholds import waits_at_their_threshold
 
 from upwash.config import read_drone_config
 from upwash.emulation.enclosure import clean, run_enclosed
 from upwash.emulation.order import emulated
 from upwash.flying import read_log
-from upwash.lab.run import Run, simulate
+from upwash.lab.run import simulate
 from upwash.results import CallResult
 
 pytestmark = [
@@ -145,28 +146,13 @@ def test_the_demonstration_goes_as_it_is_simulated(radio: str, emulate: Callable
     assert flown.completed and len(flown.calls) == len(run.result.calls)
     assert {call.place for call in flown.calls} == {"local", "s1", "s2"}
     for ours, simulated in zip(flown.calls, run.result.calls, strict=True):
-        if ours.waypoint not in waits_at_their_threshold(run):
+        if ours.waypoint not in waits_at_their_threshold(run, within=0.2):
             assert ours.place == simulated.place, f"at waypoint {ours.waypoint}"
             assert computing_s(ours) == pytest.approx(computing_s(simulated), rel=0.1), ours
 
 
 def computing_s(call: CallResult) -> float:
     return call.delay_s - call.waited_s
-
-
-def waits_at_their_threshold(run: Run) -> set[int]:
-    """Where the wait that was expected is within 20 % of the longest one that is worth it."""
-    found, waypoint = set(), -1
-    for event in run.events:
-        match event:
-            case {"event": "arrived", "waypoint": waypoint}:
-                pass
-            case {"event": "decided", "state": "CHECK" | "CHECK-R"}:
-                wait_s = event["check_s"] - event["check_elapsed_s"]
-                longest_s = event["local_s"] * 0.75 - event["remote_s"]
-                if abs(wait_s - longest_s) < 0.2 * longest_s:
-                    found.add(waypoint)
-    return found
 
 
 @pytest.mark.flight
