@@ -315,7 +315,7 @@ DEFECTS = (
     Defect("one start makes two instances", 1, started_twice),
     Defect("calls on the drone take longer than the service", 1, local_call_dawdles),
     Defect("the mission's end waits for a server's goodbye", 4, long_farewell),
-    Defect("a silent vehicle ends the watch over ranges", 74, borders_not_watched),
+    Defect("a silent vehicle ends the watch over ranges", 94, borders_not_watched),
     Defect("a flight that fails ends without its safe action", 16, safe_end_forgotten),
     Defect("a decision depends on something besides the seed", 20, chance_from_outside),
 )

@@ -183,7 +183,7 @@ def test_a_silent_autopilot_ends_the_mission_and_cannot_be_landed() -> None:
 
 def test_an_autopilot_that_flaps_fails_the_verb_that_needs_it() -> None:
     assert fly(fault("autopilot", "flapping", from_s=1e5)).failure == ""
-    assert fly(fault("autopilot", "flapping")).failure == "arm: the vehicle's link is silent"
+    assert fly(fault("autopilot", "flapping")).failure == "start: the vehicle's link is silent"
 
 
 def test_slow_legs_take_so_much_more() -> None:
