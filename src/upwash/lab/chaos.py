@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,13 +34,14 @@ class Flown:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What one world came to; `closest` is the call that came nearest to its bound."""
+    """What one world came to: the longest call with its bound, and the least that a call left of its bound."""
 
     seed: int
     broken: list[Broken]
     drones: int
     calls: int
-    closest: float  # delay of that call, as a share of its bound
+    longest_s: tuple[float, float]
+    spare_s: float
 
 
 def judge(seed: int, *, replay: bool = False) -> Verdict:
@@ -49,10 +51,17 @@ def judge(seed: int, *, replay: bool = False) -> Verdict:
         broken = flown.broken or (_differences(seed, flown) if replay else [])
     except Exception as error:  # noqa: BLE001 - whatever breaks out of a simulation breaks the first promise
         why = "".join(traceback.format_exception(error))
-        return Verdict(seed, [Broken(Promise.AUTONOMY, seed, None, why)], 0, 0, 0.0)
+        return Verdict(seed, [Broken(Promise.AUTONOMY, seed, None, why)], 0, 0, (0.0, 0.0), math.inf)
     calls = [call for run in flown.runs for call in calls_of(run.events)]
-    closest = max((call.ended["delay_s"] / call.bound_s for call in calls), default=0.0)
-    return Verdict(seed, broken, len(flown.runs), len(calls), closest)
+    bounds_s = [(call.ended["delay_s"], call.bound_s) for call in calls]
+    return Verdict(
+        seed,
+        broken,
+        drones=len(flown.runs),
+        calls=len(calls),
+        longest_s=max(bounds_s, default=(0.0, 0.0)),
+        spare_s=min((bound_s - delay_s for delay_s, bound_s in bounds_s), default=math.inf),
+    )
 
 
 def fly_world(seed: int) -> Flown:

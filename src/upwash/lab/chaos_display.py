@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -30,7 +31,8 @@ class Summary(msgspec.Struct):
     flights: int = 0
     calls: int = 0
     replayed: int = 0
-    closest: float = 0.0  # the delay of the call that came nearest to its bound, as a share of it
+    longest_s: tuple[float, float] = (0.0, 0.0)  # the longest call, and its bound
+    spare_s: float = math.inf  # the least that a call left of its bound
     broken: list[Broken] = msgspec.field(default_factory=list)
 
     def add(self, verdict: Verdict) -> None:
@@ -39,7 +41,8 @@ class Summary(msgspec.Struct):
         self.flights += verdict.drones
         self.calls += verdict.calls
         self.replayed += is_replayed(verdict.seed)
-        self.closest = max(self.closest, verdict.closest)
+        self.longest_s = max(self.longest_s, verdict.longest_s)
+        self.spare_s = min(self.spare_s, verdict.spare_s)
         self.broken += verdict.broken
 
 
@@ -156,7 +159,12 @@ def _show_summary(summary: Summary, took_s: float, console: Console) -> None:
         f"in {took_s / 60:.1f} min; {summary.replayed:,} worlds flown again",
         highlight=False, soft_wrap=True,
     )  # fmt: skip
-    console.print(f"the call nearest to its bound took {100 * summary.closest:.1f} % of it", highlight=False)
+    delay_s, bound_s = summary.longest_s
+    console.print(
+        f"the longest call took {delay_s:.2f} s of at most {bound_s:.2f} s; none left less than "
+        f"{summary.spare_s:.3f} s of its bound",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
     said = f"promises broken in {len(worlds):,} worlds" if worlds else "no promise broken"
     console.print(said, style="red" if worlds else "green", highlight=False)
 
