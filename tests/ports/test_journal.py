@@ -145,6 +145,15 @@ def test_a_log_that_is_resumed_goes_on_in_time(tmp_path: Path) -> None:
     assert times_s == sorted(times_s)
 
 
+def test_a_log_of_several_flights_goes_on_in_the_time_of_the_last(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    yesterday = (datetime.now(UTC) - timedelta(days=1)).isoformat()
+    log.write_bytes(msgspec.json.encode({"t": 0.0, "event": "log_opened", "time": yesterday}) + b"\n")
+    journalled(log, lambda journal: journal.record("arrived"))
+    journalled(log, lambda journal: journal.record("landed"), resumes=True)
+    assert all(each["t"] < 60.0 for each in events(log))
+
+
 def test_a_clock_that_has_gone_back_does_not_take_the_log_back(tmp_path: Path) -> None:
     log = tmp_path / "log"
     tomorrow = (datetime.now(UTC) + timedelta(days=1)).isoformat()

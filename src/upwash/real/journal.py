@@ -101,8 +101,10 @@ def read_events(path: Path) -> list[dict[str, Any]]:
 
 
 def _seconds_since(events: Sequence[Mapping[str, Any]], now: datetime) -> float:
-    """The log's time now: by the time of day, unless that has gone back since."""
-    opened = datetime.fromisoformat(events[0]["time"])
+    """The time now of the last run in the log: by the time of day, unless that has gone back since."""
+    opened = datetime.fromisoformat(
+        next(event["time"] for event in reversed(events) if event["event"] == "log_opened")
+    )
     last_s: float = events[-1]["t"]
     return max(last_s, (now - opened).total_seconds())
 
