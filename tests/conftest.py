@@ -7,9 +7,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 from tests.engines import OwnEngine, own_engine, why_not
 
 from upwash.real.credentials import Credentials, make_keys, read_credentials
+
+settings.register_profile("untimed", deadline=None)  # a busy machine breaks nothing
+settings.load_profile("untimed")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
