@@ -75,7 +75,10 @@ class Inference:
             raise UsageError(
                 f"a picture of {side_px} pixels is not whole cells of {max(coarse)}: give a multiple of it"
             )
-        outputs = self.run(np.full((1, 3, side_px, side_px), 0.5, np.float32))
+        try:
+            outputs = self.run(np.full((1, 3, side_px, side_px), 0.5, np.float32))
+        except Exception as error:  # onnxruntime's have no base of their own
+            raise self._error(f"it cannot be run on a picture of {side_px} ({error})") from error
         for head, output in zip(self.heads, outputs, strict=True):
             cells = side_px // head.stride
             expected = (1, len(head.anchors) * (5 + len(self.labels)), cells, cells)
@@ -105,7 +108,7 @@ class Inference:
         with _onnx(files) as model:
             try:
                 session = onnxruntime.InferenceSession(str(model), options, providers=[_PROVIDERS[provider]])
-            except Exception as error:  # its errors have no base of their own
+            except Exception as error:  # onnxruntime's have no base of their own
                 raise ModelError(model, "", f"onnxruntime cannot load it ({error})") from error
         if _PROVIDERS[provider] not in session.get_providers():
             raise UsageError(f'provider = "{provider}" cannot run here; onnxruntime says why above')
@@ -123,20 +126,12 @@ class Inference:
 
     def _checked_input(self) -> onnxruntime.NodeArg:
         inputs = self._session.get_inputs()
-        (first, *more) = inputs
-        shape = first.shape
-        if (
-            more
-            or first.type != "tensor(float)"
-            or len(shape) != 4
-            or shape[1] != 3
-            or (shape[0] != 1 and isinstance(shape[0], int))
-        ):
+        if len(inputs) != 1 or not _takes_pictures(inputs[0]):
             raise self._error(
-                f"its inputs are {', '.join(f'{each.type} {each.shape}' for each in inputs)}: one of float 1 x 3 x "
-                "height x width is needed"
+                f"its inputs are {', '.join(f'{each.type} {each.shape}' for each in inputs) or 'none'}: one of float "
+                "1 x 3 x height x width is needed"
             )
-        return first
+        return inputs[0]
 
     def _error(self, problem: str) -> ModelError:
         return ModelError(self._file, "", problem)
@@ -148,6 +143,14 @@ def _onnx(files: ModelFiles) -> AbstractContextManager[Path]:
         return converted(files.cfg, files.weights)
     assert files.onnx is not None  # noqa: S101 - it has the one or the other
     return nullcontext(files.onnx)
+
+
+def _takes_pictures(node: onnxruntime.NodeArg) -> bool:
+    """Whether an input is 1 x 3 x height x width; what the model leaves open is a name or None."""
+    if node.type != "tensor(float)" or len(node.shape) != 4:
+        return False
+    pictures, channels = node.shape[:2]
+    return channels == 3 and (pictures == 1 or not isinstance(pictures, int))
 
 
 def _read_labels(file: Path) -> list[str]:
