@@ -22,6 +22,7 @@ from upwash.commands import (
     reproduce,
     serve,
     simulate,
+    status,
     vehicle,
 )
 from upwash.errors import MissionStopped, UpwashError, UsageError
@@ -30,6 +31,7 @@ _OK, _FAILURE, _USAGE, _INTERRUPTED = 0, 1, 2, 130
 _COMMANDS = (
     fly,
     serve,
+    status,
     keys,
     package,
     images,

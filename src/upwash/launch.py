@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
-import signal
 import tempfile
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -15,31 +13,29 @@ import msgspec
 from upwash.bundled import LoadedService, load_mission, load_services
 from upwash.config import (
     CameraConfig,
-    DaemonConfig,
     DroneConfig,
-    KeysConfig,
     ServerConfig,
+    is_address,
     is_on_this_machine,
     server_area,
     server_truth,
 )
 from upwash.core.geo import GeoPosition, LocalFrame
-from upwash.core.instances import Host, HostSettings, ServerOffer
 from upwash.drone import Flight, World
-from upwash.errors import CredentialsError, Refused, UsageError
-from upwash.ports import Autopilot, Camera, InstanceSpec, Journal, Network, Program, Runtime
+from upwash.errors import CredentialsError, UsageError
+from upwash.ports import Autopilot, Camera, InstanceSpec, Journal, Network
 from upwash.profiling import OnboardProfile, Sample, ServerProfile, Watch, profile_onboard, profile_server
+from upwash.protocol import STATUS, StatusReply, StatusRequest, decode_reply
 from upwash.real.autopilot import FlightSettings, connect_autopilot
 from upwash.real.camera import FolderCamera
-from upwash.real.credentials import Credentials, read_credentials
+from upwash.real.credentials import read_credentials
 from upwash.real.journal import FileJournal, JournalNotifier, Watcher, read_events
 from upwash.real.link import GrpcDialer
-from upwash.real.listener import Caller, Listener
 from upwash.real.memory import peak_memory_bytes
-from upwash.real.runtime import ProcessRuntime
+from upwash.real.runtime import ProcessRuntime, sockets_in
+from upwash.real.signals import stopping_politely
 from upwash.real.video import VideoCamera
 from upwash.resumption import waypoints_done
-from upwash.server import EdgeServer, Image
 from upwash.service import spec_of
 from upwash.sim.camera import RenderedCamera
 from upwash.sim.network import Cell, ModelNetwork, NoNetwork
@@ -48,8 +44,7 @@ from upwash.visit import Contact
 
 _MAX_MESSAGE_BYTES = 16 * 2**20
 _TRACK_PERIOD_S = 1.0
-_SECOND_SIGNAL_S = 0.5  # a terminal and a parent may both pass on one Ctrl-C
-_DAEMON_THREADS = 16
+_STATUS_S = 10.0
 _PROFILER = "profiler"
 
 
@@ -118,7 +113,7 @@ async def fly(
             done=done,
         )
         await stack.enter_async_context(_tracking(autopilot, journal))
-        stack.enter_context(_stopping_politely(flight.stop))
+        stack.enter_context(stopping_politely(flight.stop))
         await flight.run()
 
 
@@ -135,7 +130,7 @@ async def _camera(config: CameraConfig, stack: contextlib.AsyncExitStack) -> Cam
 
 
 def _onboard_runtime(sockets: Path) -> ProcessRuntime:
-    return ProcessRuntime(_sockets_in(sockets), credentials=None, max_message_bytes=_MAX_MESSAGE_BYTES)
+    return ProcessRuntime(sockets_in(sockets), credentials=None, max_message_bytes=_MAX_MESSAGE_BYTES)
 
 
 def _onboard_dialer(drone: str) -> GrpcDialer:
@@ -153,17 +148,14 @@ def _dialer(config: DroneConfig) -> GrpcDialer:
                 f"server {server.name} at {server.address} needs certificates: make them with `upwash keys` "
                 "and name them in [keys]; only servers on this machine are called without"
             )
-    credentials = _credentials(config.keys)
+    keys = config.keys
+    credentials = read_credentials(keys.authority, keys.certificate, keys.key) if keys else None
     if credentials is not None and config.name not in credentials.names:
         raise CredentialsError(
             f"the certificate is for {', '.join(credentials.names)}, but this drone is called {config.name}: "
             f'write name = "{credentials.names[0]}" at the top of its configuration, or make another certificate'
         )
     return GrpcDialer(config.name, credentials, max_message_bytes=_MAX_MESSAGE_BYTES)
-
-
-def _credentials(keys: KeysConfig | None) -> Credentials | None:
-    return read_credentials(keys.authority, keys.certificate, keys.key) if keys else None
 
 
 def _network(config: DroneConfig, autopilot: Autopilot) -> Network:
@@ -231,113 +223,27 @@ async def profile_at(
     return await profile_server(contact, found, calls=calls, network=NoNetwork(), dialer=dialer, watch=watch)
 
 
-# --- an edge server -----------------------------------------------------------------------------------------
+# --- an operator ---------------------------------------------------------------------------------------------
 
 
-async def serve(config: DaemonConfig, *, ready: Callable[[str], None]) -> None:
-    """Runs the daemon until SIGTERM or Ctrl-C; `ready` is told the address once it answers."""
-    from grpc_health.v1 import health, health_pb2, health_pb2_grpc
-
-    images = _images(config)
-    credentials = _server_credentials(config)
-    loop = asyncio.get_running_loop()
-    async with contextlib.AsyncExitStack() as stack:
-        sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="upwash-")))
-        edge = EdgeServer(
-            Host(
-                {each.name: ServerOffer(frozenset(each.images), each.slots) for each in config.identities},
-                HostSettings(lease_s=config.lease_s, idle_stop_s=config.idle_stop_s),
-            ),
-            images=images,
-            runtime=await stack.enter_async_context(_runtime(config, credentials, sockets)),
-            start_timeout_s=config.start_timeout_s,
-        )
-
-        def handle(path: str, body: bytes, caller: Caller) -> bytes:
-            answer = asyncio.run_coroutine_threadsafe(edge.handle(path, body, caller.drone), loop)
-            try:
-                return answer.result(timeout=caller.time_left_s())
-            except TimeoutError:
-                answer.cancel()
-                raise Refused("the drone's deadline is over") from None
-
-        listener = Listener(
-            config.listen,
-            handle,
-            credentials=credentials,
-            max_message_bytes=config.max_message_bytes,
-            threads=_DAEMON_THREADS,
-            concurrent_requests=_DAEMON_THREADS,
-        )
-        status = health.HealthServicer()
-        health_pb2_grpc.add_HealthServicer_to_server(status, listener.grpc_server)
-        for name in ("", *(each.name for each in config.identities)):
-            status.set(name, health_pb2.HealthCheckResponse.SERVING)
-        stopped = asyncio.Event()
-        stack.enter_context(_stopping_politely(lambda _: stopped.set()))
-        listener.start()
-        stack.push_async_callback(edge.close)
-        stack.push_async_callback(asyncio.to_thread, listener.stop)
-        ready(listener.address)
-        watch = asyncio.create_task(edge.run())
-        stack.callback(watch.cancel)
-        await stopped.wait()
-        status.enter_graceful_shutdown()
-
-
-def _images(config: DaemonConfig) -> dict[str, Image]:
-    """What each service is; in a container its program is the image's, and checks its settings there."""
-    if config.runtime.kind == "lxd":
-        programs = {
-            each.name: Program("", each.settings.values if each.settings else {}) for each in config.images
-        }
-    else:
-        programs = {name: service.program for name, service in load_services(config.images).items()}
-    return {each.name: Image(programs[each.name], each.pace_s, each.start_pace_s) for each in config.images}
-
-
-@contextlib.asynccontextmanager
-async def _runtime(
-    config: DaemonConfig, credentials: Credentials | None, sockets: Path
-) -> AsyncIterator[Runtime]:
-    if config.runtime.kind == "lxd":
-        from upwash.hosting import container_runtime
-
-        assert credentials is not None  # noqa: S101 - the configuration was checked for that
-        async with container_runtime(config, credentials) as containers:
-            yield containers
-    else:
-        yield ProcessRuntime(
-            _beside(config.listen, sockets),
-            credentials=credentials,
-            max_message_bytes=config.max_message_bytes,
-        )
-
-
-def _server_credentials(config: DaemonConfig) -> Credentials | None:
-    credentials = _credentials(config.keys)
-    if credentials is not None:
-        for identity in config.identities:
-            if identity.name not in credentials.names:
-                raise CredentialsError(
-                    f"the certificate is for {', '.join(credentials.names)}, but this daemon acts as "
-                    f"{identity.name}: make one with `upwash keys DIR --server "
-                    f"{','.join(each.name for each in config.identities)}`"
-                )
-    return None if config.listen.startswith("unix:") else credentials
-
-
-def _beside(listen: str, sockets: Path) -> Callable[[InstanceSpec], str]:
-    """Instances listen on the daemon's own interface, on ports of the system's choice."""
-    if listen.startswith("unix:"):
-        return _sockets_in(sockets)
-    host = listen.rpartition(":")[0]
-    return lambda _: f"{host}:0"
-
-
-def _sockets_in(folder: Path) -> Callable[[InstanceSpec], str]:
-    numbers = itertools.count()
-    return lambda spec: f"unix:{folder}/{spec.name}-{next(numbers)}.sock"
+async def ask_status(address: str, *, server: str, operator: str, keys: Path | None) -> StatusReply:
+    """How the daemon at the address is; `server` is one that it acts as. Raises LinkError where it does not say."""
+    if not is_address(address):
+        raise UsageError(f'"{address}" is no address: give host:port, or unix:path')
+    if keys is None and not is_on_this_machine(address):
+        raise UsageError(f"{address} is another machine: give --keys DIR, --operator NAME and --server NAME")
+    if keys is not None and not server:
+        raise UsageError("--server is missing: name a server that the daemon's certificate is for")
+    credentials = keys and read_credentials(
+        keys / "authority.pem", keys / f"{operator}.pem", keys / f"{operator}.key"
+    )
+    dialer = GrpcDialer(operator, credentials or None, max_message_bytes=_MAX_MESSAGE_BYTES)
+    link = dialer.dial(address, server=server or "daemon")
+    try:
+        reply = await link.request(STATUS, msgspec.msgpack.encode(StatusRequest()), timeout_s=_STATUS_S)
+    finally:
+        await link.close()
+    return decode_reply(reply, StatusReply, sender=address)
 
 
 # --- a stand-in vehicle -------------------------------------------------------------------------------------
@@ -347,33 +253,9 @@ async def run_vehicle(listen: str, settings: VehicleSettings, *, ready: Callable
     """Runs a stand-in vehicle until SIGTERM or Ctrl-C; `ready` is told the address once it answers."""
     vehicle = await serve_vehicle(listen, settings)
     stopped = asyncio.Event()
-    with _stopping_politely(lambda _: stopped.set()):
+    with stopping_politely(lambda _: stopped.set()):
         try:
             ready(vehicle.address)
             await stopped.wait()
         finally:
             await vehicle.close()
-
-
-@contextlib.contextmanager
-def _stopping_politely(stop: Callable[[str], None]) -> Iterator[None]:
-    """The first SIGINT or SIGTERM asks to stop; the second cancels what runs."""
-    loop = asyncio.get_running_loop()
-    running = asyncio.current_task()
-    asked_s: list[float] = []
-
-    def on_signal(number: signal.Signals) -> None:
-        now_s = loop.time()
-        if not asked_s:
-            stop("Ctrl-C" if number is signal.SIGINT else number.name)
-        elif now_s - asked_s[0] > _SECOND_SIGNAL_S and running is not None:
-            running.cancel()
-        asked_s.append(now_s)
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, on_signal, number)
-    try:
-        yield
-    finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.remove_signal_handler(number)

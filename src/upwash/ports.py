@@ -156,7 +156,10 @@ class Instance(Protocol):
         """The address to dial."""
 
     async def admit(self, drones: frozenset[str]) -> None:
-        """Has only these drones get an answer; returns when that is so."""
+        """Has only these drones, known by `Visitor.key`, get an answer; returns when that is so."""
+
+    async def drain(self, why: str) -> None:
+        """Has every further call refused for that reason; returns when none is under way any more."""
 
     async def exited(self) -> str:
         """Returns how the instance ended, when it does."""

@@ -7,25 +7,29 @@ not the message.
 
 from __future__ import annotations
 
-from typing import TypeVar
+from datetime import datetime
+from typing import Annotated, TypeVar
 
 import msgspec
 
+from upwash.core.visitors import RefusalStatus, ServerStatus
 from upwash.errors import GarbledReply
 from upwash.wire import decode
 
 AVAILABILITY = "/upwash.Daemon/Availability"
 START = "/upwash.Daemon/Start"
 LEAVE = "/upwash.Daemon/Leave"
+STATUS = "/upwash.Daemon/Status"
 
 T = TypeVar("T")
+NameText = Annotated[str, msgspec.Meta(max_length=255)]  # it stands in logs and refusals
 
 
 class AvailabilityRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Can this server serve me, and which of these services run already?"""
 
-    server: str
-    services: list[str]
+    server: NameText
+    services: Annotated[list[NameText], msgspec.Meta(max_length=255)]
 
 
 class AvailabilityReply(msgspec.Struct, frozen=True):
@@ -43,8 +47,8 @@ class AvailabilityReply(msgspec.Struct, frozen=True):
 class StartRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Have this service running, and answer when it can be called."""
 
-    server: str
-    service: str
+    server: NameText
+    service: NameText
 
 
 class StartReply(msgspec.Struct, frozen=True):
@@ -57,11 +61,32 @@ class StartReply(msgspec.Struct, frozen=True):
 class LeaveRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """I need this server no more."""
 
-    server: str
+    server: NameText
 
 
 class LeaveReply(msgspec.Struct, frozen=True):
     """Noted."""
+
+
+class StatusRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How are you? Answered to operators only."""
+
+
+class CertificateStatus(msgspec.Struct, frozen=True):
+    """A certificate that the daemon relies on, and until when it can."""
+
+    holder: str
+    expires: datetime
+
+
+class StatusReply(msgspec.Struct, frozen=True):
+    """The daemon's servers, its last refusals and its certificates; and for how long it has run."""
+
+    up_s: float
+    servers: list[ServerStatus]
+    refusals: list[RefusalStatus]
+    certificates: list[CertificateStatus]
+    closing: str = ""
 
 
 def service_path(service: str, method: str) -> str:

@@ -18,21 +18,27 @@ from upwash.core.instances import (
     Host,
     Pending,
     Running,
+    ServerOffer,
     StartInstance,
     StopInstance,
 )
+from upwash.core.visitors import Visitor
 from upwash.errors import InstanceError, Refused
 from upwash.ports import Instance, InstanceSpec, Program, Runtime
 from upwash.protocol import (
     AVAILABILITY,
     LEAVE,
     START,
+    STATUS,
     AvailabilityReply,
     AvailabilityRequest,
+    CertificateStatus,
     LeaveReply,
     LeaveRequest,
     StartReply,
     StartRequest,
+    StatusReply,
+    StatusRequest,
 )
 from upwash.wire import decode
 
@@ -54,31 +60,59 @@ class EdgeServer:
     """One daemon: `host` decides, `runtime` runs, `images` says what each service is."""
 
     def __init__(
-        self, host: Host, *, images: Mapping[str, Image], runtime: Runtime, start_timeout_s: float
+        self,
+        host: Host,
+        *,
+        images: Mapping[str, Image],
+        runtime: Runtime,
+        start_timeout_s: float,
+        drain_s: float,
+        certificates: Sequence[CertificateStatus] = (),
     ) -> None:
         self._host = host
         self._images = images
         self._runtime = runtime
         self._start_timeout_s = start_timeout_s
+        self._drain_s = drain_s
+        self._certificates = certificates
+        self._began_s = self._now_s()
         self._instances: dict[StartInstance, Instance] = {}
         self._lives: dict[int, asyncio.Task[None]] = {}  # by instance number, from start to end
+        self._endings: dict[int, asyncio.Task[None]] = {}  # of those that have to stop
         self._settled: dict[int, asyncio.Future[str]] = {}  # why it is not ready; "" when it is
 
-    async def handle(self, path: str, body: bytes, drone: str) -> bytes:
-        """Answers one request of a drone; raises Refused for what is not understood."""
-        if not drone:
+    async def handle(self, path: str, body: bytes, visitor: Visitor) -> bytes:
+        """Answers one request; raises Refused for what is not understood or not this visitor's to ask."""
+        if not visitor.name:
             raise Refused("this request names no drone")
         match path:
             case _ if path == AVAILABILITY:
                 return msgspec.msgpack.encode(
-                    await self._availability(_decode(body, AvailabilityRequest), drone)
+                    await self._availability(_decode(body, AvailabilityRequest), visitor)
                 )
             case _ if path == START:
-                return msgspec.msgpack.encode(await self._start(_decode(body, StartRequest), drone))
+                return msgspec.msgpack.encode(await self._start(_decode(body, StartRequest), visitor))
             case _ if path == LEAVE:
-                return msgspec.msgpack.encode(await self._leave(_decode(body, LeaveRequest), drone))
+                return msgspec.msgpack.encode(await self._leave(_decode(body, LeaveRequest), visitor))
+            case _ if path == STATUS:
+                _decode(body, StatusRequest)
+                return msgspec.msgpack.encode(self._status(visitor))
             case _:
                 raise Refused(f"no such request: {path}")
+
+    async def reload(
+        self, offers: Mapping[str, ServerOffer], *, images: Mapping[str, Image], revoked: frozenset[str]
+    ) -> None:
+        """From now on the same servers offer this, with these images, to all but the revoked certificates."""
+        replaced = frozenset(name for name, image in images.items() if self._images.get(name, image) != image)
+        self._images = images
+        await self._perform(self._host.revoke(revoked))
+        await self._perform(self._host.offer(offers, replaced=replaced))
+
+    async def drain(self, why: str) -> None:
+        """Refuses whatever is new for that reason; returns when the calls under way have ended, or had their time."""
+        await self._perform(self._host.close(why))
+        await asyncio.gather(*self._endings.values())
 
     async def run(self) -> NoReturn:
         """Ends leases and idle instances as their time comes, until cancelled."""
@@ -89,12 +123,15 @@ class EdgeServer:
 
     async def close(self) -> None:
         """Ends every instance; returns when none is left."""
+        self._host.close("this daemon has ended")  # or a start that waits would start another
+        for ending in self._endings.values():
+            ending.cancel()
         lives = list(self._lives.values())
-        for life in lives:
-            life.cancel()
+        for number in list(self._lives):
+            self._cut(number)
         await asyncio.gather(*lives, return_exceptions=True)
 
-    async def _availability(self, request: AvailabilityRequest, drone: str) -> AvailabilityReply:
+    async def _availability(self, request: AvailabilityRequest, drone: Visitor) -> AvailabilityReply:
         answer, commands = self._host.availability(
             request.server, request.services, drone, now_s=self._now_s()
         )
@@ -105,10 +142,10 @@ class EdgeServer:
                     available=True, endpoints=dict(endpoints), lease_s=self._host.settings.lease_s
                 )
             case Denied(why):
-                _log.info("%s: no place for %s: %s", request.server, drone, why)
+                _log.info("%s: no place for %s: %s", request.server, drone.name, why)
                 return AvailabilityReply(available=False, reason=why)
 
-    async def _start(self, request: StartRequest, drone: str) -> StartReply:
+    async def _start(self, request: StartRequest, drone: Visitor) -> StartReply:
         while True:
             answer, commands = self._host.start(request.server, request.service, drone, now_s=self._now_s())
             await self._perform(commands)
@@ -121,11 +158,26 @@ class EdgeServer:
                     settled = self._settled.get(number)
                     why = await asyncio.shield(settled) if settled else ""
                     if why and not stopping:
+                        self._host.refused(request.server, drone.name, why, now_s=self._now_s())
                         return StartReply(reason=why)
 
-    async def _leave(self, request: LeaveRequest, drone: str) -> LeaveReply:
+    async def _leave(self, request: LeaveRequest, drone: Visitor) -> LeaveReply:
         await self._perform(self._host.leave(request.server, drone))
         return LeaveReply()
+
+    def _status(self, visitor: Visitor) -> StatusReply:
+        now_s = self._now_s()
+        shown = self._host.show(visitor, now_s=now_s)
+        if isinstance(shown, Denied):
+            raise Refused(shown.why)
+        servers, refusals = shown
+        return StatusReply(
+            up_s=now_s - self._began_s,
+            servers=servers,
+            refusals=refusals,
+            certificates=list(self._certificates),
+            closing=self._host.closing,
+        )
 
     async def _perform(self, commands: Sequence[Command]) -> None:
         for command in commands:
@@ -136,8 +188,30 @@ class EdgeServer:
                     self._settled[number] = asyncio.get_running_loop().create_future()
                     self._lives[number] = asyncio.create_task(self._live(command))
                 case StopInstance(_, _, number):
-                    self._settled[number] = asyncio.get_running_loop().create_future()
-                    self._lives[number].cancel()
+                    if self._settled[number].done():
+                        self._settled[number] = asyncio.get_running_loop().create_future()
+                    self._endings[number] = asyncio.create_task(self._end(command))
+
+    async def _end(self, stop: StopInstance) -> None:
+        """Lets an instance end the calls under way, then stops it."""
+        instance = self._instances.get(StartInstance(stop.server, stop.service, stop.number))
+        try:
+            if instance is not None and stop.why:
+                async with asyncio.timeout(self._drain_s):
+                    await instance.drain(stop.why)
+        except TimeoutError:
+            _log.warning("%s@%s was stopped in a call: %s", stop.service, stop.server, stop.why)
+        except InstanceError as error:
+            _log.warning("%s", error)  # it has ended by itself
+        finally:
+            del self._endings[stop.number]
+            self._cut(stop.number)
+
+    def _cut(self, number: int) -> None:
+        """Has the life of that instance end, unless it does already: twice would cut its end short."""
+        life = self._lives.get(number)
+        if life is not None and not life.cancelling():
+            life.cancel()
 
     async def _admit(self, command: Admit) -> None:
         for start, instance in list(self._instances.items()):
@@ -147,7 +221,7 @@ class EdgeServer:
                 await instance.admit(command.drones)
             except InstanceError as error:
                 _log.warning("stopping an instance that cannot be told whom to serve: %s", error)
-                self._lives[start.number].cancel()
+                self._cut(start.number)
 
     async def _live(self, start: StartInstance) -> None:
         """The life of one instance, from its start to its end."""
@@ -156,7 +230,7 @@ class EdgeServer:
             start.server, start.service, image.program, pace_s=image.pace_s, start_pace_s=image.start_pace_s
         )
         instance: Instance | None = None
-        why = "stopped"
+        why = ""  # of its end; none where it was stopped, and whoever waits for it should ask again
         try:
             async with asyncio.timeout(self._start_timeout_s):
                 instance = await self._runtime.start(spec, called=lambda drone: self._called(start, drone))

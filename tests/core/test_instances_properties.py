@@ -26,6 +26,7 @@ from upwash.core.instances import (
     StartInstance,
     StopInstance,
 )
+from upwash.core.visitors import Visitor
 
 OFFERED = {"s1": ["counter", "detector"], "s2": ["detector"]}
 SETTINGS = HostSettings(lease_s=30.0, idle_stop_s=100.0)
@@ -70,7 +71,7 @@ class Daemon(RuleBasedStateMachine):
     @rule(server=servers, wanted=st.lists(services, max_size=2), drone=drones)
     def drone_asks(self, server: str, wanted: list[str], drone: str) -> None:
         before = self.after_a_look()
-        answer, commands = self.host.availability(server, wanted, drone, now_s=self.now_s)
+        answer, commands = self.host.availability(server, wanted, Visitor(drone), now_s=self.now_s)
         self.answered(
             server, wanted, drone, granted=isinstance(answer, Available), before=before, commands=commands
         )
@@ -84,7 +85,7 @@ class Daemon(RuleBasedStateMachine):
     @rule(server=servers, service=services, drone=drones)
     def drone_wants_a_start(self, server: str, service: str, drone: str) -> None:
         place, before, lived = (server, service), self.after_a_look(), dict(self.living)
-        answer, commands = self.host.start(server, service, drone, now_s=self.now_s)
+        answer, commands = self.host.start(server, service, Visitor(drone), now_s=self.now_s)
         self.answered(
             server, [service], drone, granted=not isinstance(answer, Denied), before=before, commands=commands
         )
@@ -104,7 +105,7 @@ class Daemon(RuleBasedStateMachine):
     @rule(server=servers, drone=drones)
     def drone_leaves(self, server: str, drone: str) -> None:
         self.lease_ends_s.pop((server, drone), None)
-        self.carry_out(self.host.leave(server, drone))
+        self.carry_out(self.host.leave(server, Visitor(drone)))
 
     @precondition(lambda self: self.serving)
     @rule(data=st.data(), drone=drones)

@@ -15,6 +15,7 @@ from typing import Any
 import grpc
 import pytest
 from cryptography import x509
+from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import (
     BestAvailableEncryption,
@@ -26,7 +27,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from upwash.errors import CredentialsError, UsageError
 from upwash.real import credentials as module
-from upwash.real.credentials import Credentials, make_keys, read_credentials
+from upwash.real.credentials import Credentials, make_keys, read_credentials, read_revoked, revoke
 
 
 def read(folder: Path, name: str, *, authority: Path | None = None) -> Credentials:
@@ -48,7 +49,7 @@ def keys(tmp_path: Path) -> Path:
 
 def test_the_files_written_are_returned(tmp_path: Path) -> None:
     files = make_keys(tmp_path / "new", servers=[["s1"]], drones=["heron"])
-    names = ["authority.pem", "authority.key", "s1.pem", "s1.key", "heron.pem", "heron.key"]
+    names = ["authority.pem", "authority.key", "revoked.txt", "s1.pem", "s1.key", "heron.pem", "heron.key"]
     assert files == [tmp_path / "new" / name for name in names]
 
 
@@ -292,3 +293,33 @@ def test_a_server_that_shows_a_servers_certificate_as_a_client_gets_no_answer(ke
 def test_a_server_is_not_believed_under_another_servers_name(keys: Path) -> None:
     with echo_server(read(keys, "s1")) as port:
         assert answer(port, client(read(keys, "heron")), "s3") is grpc.StatusCode.UNAVAILABLE
+
+
+def test_what_is_revoked_is_listed_once_by_its_fingerprint(tmp_path: Path) -> None:
+    make_keys(tmp_path, drones=["heron", "stork"])
+    assert read_revoked(tmp_path / "revoked.txt") == frozenset()
+    for _ in range(2):
+        assert revoke(tmp_path, ["heron"]) == tmp_path / "revoked.txt"
+    revoked = read_revoked(tmp_path / "revoked.txt")
+    assert revoked == {certificate(tmp_path, "heron").fingerprint(hashes.SHA256()).hex()}
+    revoke(tmp_path, ["stork"])
+    assert len(read_revoked(tmp_path / "revoked.txt")) == 2
+    with pytest.raises(UsageError, match=r"egret.pem: no such certificate"):
+        revoke(tmp_path, ["egret"])
+
+
+def test_a_list_that_names_no_fingerprint_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "revoked.txt"
+    file.write_text("# a comment\n\nheron\n")
+    with pytest.raises(CredentialsError, match="line 3 does not begin with a SHA-256 fingerprint"):
+        read_revoked(file)
+
+
+def test_only_an_operators_certificate_says_so_in_its_subject(tmp_path: Path) -> None:
+    make_keys(tmp_path, servers=[["s1"]], drones=["heron"], operators=["alice"])
+    subjects = {
+        name: certificate(tmp_path, name).subject.rfc4514_string() for name in ("s1", "heron", "alice")
+    }
+    assert subjects == {"s1": "CN=s1", "heron": "CN=heron", "alice": "CN=alice,OU=operator"}
+    usage = certificate(tmp_path, "alice").extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    assert list(usage) == [ExtendedKeyUsageOID.CLIENT_AUTH]

@@ -252,7 +252,7 @@ def test_something_else_at_the_address_is_no_server(greeting: bytes) -> None:
 
 def test_a_refusal_arrives_with_its_reason() -> None:
     def refuse(_path: str, _body: bytes, caller: Caller) -> bytes:
-        raise Refused(f"drone {caller.drone} has no lease here")
+        raise Refused(f"drone {caller.visitor.name} has no lease here")
 
     with listening(refuse) as listener, pytest.raises(Refused, match="drone heron has no lease here"):
         request(listener.address)
@@ -318,7 +318,7 @@ def test_more_requests_than_the_listener_takes_are_refused_at_once() -> None:
 
 
 def name_of_caller(_path: str, _body: bytes, caller: Caller) -> bytes:
-    return caller.drone.encode()
+    return caller.visitor.name.encode()
 
 
 def test_the_drone_is_who_its_certificate_says_whatever_it_calls_itself(credentials: ReadCredentials) -> None:

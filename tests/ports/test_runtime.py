@@ -22,7 +22,7 @@ from tests.children import expect_no_child
 from upwash.errors import InstanceError, Refused, Unreachable
 from upwash.ports import InstanceSpec, Program
 from upwash.protocol import service_path
-from upwash.real.credentials import Credentials
+from upwash.real.credentials import Credentials, fingerprint
 from upwash.real.link import GrpcDialer, GrpcLink
 from upwash.real.runtime import ProcessInstance, ProcessRuntime
 from upwash.service import load_service, spec_of
@@ -147,7 +147,7 @@ def test_an_instance_with_certificates_is_told_by_its_port(
         link = dialer.dial(f"127.0.0.1{instance.endpoint}", server="s1")
         try:
             assert int(instance.endpoint.removeprefix(":")) > 0
-            await instance.admit(HERON)
+            await instance.admit(frozenset({fingerprint(credentials("heron").certificate)}))
             assert await Bench(instance, link, spec(services).program.path).call("echo", b"photo") == b"photo"
         finally:
             await link.close()

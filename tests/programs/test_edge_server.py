@@ -10,23 +10,28 @@ import msgspec
 import pytest
 
 from upwash.core.instances import Host, HostSettings, ServerOffer
+from upwash.core.visitors import Visitor
 from upwash.errors import InstanceError, Refused
 from upwash.ports import InstanceSpec, Program
 from upwash.protocol import (
     AVAILABILITY,
     LEAVE,
     START,
+    STATUS,
     AvailabilityReply,
     AvailabilityRequest,
     LeaveRequest,
     StartReply,
     StartRequest,
+    StatusReply,
+    StatusRequest,
 )
 from upwash.server import EdgeServer, Image
 from upwash.sim.loop import run_virtually
 
 T = TypeVar("T")
 COLD_START_S = 8.0
+DRAIN_S = 10.0
 
 
 class Instance:
@@ -35,11 +40,17 @@ class Instance:
         self.admitted: frozenset[str] = frozenset()
         self.ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         self.deaf = False
+        self.refuses = ""  # every further call, for this reason
+        self.call_ends_in_s = 0.0
 
     async def admit(self, drones: frozenset[str]) -> None:
         if self.deaf:
             raise InstanceError("does not answer its runtime")
         self.admitted = drones
+
+    async def drain(self, why: str) -> None:
+        self.refuses = why
+        await asyncio.sleep(self.call_ends_in_s)
 
     async def exited(self) -> str:
         return await asyncio.shield(self.ended)
@@ -82,20 +93,21 @@ class Daemon:
             images={"detector": Image(Program("somewhere:Detector"))},
             runtime=self.runtime,
             start_timeout_s=start_timeout_s,
+            drain_s=DRAIN_S,
         )
 
     async def ask(self, drone: str = "d1") -> AvailabilityReply:
         request = AvailabilityRequest("s1", ["detector"])
-        reply = await self.edge.handle(AVAILABILITY, msgspec.msgpack.encode(request), drone)
+        reply = await self.edge.handle(AVAILABILITY, msgspec.msgpack.encode(request), Visitor(drone))
         return msgspec.msgpack.decode(reply, type=AvailabilityReply)
 
     async def start(self, drone: str = "d1") -> StartReply:
         request = StartRequest("s1", "detector")
-        reply = await self.edge.handle(START, msgspec.msgpack.encode(request), drone)
+        reply = await self.edge.handle(START, msgspec.msgpack.encode(request), Visitor(drone))
         return msgspec.msgpack.decode(reply, type=StartReply)
 
     async def leave(self, drone: str = "d1") -> None:
-        await self.edge.handle(LEAVE, msgspec.msgpack.encode(LeaveRequest("s1")), drone)
+        await self.edge.handle(LEAVE, msgspec.msgpack.encode(LeaveRequest("s1")), Visitor(drone))
 
 
 def serve(story: Callable[[Daemon], Coroutine[Any, Any, T]], **settings: Any) -> T:
@@ -239,7 +251,7 @@ def test_an_instance_that_cannot_be_told_whom_to_admit_is_stopped() -> None:
 def test_what_is_not_understood_is_refused(path: str, body: bytes, drone: str, reason: str) -> None:
     async def story(daemon: Daemon) -> None:
         with pytest.raises(Refused, match=reason):
-            await daemon.edge.handle(path, body, drone)
+            await daemon.edge.handle(path, body, Visitor(drone))
 
     serve(story)
 
@@ -248,9 +260,107 @@ def test_a_server_that_is_not_here_is_named_with_those_that_are() -> None:
     async def story(daemon: Daemon) -> None:
         request = msgspec.msgpack.encode(AvailabilityRequest("s9", ["detector"]))
         reply = msgspec.msgpack.decode(
-            await daemon.edge.handle(AVAILABILITY, request, "d1"), type=AvailabilityReply
+            await daemon.edge.handle(AVAILABILITY, request, Visitor("d1")), type=AvailabilityReply
         )
         assert not reply.available
         assert "s9" in reply.reason and "s1" in reply.reason
+
+    serve(story)
+
+
+# ---- the operator
+
+
+def test_a_drain_lets_the_call_under_way_end_and_refuses_what_is_new() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start()
+        (instance,) = daemon.runtime.instances
+        instance.call_ends_in_s = 3.0
+        draining = asyncio.create_task(daemon.edge.drain("shutting down"))
+        await asyncio.sleep(1.0)
+        assert instance.refuses == "shutting down"
+        assert (await daemon.ask()).reason == "shutting down"
+        assert (await daemon.start()).reason == "shutting down"
+        assert not instance.ended.done(), "stopped in a call"
+        await draining
+        assert asyncio.get_running_loop().time() == pytest.approx(COLD_START_S + 3.0)
+
+    serve(story)
+
+
+def test_a_drain_waits_for_no_call_longer_than_it_may() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start()
+        daemon.runtime.instances[0].call_ends_in_s = 1000.0
+        await daemon.edge.drain("shutting down")
+        assert asyncio.get_running_loop().time() == pytest.approx(COLD_START_S + DRAIN_S)
+
+    serve(story)
+
+
+def test_a_drain_gives_up_what_starts_and_says_why_to_the_drone_that_waits() -> None:
+    async def story(daemon: Daemon) -> None:
+        starting = asyncio.create_task(daemon.start())
+        await asyncio.sleep(1.0)
+        await daemon.edge.drain("shutting down")
+        assert (await starting).reason == "shutting down"
+        assert daemon.runtime.instances == []
+
+    serve(story)
+
+
+def test_a_daemon_that_is_closed_while_a_drone_waits_starts_nothing_more() -> None:
+    async def story(daemon: Daemon) -> None:
+        starting = asyncio.create_task(daemon.start())
+        await asyncio.sleep(1.0)
+        await daemon.edge.close()
+        assert (await starting).reason == "this daemon has ended"
+
+    serve(story)
+
+
+def test_another_program_of_a_service_is_used_from_the_next_start_on() -> None:
+    async def story(daemon: Daemon) -> None:
+        first = await daemon.start()
+        offers = {"s1": ServerOffer(frozenset({"detector"}), 1)}
+        images = {"detector": Image(Program("elsewhere:Detector"))}
+        await daemon.edge.reload(offers, images=images, revoked=frozenset())
+        second = await daemon.start()
+        assert second.endpoint not in ("", first.endpoint)
+        assert len(daemon.runtime.living()) == 1
+        await daemon.edge.reload(offers, images=images, revoked=frozenset())
+        assert (await daemon.start()).endpoint == second.endpoint, "nothing has changed"
+
+    serve(story)
+
+
+def test_a_certificate_that_is_revoked_is_admitted_to_no_instance_any_more() -> None:
+    async def story(daemon: Daemon) -> None:
+        request = msgspec.msgpack.encode(StartRequest("s1", "detector"))
+        await daemon.edge.handle(START, request, Visitor("d1", "0a"))
+        (instance,) = daemon.runtime.instances
+        assert instance.admitted == {"0a"}
+        offers = {"s1": ServerOffer(frozenset({"detector"}), 1)}
+        await daemon.edge.reload(offers, images={}, revoked=frozenset({"0a"}))
+        assert instance.admitted == frozenset()
+
+    serve(story)
+
+
+def test_its_status_is_for_operators() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        await daemon.ask("d2")
+        request = msgspec.msgpack.encode(StatusRequest())
+        with pytest.raises(Refused, match="d1 is no operator"):
+            await daemon.edge.handle(STATUS, request, Visitor("d1", "0a"))
+        reply = await daemon.edge.handle(STATUS, request, Visitor("alice", "0c", is_operator=True))
+        status = msgspec.msgpack.decode(reply, type=StatusReply)
+        assert status.up_s == pytest.approx(COLD_START_S)
+        assert [lease.drone for lease in status.servers[0].leases] == ["d1"]
+        assert [refusal.why for refusal in status.refusals] == [
+            "d1 is no operator: show a certificate of `upwash keys --operator NAME`",
+            "s1 has no free slot: 1 of 1 in use",
+        ]
 
     serve(story)

@@ -96,6 +96,9 @@ class Computer:
     async def admit(self, drones: frozenset[str]) -> None:
         pass
 
+    async def drain(self, why: str) -> None:
+        pass
+
     async def exited(self) -> str:
         await asyncio.get_running_loop().create_future()
         return ""

@@ -23,6 +23,7 @@ from upwash.core.policy import Call as CallSituation
 from upwash.core.policy import Deadline, Decision, Remote, Wait, WaitRule
 from upwash.core.selection import Selection
 from upwash.core.servers import Event, Server, State
+from upwash.core.visitors import Visitor
 from upwash.errors import LinkError, Refused
 from upwash.lab import chaos
 from upwash.lab.chaos_display import is_replayed
@@ -225,8 +226,8 @@ def lease_leaked() -> contextlib.AbstractContextManager[object]:
 def slots_over_admitted() -> contextlib.AbstractContextManager[object]:
     deny = Host._deny
 
-    def generous(self: Host, name: str, services: Any, drone: str) -> Denied | None:
-        denied = deny(self, name, services, drone)
+    def generous(self: Host, name: str, services: Any, drone: Visitor, now_s: float) -> Denied | None:
+        denied = deny(self, name, services, drone, now_s)
         return None if denied is not None and "no free slot" in denied.why else denied
 
     return patch.object(Host, "_deny", generous)
@@ -236,7 +237,7 @@ def started_twice() -> contextlib.AbstractContextManager[object]:
     """An instance that is being started is not remembered to be."""
     start = Host.start
 
-    def forgetful(self: Host, server: str, service: str, drone: str, *, now_s: float) -> Any:
+    def forgetful(self: Host, server: str, service: str, drone: Visitor, *, now_s: float) -> Any:
         answer, commands = start(self, server, service, drone, now_s=now_s)
         if commands and isinstance(commands[-1], StartInstance):
             self._number += 1

@@ -14,7 +14,7 @@ import pytest
 
 pytestmark = pytest.mark.system
 
-COMMANDS = ("fly", "serve", "keys", "vehicle", "demo")
+COMMANDS = ("fly", "serve", "status", "keys", "vehicle", "demo")
 HEAVY = {"cv2", "numpy", "grpc", "pymavlink", "onnxruntime", "matplotlib", "cryptography", "rich"}
 
 DRONE = """
@@ -279,7 +279,7 @@ def test_keys_prints_the_files_that_it_made_and_only_the_owner_reads_the_keys(tm
     names = [
         f"{holder}{ending}" for holder in ("authority", "s1", "heron", "stork") for ending in (".pem", ".key")
     ]
-    assert done.stdout.splitlines() == [f"keys/{name}" for name in names]
+    assert done.stdout.splitlines() == [f"keys/{name}" for name in (*names[:2], "revoked.txt", *names[2:])]
     assert (tmp_path / "keys").stat().st_mode & 0o777 == 0o700
     for name in names:
         mode = (tmp_path / "keys" / name).stat().st_mode & 0o777
@@ -296,7 +296,7 @@ def test_keys_of_a_second_run_are_of_the_same_authority_and_nothing_is_overwritt
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ((), "name at least one --server or --drone"),
+        ((), "name at least one --server, --drone or --operator"),
         (("--drone", "../heron"), '"../heron" cannot be a name'),
         (("--drone", ""), '"" cannot be a name'),
         (("--server", "s1,,s2"), '"" cannot be a name'),

@@ -23,7 +23,7 @@ from upwash.errors import InstanceError, LinkError, Refused, ServiceError
 from upwash.packaging.image import Recipe, package
 from upwash.ports import Instance, InstanceSpec, Program
 from upwash.protocol import service_path
-from upwash.real.credentials import Credentials
+from upwash.real.credentials import Credentials, fingerprint
 from upwash.real.link import GrpcDialer
 from upwash.real.lxd.container import ContainerSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
@@ -35,7 +35,6 @@ pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group("lxd
 MAX_MESSAGE_BYTES = 1_000_000
 MEMORY_BYTES = 2**28
 PROCESSES = 100
-HERON = frozenset({"heron"})
 
 
 @dataclass(frozen=True)
@@ -46,10 +45,11 @@ class Site:
     runtime: ContainerRuntime
     dialer: GrpcDialer
     services: Path
+    heron: frozenset[str]  # what instances know the drone by
 
     async def start(self, server: str, service: str) -> Instance:
         instance = await self.runtime.start(self.spec(server, service), called=lambda _: None)
-        await instance.admit(HERON)
+        await instance.admit(self.heron)
         return instance
 
     def spec(self, server: str, service: str) -> InstanceSpec:
@@ -105,8 +105,9 @@ def open_site(
             await engine.import_image(workbench_image)
             await engine.import_image(vandal_image)
             await runtime.prepare(["s1", "s2"], [("s1", "workbench"), ("s1", "vandal"), ("s2", "workbench")])
-            dialer = GrpcDialer("heron", credentials("heron"), max_message_bytes=MAX_MESSAGE_BYTES)
-            yield Site(engine, runtime, dialer, services)
+            heron = credentials("heron")
+            dialer = GrpcDialer("heron", heron, max_message_bytes=MAX_MESSAGE_BYTES)
+            yield Site(engine, runtime, dialer, services, frozenset({fingerprint(heron.certificate)}))
         finally:
             await runtime.close()
 
@@ -207,7 +208,7 @@ def test_a_frozen_instance_thaws_as_it_was_and_forgets_whom_it_admitted(
         second = await site.runtime.start(site.spec("s1", "workbench"), called=lambda _: None)
         with pytest.raises(Refused, match="heron has no lease"):
             await site.call(second, "s1", "process_id")
-        await second.admit(HERON)
+        await second.admit(site.heron)
         assert await site.call(second, "s1", "process_id") == process
         await second.stop()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import re
 import signal
@@ -35,7 +36,7 @@ from upwash.protocol import (
     resolve,
     service_path,
 )
-from upwash.real.credentials import Credentials
+from upwash.real.credentials import Credentials, make_keys, read_credentials, revoke
 from upwash.real.link import GrpcDialer, GrpcLink
 from upwash.service import load_service, spec_of
 
@@ -77,14 +78,14 @@ def config(keys: Path | None, listen: str = "127.0.0.1:0", **settings: Any) -> s
     return "\n".join(lines) + CONFIG
 
 
-def started(folder: Path, text: str) -> subprocess.Popen[str]:
+def started(folder: Path, text: str, *options: str) -> subprocess.Popen[str]:
     (folder / "server.toml").write_text(text)
     environment = {
         **os.environ,
         "PYTHONPATH": str(Path(__file__).parents[1]),  # where services_for_tests lies
         "PROCESS_ID_FILE": str(folder / "process_id"),
     }
-    command = [sys.executable, "-m", "upwash", "serve", "--config", str(folder / "server.toml")]
+    command = [sys.executable, "-m", "upwash", "serve", "--config", str(folder / "server.toml"), *options]
     with (folder / "stderr").open("w") as stderr:
         return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, env=environment, text=True)
 
@@ -107,9 +108,9 @@ class Daemon:
 
 
 @contextmanager
-def daemon(folder: Path, text: str) -> Iterator[Daemon]:
+def daemon(folder: Path, text: str, *options: str) -> Iterator[Daemon]:
     """A daemon until the end of the block, by which it and all of its instances must have ended."""
-    with started(folder, text) as process:
+    with started(folder, text, *options) as process:
         try:
             running = Daemon(process)
             yield running
@@ -469,7 +470,54 @@ def test_a_signal_ends_it_with_a_call_under_way_and_leaves_nothing(
             with pytest.raises(LinkError):
                 await calling
 
-    with daemon(tmp_path, config(keys)) as at:
+    with daemon(tmp_path, config(keys, drain_s=0.3)) as at:
+        asyncio.run(visit(at))
+
+
+def test_a_call_under_way_ends_before_the_daemon_does_and_new_ones_are_refused_with_the_reason(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    who = [(name, credentials(name), "s1") for name in ("heron", "stork")]
+
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, *who) as (heron, stork):
+            endpoint = (await heron.start()).endpoint
+            assert (await stork.availability("workbench")).available
+            for guest in (heron, stork):
+                await guest.call(endpoint, "echo", b"photo")
+            running = asyncio.create_task(heron.call(endpoint, "pause", 4.0))
+            await asyncio.sleep(0.3)
+            queued = asyncio.create_task(stork.call(endpoint, "echo", b"photo"))
+            await asyncio.sleep(0.3)
+            at.process.send_signal(signal.SIGTERM)
+            with pytest.raises(Refused, match="this edge server is shutting down"):
+                await queued
+            with pytest.raises(Refused, match="this edge server is shutting down"):
+                await stork.call(endpoint, "echo", b"photo")
+            assert (await stork.availability("workbench")).reason == "this edge server is shutting down"
+            assert not running.done(), "a drone should fall back at once"
+            await running
+            assert await asyncio.to_thread(at.process.wait, 10.0) == 0
+
+    with daemon(tmp_path, config(keys).replace('name = "s1"', 'name = "s1"\nslots = 2')) as at:
+        asyncio.run(visit(at))
+
+
+def test_a_second_signal_ends_it_at_once(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
+            endpoint = (await heron.start()).endpoint
+            calling = asyncio.create_task(heron.call(endpoint, "pause", 60.0))
+            await asyncio.sleep(0.2)
+            at.process.send_signal(signal.SIGTERM)
+            await asyncio.sleep(0.7)
+            assert await asyncio.to_thread(at.end) == 130
+            with pytest.raises(LinkError):
+                await calling
+
+    with daemon(tmp_path, config(keys, drain_s=60.0)) as at:
         asyncio.run(visit(at))
 
 
@@ -501,6 +549,161 @@ def test_its_instances_end_when_it_is_killed(
         processes = asyncio.run(visit(at))
         assert at.end(signal.SIGKILL) == -signal.SIGKILL
         until(lambda: not any(map(is_alive, processes)))
+
+
+# --- what its operator does ---------------------------------------------------------------------------------
+
+
+def reloaded(at: Daemon, folder: Path, text: str, said: str) -> None:
+    """Has the daemon read another configuration, and waits until it has said something of it."""
+    (folder / "server.toml").write_text(text)
+    log = folder / "stderr"
+    known = len(log.read_text())
+    at.process.send_signal(signal.SIGHUP)
+    until(lambda: said in log.read_text()[known:])
+
+
+@pytest.fixture
+def own_keys(tmp_path: Path) -> Path:
+    """Keys that a test may revoke."""
+    folder = tmp_path / "keys"
+    make_keys(folder, servers=[["s1", "s2"]], drones=["heron", "stork"], operators=["alice"])
+    return folder
+
+
+def read_own(folder: Path, holder: str) -> Credentials:
+    return read_credentials(folder / "authority.pem", folder / f"{holder}.pem", folder / f"{holder}.key")
+
+
+def test_a_revoked_drone_is_refused_by_the_daemon_and_by_what_runs_until_it_shows_another_certificate(
+    tmp_path: Path, services: Path, own_keys: Path
+) -> None:
+    text = config(own_keys).replace("[keys]", f'[keys]\nrevoked = "{own_keys}/revoked.txt"')
+    stolen = read_own(own_keys, "heron")
+
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("heron", stolen, "s1")) as (thief,):
+            endpoint = (await thief.start()).endpoint
+            assert await thief.call(endpoint, "echo", b"photo") == b"photo"
+            revoke(own_keys, ["heron"])
+            await asyncio.to_thread(reloaded, at, tmp_path, text, "1 certificates are revoked")
+            with pytest.raises(Refused, match="heron has no lease"):
+                await thief.call(endpoint, "echo", b"photo")
+            assert (await thief.availability()).reason == "the certificate of heron is revoked"
+            for ending in ("pem", "key"):
+                (own_keys / f"heron.{ending}").unlink()
+            make_keys(own_keys, drones=["heron"])
+            async with guests(at, services, ("heron", read_own(own_keys, "heron"), "s1")) as (heron,):
+                assert (await heron.start()).endpoint == endpoint
+                assert await heron.call(endpoint, "echo", b"photo") == b"photo"
+                with pytest.raises(Refused, match="heron has no lease"):
+                    await thief.call(endpoint, "echo", b"photo")
+
+    with daemon(tmp_path, text) as at:
+        asyncio.run(visit(at))
+
+
+def test_images_and_slots_follow_the_configuration_and_a_bad_one_changes_nothing(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    who = [(name, credentials(name), "s1") for name in ("heron", "stork")]
+    text = config(keys)
+    more = text.replace('name = "s1"', 'name = "s1"\nslots = 2\nimages = ["unstartable"]')
+
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, *who) as (heron, stork):
+            endpoint = (await heron.start()).endpoint
+            for bad, why in (
+                ("listen = ", "not valid TOML"),
+                (text.replace("Workbench", "NoSuchClass"), "there is no NoSuchClass"),
+                (text.replace('name = "s2"', 'name = "s3"'), "restart it"),
+                (text.replace("[keys]", "lease_s = 3.0\n[keys]"), "lease_s cannot change"),
+            ):
+                await asyncio.to_thread(reloaded, at, tmp_path, bad, "the old configuration stays: ")
+                assert why in (tmp_path / "stderr").read_text().splitlines()[-1]
+            assert await heron.call(endpoint, "echo", b"photo") == b"photo"
+            assert not (await stork.availability()).available
+            await asyncio.to_thread(reloaded, at, tmp_path, more, "was read again")
+            assert (await stork.availability()).available
+            assert "s1 has no image of workbench" in (await stork.start()).reason
+            with pytest.raises(LinkError):
+                await heron.call(endpoint, "echo", b"photo")
+            await asyncio.to_thread(until, lambda: at.instances() == [])
+
+    with daemon(tmp_path, text) as at:
+        asyncio.run(visit(at))
+
+
+def status(at: Daemon, keys: Path, operator: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "upwash", "status", at.address, "--server", "s1", "--keys", str(keys)]
+    return subprocess.run(
+        [*command, "--operator", operator], capture_output=True, text=True, timeout=30, check=False
+    )
+
+
+def test_its_status_shows_an_operator_leases_instances_refusals_and_certificates(
+    tmp_path: Path, services: Path, own_keys: Path
+) -> None:
+    async def visit(at: Daemon) -> None:
+        who = [(name, read_own(own_keys, name), "s1") for name in ("heron", "stork")]
+        async with guests(at, services, *who) as (heron, stork):
+            await heron.start()
+            await stork.availability()
+            seen = await asyncio.to_thread(status, at, own_keys, "alice")
+            assert (seen.returncode, seen.stderr) == (0, "")
+            for expected in (
+                r"s1: 1 of 1 slots in use",
+                r"heron: lease ends in \d+ s, certificate [0-9a-f]{16}",
+                r"workbench +running +:\d+",
+                r"unstartable +absent",
+                r"1 +s1 +stork +s1 has no free slot: 1 of 1 in use",
+                r"certificate of s1: valid until 20\d\d-\d\d-\d\d, 7\d\d days",
+            ):
+                assert re.search(expected, seen.stdout), seen.stdout
+            refused = await asyncio.to_thread(status, at, own_keys, "heron")
+            assert (refused.returncode, refused.stdout) == (1, "")
+            assert "heron is no operator" in refused.stderr
+
+    with daemon(tmp_path, config(own_keys)) as at:
+        asyncio.run(visit(at))
+
+
+def test_a_service_manager_is_told_when_it_is_ready_reloads_and_stops(
+    tmp_path: Path, keys: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(f"{tmp_path}/notify")
+        manager.settimeout(10.0)
+        monkeypatch.setenv("NOTIFY_SOCKET", f"{tmp_path}/notify")
+        with daemon(tmp_path, config(keys)) as at:
+            assert manager.recv(1000) == b"READY=1"
+            at.process.send_signal(signal.SIGHUP)
+            assert re.fullmatch(rb"RELOADING=1\nMONOTONIC_USEC=\d+", manager.recv(1000))
+            assert manager.recv(1000) == b"READY=1"
+            assert at.end() == 0
+            assert manager.recv(1000).startswith(b"STOPPING=1\n")
+
+
+def test_its_log_can_be_json_lines_also_where_grpc_refuses_a_certificate(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    ours, theirs = credentials("heron"), credentials("other/heron")
+    believing = Credentials(ours.authority, theirs.certificate, theirs.key)
+
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("heron", believing, "s1")) as (stranger,):
+            with pytest.raises(Unreachable):
+                await stranger.availability("workbench")
+        await asyncio.to_thread(
+            until, lambda: "CERTIFICATE_VERIFY_FAILED" in (tmp_path / "stderr").read_text()
+        )
+
+    with daemon(tmp_path, config(keys), "--log-format", "json") as at:
+        asyncio.run(visit(at))
+        at.end()
+    lines = [json.loads(line) for line in (tmp_path / "stderr").read_text().splitlines()]
+    assert all({"time", "level", "logger", "message"} <= line.keys() for line in lines)
+    assert any(line["logger"] == "upwash.foreign" for line in lines)
 
 
 # --- when it cannot start -----------------------------------------------------------------------------------

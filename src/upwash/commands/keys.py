@@ -1,4 +1,4 @@
-"""upwash keys: makes an authority and certificates."""
+"""upwash keys: makes an authority and certificates, and revokes them."""
 
 from __future__ import annotations
 
@@ -24,16 +24,31 @@ def add(commands: Commands) -> None:
     keys.add_argument(
         "--drone", action="append", default=[], metavar="NAME", help="a certificate for a drone"
     )
+    keys.add_argument(
+        "--operator", action="append", default=[], metavar="NAME",
+        help="a certificate for a person who may ask a daemon for its status",
+    )  # fmt: skip
+    keys.add_argument(
+        "--revoke", action="append", default=[], metavar="NAME",
+        help="put the certificate of that name on the list of those that daemons refuse",
+    )  # fmt: skip
     keys.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Makes them and says which files they are in."""
-    from upwash.real.credentials import make_keys
+    """Does so and says which files were written."""
+    from upwash.real.credentials import make_keys, revoke
 
-    if not options.server and not options.drone:
-        raise UsageError("nothing to make: name at least one --server or --drone")
-    servers = [names.split(",") for names in options.server]
-    for file in make_keys(options.folder, servers=servers, drones=options.drone):
-        announce(str(file))
+    wanted = options.server or options.drone or options.operator
+    if not wanted and not options.revoke:
+        raise UsageError(
+            "nothing to make: name at least one --server, --drone or --operator, or --revoke one"
+        )
+    if options.revoke:
+        announce(str(revoke(options.folder, options.revoke)))
+    if wanted:
+        servers = [names.split(",") for names in options.server]
+        made = make_keys(options.folder, servers=servers, drones=options.drone, operators=options.operator)
+        for file in made:
+            announce(str(file))
     return True

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,21 +18,30 @@ def add(commands: Commands) -> None:
     """Adds the command."""
     serve = commands.add_parser("serve", help="run an edge daemon")
     serve.add_argument("--config", type=Path, required=True, help="the daemon's configuration, a TOML file")
+    serve.add_argument(
+        "--log-format", choices=("text", "json"), default="text", help="of the log on standard error"
+    )
     serve.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> bool:
     """Serves until it is told to stop."""
     os.environ.setdefault("GRPC_VERBOSITY", "INFO")  # gRPC then says whose certificate it refused, and why
-    import logging
-
+    service_manager = os.environ.pop("NOTIFY_SOCKET", "")  # instances have nothing to tell it
     from upwash.config import read_daemon_config
-    from upwash.launch import serve
+    from upwash.real.log import log_json, log_text
+    from upwash.real.service_manager import ServiceManager
+    from upwash.serving import serve
 
     config = read_daemon_config(options.config)
-    logging.basicConfig(
-        level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s: %(message)s"
-    )
+    (log_json if options.log_format == "json" else log_text)()
     names = ", ".join(identity.name for identity in config.identities)
-    asyncio.run(serve(config, ready=lambda address: announce(f"{names} ready at {address}")))
+    asyncio.run(
+        serve(
+            config,
+            read_again=lambda: read_daemon_config(options.config),
+            ready=lambda address: announce(f"{names} ready at {address}"),
+            manager=ServiceManager(service_manager),
+        )
+    )
     return True

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from upwash.config.daemon import DaemonConfig, IdentityConfig, ImageConfig, read_daemon_config
+from upwash.config.daemon import (
+    DaemonConfig,
+    DaemonKeysConfig,
+    IdentityConfig,
+    ImageConfig,
+    read_daemon_config,
+)
 from upwash.config.drone import (
     AutopilotConfig,
     CameraConfig,
@@ -32,12 +38,13 @@ from upwash.config.drone_file import drone_config, read_drone_config
 from upwash.config.problems import Document
 from upwash.config.reading import convert, impossible_values, read_document
 from upwash.config.runtime import RuntimeConfig
-from upwash.config.values import KeysConfig, SettingsTable, is_on_this_machine
+from upwash.config.values import KeysConfig, SettingsTable, is_address, is_on_this_machine
 
 __all__ = [
     "AutopilotConfig",
     "CameraConfig",
     "DaemonConfig",
+    "DaemonKeysConfig",
     "Document",
     "DroneConfig",
     "FaultConfig",
@@ -64,6 +71,7 @@ __all__ = [
     "ending",
     "geofence",
     "impossible_values",
+    "is_address",
     "is_on_this_machine",
     "read_daemon_config",
     "read_document",

@@ -14,6 +14,7 @@ from upwash.config.runtime import RuntimeConfig, runtime_problems
 from upwash.config.shorthand import image_written_out
 from upwash.config.values import (
     Count,
+    FilePath,
     ImportPath,
     KeysConfig,
     Name,
@@ -35,6 +36,12 @@ MessageBytes = Annotated[
 
 # Instances report a drone's calls once a second: a shorter lease could end between two of them.
 LeaseSeconds = Annotated[float, Meta(ge=2, description="a number of at least 2, in seconds")]
+
+
+class DaemonKeysConfig(KeysConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A daemon's certificates and key, and the list of the certificates that it refuses, if there is one."""
+
+    revoked: FilePath | None = None
 
 
 class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -72,8 +79,9 @@ class DaemonConfig(
     lease_s: LeaseSeconds = 30.0
     idle_stop_s: Positive = 600.0
     start_timeout_s: Positive = 60.0
+    drain_s: Positive = 10.0
     allow_without_certificates: bool = False
-    keys: KeysConfig | None = None
+    keys: DaemonKeysConfig | None = None
     runtime: RuntimeConfig = RuntimeConfig()
     images: Annotated[
         tuple[ImageConfig, ...],

@@ -4,7 +4,8 @@ A daemon acts as one or several servers; each has its own images (services it ca
 of each service) and slots (drones that it serves at the same time). A slot is held by a drone as a lease.
 
 Laws:
-- a server never has more leases than slots, and only drones with a lease are admitted to its instances;
+- a server gives no lease while it has as many as slots, and only drones with a lease are admitted to its instances;
+- a certificate that is revoked holds no lease, and a daemon that closes gives none;
 - an instance goes absent, starting, running, stopping, absent; it may fall back to absent at any time;
 - an instance is known by its number, and what arrives for another number changes nothing;
 - commands are to be carried out in their order.
@@ -15,6 +16,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+
+from upwash.core.visitors import (
+    InstanceStatus,
+    LeaseStatus,
+    Refusals,
+    RefusalStatus,
+    ServerStatus,
+    Visitor,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,16 +92,17 @@ class StartInstance:
 
 @dataclass(frozen=True, slots=True)
 class StopInstance:
-    """Stop that instance."""
+    """Stop that instance; if there is a reason let the calls under way end first, and refuse every other for it."""
 
     server: str
     service: str
     number: int
+    why: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Admit:
-    """From now on the server's instances answer these drones and no others."""
+    """From now on the server's instances answer these drones, known by `Visitor.key`, and no others."""
 
     server: str
     drones: frozenset[str]
@@ -109,9 +120,15 @@ class _Instance:
 
 
 @dataclass(slots=True)
+class _Lease:
+    drone: Visitor
+    until_s: float
+
+
+@dataclass(slots=True)
 class _Server:
     offer: ServerOffer
-    leases: dict[str, float] = field(default_factory=dict)  # drone → when the lease ends
+    leases: dict[str, _Lease] = field(default_factory=dict)  # by drone
     instances: dict[str, _Instance] = field(default_factory=dict)
 
 
@@ -121,18 +138,21 @@ class Host:
     def __init__(self, offers: Mapping[str, ServerOffer], settings: HostSettings | None = None) -> None:
         self.settings = settings or HostSettings()
         self._number = 0
+        self._closing = ""  # why nobody is served any more
+        self._revoked: frozenset[str] = frozenset()
+        self._refusals = Refusals()
         self._servers = {
             name: _Server(offer, instances={service: _Instance() for service in sorted(offer.images)})
             for name, offer in offers.items()
         }
 
     def availability(
-        self, server: str, services: Iterable[str], drone: str, *, now_s: float
+        self, server: str, services: Iterable[str], drone: Visitor, *, now_s: float
     ) -> tuple[Available | Denied, list[Command]]:
         """Whether the drone can be served now; if so it holds a slot until its lease ends."""
         commands = self._end_leases(now_s)
         wanted = sorted(set(services))
-        denied = self._deny(server, wanted, drone)
+        denied = self._deny(server, wanted, drone, now_s)
         if denied is not None:
             return denied, commands
         commands += self._renew(server, drone, now_s)
@@ -145,11 +165,11 @@ class Host:
         return Available(endpoints), commands
 
     def start(
-        self, server: str, service: str, drone: str, *, now_s: float
+        self, server: str, service: str, drone: Visitor, *, now_s: float
     ) -> tuple[Running | Pending | Denied, list[Command]]:
         """Has the service running for the drone; two starts of one service make one instance."""
         commands = self._end_leases(now_s)
-        denied = self._deny(server, [service], drone)
+        denied = self._deny(server, [service], drone, now_s)
         if denied is not None:
             return denied, commands
         commands += self._renew(server, drone, now_s)
@@ -184,15 +204,80 @@ class Host:
         """The drone called the service: its lease is renewed."""
         state = self._servers[server]
         state.instances[service].used_s = now_s
-        if state.leases.get(drone, now_s) > now_s:
-            state.leases[drone] = now_s + self.settings.lease_s
+        lease = state.leases.get(drone)
+        if lease is not None and lease.until_s > now_s:
+            lease.until_s = now_s + self.settings.lease_s
 
-    def leave(self, server: str, drone: str) -> list[Command]:
+    def leave(self, server: str, drone: Visitor) -> list[Command]:
         """The drone needs the server no more: its slot is free."""
         state = self._servers.get(server)
-        if state is None or state.leases.pop(drone, None) is None:
+        lease = state.leases.get(drone.name) if state else None
+        if state is None or lease is None or lease.drone != drone:
             return []
+        del state.leases[drone.name]
         return [self._admission(server)]
+
+    def offer(self, offers: Mapping[str, ServerOffer], *, replaced: frozenset[str]) -> list[Command]:
+        """From now on the same servers offer this; what runs of an image that is withdrawn or replaced is stopped.
+
+        A drone that holds one slot too many keeps it until its lease ends.
+        """
+        commands: list[Command] = []
+        for name, offer in offers.items():
+            server = self._servers[name]
+            for service in sorted(server.offer.images):
+                if service not in offer.images:
+                    commands += self._stop(name, service, f"{name} has no image of {service} any more")
+                elif service in replaced:
+                    commands += self._stop(name, service, f"{name} has another image of {service} now")
+            server.offer = offer
+            for service in sorted(offer.images):
+                server.instances.setdefault(service, _Instance())
+        return commands
+
+    def revoke(self, certificates: frozenset[str]) -> list[Command]:
+        """From now on these certificates, and no others, are good for nothing; leases held by them end."""
+        self._revoked = certificates
+        return [
+            command
+            for name, server in self._servers.items()
+            for command in self._end(
+                name,
+                [drone for drone, lease in server.leases.items() if lease.drone.certificate in certificates],
+            )
+        ]
+
+    @property
+    def closing(self) -> str:
+        """Why nobody is served any more; empty where drones are."""
+        return self._closing
+
+    def close(self, why: str) -> list[Command]:
+        """From now on nobody is served, for the first such reason; every instance ends its calls and stops."""
+        self._closing = self._closing or why
+        return [
+            command
+            for name, server in self._servers.items()
+            for service in server.instances
+            for command in self._stop(name, service, self._closing)
+        ]
+
+    def refused(self, server: str, visitor: str, why: str, *, now_s: float) -> None:
+        """A visitor was refused for a reason that the host does not know of."""
+        self._refusals.note(server, visitor, why, now_s=now_s)
+
+    def show(
+        self, visitor: Visitor, *, now_s: float
+    ) -> tuple[list[ServerStatus], list[RefusalStatus]] | Denied:
+        """What there is to see of the servers, and the last refusals, for an operator."""
+        why = self._mistrust(visitor)
+        if not why and visitor.certificate and not visitor.is_operator:
+            why = f"{visitor.name} is no operator: show a certificate of `upwash keys --operator NAME`"
+        if why:
+            self._refusals.note("", visitor.name, why, now_s=now_s)
+            return Denied(why)
+        servers = [self._status(name, server, now_s) for name, server in self._servers.items()]
+        return servers, self._refusals.status(now_s=now_s)
 
     def look(self, *, now_s: float) -> list[Command]:
         """Ends the leases whose time is over, and stops the instances that nobody uses."""
@@ -207,7 +292,7 @@ class Host:
         settings = self.settings
         ends_s = [now_s + settings.lease_s, now_s + settings.idle_stop_s]
         for server in self._servers.values():
-            ends_s += server.leases.values()
+            ends_s += [lease.until_s for lease in server.leases.values()]
             ends_s += [
                 instance.used_s + settings.idle_stop_s
                 for instance in server.instances.values()
@@ -216,49 +301,97 @@ class Host:
         return min(ends_s)
 
     def leases(self, server: str) -> frozenset[str]:
-        """The drones that hold a slot of the server."""
+        """The names of the drones that hold a slot of the server."""
         return frozenset(self._servers[server].leases)
 
     def state(self, server: str, service: str) -> InstanceState:
         """Where the instance of the service is in its life."""
         return self._servers[server].instances[service].state
 
-    def _deny(self, name: str, services: Iterable[str], drone: str) -> Denied | None:
+    def _deny(self, name: str, services: Iterable[str], drone: Visitor, now_s: float) -> Denied | None:
+        why = self._mistrust(drone) or self._obstacle(name, services, drone)
+        if not why:
+            return None
+        self._refusals.note(name, drone.name, why, now_s=now_s)
+        return Denied(why)
+
+    def _mistrust(self, visitor: Visitor) -> str:
+        if visitor.certificate in self._revoked:
+            return f"the certificate of {visitor.name} is revoked"
+        return ""
+
+    def _obstacle(self, name: str, services: Iterable[str], drone: Visitor) -> str:
         server = self._servers.get(name)
         if server is None:
-            return Denied(f"no server {name} here; this daemon is {', '.join(self._servers)}")
+            return f"no server {name} here; this daemon is {', '.join(self._servers)}"
+        if self._closing:
+            return self._closing
+        if drone.is_operator:
+            return f"{drone.name} is an operator, and {name} serves drones"
         missing = [service for service in services if service not in server.offer.images]
         if missing:
-            return Denied(f"{name} has no image of {', '.join(missing)}")
-        if drone not in server.leases and len(server.leases) >= server.offer.slots:
-            return Denied(f"{name} has no free slot: {len(server.leases)} of {server.offer.slots} in use")
-        return None
+            return f"{name} has no image of {', '.join(missing)}"
+        if drone.name not in server.leases and len(server.leases) >= server.offer.slots:
+            return f"{name} has no free slot: {len(server.leases)} of {server.offer.slots} in use"
+        return ""
 
-    def _renew(self, name: str, drone: str, now_s: float) -> list[Command]:
+    def _renew(self, name: str, drone: Visitor, now_s: float) -> list[Command]:
         leases = self._servers[name].leases
-        new = drone not in leases
-        leases[drone] = now_s + self.settings.lease_s
-        return [self._admission(name)] if new else []
+        known = leases.get(drone.name)
+        leases[drone.name] = _Lease(drone, now_s + self.settings.lease_s)
+        return [] if known is not None and known.drone == drone else [self._admission(name)]
 
     def _end_leases(self, now_s: float) -> list[Command]:
-        commands: list[Command] = []
-        for name, server in self._servers.items():
-            over = [drone for drone, until_s in server.leases.items() if until_s <= now_s]
-            for drone in over:
-                del server.leases[drone]
-            if over:
-                commands.append(self._admission(name))
-        return commands
+        return [
+            command
+            for name, server in self._servers.items()
+            for command in self._end(
+                name, [drone for drone, lease in server.leases.items() if lease.until_s <= now_s]
+            )
+        ]
+
+    def _end(self, name: str, drones: list[str]) -> list[Command]:
+        for drone in drones:
+            del self._servers[name].leases[drone]
+        return [self._admission(name)] if drones else []
 
     def _admission(self, name: str) -> Admit:
-        return Admit(name, self.leases(name))
+        leases = self._servers[name].leases
+        return Admit(name, frozenset(lease.drone.key for lease in leases.values()))
 
     def _stop_idle(self, name: str, now_s: float) -> list[Command]:
-        commands: list[Command] = []
-        for service, instance in self._servers[name].instances.items():
-            idle_s = now_s - instance.used_s
-            if instance.state is InstanceState.RUNNING and idle_s >= self.settings.idle_stop_s:
-                instance.state = InstanceState.STOPPING
-                instance.endpoint = ""
-                commands.append(StopInstance(name, service, instance.number))
-        return commands
+        return [
+            command
+            for service, instance in self._servers[name].instances.items()
+            if instance.state is InstanceState.RUNNING
+            and now_s - instance.used_s >= self.settings.idle_stop_s
+            for command in self._stop(name, service)
+        ]
+
+    def _stop(self, name: str, service: str, why: str = "") -> list[Command]:
+        instance = self._servers[name].instances[service]
+        if instance.state not in (InstanceState.STARTING, InstanceState.RUNNING):
+            return []
+        instance.state = InstanceState.STOPPING
+        instance.endpoint = ""
+        return [StopInstance(name, service, instance.number, why)]
+
+    def _status(self, name: str, server: _Server, now_s: float) -> ServerStatus:
+        return ServerStatus(
+            name,
+            server.offer.slots,
+            [
+                LeaseStatus(drone, lease.drone.certificate, lease.until_s - now_s)
+                for drone, lease in sorted(server.leases.items())
+            ],
+            [
+                InstanceStatus(
+                    service,
+                    instance.state.value,
+                    instance.endpoint,
+                    now_s - instance.used_s if instance.state is InstanceState.RUNNING else 0.0,
+                )
+                for service, instance in sorted(server.instances.items())
+                if service in server.offer.images or instance.state is not InstanceState.ABSENT
+            ],
+        )

@@ -9,6 +9,7 @@ import msgspec
 
 from upwash.config import (
     DaemonConfig,
+    DaemonKeysConfig,
     DroneConfig,
     IdentityConfig,
     ImageConfig,
@@ -33,7 +34,7 @@ def write_daemon_file(
     paces = server_paces(server, config)
     daemon = DaemonConfig(
         listen=listen,
-        keys=keys,
+        keys=DaemonKeysConfig(authority=keys.authority, certificate=keys.certificate, key=keys.key),
         images=tuple(
             ImageConfig(
                 name=service.name,

@@ -67,6 +67,7 @@ def _edge_server(
         images={name: Image(program) for name, program in programs.items()},
         runtime=witness.runtime(runtime) if witness else runtime,
         start_timeout_s=60.0,
+        drain_s=10.0,
     )
     handle = witness.daemon(edge.handle) if witness else edge.handle
     outside.plug_daemon(server.address or server.name, handle, crash=runtime.crash)

@@ -24,6 +24,7 @@ import msgspec
 
 from upwash.core.estimates import Operation
 from upwash.core.geo import Position
+from upwash.core.visitors import Visitor
 from upwash.errors import UpwashError
 from upwash.ports import Dialer, Instance, InstanceSpec, Journal, Link, Network, Runtime
 from upwash.sim.link import Handler
@@ -65,10 +66,10 @@ class ServerWitness:
     def daemon(self, handle: Handler) -> Handler:
         """Sees the requests that reach the daemon."""
 
-        async def answer(path: str, body: bytes, drone: str) -> bytes:
-            self.record("asked", path=path, drone=drone)
-            reply = await handle(path, body, drone)
-            self.record("answered", path=path, drone=drone)
+        async def answer(path: str, body: bytes, visitor: Visitor) -> bytes:
+            self.record("asked", path=path, drone=visitor.name)
+            reply = await handle(path, body, visitor)
+            self.record("answered", path=path, drone=visitor.name)
             return reply
 
         return answer
@@ -171,6 +172,9 @@ class _Instance:
     async def admit(self, drones: frozenset[str]) -> None:
         self.witness.record("admitted", service=self.service, drones=sorted(drones))
         await self.seen.admit(drones)
+
+    async def drain(self, why: str) -> None:
+        await self.seen.drain(why)
 
     async def exited(self) -> str:
         how = await self.seen.exited()

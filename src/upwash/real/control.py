@@ -32,6 +32,12 @@ class Admit(msgspec.Struct, frozen=True, tag="admit"):
     drones: list[str]
 
 
+class Drain(msgspec.Struct, frozen=True, tag="drain"):
+    """To the instance: refuse every further call for this reason, and say when none is under way."""
+
+    why: str
+
+
 class Ready(msgspec.Struct, frozen=True, tag="ready"):
     """From the instance: it can be called at this address."""
 
@@ -46,6 +52,10 @@ class Failed(msgspec.Struct, frozen=True, tag="failed"):
 
 class Admitted(msgspec.Struct, frozen=True, tag="admitted"):
     """From the instance: the oldest Admit that was not acknowledged yet is in force."""
+
+
+class Drained(msgspec.Struct, frozen=True, tag="drained"):
+    """From the instance: no call is under way, and none will be."""
 
 
 class Called(msgspec.Struct, frozen=True, tag="called"):
@@ -66,13 +76,13 @@ class Ended(msgspec.Struct, frozen=True, tag="ended"):
     code: int
 
 
-FromInstance = Ready | Failed | Admitted | Called | Said | Ended
+FromInstance = Ready | Failed | Admitted | Drained | Called | Said | Ended
 
 _encoder = msgspec.json.Encoder()
-to_instance = msgspec.json.Decoder(Begin | Admit)
+to_instance = msgspec.json.Decoder(Begin | Admit | Drain)
 from_instance: msgspec.json.Decoder[FromInstance] = msgspec.json.Decoder(FromInstance)
 
 
-def line(message: Begin | Admit | FromInstance) -> bytes:
+def line(message: Begin | Admit | Drain | FromInstance) -> bytes:
     """A message as one line of JSON."""
     return _encoder.encode(message) + b"\n"

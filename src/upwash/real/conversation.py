@@ -16,6 +16,8 @@ from upwash.real.control import (
     Admitted,
     Begin,
     Called,
+    Drain,
+    Drained,
     Ended,
     Failed,
     FromInstance,
@@ -51,6 +53,7 @@ class Conversation:
         self._reports = reports
         self._orders = orders
         self._admissions: deque[asyncio.Future[None]] = deque()
+        self._drained: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._listening: asyncio.Task[None] | None = None
 
     async def begin(self, begin: Begin) -> str:
@@ -75,16 +78,19 @@ class Conversation:
 
     async def admit(self, drones: frozenset[str]) -> None:
         """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
-        if self.is_over:
-            raise InstanceError(f"{self._name} is gone")
         confirmed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._tell(Admit(sorted(drones)))
         self._admissions.append(confirmed)
-        self._orders.write(line(Admit(sorted(drones))))
         try:
             async with asyncio.timeout(_ADMIT_S):
                 await confirmed
         except TimeoutError:
             raise InstanceError(f"{self._name} does not answer its runtime") from None
+
+    async def drain(self, why: str) -> None:
+        """Has every further call refused for that reason; returns when none is under way, or nothing is left."""
+        self._tell(Drain(why))
+        await asyncio.shield(self._drained)
 
     @property
     def is_over(self) -> bool:
@@ -103,6 +109,11 @@ class Conversation:
         self._orders.transport.abort()  # whoever is frozen takes no part in a farewell
         with contextlib.suppress(OSError):
             await self._orders.wait_closed()
+
+    def _tell(self, message: Admit | Drain) -> None:
+        if self.is_over:
+            raise InstanceError(f"{self._name} is gone")
+        self._orders.write(line(message))
 
     async def _hear(self) -> FromInstance | None:
         """The next message; None at the end, and where the line broke or carries what nobody understands."""
@@ -128,6 +139,8 @@ class Conversation:
                         confirmed = self._admissions.popleft()
                         if not confirmed.done():
                             confirmed.set_result(None)
+                    case Drained() if not self._drained.done():
+                        self._drained.set_result(None)
                     case Said(output):
                         self._output.add(output)
                     case Ended():
@@ -138,3 +151,5 @@ class Conversation:
             for confirmed in self._admissions:
                 if not confirmed.done():
                     confirmed.set_exception(InstanceError(f"{self._name} is gone"))
+            if not self._drained.done():
+                self._drained.set_result(None)

@@ -1,14 +1,16 @@
 """Certificates: who may talk to whom, under one authority that the operator keeps.
 
 The authority signs one certificate for each daemon, good for all servers that the daemon acts as, and one for
-each drone. Drones hold only client certificates and daemons only server certificates, so a stolen drone
-cannot pose as a server.
+each drone and each operator. Drones and operators hold only client certificates and daemons only server
+certificates, so a stolen drone cannot pose as a server; an operator's says in its subject that it is one.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
+import ssl
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -27,6 +29,11 @@ _AUTHORITY_LASTS = timedelta(days=3652)
 _CERTIFICATE_LASTS = timedelta(days=730)
 _CLOCKS_MAY_DIFFER = timedelta(days=1)  # a drone's clock may be behind the authority's
 _LONGEST_NAME = 64  # of a certificate's common name
+_REVOKED_FILE = "revoked.txt"
+_REVOKED_HEAD = (
+    b"# SHA-256 fingerprints of certificates that daemons refuse; `upwash keys --revoke` adds to them.\n"
+)
+OPERATOR_UNIT = "operator"  # the organizational unit in an operator's subject
 
 
 @dataclass(frozen=True)
@@ -51,6 +58,21 @@ class Credentials:
             return tuple(str(name.value) for name in common)
         return tuple(names.get_values_for_type(x509.DNSName))
 
+    @property
+    def expiries(self) -> dict[str, datetime]:
+        """Until when the certificate, by its first name, and its authority are valid."""
+        from cryptography import x509
+
+        return {
+            holder: x509.load_pem_x509_certificate(pem).not_valid_after_utc
+            for holder, pem in ((self.names[0], self.certificate), ("authority", self.authority))
+        }
+
+
+def fingerprint(certificate: bytes) -> str:
+    """The SHA-256 fingerprint of a PEM certificate, in lower-case hexadecimal digits."""
+    return hashlib.sha256(ssl.PEM_cert_to_DER_cert(certificate.decode())).hexdigest()
+
 
 @dataclass(frozen=True)
 class _Authority:
@@ -67,7 +89,11 @@ def keys_in(folder: Path, name: str) -> KeysConfig:
 
 
 def make_keys(
-    folder: Path, *, servers: Sequence[Sequence[str]] = (), drones: Sequence[str] = ()
+    folder: Path,
+    *,
+    servers: Sequence[Sequence[str]] = (),
+    drones: Sequence[str] = (),
+    operators: Sequence[str] = (),
 ) -> list[Path]:
     """Makes a key and a certificate for each entry and returns the files written, the authority's if new.
 
@@ -77,8 +103,8 @@ def make_keys(
     """
     if not all(servers):
         raise UsageError("a server without a name: give each at least one")
-    _refuse_names([name for names in (*servers, drones) for name in names])
-    holders = [*(names[0] for names in servers), *drones]
+    _refuse_names([name for names in (*servers, drones, operators) for name in names])
+    holders = [*(names[0] for names in servers), *drones, *operators]
     for file in (folder / f"{name}{ending}" for name in holders for ending in (".key", ".pem")):
         if file.exists():
             raise _already_there(file)
@@ -91,7 +117,50 @@ def make_keys(
         files += _issue(folder, authority, names, is_server=True)
     for name in drones:
         files += _issue(folder, authority, [name], is_server=False)
+    for name in operators:
+        files += _issue(folder, authority, [name], is_server=False, unit=OPERATOR_UNIT)
     return files
+
+
+def revoke(folder: Path, names: Sequence[str]) -> Path:
+    """Adds the certificates of these holders to the folder's list of revoked ones and returns its file.
+
+    Raises UsageError, with nothing written, where a name has no certificate in the folder.
+    """
+    file = folder / _REVOKED_FILE
+    known = read_revoked(file) if file.exists() else frozenset()
+    lines = []
+    for name in names:
+        certificate = folder / f"{name}.pem"
+        if not certificate.exists():
+            raise UsageError(f"{certificate}: no such certificate: name one that was made in {folder}")
+        pem = _read(certificate)
+        _parsed_certificate(certificate, pem)
+        revoked = fingerprint(pem)
+        if revoked not in known:
+            lines.append(f"{revoked}  {name}, revoked {datetime.now(UTC):%Y-%m-%d}\n")
+    try:
+        with file.open("a") as opened:
+            opened.writelines(lines)
+    except OSError as error:
+        raise UsageError(f"{file}: cannot be written ({error.strerror}): name a writable folder") from None
+    return file
+
+
+def read_revoked(file: Path) -> frozenset[str]:
+    """The fingerprints in a list of revoked certificates, one at the start of each line; raises CredentialsError."""
+    revoked = set()
+    for number, text in enumerate(_read(file).decode(errors="replace").splitlines(), start=1):
+        first = text.partition(" ")[0].replace(":", "").lower()
+        if not first or first.startswith("#"):
+            continue
+        if not re.fullmatch(r"[0-9a-f]{64}", first):
+            raise CredentialsError(
+                f"{file}: line {number} does not begin with a SHA-256 fingerprint: "
+                "add to it with `upwash keys --revoke NAME` only"
+            )
+        revoked.add(first)
+    return frozenset(revoked)
 
 
 def read_credentials(authority: Path, certificate: Path, key: Path) -> Credentials:
@@ -124,7 +193,7 @@ def _refuse_names(names: list[str]) -> None:
         if name == "authority":
             raise UsageError('"authority" is the name of the authority itself: choose another')
         if name in names[:index]:
-            raise UsageError(f'"{name}" is named twice: give each server and drone its own name')
+            raise UsageError(f'"{name}" is named twice: give each server, drone and operator its own name')
 
 
 def _already_there(file: Path) -> UsageError:
@@ -169,10 +238,17 @@ def _new_authority(folder: Path) -> tuple[_Authority, list[Path]]:
         issuer=None,
         lasts=_AUTHORITY_LASTS,
     )
-    return _Authority(certificate, key), _write_pair(folder, "authority", certificate, key)
+    files = _write_pair(folder, "authority", certificate, key)
+    revoked = folder / _REVOKED_FILE
+    if not revoked.exists():
+        _write_new(revoked, _REVOKED_HEAD, mode=0o644)
+        files.append(revoked)
+    return _Authority(certificate, key), files
 
 
-def _issue(folder: Path, authority: _Authority, names: Sequence[str], *, is_server: bool) -> list[Path]:
+def _issue(
+    folder: Path, authority: _Authority, names: Sequence[str], *, is_server: bool, unit: str = ""
+) -> list[Path]:
     from cryptography import x509
     from cryptography.x509.oid import ExtendedKeyUsageOID
 
@@ -190,6 +266,7 @@ def _issue(folder: Path, authority: _Authority, names: Sequence[str], *, is_serv
         ],
         issuer=authority,
         lasts=_CERTIFICATE_LASTS,
+        unit=unit,
     )
     return _write_pair(folder, names[0], certificate, key)
 
@@ -201,13 +278,15 @@ def _signed(
     *,
     issuer: _Authority | None,
     lasts: timedelta,
+    unit: str = "",
 ) -> Certificate:
     """A certificate with the extensions, each critical or not, signed by its own key without an issuer."""
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
     from cryptography.x509.oid import NameOID
 
-    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+    units = [x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, unit)] if unit else []
+    subject = x509.Name([*units, x509.NameAttribute(NameOID.COMMON_NAME, name)])
     now = datetime.now(UTC)
     builder = (
         x509.CertificateBuilder()

@@ -13,12 +13,24 @@ import socket
 import sys
 import threading
 import time
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from queue import SimpleQueue
 from typing import BinaryIO, NoReturn
 
 from upwash.errors import Refused, UsageError
 from upwash.protocol import service_path
-from upwash.real.control import Admit, Admitted, Begin, Called, Failed, Ready, line, to_instance
+from upwash.real.control import (
+    Admit,
+    Admitted,
+    Begin,
+    Called,
+    Drain,
+    Drained,
+    Failed,
+    Ready,
+    line,
+    to_instance,
+)
 from upwash.real.credentials import Credentials
 from upwash.real.listener import AlwaysServing, Caller, Listener
 from upwash.service import Method, load_service, spec_of
@@ -27,6 +39,7 @@ from upwash.settings import construct
 _CONCURRENT_CALLS = 8  # one runs, the others queue until their deadlines
 _LONGEST_REASON = 10_000  # characters
 _REPORT_PERIOD_S = 1.0  # leases last far longer than this
+_LAST_REPLY_S = 1.0  # to get on its way, when the last call has ended
 
 
 class ServiceInstance:
@@ -42,6 +55,8 @@ class ServiceInstance:
         self._pace_s = begin.pace_s
         self._control = control
         self._reporting = threading.Lock()
+        self._calls = ThreadPoolExecutor(1, "upwash-call")  # a service need not be safe for threads
+        self._closed = ""  # why no call is answered any more
         self._admitted: frozenset[str] = frozenset()
         self._reported_s: dict[str, float] = {}  # when each drone's calls were last reported
         credentials = (
@@ -54,7 +69,7 @@ class ServiceInstance:
             self._answer,
             credentials=credentials,
             max_message_bytes=begin.max_message_bytes,
-            threads=1,
+            threads=_CONCURRENT_CALLS,
             concurrent_requests=_CONCURRENT_CALLS,
         )
         self._listener.add(AlwaysServing())
@@ -69,7 +84,17 @@ class ServiceInstance:
         self._admitted = frozenset(drones)
         self._report(Admitted())
 
-    def _report(self, message: Ready | Admitted | Called) -> None:
+    def drain(self, why: str) -> None:
+        """From now on nobody gets an answer, for that reason; says so when the last call has ended."""
+        self._closed = why
+        threading.Thread(target=self._drain, name="drain", daemon=True).start()
+
+    def _drain(self) -> None:
+        self._calls.shutdown(wait=True, cancel_futures=True)
+        self._listener.stop(grace_s=_LAST_REPLY_S)
+        self._report(Drained())
+
+    def _report(self, message: Ready | Admitted | Drained | Called) -> None:
         with self._reporting:
             self._control.sendall(line(message))
 
@@ -77,14 +102,30 @@ class ServiceInstance:
         method = self._methods.get(path)
         if method is None:
             raise Refused(f"no method {path} here")
-        if caller.drone not in self._admitted:
-            raise Refused(f"drone {caller.drone or '(unnamed)'} has no lease here")
+        self._refuse_unwelcome(caller)
+        try:
+            call = self._calls.submit(self._perform, method, body, caller)
+        except RuntimeError:  # no calls are taken any more
+            raise Refused(self._closed) from None
+        try:
+            return call.result()
+        except CancelledError:  # while it waited for its turn
+            raise Refused(self._closed) from None
+
+    def _refuse_unwelcome(self, caller: Caller) -> None:
+        if self._closed:
+            raise Refused(self._closed)
+        if caller.visitor.key not in self._admitted:
+            raise Refused(f"drone {caller.visitor.name or '(unnamed)'} has no lease here")
+
+    def _perform(self, method: Method, body: bytes, caller: Caller) -> bytes:
+        self._refuse_unwelcome(caller)  # it may have ended while the call waited for its turn
         if not caller.is_waiting():
             raise Refused("nobody waits for this call any more")
-        began_s = time.monotonic()
-        if began_s - self._reported_s.get(caller.drone, -math.inf) >= _REPORT_PERIOD_S:
-            self._reported_s[caller.drone] = began_s
-            self._report(Called(caller.drone))
+        drone, began_s = caller.visitor.name, time.monotonic()
+        if began_s - self._reported_s.get(drone, -math.inf) >= _REPORT_PERIOD_S:
+            self._reported_s[drone] = began_s
+            self._report(Called(drone))
         key, reply = method.perform(self._target, body)
         short_s = self._least_s(key, method.name) - (time.monotonic() - began_s)
         if short_s > 0:
@@ -115,8 +156,11 @@ def main() -> NoReturn:
     instance.serve()
     while True:
         message = to_instance.decode(orders.get())
-        if isinstance(message, Admit):
-            instance.admit(message.drones)
+        match message:
+            case Admit(drones):
+                instance.admit(drones)
+            case Drain(why):
+                instance.drain(why)
 
 
 def _listen(lines: BinaryIO, orders: SimpleQueue[bytes]) -> None:

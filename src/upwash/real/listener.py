@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 import socket
 from collections.abc import Callable
@@ -11,8 +12,9 @@ from typing import Any
 
 import grpc
 
+from upwash.core.visitors import Visitor
 from upwash.errors import Refused, UpwashError, UsageError
-from upwash.real.credentials import Credentials
+from upwash.real.credentials import OPERATOR_UNIT, Credentials, fingerprint
 from upwash.real.link import DRONE_METADATA
 
 _log = logging.getLogger("upwash.listener")
@@ -35,7 +37,7 @@ SERVING = b"\x08\x01"  # and its answer, a HealthCheckResponse of one byte that 
 class Caller:
     """Who sent a request, and whether they still wait for the answer."""
 
-    drone: str
+    visitor: Visitor
     time_left_s: Callable[[], float | None]
     is_waiting: Callable[[], bool]
 
@@ -158,21 +160,34 @@ class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
         return grpc.unary_unary_rpc_method_handler(lambda body, context: self._answer(path, body, context))
 
     def _answer(self, path: str, body: bytes, context: grpc.ServicerContext) -> bytes:
-        caller = Caller(self._drone(context), context.time_remaining, context.is_active)
+        caller = Caller(self._visitor(context), context.time_remaining, context.is_active)
         try:
             return self._handler(path, body, caller)
         except Refused as refusal:
-            _log.warning("refused %s to %s: %s", path, caller.drone or "an unnamed caller", refusal)
+            _log.warning("refused %s to %s: %s", path, caller.visitor.name or "an unnamed caller", refusal)
             context.abort(grpc.StatusCode.FAILED_PRECONDITION, str(refusal))
         except UpwashError as error:
             context.abort(grpc.StatusCode.ABORTED, str(error))
         except BaseException:  # noqa: BLE001 - a bug of the handler must not end the listener
-            _log.exception("%s by %s failed", path, caller.drone)
+            _log.exception("%s by %s failed", path, caller.visitor.name)
             context.abort(grpc.StatusCode.INTERNAL, "the server failed; its log says why")
         raise AssertionError("abort raises")
 
-    def _drone(self, context: grpc.ServicerContext) -> str:
+    def _visitor(self, context: grpc.ServicerContext) -> Visitor:
         if self._certified:
-            names: list[bytes] = context.auth_context().get("x509_common_name", [])
-            return names[0].decode(errors="replace") if names else ""
-        return next((value for key, value in context.invocation_metadata() if key == DRONE_METADATA), "")
+            shown = context.auth_context()
+            return _certified(*(b"".join(shown.get(name, [])[:1]) for name in _SHOWN))
+        named = (value for key, value in context.invocation_metadata() if key == DRONE_METADATA)
+        return Visitor(next(named, ""))
+
+
+_SHOWN = ("x509_common_name", "x509_subject", "x509_pem_cert")
+
+
+@functools.lru_cache(maxsize=64)
+def _certified(name: bytes, subject: bytes, certificate: bytes) -> Visitor:
+    return Visitor(
+        name.decode(errors="replace"),
+        fingerprint(certificate),
+        is_operator=f"OU={OPERATOR_UNIT}" in subject.decode(errors="replace").split(","),
+    )

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import os
 import signal
 import socket
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 from upwash.errors import InstanceError
 from upwash.ports import InstanceSpec
@@ -20,6 +22,12 @@ from upwash.real.output import Output
 
 _STOP_GRACE_S = 2.0
 _CHUNK_BYTES = 65536
+
+
+def sockets_in(folder: Path) -> Callable[[InstanceSpec], str]:
+    """Has each instance listen at a unix socket of its own in the folder."""
+    numbers = itertools.count()
+    return lambda spec: f"unix:{folder}/{spec.name}-{next(numbers)}.sock"
 
 
 class ProcessRuntime:
@@ -95,6 +103,11 @@ class ProcessInstance:
         """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
         assert self._conversation is not None  # noqa: S101 - it has begun
         await self._conversation.admit(drones)
+
+    async def drain(self, why: str) -> None:
+        """Has every further call refused for that reason; returns when none is under way, or nothing is left."""
+        assert self._conversation is not None  # noqa: S101 - it has begun
+        await self._conversation.drain(why)
 
     async def exited(self) -> str:
         """Returns how the process ended, with its last words, when it does."""

@@ -39,6 +39,7 @@ from typing import NoReturn, Protocol
 import msgspec
 
 from upwash.config import FaultConfig
+from upwash.core.visitors import Visitor
 from upwash.errors import Unreachable, UsageError
 from upwash.protocol import (
     AVAILABILITY,
@@ -129,8 +130,8 @@ class FaultyServer:
     def plug(self, address: str, instance: Handler) -> None:
         """From now on the instance answers at the address, as well as it can."""
 
-        async def answer(path: str, body: bytes, drone: str) -> bytes:
-            return await self._suffering(lambda: instance(path, body, drone))
+        async def answer(path: str, body: bytes, visitor: Visitor) -> bytes:
+            return await self._suffering(lambda: instance(path, body, visitor))
 
         self._board.plug(address, answer)
 
@@ -141,20 +142,20 @@ class FaultyServer:
     def plug_daemon(self, address: str, daemon: Handler, *, crash: Callable[[str], None]) -> None:
         """From now on the daemon answers at the address, as well as it can; `crash` ends its instances."""
 
-        async def answer(path: str, body: bytes, drone: str) -> bytes:
-            return await self._suffering(lambda: ask(path, body, drone))
+        async def answer(path: str, body: bytes, visitor: Visitor) -> bytes:
+            return await self._suffering(lambda: ask(path, body, visitor))
 
-        async def ask(path: str, body: bytes, drone: str) -> bytes:
+        async def ask(path: str, body: bytes, visitor: Visitor) -> bytes:
             match self._kind():
                 case "wrong" if path == AVAILABILITY:
                     return _lie(msgspec.msgpack.decode(body, type=AvailabilityRequest))
                 case "wrong" if path == START:
                     return msgspec.msgpack.encode(StartReply(endpoint=_NOBODY))
                 case "full" if path != LEAVE:
-                    return await self._ask_among_strangers(daemon, path, body, drone)
+                    return await self._ask_among_strangers(daemon, path, body, visitor)
                 case "crash" if path == AVAILABILITY:
                     crash("crashed")
-            return await daemon(path, body, drone)
+            return await daemon(path, body, visitor)
 
         self._board.plug(address, answer)
 
@@ -174,13 +175,13 @@ class FaultyServer:
             case "stuck":
                 await never()
 
-    async def _ask_among_strangers(self, daemon: Handler, path: str, body: bytes, drone: str) -> bytes:
+    async def _ask_among_strangers(self, daemon: Handler, path: str, body: bytes, visitor: Visitor) -> bytes:
         """Has the daemon itself find that no slot is left, but for a drone that holds one."""
-        strangers = [f"stranger-{number}" for number in range(self._slots)]
+        strangers = [Visitor(f"stranger-{number}") for number in range(self._slots)]
         for stranger in strangers:
             await daemon(AVAILABILITY, msgspec.msgpack.encode(AvailabilityRequest(self._name, [])), stranger)
         try:
-            return await daemon(path, body, drone)
+            return await daemon(path, body, visitor)
         finally:
             for stranger in strangers:
                 await daemon(LEAVE, msgspec.msgpack.encode(LeaveRequest(self._name)), stranger)

@@ -7,9 +7,10 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from upwash.core.visitors import Visitor
 from upwash.errors import DeadlineExceeded, InstanceError, Refused, Unreachable
 
-Handler = Callable[[str, bytes, str], Awaitable[bytes]]  # path, body, drone → reply
+Handler = Callable[[str, bytes, Visitor], Awaitable[bytes]]  # path, body, who asks → reply
 
 
 class Air(Protocol):
@@ -100,7 +101,7 @@ class ModelLink:
         if handler is None:
             raise Unreachable(f"{self._server} at {self._address}: nobody answers")
         try:
-            reply = await handler(path, body, self._drone)
+            reply = await handler(path, body, Visitor(self._drone))
         except InstanceError as error:
             raise Unreachable(f"{self._server} at {self._address}: {error}") from error
         except Refused as refusal:

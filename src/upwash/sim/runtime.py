@@ -13,6 +13,7 @@ import msgspec
 from msgspec import inspect as types
 
 from upwash.core.estimates import Operation
+from upwash.core.visitors import Visitor
 from upwash.errors import InstanceError, Refused
 from upwash.ports import InstanceSpec
 from upwash.protocol import service_path
@@ -99,6 +100,7 @@ class ModelInstance:
         self._computer = computer
         self._switchboard = switchboard
         self._admitted: frozenset[str] = frozenset()
+        self._closed = ""  # why no call is answered any more
         self._busy = asyncio.Lock()
         self._ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         switchboard.plug(endpoint, self._answer)
@@ -106,6 +108,12 @@ class ModelInstance:
     async def admit(self, drones: frozenset[str]) -> None:
         """Has only these drones get an answer."""
         self._admitted = drones
+
+    async def drain(self, why: str) -> None:
+        """Has every further call refused for that reason; returns when none is under way."""
+        self._closed = why
+        async with self._busy:
+            pass
 
     async def exited(self) -> str:
         """Returns how the instance ended, when it does."""
@@ -121,14 +129,14 @@ class ModelInstance:
         if not self._ended.done():
             self._ended.set_result(how)
 
-    async def _answer(self, path: str, body: bytes, drone: str) -> bytes:
+    async def _answer(self, path: str, body: bytes, drone: Visitor) -> bytes:
         if path not in self._methods:
             raise Refused(f"no method {path} here")
         method, reply = self._methods[path]
-        if drone not in self._admitted:
-            raise Refused(f"drone {drone} has no lease here")
+        self._refuse_unwelcome(drone)
         async with self._busy:
-            self._called(drone)
+            self._refuse_unwelcome(drone)  # its lease may have ended while it waited for its turn
+            self._called(drone.name)
             try:
                 operation = Operation(self._spec.service, method.name, method.key_of(body))
             except msgspec.MsgspecError:
@@ -140,6 +148,12 @@ class ModelInstance:
         if self._ended.done():
             raise InstanceError(f"{self._spec.name} {self._ended.result()}")
         return reply if self._target is None else method.perform(self._target, body)[1]
+
+    def _refuse_unwelcome(self, drone: Visitor) -> None:
+        if self._closed:
+            raise Refused(self._closed)
+        if drone.key not in self._admitted:
+            raise Refused(f"drone {drone.name} has no lease here")
 
 
 def empty_reply(method: Method) -> bytes:

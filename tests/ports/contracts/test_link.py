@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from upwash.core.visitors import Visitor
 from upwash.errors import DeadlineExceeded, Refused, Unreachable
 from upwash.ports import Link
 from upwash.real.link import GrpcDialer
@@ -25,13 +26,13 @@ Hold = Callable[[Talk, bool], None]
 
 @asynccontextmanager
 async def model_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
-    async def answer(_path: str, body: bytes, drone: str) -> bytes:
+    async def answer(_path: str, body: bytes, visitor: Visitor) -> bytes:
         match body:
             case b"refuse":
                 raise Refused("not today")
             case b"stuck":
                 await asyncio.Event().wait()
-        return drone.encode() + b" " + body
+        return visitor.name.encode() + b" " + body
 
     link = ModelDialer("heron", Switchboard({"s1": answer} if answered else {}), Wire()).dial(
         "s1", server="s1"
@@ -50,7 +51,7 @@ async def grpc_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
                 raise Refused("not today")
             case b"stuck":
                 let_go.wait(10.0)
-        return caller.drone.encode() + b" " + body
+        return caller.visitor.name.encode() + b" " + body
 
     address = f"unix:{folder}/s1.sock"
     listener = Listener(

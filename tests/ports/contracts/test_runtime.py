@@ -15,7 +15,7 @@ from upwash.core.estimates import Operation
 from upwash.errors import LinkError, Refused
 from upwash.ports import Dialer, InstanceSpec, Program, Runtime
 from upwash.protocol import service_path
-from upwash.real.credentials import Credentials
+from upwash.real.credentials import Credentials, fingerprint
 from upwash.real.link import GrpcDialer
 from upwash.real.lxd.container import ContainerSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
@@ -26,8 +26,6 @@ from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
 from upwash.sim.runtime import ModelRuntime
 from upwash.sim.world import Wire
-
-HERON = frozenset({"heron"})
 
 
 class Sure:
@@ -47,6 +45,7 @@ class Site:
     runtime: Runtime
     dialer: Dialer
     spec: InstanceSpec
+    heron: frozenset[str] = frozenset({"heron"})  # what instances know the drone by
 
     async def call(self, endpoint: str) -> object:
         """Calls the workbench's `work` over a link of its own."""
@@ -129,7 +128,9 @@ async def containers(
         await engine.connect()
         await engine.import_image(image)
         await runtime.prepare(["s1"], [("s1", "workbench")])
-        yield Site(runtime, GrpcDialer("heron", shown("heron"), max_message_bytes=1_000_000), spec)
+        heron = shown("heron")
+        dialer = GrpcDialer("heron", heron, max_message_bytes=1_000_000)
+        yield Site(runtime, dialer, spec, frozenset({fingerprint(heron.certificate)}))
     finally:
         await runtime.close()
 
@@ -148,7 +149,7 @@ def test_an_instance_answers_those_who_are_admitted_and_says_who_called(use: Use
             with pytest.raises(Refused, match="heron"):
                 await site.call(instance.endpoint)
             assert callers == []
-            await instance.admit(HERON)
+            await instance.admit(site.heron)
             assert isinstance(await site.call(instance.endpoint), str)
             async with asyncio.timeout(5.0):
                 await told.wait()
@@ -165,7 +166,7 @@ def test_an_instance_answers_those_who_are_admitted_and_says_who_called(use: Use
 def test_a_stopped_instance_is_gone_and_stopping_it_again_does_nothing(use: Use) -> None:
     async def visit(site: Site) -> None:
         instance = await site.runtime.start(site.spec, called=lambda _: None)
-        await instance.admit(HERON)
+        await instance.admit(site.heron)
         exited = asyncio.create_task(instance.exited())
         await asyncio.sleep(0)
         assert not exited.done()
@@ -182,8 +183,25 @@ def test_it_can_be_started_again(use: Use) -> None:
     async def visit(site: Site) -> None:
         for _ in range(2):
             instance = await site.runtime.start(site.spec, called=lambda _: None)
-            await instance.admit(HERON)
+            await instance.admit(site.heron)
             await site.call(instance.endpoint)
             await instance.stop()
+
+    use(visit)
+
+
+def test_an_instance_that_was_drained_answers_no_call_any_more_and_the_next_one_does(use: Use) -> None:
+    async def visit(site: Site) -> None:
+        instance = await site.runtime.start(site.spec, called=lambda _: None)
+        await instance.admit(site.heron)
+        await site.call(instance.endpoint)
+        await instance.drain("this server is shutting down")
+        with pytest.raises(LinkError):
+            await site.call(instance.endpoint)
+        await instance.stop()
+        another = await site.runtime.start(site.spec, called=lambda _: None)
+        await another.admit(site.heron)
+        await site.call(another.endpoint)
+        await another.stop()
 
     use(visit)

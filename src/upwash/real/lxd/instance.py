@@ -73,6 +73,15 @@ class ContainerInstance:
         assert self._conversation is not None  # noqa: S101 - it has begun
         await self._conversation.admit(drones)
 
+    async def drain(self, why: str) -> None:
+        """Has every further call refused for that reason; returns when none is under way, or nothing is left.
+
+        It never answers again, and is not kept.
+        """
+        assert self._conversation is not None  # noqa: S101 - it has begun
+        self._keep = None
+        await self._conversation.drain(why)
+
     async def exited(self) -> str:
         """Returns how the service ended, with its last words, when it does."""
         assert self._conversation is not None  # noqa: S101 - it has begun

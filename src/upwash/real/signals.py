@@ -1,0 +1,45 @@
+"""What the operating system's signals ask of a program that runs."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+from collections.abc import Callable, Iterator
+
+_SECOND_SIGNAL_S = 0.5  # a terminal and a parent may both pass on one Ctrl-C
+
+
+@contextlib.contextmanager
+def stopping_politely(stop: Callable[[str], None]) -> Iterator[None]:
+    """The first SIGINT or SIGTERM asks to stop; the second cancels what runs."""
+    loop = asyncio.get_running_loop()
+    running = asyncio.current_task()
+    asked_s: list[float] = []
+
+    def on_signal(number: signal.Signals) -> None:
+        now_s = loop.time()
+        if not asked_s:
+            stop("Ctrl-C" if number is signal.SIGINT else number.name)
+        elif now_s - asked_s[0] > _SECOND_SIGNAL_S and running is not None:
+            running.cancel()
+        asked_s.append(now_s)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, on_signal, number)
+    try:
+        yield
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.remove_signal_handler(number)
+
+
+@contextlib.contextmanager
+def on_hangup(do: Callable[[], None]) -> Iterator[None]:
+    """Does it at each SIGHUP."""
+    loop = asyncio.get_running_loop()
+    loop.add_signal_handler(signal.SIGHUP, do)
+    try:
+        yield
+    finally:
+        loop.remove_signal_handler(signal.SIGHUP)
