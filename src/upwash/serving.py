@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import os
 import tempfile
 from collections.abc import AsyncIterator, Callable
 from datetime import UTC, datetime, timedelta
@@ -23,6 +24,7 @@ from upwash.protocol import CertificateStatus
 from upwash.real.credentials import Credentials, read_credentials, read_revoked
 from upwash.real.listener import Caller, Listener
 from upwash.real.runtime import ProcessRuntime, sockets_in
+from upwash.real.sandbox import Limits, Sandbox, find_sandbox
 from upwash.real.service_manager import ServiceManager
 from upwash.real.signals import on_hangup, stopping_politely
 from upwash.server import EdgeServer, Image
@@ -49,12 +51,13 @@ async def serve(
     images = _images(config)
     credentials = _credentials(config)
     revoked = _revoked(config)
+    sandbox, weakness = await asyncio.to_thread(_sandbox, config)
     async with contextlib.AsyncExitStack() as stack:
         sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="upwash-")))
         edge = EdgeServer(
             Host(_offers(config), HostSettings(lease_s=config.lease_s, idle_stop_s=config.idle_stop_s)),
             images=images,
-            runtime=await stack.enter_async_context(_runtime(config, credentials, sockets)),
+            runtime=await stack.enter_async_context(_runtime(config, credentials, sockets, sandbox)),
             start_timeout_s=config.start_timeout_s,
             drain_s=config.drain_s,
             certificates=_certificates(credentials),
@@ -68,11 +71,13 @@ async def serve(
         listener.start()
         stack.push_async_callback(edge.close)
         stack.push_async_callback(asyncio.to_thread, listener.stop)
+        if weakness:
+            _log.warning("%s", weakness)
         ready(listener.address)
         manager.ready()
         for work in (
             edge.run(),
-            _reload_at(hung_up, config, read_again, edge, manager),
+            _reload_at(hung_up, config, read_again=read_again, edge=edge, manager=manager),
             _watch_expiry(_certificates(credentials)),
         ):
             stack.callback(asyncio.create_task(work).cancel)
@@ -97,9 +102,28 @@ def _offers(config: DaemonConfig) -> dict[str, ServerOffer]:
     return {each.name: ServerOffer(frozenset(each.images), each.slots) for each in config.identities}
 
 
+def _sandbox(config: DaemonConfig) -> tuple[Sandbox | None, str]:
+    """The sandbox for services, and its weakness if any; raises UsageError where a required one is not to be had."""
+    runtime = config.runtime
+    if runtime.kind == "lxd":
+        return None, ""
+    if runtime.sandbox == "off":
+        return None, "services run without a sandbox, as runtime.sandbox says"
+    limits = Limits(runtime.memory_bytes, runtime.processes, runtime.disk_bytes)
+    try:
+        sandbox = find_sandbox(limits, readable=runtime.readable)
+    except UsageError as error:
+        if runtime.sandbox == "required":
+            raise
+        return None, f"services run without a sandbox: {error}"
+    if os.geteuid() == 0:
+        return sandbox, "the daemon is root: services in their sandbox may start processes without limit"
+    return sandbox, ""
+
+
 @contextlib.asynccontextmanager
 async def _runtime(
-    config: DaemonConfig, credentials: Credentials | None, sockets: Path
+    config: DaemonConfig, credentials: Credentials | None, sockets: Path, sandbox: Sandbox | None
 ) -> AsyncIterator[Runtime]:
     if config.runtime.kind == "lxd":
         from upwash.hosting import container_runtime
@@ -112,6 +136,7 @@ async def _runtime(
             _beside(config.listen, sockets),
             credentials=credentials,
             max_message_bytes=config.max_message_bytes,
+            sandbox=sandbox,
         )
 
 
@@ -201,6 +226,7 @@ async def _watch_expiry(certificates: list[CertificateStatus]) -> NoReturn:
 async def _reload_at(
     hung_up: asyncio.Event,
     config: DaemonConfig,
+    *,
     read_again: Callable[[], DaemonConfig],
     edge: EdgeServer,
     manager: ServiceManager,
@@ -231,6 +257,8 @@ def _refuse_restart(old: DaemonConfig, new: DaemonConfig) -> None:
         new.keys and msgspec.structs.replace(new.keys, revoked=None)
     ):
         raise UsageError("keys cannot change while the daemon runs, but for keys.revoked: restart it")
+    if old.runtime.kind == "lxd" and old.images != new.images:
+        raise UsageError("the services of containers are prepared at the start: restart it")
     for name in sorted(set(old.__struct_fields__) - {"images", "identities", "keys"}):
         if getattr(old, name) != getattr(new, name):
             raise UsageError(f"{name} cannot change while the daemon runs: restart it")

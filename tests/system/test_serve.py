@@ -21,7 +21,7 @@ import msgspec
 import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
-from upwash.errors import LinkError, Refused, Unreachable
+from upwash.errors import LinkError, Refused, Unreachable, UsageError
 from upwash.protocol import (
     AVAILABILITY,
     LEAVE,
@@ -38,6 +38,7 @@ from upwash.protocol import (
 )
 from upwash.real.credentials import Credentials, make_keys, read_credentials, revoke
 from upwash.real.link import GrpcDialer, GrpcLink
+from upwash.real.sandbox import Limits, find_sandbox
 from upwash.service import load_service, spec_of
 
 pytestmark = pytest.mark.system
@@ -67,9 +68,10 @@ name = "s2"
 """
 
 
-def config(keys: Path | None, listen: str = "127.0.0.1:0", **settings: Any) -> str:
+def config(keys: Path | None, listen: str = "127.0.0.1:0", *, sandbox: str = "off", **settings: Any) -> str:
     """A daemon that is s1 and s2; without a folder of keys it lets anyone of this machine in."""
-    lines = [f'listen = "{listen}"', *(f"{name} = {value}" for name, value in settings.items())]
+    lines = [f'listen = "{listen}"', f'runtime.sandbox = "{sandbox}"']
+    lines += [f"{name} = {value}" for name, value in settings.items()]
     if keys is None:
         lines.append("allow_without_certificates = true")
     else:
@@ -78,10 +80,11 @@ def config(keys: Path | None, listen: str = "127.0.0.1:0", **settings: Any) -> s
     return "\n".join(lines) + CONFIG
 
 
-def started(folder: Path, text: str, *options: str) -> subprocess.Popen[str]:
+def started(folder: Path, text: str, *options: str, path: str = os.environ["PATH"]) -> subprocess.Popen[str]:
     (folder / "server.toml").write_text(text)
     environment = {
         **os.environ,
+        "PATH": path,
         "PYTHONPATH": str(Path(__file__).parents[1]),  # where services_for_tests lies
         "PROCESS_ID_FILE": str(folder / "process_id"),
     }
@@ -108,9 +111,9 @@ class Daemon:
 
 
 @contextmanager
-def daemon(folder: Path, text: str, *options: str) -> Iterator[Daemon]:
+def daemon(folder: Path, text: str, *options: str, **settings: str) -> Iterator[Daemon]:
     """A daemon until the end of the block, by which it and all of its instances must have ended."""
-    with started(folder, text, *options) as process:
+    with started(folder, text, *options, **settings) as process:
         try:
             running = Daemon(process)
             yield running
@@ -706,12 +709,63 @@ def test_its_log_can_be_json_lines_also_where_grpc_refuses_a_certificate(
     assert any(line["logger"] == "upwash.foreign" for line in lines)
 
 
+# --- in a sandbox -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def _sandbox() -> None:
+    try:
+        find_sandbox(Limits(2**31, 256, 2**24), readable=())
+    except UsageError as error:
+        pytest.skip(str(error))
+
+
+def descendants(process_id: int) -> list[int]:
+    """The processes that the process started, and those that they started, and so on."""
+    return [each for child in children(process_id) for each in (child, *descendants(child))]
+
+
+@pytest.mark.usefixtures("_sandbox")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_drone_calls_into_a_sandbox_which_ends_with_the_daemon(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials, number: signal.Signals
+) -> None:
+    async def visit(at: Daemon) -> list[int]:
+        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
+            endpoint = (await heron.start()).endpoint
+            assert await heron.call(endpoint, "echo", b"photo") == b"photo"
+            assert await heron.call(endpoint, "process_id") < 10, "it has a numbering of processes of its own"
+            await heron.call(endpoint, "spawn")
+            inside = descendants(at.process.pid)
+            assert len(inside) >= 3
+            return inside
+
+    with daemon(tmp_path, config(keys, sandbox="required")) as at:
+        inside = asyncio.run(visit(at))
+        at.end(number)
+        until(lambda: not any(map(is_alive, inside)))
+
+
+def test_without_bubblewrap_it_serves_and_says_so_unless_a_sandbox_is_required(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
+            assert await heron.call((await heron.start()).endpoint, "echo", b"photo") == b"photo"
+
+    with daemon(tmp_path, config(keys, sandbox="auto"), path=str(tmp_path)) as at:
+        asyncio.run(visit(at))
+        said = (tmp_path / "stderr").read_text()
+        assert "services run without a sandbox: bubblewrap is not installed: `apt install bubblewrap`" in said
+    assert "apt install bubblewrap" in refused(tmp_path, config(keys, sandbox="required"), path=str(tmp_path))
+
+
 # --- when it cannot start -----------------------------------------------------------------------------------
 
 
-def refused(folder: Path, text: str) -> str:
+def refused(folder: Path, text: str, **settings: str) -> str:
     """What a daemon that does not start says; it must be one line, with exit code 2."""
-    with started(folder, text) as process:
+    with started(folder, text, **settings) as process:
         assert process.wait(timeout=30.0) == 2
         assert process.stdout is not None
         assert process.stdout.read() == ""

@@ -13,6 +13,8 @@ from upwash.config.values import Count, FilePath, Name, Names, Text
 # Less than a Python interpreter with gRPC needs helps nobody.
 MemoryBytes = Annotated[int, Meta(ge=2**26, description="an integer of at least 67108864 (64 MiB), in bytes")]
 Processes = Annotated[int, Meta(ge=32, description="an integer of at least 32, threads included")]
+DiskBytes = Annotated[int, Meta(ge=2**20, description="an integer of at least 1048576 (1 MiB), in bytes")]
+Files = Annotated[tuple[FilePath, ...], Meta(description="an array of files and folders")]
 EngineAddresses = Annotated[
     tuple[Text, ...], Meta(min_length=1, description='an array of "unix:/path" or "https://host:port"')
 ]
@@ -41,8 +43,11 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """What services run in, and what each instance may use at most."""
 
     kind: Literal["process", "lxd"] = "process"
+    sandbox: Literal["auto", "required", "off"] = "auto"
+    readable: Files = ()
     memory_bytes: MemoryBytes = 2**31
     processes: Processes = 256
+    disk_bytes: DiskBytes = 2**28
     cpus: Count | None = None
     idle: Literal["stop", "freeze"] = "freeze"
     engine: EngineConfig = EngineConfig()

@@ -11,6 +11,8 @@ from typing import Any
 
 import msgspec
 
+from upwash.real.sandbox import Limits
+
 
 class Begin(msgspec.Struct, frozen=True, tag="begin"):
     """To the instance, first: what to be. The credentials are PEM text; they touch no disk and no command line."""
@@ -24,6 +26,7 @@ class Begin(msgspec.Struct, frozen=True, tag="begin"):
     authority: str = ""
     certificate: str = ""
     key: str = ""
+    limits: Limits | None = None  # in a sandbox
 
 
 class Admit(msgspec.Struct, frozen=True, tag="admit"):

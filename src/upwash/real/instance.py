@@ -1,7 +1,8 @@
 """One service instance: a process of its own that a runtime started.
 
-`python -m upwash.real.instance FD`, where FD is the control socket. It imports the service, pays its cold start,
-and serves one call after the other, as services need not be safe for threads.
+`python -m upwash.real.instance CONTROL [OUTSIDE]`, two file descriptors: the control socket, and in a sandbox the
+socket that listens outside. It imports the service, pays its cold start, and serves one call after the other, as
+services need not be safe for threads.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from upwash.real.control import (
     to_instance,
 )
 from upwash.real.credentials import Credentials
+from upwash.real.doorway import Doorway
 from upwash.real.listener import AlwaysServing, Caller, Listener
 from upwash.service import Method, load_service, spec_of
 from upwash.settings import construct
@@ -74,9 +76,11 @@ class ServiceInstance:
         )
         self._listener.add(AlwaysServing())
 
-    def serve(self) -> None:
-        """Begins to answer, and says so."""
+    def serve(self, outside: socket.socket | None) -> None:
+        """Begins to answer, also who connects to the socket from outside, and says so."""
         self._listener.start()
+        if outside is not None:
+            Doorway(outside, self._listener.address.removeprefix("unix:")).open()
         self._report(Ready(self._listener.address))
 
     def admit(self, drones: list[str]) -> None:
@@ -142,6 +146,7 @@ def main() -> NoReturn:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that started this
     control = socket.socket(fileno=int(sys.argv[1]))
     lines = control.makefile("rb")
+    outside = socket.socket(fileno=int(sys.argv[2])) if len(sys.argv) > 2 else None
     begin = to_instance.decode(lines.readline())
     if not isinstance(begin, Begin):
         raise SystemExit("the first control message must say what to be")
@@ -149,11 +154,13 @@ def main() -> NoReturn:
     # From now on, as a cold start may take long and its program may die meanwhile.
     threading.Thread(target=_listen, args=(lines, orders), name="leash", daemon=True).start()
     try:
+        if begin.limits is not None:
+            begin.limits.apply()
         instance = ServiceInstance(begin, control)
     except UsageError as error:
         control.sendall(line(Failed(str(error)[:_LONGEST_REASON])))
         raise SystemExit(1) from error
-    instance.serve()
+    instance.serve(outside)
     while True:
         message = to_instance.decode(orders.get())
         match message:

@@ -13,15 +13,21 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
+
 from upwash.errors import InstanceError
 from upwash.ports import InstanceSpec
 from upwash.real.control import Begin
 from upwash.real.conversation import Conversation
 from upwash.real.credentials import Credentials
 from upwash.real.output import Output
+from upwash.real.sandbox import Sandbox
 
 _STOP_GRACE_S = 2.0
 _CHUNK_BYTES = 65536
+_INSIDE = "unix:/tmp/instance.sock"  # in a sandbox's own /tmp
+_SIGNALLED = 128
+_BACKLOG = 64
 
 
 def sockets_in(folder: Path) -> Callable[[InstanceSpec], str]:
@@ -31,7 +37,7 @@ def sockets_in(folder: Path) -> Callable[[InstanceSpec], str]:
 
 
 class ProcessRuntime:
-    """Starts each instance as a process that listens at `listen(spec)`."""
+    """Starts each instance as a process that listens at `listen(spec)`, in the sandbox if there is one."""
 
     def __init__(
         self,
@@ -39,10 +45,12 @@ class ProcessRuntime:
         *,
         credentials: Credentials | None,
         max_message_bytes: int,
+        sandbox: Sandbox | None = None,
     ) -> None:
         self._listen = listen
         self._credentials = credentials
         self._max_message_bytes = max_message_bytes
+        self._sandbox = sandbox
 
     async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> ProcessInstance:
         """Returns when the instance is ready to serve; raises InstanceError, leaving nothing behind."""
@@ -50,7 +58,7 @@ class ProcessRuntime:
         paced_until_s = loop.time() + spec.start_pace_s
         instance = ProcessInstance(spec, called)
         try:
-            await instance.begin(self._begin(spec))
+            await instance.begin(self._begin(spec), self._sandbox)
             await asyncio.sleep(paced_until_s - loop.time())
         except BaseException:
             await instance.stop()
@@ -89,13 +97,24 @@ class ProcessInstance:
         self._prints: asyncio.StreamWriter | None = None  # kept, or the socket would be closed with it
         self._listening: asyncio.Task[None] | None = None
 
-    async def begin(self, begin: Begin) -> None:
-        """Starts the process and tells it what to be; returns when it is ready, raises InstanceError."""
-        conversation = await self._spawn()
+    async def begin(self, begin: Begin, sandbox: Sandbox | None = None) -> None:
+        """Starts the process and tells it what to be; returns when it is ready, raises InstanceError.
+
+        In a sandbox there is no address to listen at: the process inherits the listening socket.
+        """
+        address = begin.listen
+        with contextlib.ExitStack() as stack:
+            outside: socket.socket | None = None
+            if sandbox is not None:
+                outside = stack.enter_context(self._listen_at(begin.listen))
+                address = _address(outside)
+                begin = msgspec.structs.replace(begin, listen=_INSIDE, limits=sandbox.limits)
+            conversation = await self._spawn(sandbox, outside)
         try:
-            address = await conversation.begin(begin)
+            inside = await conversation.begin(begin)
         except EOFError:
             raise InstanceError(f"{self._spec.name} did not start: {await self.exited()}") from None
+        address = inside if sandbox is None else address
         # A port is enough: whoever calls knows how this machine is reached from there.
         self.endpoint = address if address.startswith("unix:") else f":{address.rpartition(':')[2]}"
 
@@ -113,6 +132,8 @@ class ProcessInstance:
         """Returns how the process ended, with its last words, when it does."""
         assert self._process is not None and self._listening is not None  # noqa: S101 - it has begun
         code = await self._process.wait()
+        if code > _SIGNALLED:  # as bubblewrap passes on how a process in it was killed
+            code = _SIGNALLED - code
         self._signal_group(signal.SIGKILL)  # what a crashed service had started
         await asyncio.wait([self._listening], timeout=_STOP_GRACE_S)
         return self._output.explain(code)
@@ -138,7 +159,13 @@ class ProcessInstance:
             with contextlib.suppress(ConnectionError):
                 await self._prints.wait_closed()
 
-    async def _spawn(self) -> Conversation:
+    def _listen_at(self, address: str) -> socket.socket:
+        try:
+            return _listening_socket(address)
+        except OSError as error:
+            raise InstanceError(f"{self._spec.name} cannot listen at {address}: {error}") from error
+
+    async def _spawn(self, sandbox: Sandbox | None, outside: socket.socket | None) -> Conversation:
         control, their_control = socket.socketpair()
         output, their_output = socket.socketpair()
         try:
@@ -147,15 +174,14 @@ class ProcessInstance:
                 self._spec.name, self._called, self._output, reports=reports, orders=orders
             )
             prints, self._prints = await asyncio.open_connection(sock=output)
+            inherited = [each.fileno() for each in (their_control, outside) if each is not None]
+            command = [sys.executable, "-m", "upwash.real.instance", *map(str, inherited)]
             self._process = await asyncio.create_subprocess_exec(
-                sys.executable,
-                "-m",
-                "upwash.real.instance",
-                str(their_control.fileno()),
+                *(sandbox.wrap(command, program=self._spec.program) if sandbox else command),
                 stdin=subprocess.DEVNULL,
                 stdout=their_output.fileno(),
                 stderr=their_output.fileno(),
-                pass_fds=(their_control.fileno(),),
+                pass_fds=inherited,
                 start_new_session=True,
             )
         except OSError as error:
@@ -179,3 +205,22 @@ class ProcessInstance:
         with contextlib.suppress(ConnectionError):
             while chunk := await prints.read(_CHUNK_BYTES):
                 self._output.add(chunk)
+
+
+def _listening_socket(address: str) -> socket.socket:
+    if address.startswith("unix:"):
+        path = Path(address.removeprefix("unix:"))
+        path.unlink(missing_ok=True)  # of an instance that has ended
+        listening = socket.socket(socket.AF_UNIX)
+        listening.bind(str(path))
+        listening.listen(_BACKLOG)
+        return listening
+    host, _, port = address.rpartition(":")
+    family, _, _, _, place = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
+    is_any = family == socket.AF_INET6 and place[0] == "::"
+    return socket.create_server(place[:2], family=family, backlog=_BACKLOG, dualstack_ipv6=is_any)
+
+
+def _address(listening: socket.socket) -> str:
+    name = listening.getsockname()
+    return f"unix:{name}" if isinstance(name, str) else f":{name[1]}"

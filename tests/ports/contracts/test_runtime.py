@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from upwash.core.estimates import Operation
-from upwash.errors import LinkError, Refused
+from upwash.errors import LinkError, Refused, UsageError
 from upwash.ports import Dialer, InstanceSpec, Program, Runtime
 from upwash.protocol import service_path
 from upwash.real.credentials import Credentials, fingerprint
@@ -21,6 +21,7 @@ from upwash.real.lxd.container import ContainerSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
 from upwash.real.lxd.runtime import ContainerRuntime
 from upwash.real.runtime import ProcessRuntime
+from upwash.real.sandbox import Limits, Sandbox, find_sandbox
 from upwash.service import load_service, spec_of
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
@@ -69,6 +70,7 @@ CONTAINER = (pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group("lxd"
     params=[
         "model",
         "process",
+        "sandbox",
         pytest.param("stopped container", marks=CONTAINER),
         pytest.param("frozen container", marks=CONTAINER),
     ]
@@ -85,9 +87,12 @@ def use(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Use:
         yield Site(runtime, ModelDialer("heron", switchboard, Wire()), spec)
 
     @asynccontextmanager
-    async def process() -> AsyncIterator[Site]:
+    async def process(sandbox: Sandbox | None = None) -> AsyncIterator[Site]:
         runtime = ProcessRuntime(
-            lambda _: f"unix:{tmp_path}/s1.sock", credentials=None, max_message_bytes=1_000_000
+            lambda _: f"unix:{tmp_path}/s1.sock",
+            credentials=None,
+            max_message_bytes=1_000_000,
+            sandbox=sandbox,
         )
         yield Site(runtime, GrpcDialer("heron", None, max_message_bytes=1_000_000), spec)
 
@@ -97,6 +102,8 @@ def use(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Use:
                 return model()
             case "process":
                 return process()
+            case "sandbox":
+                return process(found_sandbox())
             case other:
                 lxd, image = (request.getfixturevalue(name) for name in ("lxd", "workbench_image"))
                 shown: Callable[[str], Credentials] = request.getfixturevalue("credentials")
@@ -110,6 +117,13 @@ def use(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Use:
         (run_virtually if request.param == "model" else asyncio.run)(at_site())
 
     return used
+
+
+def found_sandbox() -> Sandbox:
+    try:
+        return find_sandbox(Limits(2**31, 256, 2**24), readable=())
+    except UsageError as error:
+        pytest.skip(str(error))
 
 
 @asynccontextmanager

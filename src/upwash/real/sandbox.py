@@ -1,0 +1,164 @@
+"""What a service instance may see and use: bubblewrap's arguments, and limits that it puts on itself.
+
+In a sandbox there is no network but the socket that the instance inherits, no file but the system's, Python's and the
+service's own, all read-only, a /tmp of its own in memory, and no process but the instance's.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from upwash.errors import UsageError
+from upwash.ports import Program
+
+_PROBE_S = 10.0
+_SYSTEM = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/libx32")
+_SETTINGS = (
+    "/etc/alternatives",
+    "/etc/fonts",
+    "/etc/ld.so.cache",
+    "/etc/ld.so.conf",
+    "/etc/ld.so.conf.d",
+    "/etc/localtime",
+    "/sys/devices/system/cpu",  # by which numerical libraries count their threads
+)
+_ENVIRONMENT = ("LANG", "LC_ALL", "TZ", "GRPC_VERBOSITY", "OMP_NUM_THREADS")
+
+
+class Limits(msgspec.Struct, frozen=True):
+    """What an instance may use: memory for each of its processes, so many of them and their threads, files."""
+
+    memory_bytes: int
+    processes: int
+    disk_bytes: int
+
+    def apply(self) -> None:
+        """Puts them on this process and all that it will start; nothing can lift them again.
+
+        When the machine runs out of memory nevertheless, these processes are the first to be killed.
+        """
+        resource.setrlimit(resource.RLIMIT_DATA, (self.memory_bytes, self.memory_bytes))
+        resource.setrlimit(resource.RLIMIT_NPROC, (self.processes, self.processes))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (self.disk_bytes, self.disk_bytes))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        Path("/proc/self/oom_score_adj").write_text("1000")
+
+
+@dataclass(frozen=True, slots=True)
+class Sandbox:
+    """Wraps commands so that they run by bubblewrap, where these files and folders can be read."""
+
+    bubblewrap: str
+    limits: Limits
+    readable: tuple[Path, ...] = ()
+
+    def wrap(self, command: Iterable[str], *, program: Program | None = None) -> list[str]:
+        """The command in a sandbox where Python, upwash, the program's code and its settings' files can be read too."""
+        own = [*code_of(program.path), *files_in(program.settings)] if program else []
+        shown = [Path(sys.prefix), Path(sys.base_prefix), Path(__file__).parents[1], *self.readable, *own]
+        size = str(self.limits.disk_bytes)
+        return [
+            self.bubblewrap,
+            *("--unshare-all", "--unshare-user", "--die-with-parent", "--new-session", "--cap-drop", "ALL"),
+            *(word for name in _SYSTEM for word in _as_it_is(name)),
+            *(word for name in _SETTINGS for word in ("--ro-bind-try", name, name)),
+            *("--proc", "/proc", "--dev", "/dev", "--size", size, "--tmpfs", "/dev/shm"),  # noqa: S108 - its own
+            *("--remount-ro", "/dev", "--size", size, "--tmpfs", "/tmp"),  # noqa: S108 - its own
+            *(word for path in _outermost(shown) for word in ("--ro-bind", str(path), str(path))),
+            *("--remount-ro", "/", "--chdir", "/tmp", "--clearenv"),  # noqa: S108 - its own
+            *(word for name, value in _environment().items() for word in ("--setenv", name, value)),
+            "--",
+            *command,
+        ]
+
+
+def find_sandbox(limits: Limits, *, readable: tuple[Path, ...]) -> Sandbox:
+    """A sandbox that was tried; raises UsageError with the remedy where this machine has none to offer."""
+    bubblewrap = shutil.which("bwrap")
+    if bubblewrap is None:
+        raise UsageError("bubblewrap is not installed: `apt install bubblewrap`")
+    sandbox = Sandbox(bubblewrap, limits, readable)
+    try:
+        tried = subprocess.run(  # noqa: S603 - bubblewrap itself
+            sandbox.wrap([sys.executable, "-c", ""]),
+            capture_output=True,
+            timeout=_PROBE_S,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise UsageError(f"{bubblewrap} cannot be run: {error}") from error
+    if tried.returncode != 0:
+        said = tried.stderr.decode(errors="replace").strip()
+        raise UsageError(
+            f"bubblewrap may not make a sandbox here ({said}): allow user namespaces "
+            "(sysctl user.max_user_namespaces, kernel.unprivileged_userns_clone, "
+            "kernel.apparmor_restrict_unprivileged_userns), and hide nothing of /proc"
+        )
+    return sandbox
+
+
+def code_of(program: str) -> list[Path]:
+    """The file or folder in which a program's code lies; none where it cannot be found. Runs nothing of it."""
+    place = program.rpartition(":")[0]
+    if place.endswith(".py"):
+        return [Path(place).resolve()]
+    try:
+        found = importlib.util.find_spec(place.partition(".")[0])
+    except (ImportError, ValueError):
+        return []
+    if found is None:
+        return []
+    return [Path(place) for place in found.submodule_search_locations or [found.origin or ""]]
+
+
+def files_in(settings: object) -> list[Path]:
+    """The files and folders that are named by absolute paths somewhere in a program's settings, and exist."""
+    match settings:
+        case str() if settings.startswith("/") and Path(settings).exists():
+            return [Path(settings)]
+        case Mapping():
+            return [file for value in settings.values() for file in files_in(value)]
+        case list() | tuple():
+            return [file for value in settings for file in files_in(value)]
+        case _:
+            return []
+
+
+def _as_it_is(name: str) -> Iterator[str]:
+    path = Path(name)
+    if path.is_symlink():  # /lib is usr/lib on merged systems
+        yield from ("--symlink", str(path.readlink()), name)
+    elif path.exists():
+        yield from ("--ro-bind", name, name)
+
+
+def _outermost(paths: Iterable[Path]) -> list[Path]:
+    """Those that exist, and lie neither in another of them nor in the system."""
+    there = sorted({path for path in paths if path.exists()})
+    return [
+        path
+        for path in there
+        if not any(path != other and path.is_relative_to(other) for other in (*there, *map(Path, _SYSTEM)))
+        and str(path) not in _SYSTEM
+    ]
+
+
+def _environment() -> Mapping[str, str]:
+    kept = {name: os.environ[name] for name in _ENVIRONMENT if name in os.environ}
+    return {
+        "PATH": "/usr/bin:/bin",
+        "HOME": "/tmp",  # noqa: S108 - its own
+        "PYTHONPATH": os.pathsep.join(str(Path(place).resolve()) for place in sys.path if place),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        **kept,
+    }
