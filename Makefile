@@ -32,6 +32,7 @@ format: $(READY)
 
 bench: $(READY)
 	$(BIN)/python bench/call.py
+	$(BIN)/python -m bench.sandbox
 	$(BIN)/python bench/simulate.py
 	$(BIN)/python -m bench.detector
 

@@ -63,7 +63,7 @@ class Sandbox:
     readable: tuple[Path, ...] = ()
 
     def wrap(self, command: Iterable[str], *, program: Program | None = None) -> list[str]:
-        """The command in a sandbox where Python, upwash, the program's code and its settings' files can be read too."""
+        """The command in a sandbox where Python, upwash, the program's code and its settings' files can be read."""
         own = [*code_of(program.path), *files_in(program.settings)] if program else []
         shown = [Path(sys.prefix), Path(sys.base_prefix), Path(__file__).parents[1], *self.readable, *own]
         size = str(self.limits.disk_bytes)

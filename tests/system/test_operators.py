@@ -1,0 +1,151 @@
+"""The how-to for operators: its commands in their order, as far as they run without root, systemd and downloads."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.system
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "operators.md").read_text()
+UNIT = ROOT / "deploy" / "upwash.service"
+NOT_HERE = (
+    "apt-get",
+    "python3 -m venv",
+    "/opt/upwash/bin/pip",
+    "useradd",
+    "systemctl daemon-reload",
+    "journalctl",
+)
+
+
+class Machine:
+    """A folder that stands in for the machine: /etc and /opt lie in it, and it starts the daemon as the unit says."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.daemon: subprocess.Popen[str] | None = None
+        self.address = ""
+        (folder / "etc/systemd/system").mkdir(parents=True)
+        (folder / "upwash").symlink_to(ROOT)
+        (folder / "opt/upwash/bin").mkdir(parents=True)
+        script = folder / "opt/upwash/bin/upwash"
+        script.write_text(f'#!/bin/sh\nexec {sys.executable} -m upwash "$@"\n')
+        script.chmod(0o755)
+
+    def run(self, command: str) -> str:
+        """What the command prints; it must do its work."""
+        match command.split()[:2]:
+            case ["systemctl", "enable" | "restart"]:
+                self.stop()
+                self.start()
+                return ""
+            case ["systemctl", "reload"]:
+                return self.reload()
+        here = self._here(command.replace(" -g upwash", "")).replace("127.0.0.1:7070", self.address)
+        done = subprocess.run(
+            here, shell=True, cwd=self.folder, capture_output=True, text=True, timeout=60, check=False
+        )
+        assert done.returncode == 0, f"{command}: {done.stderr}"
+        return done.stdout
+
+    def start(self) -> None:
+        """Starts the daemon with the installed unit's command."""
+        unit = (self.folder / "etc/systemd/system/upwash.service").read_text()
+        (command,) = re.findall(r"^ExecStart=(.*)$", unit, re.MULTILINE)
+        with (self.folder / "log").open("a") as log:
+            self.daemon = subprocess.Popen(
+                shlex.split(self._here(command)), stdout=subprocess.PIPE, stderr=log, text=True
+            )
+        assert self.daemon.stdout is not None
+        self.address = self.daemon.stdout.readline().strip().removeprefix("s1 ready at ")
+        assert self.address, (self.folder / "log").read_text()
+
+    def reload(self) -> str:
+        """Does as the unit's ExecReload, and returns what the log says of it."""
+        assert self.daemon is not None
+        log = self.folder / "log"
+        known = len(log.read_text())
+        self.daemon.send_signal(signal.SIGHUP)
+        give_up_s = time.monotonic() + 20.0
+        while "configuration" not in log.read_text()[known:]:
+            assert time.monotonic() < give_up_s, log.read_text()
+            time.sleep(0.05)
+        return log.read_text()[known:]
+
+    def stop(self) -> None:
+        """Ends the daemon if it runs."""
+        if self.daemon is not None:
+            self.daemon.terminate()
+            assert self.daemon.wait(timeout=20.0) == 0
+            assert self.daemon.stdout is not None
+            self.daemon.stdout.close()
+            self.daemon = None
+
+    def _here(self, text: str) -> str:
+        return re.sub(r"(?<![\w.])/(etc|opt)/", rf"{self.folder}/\1/", text)
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Iterator[Machine]:
+    made = Machine(tmp_path)
+    try:
+        yield made
+    finally:
+        if made.daemon is not None:
+            made.daemon.kill()
+            made.daemon.communicate()
+
+
+def test_the_commands_of_the_page_lead_to_a_server_that_serves_and_can_be_looked_after(
+    machine: Machine,
+) -> None:
+    (settings,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
+    settings = settings.replace("0.0.0.0:7070", "127.0.0.1:0")
+    if not can_sandbox():
+        settings = settings.replace('"required"', '"auto"')
+    printed = {}
+    for command in "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)).splitlines():
+        if command.startswith(NOT_HERE):
+            continue
+        printed[command] = machine.run(command)
+        if command.startswith("install -d"):
+            (machine.folder / "etc/upwash/server.toml").write_text(settings)
+    (status,) = [said for command, said in printed.items() if " status " in command]
+    assert "s1: 0 of 1 slots in use" in status
+    assert "detector" in status
+    assert "1 certificates are revoked" in printed["systemctl reload upwash"]
+    machine.stop()
+
+
+def can_sandbox() -> bool:
+    if shutil.which("bwrap") is None:
+        return False
+    probe = ["bwrap", "--unshare-all", "--ro-bind", "/", "/", "--proc", "/proc", "true"]
+    return subprocess.run(probe, capture_output=True, check=False).returncode == 0
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
+def test_the_unit_is_understood_by_systemd(tmp_path: Path) -> None:
+    unit = tmp_path / "upwash.service"
+    unit.write_text(UNIT.read_text().replace("/opt/upwash/bin/upwash", "/bin/true"))
+    done = subprocess.run(
+        ["systemd-analyze", "verify", str(unit)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env={**os.environ, "SYSTEMD_LOG_LEVEL": "warning"},
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
