@@ -268,8 +268,9 @@ class MavlinkAutopilot:
         return near and self._at_rest()
 
     def _climbed(self, altitude_m: float) -> bool:
+        """At rest at the altitude, and known to fly: what it says of that may come later than its position."""
         missing_m = altitude_m - self.position.altitude_m
-        return missing_m <= self._settings.arrival_distance_m and self._at_rest()
+        return missing_m <= self._settings.arrival_distance_m and self._at_rest() and self._vehicle.in_the_air
 
     def _at_rest(self) -> bool:
         return self._vehicle.speed_m_s < self._settings.arrival_speed_m_s
