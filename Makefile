@@ -35,6 +35,7 @@ bench: $(READY)
 	$(BIN)/python -m bench.sandbox
 	$(BIN)/python bench/simulate.py
 	$(BIN)/python -m bench.detector
+	$(BIN)/python -m bench.decide
 
 # Pins every dependency for Linux and macOS, x86-64 and aarch64, and every supported Python.
 lock: $(READY)

@@ -13,7 +13,7 @@ from upwash.config import DroneConfig, ending, geofence, waypoints
 from upwash.core.estimates import Operation
 from upwash.core.geo import Position, Waypoint, ground_distance_m
 from upwash.core.geofence import Fence, breached_by_leg, breached_by_position
-from upwash.core.selection import Selection
+from upwash.core.selection import Arrived, CourseLost, Happening, LegBegun, Selection
 from upwash.errors import AutopilotOverruled, AutopilotRefused, MissionStopped, UsageError
 from upwash.mission import MissionThread
 from upwash.offloading import Offloading
@@ -56,11 +56,13 @@ class Pilot:
         journal: Journal,
         *,
         fences: Sequence[Fence] = (),
+        tell: Callable[[Happening], None],
     ) -> None:
         self._autopilot = autopilot
         self._thread = thread
         self._journal = journal
         self._fences = fences
+        self._tell = tell
         self._in_the_air = False
         self._found_flying = False  # it has taken off before this program began, and not landed since
         self._coming_down = False
@@ -161,9 +163,11 @@ class Pilot:
             await self._set_ground_speed(ground_speed_m_s)
         where = {"waypoint": waypoint, "east_m": position.east_m, "north_m": position.north_m}
         self._journal.record("leg", **where)
+        self._tell(LegBegun(position, self._ground_speed_m_s))
         self._stands_at = None
         await self._autopilot.goto(position)
         self._stands_at = position
+        self._tell(Arrived())
         self._journal.record("arrived", **where)
 
     def _require_near_home(self) -> None:
@@ -187,6 +191,7 @@ class Pilot:
             )
 
     async def _takeoff(self, altitude_m: float) -> None:
+        self._tell(CourseLost())
         await self._autopilot.takeoff(altitude_m)
         self._journal.record("took_off", altitude_m=altitude_m)
 
@@ -198,6 +203,7 @@ class Pilot:
     async def _logged(
         self, verb: Callable[[], Coroutine[Any, Any, None]], event: str, *, before: str = ""
     ) -> None:
+        self._tell(CourseLost())
         if before:
             self._journal.record(before)
         await verb()
@@ -314,7 +320,6 @@ class Flight:
         self._config = config
         self._world = world
         self._thread = MissionThread()
-        self._pilot = Pilot(world.autopilot, self._thread, world.journal, fences=geofence(config.mission))
         self._waypoints = waypoints(config.mission)
         self._done = done
         self._plan = tuple(each for each in self._waypoints if each.index not in (done or ()))
@@ -329,7 +334,7 @@ class Flight:
             dialer=world.onboard_dialer,
             journal=world.journal,
         )
-        selection: Selection = make_selection(config, specs)
+        selection: Selection = make_selection(config, specs, self._plan)
         self._offloading = Offloading(
             selection,
             contacts(config, selection.estimates),
@@ -339,6 +344,13 @@ class Flight:
             dialer=world.dialer,
             onboard=self._onboard,
             journal=world.journal,
+        )
+        self._pilot = Pilot(
+            world.autopilot,
+            self._thread,
+            world.journal,
+            fences=geofence(config.mission),
+            tell=self._offloading.tell,
         )
 
     async def run(self) -> None:

@@ -102,7 +102,7 @@ class Offloading:
 
     async def end(self) -> None:
         """Leaves whatever server is selected; to be called while `run` runs, after the last call."""
-        self._tell(MissionEnded())
+        self.tell(MissionEnded())
         await self._orders.join()
 
     async def invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
@@ -178,7 +178,8 @@ class Offloading:
             position=msgspec.to_builtins(self._autopilot.position),
         )
 
-    def _tell(self, happening: Happening) -> None:
+    def tell(self, happening: Happening) -> None:
+        """Takes in what happened, and does what it calls for."""
         commands = self._selection.handle(happening, now_s=self._now_s(), position=self._autopilot.position)
         self._perform(commands)
 
@@ -223,9 +224,9 @@ class Offloading:
             self._journal.record("remote_failed", server=decision.server, why=str(error))
             if isinstance(error, DeadlineExceeded):
                 self._cut = RemoteCallCut(decision.server, operation, self._now_s() - began_s)
-            self._tell(RemoteCallFailed(decision.server, check, str(error)))
+            self.tell(RemoteCallFailed(decision.server, check, str(error)))
             return None
-        self._tell(RemoteCallEnded(decision.server, operation, self._now_s() - began_s))
+        self.tell(RemoteCallEnded(decision.server, operation, self._now_s() - began_s))
         return reply
 
     async def _call_onboard(self, operation: Operation, method: Method, request: bytes) -> Any:
@@ -239,14 +240,14 @@ class Offloading:
                 timeout_s=max(_LOCAL_LEAST_S, _LOCAL_FACTOR * expected_s),
             )
         )
-        self._tell(LocalCallEnded(operation, self._now_s() - began_s))
+        self.tell(LocalCallEnded(operation, self._now_s() - began_s))
         return reply
 
     # --- in the background ----------------------------------------------------------------------------------
 
     async def _look(self) -> None:
         while True:
-            self._tell(Looked())
+            self.tell(Looked())
             self._look_now.clear()
             alarm = asyncio.get_running_loop().call_later(self._period_s, self._look_now.set)
             await self._look_now.wait()
@@ -266,7 +267,7 @@ class Offloading:
                 await asyncio.sleep(self._period_s)
             else:
                 silent = False
-                self._tell(Looked())
+                self.tell(Looked())
 
     async def _carry_out(self) -> None:
         """Carries out what concerns the radio, one order after the other."""
@@ -293,7 +294,7 @@ class Offloading:
                 if self._visit is not None:
                     answered = await self._visit.end(in_range=self._selection.servers[server].in_range)
                     if answered and self._cut is not None:
-                        self._tell(self._cut)
+                        self.tell(self._cut)
                 await _stop(self._watch)
                 self._visit = self._errand = self._watch = self._cut = None
 
@@ -304,23 +305,23 @@ class Offloading:
             self._watch = asyncio.create_task(self._notice_loss(visit, check))
             running = await visit.ask()
         except (NetworkError, LinkError) as error:
-            self._tell(CheckFailed(check, str(error)))
+            self.tell(CheckFailed(check, str(error)))
             return
-        self._tell(CheckAnswered(check, running))
+        self.tell(CheckAnswered(check, running))
         if running:
             await visit.keep_lease()
 
     async def _notice_loss(self, visit: Visit, check: int) -> None:
-        self._tell(NetworkLost(check, await visit.lost()))
+        self.tell(NetworkLost(check, await visit.lost()))
 
     async def _start(self, visit: Visit, server: str, check: int) -> None:
         limit_s = self._limit_s(server)
         try:
             await visit.start(timeout_s=limit_s)
         except LinkError as error:
-            self._tell(CheckFailed(check, str(error)))
+            self.tell(CheckFailed(check, str(error)))
             return
-        self._tell(ServicesStarted(check))
+        self.tell(ServicesStarted(check))
         await visit.keep_lease()
 
     def _limit_s(self, server: str) -> float:

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from upwash.config import DroneConfig, ServerConfig, ServiceConfig, server_area
 from upwash.core.estimates import Beliefs, Estimates, Operation, offline_remote_s
-from upwash.core.policy import make_policy
+from upwash.core.geo import Waypoint
+from upwash.core.itinerary import MissionBeliefs, Step
+from upwash.core.policies import make_policy
 from upwash.core.selection import Selection, SelectionSettings
 from upwash.errors import UsageError
 from upwash.service import ServiceSpec
 from upwash.visit import Contact
 
 
-def make_selection(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Selection:
-    """The drone-side machine, with the beliefs of the configuration."""
-    policy = config.policy
+def make_selection(
+    config: DroneConfig, specs: Mapping[str, ServiceSpec], plan: Sequence[Waypoint]
+) -> Selection:
+    """The drone-side machine, with the beliefs of the configuration, for a flight over these waypoints."""
+    policy, estimates = config.policy, make_estimates(config, specs)
     return Selection(
         {server.name: server_area(server, config.mission.home) for server in config.servers},
-        estimates=make_estimates(config, specs),
+        estimates=estimates,
         policy=make_policy(policy.name, gain_switch=policy.gain_switch, gain_wait=policy.gain_wait),
         settings=SelectionSettings(
             blacklist_s=policy.blacklist_s, idle_s=policy.idle_s, retry_s=policy.retry_s
         ),
+        mission=_mission_beliefs(config, estimates, plan),
     )
 
 
@@ -70,6 +75,19 @@ def contacts(config: DroneConfig, estimates: Estimates) -> dict[str, Contact]:
         )
         for server in config.servers
     }
+
+
+def _mission_beliefs(config: DroneConfig, estimates: Estimates, plan: Sequence[Waypoint]) -> MissionBeliefs:
+    """The plan, and a first stop with a photo and a call of each operation in the mission's mode."""
+    mission = config.mission
+    operations = [each for each in estimates.operations if each.key in ("", mission.mode)]
+    pauses_s = (config.camera.photo_s, *(0.0 for _ in operations[1:]))
+    return MissionBeliefs(
+        plan=plan,
+        ground_speed_m_s=mission.ground_speed_m_s,
+        acceleration_m_s2=config.vehicle.acceleration_m_s2,
+        stop=[Step(operation, pause_s) for operation, pause_s in zip(operations, pauses_s, strict=False)],
+    )
 
 
 def _profile(service: ServiceConfig, spec: ServiceSpec) -> Iterator[tuple[Operation, str]]:

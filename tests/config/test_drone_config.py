@@ -245,7 +245,7 @@ REFUSED = [
         'name = "location-aware"',
         'name = "greedy"',
         "policy.name",
-        '"local-only", "location-aware", "opportunistic", found "greedy"',
+        '"local-only", "location-aware", "look-ahead", "opportunistic", found "greedy"',
     ),
     ("gain_switch = 0.25", "gain_switch = 1.1", "policy.gain_switch", "from 0 to 1, found 1.1"),
     ("gain_wait = 0.25", "gain_wait = -0.1", "policy.gain_wait", "from 0 to 1"),

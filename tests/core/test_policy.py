@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.estimates import Beliefs, Estimates, Operation
+from upwash.core.policies import make_policy
 from upwash.core.policy import (
     Call,
     Deadline,
@@ -21,7 +22,6 @@ from upwash.core.policy import (
     Situation,
     Wait,
     WaitRule,
-    make_policy,
 )
 from upwash.core.servers import State
 
@@ -158,7 +158,7 @@ def test_an_operation_that_is_no_faster_there_stays_here_if_servers_are_compared
     assert isinstance(Opportunistic().decide(slow), Remote)
 
 
-@pytest.mark.parametrize("name", ["local-only", "opportunistic", "location-aware"])
+@pytest.mark.parametrize("name", ["local-only", "opportunistic", "location-aware", "look-ahead"])
 def test_a_policy_is_made_by_its_name(name: str) -> None:
     assert make_policy(name, gain_switch=0.25, gain_wait=0.25).name == name
 

@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from upwash.core.estimates import Beliefs, Estimates, Operation
-from upwash.core.geo import Circle, Position
+from upwash.core.geo import Circle, Position, Waypoint
+from upwash.core.itinerary import MissionBeliefs, Step
+from upwash.core.look_ahead import LookAhead
 from upwash.core.policy import (
     Decision,
     Local,
@@ -27,12 +29,15 @@ from upwash.core.policy import (
     WaitRule,
 )
 from upwash.core.selection import (
+    Arrived,
     Check,
     CheckAnswered,
     CheckFailed,
     Command,
+    CourseLost,
     Happening,
     Leave,
+    LegBegun,
     LocalCallEnded,
     Looked,
     MissionEnded,
@@ -52,6 +57,7 @@ POLICIES: list[Policy] = [
     LocationAware(gain_switch=GAIN_SWITCH, wait=WaitRule(GAIN_WAIT)),
     Opportunistic(wait=WaitRule(GAIN_WAIT)),
     LocalOnly(),
+    LookAhead(reactive=LocationAware(gain_switch=GAIN_SWITCH, wait=WaitRule(GAIN_WAIT))),
 ]
 SETTINGS = SelectionSettings(blacklist_s=60.0, idle_s=180.0, retry_s=300.0)
 
@@ -84,8 +90,9 @@ class Flights(RuleBasedStateMachine):
     @initialize(
         servers=st.lists(st.tuples(areas, beliefs), min_size=1, max_size=4),
         local_s=st.dictionaries(operations, st.sampled_from([3.0, 8.0, 10.0]), min_size=1),
-        policy=st.sampled_from([*POLICIES[:2], *POLICIES]),
+        policy=st.sampled_from([POLICIES[0], POLICIES[-1], *POLICIES]),
         position=positions,
+        plan=st.lists(positions, max_size=6),
     )
     def take_off(
         self,
@@ -93,6 +100,7 @@ class Flights(RuleBasedStateMachine):
         local_s: dict[Operation, float],
         policy: Policy,
         position: Position,
+        plan: list[Position],
     ) -> None:
         self.areas = {f"s{number}": area for number, (area, _) in enumerate(servers, start=1)}
         believed = {f"s{number}": belief for number, (_, belief) in enumerate(servers, start=1)}
@@ -101,7 +109,12 @@ class Flights(RuleBasedStateMachine):
             estimates=Estimates(local_s=local_s, servers=believed),
             policy=policy,
             settings=SETTINGS,
+            mission=MissionBeliefs(
+                [Waypoint(number, place) for number, place in enumerate(plan)],
+                stop=[Step(operation, 1.0) for operation in sorted(local_s)],
+            ),
         )
+        self.plan = plan
         self.now_s = 0.0
         self.position = position
         self.ended = False
@@ -119,6 +132,20 @@ class Flights(RuleBasedStateMachine):
     @rule(position=positions)
     def fly(self, position: Position) -> None:
         self.position = position
+
+    @rule(place=positions, number=st.integers(0, 5), ground_speed_m_s=st.sampled_from([None, 2.0, 10.0]))
+    def leg_begins(self, place: Position, number: int, ground_speed_m_s: float | None) -> None:
+        target = self.plan[number] if number < len(self.plan) else place
+        self.happens(LegBegun(target, ground_speed_m_s))
+
+    @rule(position=positions)
+    def leg_ends(self, position: Position) -> None:
+        self.fly(position)
+        self.happens(Arrived())
+
+    @rule()
+    def course_is_lost(self) -> None:
+        self.happens(CourseLost())
 
     @rule(step_s=steps_s)
     def time_passes(self, step_s: float) -> None:
@@ -290,11 +317,12 @@ class Flights(RuleBasedStateMachine):
             for name, area in self.areas.items()
             if area.contains(self.position) and self.states[name] is not State.BLACKLISTED
         }
-        if isinstance(policy, LocationAware):
+        if isinstance(policy, LocationAware | LookAhead):
             reachable = {name for name in reachable if estimates.mean_call_s(name) < local_s}
         if self.ended or isinstance(policy, LocalOnly):
             reachable = set()
-        assert (current is None) == (not reachable)
+        if not isinstance(policy, LookAhead):  # which knows better than to take whatever there is
+            assert (current is None) == (not reachable)
         if current is not None:
             assert current.name in reachable
             if isinstance(policy, LocationAware):

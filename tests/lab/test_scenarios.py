@@ -14,9 +14,9 @@ from upwash.lab.simulation import read_scenario
 
 ROOT = Path(__file__).parents[2]
 FILES = {file.stem: file for file in sorted((ROOT / "scenarios").glob("*.toml"))}
-POLICIES = ("local-only", "location-aware", "opportunistic")
+POLICIES = ("local-only", "opportunistic", "location-aware", "look-ahead")
 DOCUMENTED = re.findall(
-    r"^\| `([\w-]+)` \| [^|]+ \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$",
+    r"^\| `([\w-]+)` \| [^|]+ \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$",
     (ROOT / "docs/scenarios.md").read_text(encoding="utf-8"),
     flags=re.MULTILINE,
 )
@@ -80,6 +80,25 @@ def test_on_a_power_line_every_cell_is_used_after_its_start() -> None:
     assert len(remote) == 15
     assert max(remote.values()) <= 4
     assert 0.15 < gain("power-line") < 0.35
+
+
+def above_bound(scenario: str, policy: str) -> float:
+    """The share by which the mission is longer than an all-knowing drone's."""
+    bound = bound_of(fly(scenario, policy), read_scenario(FILES[scenario]))
+    assert bound is not None
+    return time_s(scenario, policy) / bound.free_s - 1
+
+
+def test_along_a_line_of_small_cells_looking_ahead_wins_back_most_of_what_reacting_loses() -> None:
+    assert above_bound("power-line-heavy", "location-aware") > 0.1
+    assert above_bound("power-line-heavy", "look-ahead") < 0.03
+    assert above_bound("power-line-light", "location-aware") > 0.1
+    assert above_bound("power-line-light", "look-ahead") < 0.07
+
+
+@pytest.mark.parametrize("scenario", FILES)
+def test_looking_ahead_costs_next_to_nothing_anywhere(scenario: str) -> None:
+    assert time_s(scenario, "look-ahead") <= 1.003 * time_s(scenario)
 
 
 def test_in_a_dense_city_the_fast_servers_do_the_work() -> None:

@@ -96,7 +96,7 @@ def scenarios(draw: st.DrawFn) -> DroneConfig:
         target = prefix + draw(st.sampled_from(names))
         faults.append(fault(target, kind, from_s=from_s, to_s=to_s, extra_s=extra_s))
     policy = {
-        "name": draw(st.sampled_from(["location-aware", "opportunistic"])),
+        "name": draw(st.sampled_from(["location-aware", "opportunistic", "look-ahead"])),
         "gain_switch": draw(st.sampled_from([0.0, 0.25, 0.5])),
         "gain_wait": draw(st.sampled_from([0.0, 0.25, 0.5])),
         "blacklist_s": draw(st.sampled_from([5.0, 60.0])),

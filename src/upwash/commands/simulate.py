@@ -16,7 +16,7 @@ def add(commands: Commands) -> None:
     simulate.add_argument("scenario", type=Path, help="the scenario, a TOML file")
     simulate.add_argument(
         "--policy",
-        choices=("local-only", "opportunistic", "location-aware"),
+        choices=("local-only", "opportunistic", "location-aware", "look-ahead"),
         help="instead of the scenario's",
     )
     simulate.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")

@@ -126,7 +126,7 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """When to offload, and where to."""
 
-    name: Literal["local-only", "opportunistic", "location-aware"] = "location-aware"
+    name: Literal["local-only", "opportunistic", "location-aware", "look-ahead"] = "location-aware"
     gain_switch: Fraction = 0.25
     gain_wait: Fraction = 0.25
     period_s: Positive = 1.0

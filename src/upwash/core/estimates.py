@@ -151,17 +151,20 @@ class Estimates:
         windows = self._check if started else self._check_running
         windows[server] = windows[server].observe(delay_s)
 
-    def forget_slow_calls(self, server: str, *, now_s: float, retry_s: float) -> None:
+    def forget_slow_calls(self, server: str, *, now_s: float, retry_s: float) -> bool:
         """Gives a server whose calls became slower than local another chance, `retry_s` after the last of them.
 
-        Only calls change the estimate of a remote call, and a server that looks slow gets none.
+        Only calls change the estimate of a remote call, and a server that looks slow gets none. Returns whether
+        anything was forgotten.
         """
-        windows = self._remote[server]
+        windows, forgot = self._remote[server], False
         for operation, last_s in self._last_remote_call_s[server].items():
             if now_s - last_s < retry_s or windows[operation].mean_s < self._local[operation].mean_s:
                 continue
             windows[operation] = Window.filled(self._beliefs[server].remote_s[operation])
             self._mean_call_s.clear()
+            forgot = True
+        return forgot
 
     def _faster_s(self, operation: Operation, server: str | None) -> float:
         call_s = self._local[operation].mean_s

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from upwash.core.outlook import Outlook
 from upwash.core.servers import CHECKING, State
 
 
@@ -27,12 +28,15 @@ class Situation:
     """What a selection is decided on.
 
     `options` are in the order of the server table; `current` is the selected server, which is among the options
-    unless the drone has left its range; `local_mean_call_s` is the mean delay of calls on the drone.
+    unless the drone has left its range; `local_mean_call_s` is the mean delay of calls on the drone. `calling` says
+    whether a call to the current server is under way. `outlook` is there for a policy with a horizon.
     """
 
     options: Sequence[Option]
     current: str | None
     local_mean_call_s: float
+    calling: bool = False
+    outlook: Outlook | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +98,10 @@ class Policy(Protocol):
     def name(self) -> str:
         """What the policy is called in configurations and results."""
 
+    @property
+    def horizon(self) -> int:
+        """How many of the calls to come it wants to be shown; 0 for none."""
+
     def choose(self, situation: Situation) -> Choice:
         """Which server now?"""
 
@@ -146,6 +154,7 @@ class LocalOnly:
     """Never offloads: the thesis's no-offload reference."""
 
     name: str = "local-only"
+    horizon: int = 0
 
     def choose(self, situation: Situation) -> Choice:
         """No server, ever."""
@@ -162,6 +171,7 @@ class Opportunistic:
 
     wait: WaitRule = WaitRule()
     name: str = "opportunistic"
+    horizon: int = 0
 
     def choose(self, situation: Situation) -> Choice:
         """The current server while it is in range, else the one whose range was entered first."""
@@ -183,6 +193,7 @@ class LocationAware:
     gain_switch: float = 0.25
     wait: WaitRule = WaitRule()
     name: str = "location-aware"
+    horizon: int = 0
 
     def choose(self, situation: Situation) -> Choice:
         """The best candidate; the current server unless another gains more than `gain_switch` over it."""
@@ -203,17 +214,3 @@ class LocationAware:
         if call.remote_s >= call.local_s:
             return Local(f"{call.server} is not faster for this operation")
         return self.wait.decide(call)
-
-
-def make_policy(name: str, *, gain_switch: float, gain_wait: float) -> Policy:
-    """The policy of that name; raises KeyError with the name where there is none."""
-    wait = WaitRule(gain_wait=gain_wait)
-    policies: dict[str, Policy] = {
-        policy.name: policy
-        for policy in (
-            LocalOnly(),
-            Opportunistic(wait=wait),
-            LocationAware(gain_switch=gain_switch, wait=wait),
-        )
-    }
-    return policies[name]

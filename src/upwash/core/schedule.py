@@ -67,6 +67,7 @@ class _Way(NamedTuple):
 
 
 _cost_and_rest = itemgetter(0, 1)
+_ASKING_S = 1.0  # a server that is left sooner has perhaps not been told to start anything
 
 
 def quickest(
@@ -83,63 +84,109 @@ def quickest(
     A call waits only where that makes it shorter than a local one by more than the fraction `gain_wait`. A drone
     that `stays` does not leave its server before the first call.
     """
-    begin = _Way(0.0, ready_in_s, server, frozenset((server,) if server else ()), None)
-    ways, begins_s = [begin], 0.0
+    useful = _useful(calls, checks, server)
+    started = frozenset[str]()
+    if server in useful:
+        started = _with_started(started, server, useful[server], ready_in_s)
+    ways = [_Way(0.0, ready_in_s, server, started, None)]
+    begins_s = 0.0
     for call in calls:
-        switched = None if stays else min(ways, key=_cost_and_rest)
-        ways = list(_carried_on(ways, switched, call, checks, begins_s=begins_s, gain_wait=gain_wait))
+        ways = list(_over(call, ways, useful, begins_s=begins_s, gain_wait=gain_wait, stays=stays))
         begins_s += call.gap_s
         stays = False
     best = min(ways, key=_cost_and_rest)
     return Schedule(_servers(best), best.cost_s)
 
 
-def _carried_on(
-    ways: Iterable[_Way],
-    switched: _Way | None,
+def _useful(
+    calls: Sequence[ComingCall], checks: Mapping[str, CheckTimes], server: str | None
+) -> dict[str, CheckTimes]:
+    """The servers that are better than each other one at some call, and the one that is selected."""
+    offers: dict[str, dict[int, Offer]] = {}
+    for number, call in enumerate(calls):
+        for offer in call.offers:
+            offers.setdefault(offer.server, {})[number] = offer
+    best_first = sorted(
+        offers, key=lambda name: (-len(offers[name]), sum(each.call_s for each in offers[name].values()))
+    )
+    useful: dict[str, CheckTimes] = {}
+    for name in best_first:
+        beaten = any(
+            _is_no_worse(checks[other], checks[name])
+            and all(
+                (its := offers[other].get(number)) is not None
+                and its.call_s <= offer.call_s
+                and its.head_start_s >= offer.head_start_s
+                for number, offer in offers[name].items()
+            )
+            for other in useful
+        )
+        if name == server or not beaten:
+            useful[name] = checks[name]
+    return useful
+
+
+def _is_no_worse(times: CheckTimes, others: CheckTimes) -> bool:
+    return (
+        times.stopped_s <= others.stopped_s
+        and times.running_s <= others.running_s
+        and times.runs_for_s >= others.runs_for_s
+    )
+
+
+def _over(
     call: ComingCall,
+    ways: Sequence[_Way],
     checks: Mapping[str, CheckTimes],
     *,
     begins_s: float,
     gain_wait: float,
+    stays: bool,
 ) -> Iterator[_Way]:
     """The ways that lead over one more call: on without a server, with the same one, or with another."""
-    alone = min(ways, key=_cost_and_rest)
-    yield _Way(alone.cost_s + call.local_s, math.inf, None, alone.started, alone)
+    cheapest = min(ways, key=_cost_and_rest)
+    yield _Way(cheapest.cost_s + call.local_s, math.inf, None, cheapest.started, cheapest)
     by_server: dict[str | None, list[_Way]] = {}
     for way in ways:
         by_server.setdefault(way.server, []).append(way)
     longest_s = call.local_s * (1 - gain_wait)
     for offer in call.offers:
+        times = checks.get(offer.server)
+        if times is None:
+            continue
         arrivals: list[tuple[_Way, float]] = []
         never_left = offer.head_start_s >= call.gap_s
         if never_left:
             arrivals = [(way, way.ready_in_s - call.gap_s) for way in by_server.get(offer.server, ())]
-        if switched is not None and not (never_left and switched.server == offer.server):
-            check_s = _check_s(checks[offer.server], offer.server in switched.started, begins_s)
-            arrivals.append((switched, check_s - offer.head_start_s))
-        yield from _fewest(_over_call(arrivals, offer, call.local_s, longest_s))
+        if not stays and not (never_left and cheapest.server == offer.server):
+            runs = offer.server in cheapest.started or begins_s < times.runs_for_s
+            check_s = times.running_s if runs else times.stopped_s
+            arrivals.append((cheapest, check_s - offer.head_start_s))
+        yield from _unbeaten(_served(arrivals, offer, times, call.local_s, longest_s))
 
 
-def _check_s(times: CheckTimes, started: bool, begins_s: float) -> float:
-    return times.running_s if started or begins_s < times.runs_for_s else times.stopped_s
-
-
-def _over_call(
-    arrivals: Iterable[tuple[_Way, float]], offer: Offer, local_s: float, longest_s: float
+def _served(
+    arrivals: Iterable[tuple[_Way, float]], offer: Offer, times: CheckTimes, local_s: float, longest_s: float
 ) -> Iterator[_Way]:
-    """The ways over a call that is made with so much of the check left."""
+    """The ways over a call that is made with so much of the server's check left."""
     for way, left_s in arrivals:
-        started = way.started if offer.server in way.started else way.started | {offer.server}
         if left_s <= 0:
-            yield _Way(way.cost_s + min(local_s, offer.call_s), 0.0, offer.server, started, way)
+            cost_s, rest_s = way.cost_s + min(local_s, offer.call_s), 0.0
         elif left_s + offer.call_s < longest_s:
-            yield _Way(way.cost_s + left_s + offer.call_s, 0.0, offer.server, started, way)
+            cost_s, rest_s = way.cost_s + left_s + offer.call_s, 0.0
         else:
-            yield _Way(way.cost_s + local_s, max(0.0, left_s - local_s), offer.server, started, way)
+            cost_s, rest_s = way.cost_s + local_s, max(0.0, left_s - local_s)
+        yield _Way(cost_s, rest_s, offer.server, _with_started(way.started, offer.server, times, rest_s), way)
 
 
-def _fewest(ways: Iterable[_Way]) -> Iterator[_Way]:
+def _with_started(started: frozenset[str], server: str, times: CheckTimes, rest_s: float) -> frozenset[str]:
+    """With the server whose check has so much left, if it has surely been asked to start its services by then."""
+    if server in started or rest_s > times.stopped_s - times.running_s - _ASKING_S:
+        return started
+    return started | {server}
+
+
+def _unbeaten(ways: Iterable[_Way]) -> Iterator[_Way]:
     """Without those that cost no less than another and have no less of the check left."""
     least_left_s = math.inf
     for way in sorted(ways, key=_cost_and_rest):

@@ -14,7 +14,9 @@ from dataclasses import dataclass
 
 from upwash.core.estimates import Estimates, Operation
 from upwash.core.geo import Circle, Position
-from upwash.core.policy import Call, Decision, Local, Option, Policy, Remote, Situation
+from upwash.core.itinerary import Itinerary, MissionBeliefs
+from upwash.core.outlook import Outlook, look_out
+from upwash.core.policy import Call, Decision, Local, Option, Policy, Remote, Situation, Wait
 from upwash.core.ranges import Ranges
 from upwash.core.servers import CHECKING, SELECTED, Change, Event, Server, State
 
@@ -91,6 +93,24 @@ class RemoteCallCut:
 
 
 @dataclass(frozen=True, slots=True)
+class LegBegun:
+    """The drone leaves for a place, at that ground speed; None for the one it flew at before."""
+
+    target: Position
+    ground_speed_m_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Arrived:
+    """The drone is where its leg led to."""
+
+
+@dataclass(frozen=True, slots=True)
+class CourseLost:
+    """Where the drone goes next is not known: it takes off, holds, returns or lands."""
+
+
+@dataclass(frozen=True, slots=True)
 class MissionEnded:
     """No call will come any more."""
 
@@ -105,6 +125,9 @@ Happening = (
     | RemoteCallEnded
     | RemoteCallFailed
     | RemoteCallCut
+    | LegBegun
+    | Arrived
+    | CourseLost
     | MissionEnded
 )
 
@@ -154,6 +177,7 @@ class Selection:
         estimates: Estimates,
         policy: Policy,
         settings: SelectionSettings | None = None,
+        mission: MissionBeliefs | None = None,
     ) -> None:
         self.servers = {name: Server(name, area) for name, area in areas.items()}
         self.estimates = estimates
@@ -164,6 +188,9 @@ class Selection:
         self._ranges = Ranges(areas)
         self._in_range: Sequence[Server] = ()  # this and the next in the order of the table
         self._met: Sequence[Server] = ()  # those whose state may change by time alone, or as the selected one
+        self._itinerary = Itinerary(mission or MissionBeliefs(), areas)
+        self._calling = False  # whether a call to a server is under way
+        self._changed = True  # whether anything has changed since the policy was last asked
         self._ended = False
 
     @property
@@ -179,15 +206,24 @@ class Selection:
     def handle(self, happening: Happening, *, now_s: float, position: Position) -> list[Command]:
         """Takes in what happened by now, with the drone at the position; returns what is to be done."""
         self._locate(position, now_s)
+        self._follow(happening, now_s, position)
         commands = self._take_in(happening, now_s)
         self._expire(commands, now_s)
-        self._select(commands, now_s)
+        self._select(commands, now_s, position)
         return commands
 
     def decide(
         self, operation: Operation, *, now_s: float, position: Position
     ) -> tuple[Decision, list[Command]]:
         """Where a call that is wanted now shall run."""
+        decision, commands = self._decide(operation, now_s=now_s, position=position)
+        self._itinerary.call_begun(operation, now_s=now_s)
+        self._expect_end(decision, operation, now_s)
+        return decision, commands
+
+    def _decide(
+        self, operation: Operation, *, now_s: float, position: Position
+    ) -> tuple[Decision, list[Command]]:
         self._locate(position, now_s)
         current = self._current
         if current is None:
@@ -212,12 +248,27 @@ class Selection:
         self, operation: Operation, check: int, *, now_s: float, position: Position
     ) -> tuple[Decision, list[Command]]:
         """Where a call shall run whose wait for that check is over; it does not wait again."""
-        decision, commands = self.decide(operation, now_s=now_s, position=position)
+        decision, commands = self._decide(operation, now_s=now_s, position=position)
         if check != self.check or self._current is None:
-            return Local("the check failed or was given up"), commands
-        if isinstance(decision, Remote):
-            return Remote(decision.server, decision.deadline_s, "server became ready"), commands
-        return decision if isinstance(decision, Local) else Local("not ready in time"), commands
+            decision = Local("the check failed or was given up")
+        elif isinstance(decision, Remote):
+            decision = Remote(decision.server, decision.deadline_s, "server became ready")
+        elif isinstance(decision, Wait):
+            decision = Local("not ready in time")
+        self._expect_end(decision, operation, now_s)
+        return decision, commands
+
+    def _expect_end(self, decision: Decision, operation: Operation, now_s: float) -> None:
+        """Notes until when the mission is busy with the call, as far as is known now."""
+        match decision:
+            case Local():
+                expected_s = self.estimates.local_s(operation)
+            case Remote(server):
+                expected_s = self.estimates.remote_s(server, operation)
+                self._calling = True
+            case Wait(_, at_most_s):
+                expected_s = at_most_s
+        self._itinerary.call_ends(now_s + (expected_s or 0.0))
 
     def is_checking(self, check: int) -> bool:
         """Whether that check is the current one and still under way."""
@@ -229,6 +280,7 @@ class Selection:
             server = self.servers[name]
             server.in_range_since_s = None if server.in_range else now_s
         if crossed:
+            self._changed = True
             self._in_range = [server for server in self.servers.values() if server.in_range]
 
     def _take_in(self, happening: Happening, now_s: float) -> list[Command]:
@@ -254,6 +306,24 @@ class Selection:
             case MissionEnded():
                 self._ended = True
         return []
+
+    def _follow(self, happening: Happening, now_s: float, position: Position) -> None:
+        """Follows the mission over its legs and calls."""
+        match happening:
+            case Looked() | CheckAnswered() | ServicesStarted() | CheckFailed() | NetworkLost():
+                return  # what is under way concerns the mission only once it is over
+            case LegBegun(target, ground_speed_m_s):
+                self._itinerary.leg_begun(position, target, ground_speed_m_s, now_s=now_s)
+            case Arrived():
+                self._itinerary.arrived(now_s=now_s)
+            case CourseLost():
+                self._itinerary.lost()
+            case LocalCallEnded() | RemoteCallEnded():
+                self._itinerary.call_ends(now_s)
+                self._calling = False
+            case RemoteCallFailed():
+                self._calling = False
+        self._changed = True
 
     def _is_ready(self, server: str, check: int) -> bool:
         current = self._current
@@ -307,8 +377,11 @@ class Selection:
             elif server.state is State.AVL_R and age_s >= self._settings.idle_s:
                 commands.append(server.apply(Event.IDLE_EXPIRED, now_s=now_s))
 
-    def _select(self, commands: list[Command], now_s: float) -> None:
-        chosen, why = (None, "mission ended") if self._ended else self._choose(now_s)
+    def _select(self, commands: list[Command], now_s: float, position: Position) -> None:
+        if not (commands or self._is_due(now_s)):
+            return
+        self._changed = False
+        chosen, why = (None, "mission ended") if self._ended else self._choose(now_s, position)
         current = self._current
         if current is not None and current.name != chosen:
             better = f"{chosen} {why}" if chosen else why
@@ -320,17 +393,43 @@ class Selection:
             commands.append(Check(chosen, self.check))
             self._met = [server for server in self.servers.values() if server.state is not State.AVL]
 
-    def _choose(self, now_s: float) -> tuple[str | None, str]:
-        options = []
+    def _is_due(self, now_s: float) -> bool:
+        """Whether the policy has to be asked: of what it is shown, time alone changes only what was forgotten."""
         for server in self._in_range:
-            if server.in_range_since_s is None or server.state is State.BLACKLISTED:
-                continue
-            self.estimates.forget_slow_calls(server.name, now_s=now_s, retry_s=self._settings.retry_s)
-            mean_call_s = self.estimates.mean_call_s(server.name)
-            options.append(Option(server.name, mean_call_s, server.in_range_since_s))
-        current = self._current.name if self._current else None
-        choice = self.policy.choose(Situation(options, current, self.estimates.mean_call_s()))
+            retry_s = self._settings.retry_s
+            if self.estimates.forget_slow_calls(server.name, now_s=now_s, retry_s=retry_s):
+                self._changed = True
+        return self._changed
+
+    def _choose(self, now_s: float, position: Position) -> tuple[str | None, str]:
+        options = [
+            Option(server.name, self.estimates.mean_call_s(server.name), server.in_range_since_s)
+            for server in self._in_range
+            if server.in_range_since_s is not None and server.state is not State.BLACKLISTED
+        ]
+        choice = self.policy.choose(
+            Situation(
+                options,
+                self._current.name if self._current else None,
+                self.estimates.mean_call_s(),
+                calling=self._calling,
+                outlook=self._look_out(now_s, position),
+            )
+        )
         return choice.server, choice.why
+
+    def _look_out(self, now_s: float, position: Position) -> Outlook | None:
+        if not self.policy.horizon:
+            return None
+        return look_out(
+            self._itinerary.coming(position, now_s=now_s, count=self.policy.horizon),
+            self.servers,
+            self.estimates,
+            self._current,
+            now_s=now_s,
+            blacklist_s=self._settings.blacklist_s,
+            idle_s=self._settings.idle_s,
+        )
 
     def _deselect(self, why: str, now_s: float) -> list[Command]:
         server = self._selected()

@@ -120,7 +120,9 @@ class _Draft:
     def _policy(self) -> dict[str, Any]:
         chance = self._chance
         return {
-            "name": chance.choices(("location-aware", "opportunistic", "local-only"), (72, 25, 3))[0],
+            "name": chance.choices(
+                ("location-aware", "look-ahead", "opportunistic", "local-only"), (36, 36, 25, 3)
+            )[0],
             "gain_switch": chance.choice((0.0, 0.1, 0.25, 0.5)),
             "gain_wait": chance.choice((0.0, 0.1, 0.25, 0.6)),
             "period_s": chance.choice((0.5, 1.0, 2.0, 3.0)),

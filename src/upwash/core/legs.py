@@ -1,0 +1,76 @@
+"""How long the way from one waypoint to the next takes, and when on it a circle is entered.
+
+Legs are straight and flown from rest to rest: the vehicle speeds up steadily, cruises, and brakes as it sped up.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from upwash.core.geo import Circle, Position, distance_m
+
+_LEAST_M_S2, _MOST_M_S2 = 0.05, 50.0  # what is slower or more agile was held up, or has hardly moved
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One leg, from rest to rest."""
+
+    length_m: float
+    ground_speed_m_s: float
+    acceleration_m_s2: float
+
+    @property
+    def duration_s(self) -> float:
+        """How long it takes."""
+        return self.length_m / self._top_m_s + self._ramp_s if self.length_m > 0 else 0.0
+
+    def reached_s(self, travelled_m: float) -> float:
+        """How long after its start the vehicle has come so far."""
+        if travelled_m <= 0:
+            return 0.0
+        left_m = self.length_m - travelled_m
+        if left_m <= 0:
+            return self.duration_s
+        ramp_m = self._top_m_s * self._ramp_s / 2
+        if travelled_m <= ramp_m:
+            return math.sqrt(2 * travelled_m / self.acceleration_m_s2)
+        if left_m <= ramp_m:
+            return self.duration_s - math.sqrt(2 * left_m / self.acceleration_m_s2)
+        return self._ramp_s / 2 + travelled_m / self._top_m_s
+
+    @property
+    def _top_m_s(self) -> float:
+        return min(self.ground_speed_m_s, math.sqrt(self.acceleration_m_s2 * self.length_m))
+
+    @property
+    def _ramp_s(self) -> float:
+        return self._top_m_s / self.acceleration_m_s2
+
+
+def acceleration_m_s2(length_m: float, ground_speed_m_s: float, duration_s: float) -> float | None:
+    """The acceleration with which a leg takes so long; None for one that says nothing of it."""
+    cruise_s = length_m / ground_speed_m_s
+    if length_m <= 0 or duration_s <= cruise_s:
+        return None
+    if duration_s < 2 * cruise_s:
+        value_m_s2 = ground_speed_m_s / (duration_s - cruise_s)
+    else:  # the vehicle brakes before it has reached its ground speed
+        value_m_s2 = 4 * length_m / duration_s**2
+    return value_m_s2 if _LEAST_M_S2 <= value_m_s2 <= _MOST_M_S2 else None
+
+
+def entered_m(start: Position, end: Position, circle: Circle) -> float | None:
+    """How far from its start a straight way that ends in the circle enters it; None if it ends outside."""
+    if not circle.contains(end):
+        return None
+    if circle.contains(start):
+        return 0.0
+    to_start = (start.east_m - end.east_m, start.north_m - end.north_m)
+    to_centre = (circle.centre.east_m - end.east_m, circle.centre.north_m - end.north_m)
+    ground_m = math.hypot(*to_start)
+    along_m = (to_start[0] * to_centre[0] + to_start[1] * to_centre[1]) / ground_m
+    across_m2 = to_centre[0] ** 2 + to_centre[1] ** 2 - along_m**2
+    inside_m = along_m + math.sqrt(max(0.0, circle.radius_m**2 - across_m2))  # back from the end
+    return distance_m(start, end) * max(0.0, 1 - inside_m / ground_m)

@@ -1,0 +1,80 @@
+"""What a policy that looks ahead is shown: the calls to come, what is in range of each, and how the checks stand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from upwash.core.estimates import Estimates, Operation
+from upwash.core.itinerary import ExpectedCall
+from upwash.core.schedule import CheckTimes, ComingCall, Offer
+from upwash.core.servers import CHECKING, Server, State
+
+
+@dataclass(frozen=True, slots=True)
+class Outlook:
+    """The calls to come with the servers that could take them, and in how long the selected server is ready."""
+
+    calls: Sequence[ComingCall]
+    checks: Mapping[str, CheckTimes]
+    ready_in_s: float
+
+
+def look_out(
+    expected: Sequence[ExpectedCall],
+    servers: Mapping[str, Server],
+    estimates: Estimates,
+    current: Server | None,
+    *,
+    now_s: float,
+    blacklist_s: float,
+    idle_s: float,
+) -> Outlook:
+    """The outlook on the expected calls; servers that gain nothing, or are blacklisted by then, are left out."""
+    local_s = estimates.mean_call_s()
+    seen = dict.fromkeys(name for call in expected for name in call.in_range_s)
+    gaining = {name: servers[name] for name in seen if estimates.mean_call_s(name) < local_s}
+    banned_s = {
+        name: server.since_s + blacklist_s - now_s if server.state is State.BLACKLISTED else -math.inf
+        for name, server in gaining.items()
+    }
+    ready_in_s = 0.0
+    if current is not None and current.state in CHECKING:
+        check_s = estimates.check_s(current.name, running=current.state is State.CHECK_R)
+        ready_in_s = max(0.0, check_s - (now_s - current.checked_since_s))
+    return Outlook(
+        list(_calls(expected, estimates, banned_s)),
+        {name: _check_times(server, estimates, now_s, idle_s) for name, server in gaining.items()},
+        ready_in_s,
+    )
+
+
+def _calls(
+    expected: Sequence[ExpectedCall], estimates: Estimates, banned_s: Mapping[str, float]
+) -> Iterator[ComingCall]:
+    at_s = 0.0
+    delays_s: dict[Operation, dict[str, float]] = {}  # of each operation, by server
+    for call in expected:
+        at_s += call.gap_s
+        local_s = estimates.local_s(call.operation) or 0.0
+        if call.operation not in delays_s:
+            remote_s = {server: estimates.remote_s(server, call.operation) for server in banned_s}
+            delays_s[call.operation] = {
+                server: local_s if delay_s is None else delay_s for server, delay_s in remote_s.items()
+            }
+        its_delays_s = delays_s[call.operation]
+        offers = []
+        for server, in_range_s in call.in_range_s.items():
+            allowed_s = at_s - banned_s.get(server, math.inf)
+            if allowed_s > 0:
+                offers.append(Offer(server, its_delays_s[server], min(in_range_s, allowed_s)))
+        yield ComingCall(local_s, call.gap_s, offers)
+
+
+def _check_times(server: Server, estimates: Estimates, now_s: float, idle_s: float) -> CheckTimes:
+    return CheckTimes(
+        stopped_s=estimates.check_s(server.name, running=False),
+        running_s=estimates.check_s(server.name, running=True),
+        runs_for_s=server.since_s + idle_s - now_s if server.state is State.AVL_R else 0.0,
+    )

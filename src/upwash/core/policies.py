@@ -1,0 +1,21 @@
+"""The policies by name."""
+
+from __future__ import annotations
+
+from upwash.core.look_ahead import LookAhead
+from upwash.core.policy import LocalOnly, LocationAware, Opportunistic, Policy, WaitRule
+
+POLICIES = ("local-only", "opportunistic", "location-aware", "look-ahead")
+
+
+def make_policy(name: str, *, gain_switch: float, gain_wait: float) -> Policy:
+    """The policy of that name, one of POLICIES; raises KeyError with the name where there is none."""
+    wait = WaitRule(gain_wait=gain_wait)
+    location_aware = LocationAware(gain_switch=gain_switch, wait=wait)
+    made: tuple[Policy, ...] = (
+        LocalOnly(),
+        Opportunistic(wait=wait),
+        location_aware,
+        LookAhead(reactive=location_aware),
+    )
+    return dict(zip(POLICIES, made, strict=True))[name]
