@@ -69,7 +69,7 @@ def read_result(events: Iterable[Mapping[str, Any]]) -> RunResult:
     waypoints, reached, left_hovering = 0, set[int | None](), False
     waits: list[str] = []
     fallbacks = 0
-    for event in _last_run(events):
+    for event in last_run(events):
         ended_s = event["t"]
         match event["event"]:
             case "mission_started":
@@ -116,7 +116,8 @@ def read_result(events: Iterable[Mapping[str, Any]]) -> RunResult:
     )
 
 
-def _last_run(events: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+def last_run(events: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """The events of the last of the runs that a log holds."""
     run: list[Mapping[str, Any]] = []
     for event in events:
         if event["event"] == "log_opened":

@@ -58,7 +58,8 @@ def simulate_scenario(
     run = simulate(config)
     if log is not None:
         log.parent.mkdir(parents=True, exist_ok=True)
-        log.write_bytes(run.log())
+        named = {"t": 0.0, "event": "simulated", "scenario": str(file.resolve()), "seed": config.seed}
+        log.write_bytes(msgspec.json.encode(named) + b"\n" + run.log())
     _print(run, config, file.stem, as_json=as_json)
     if figures is not None:
         _draw(run, config, figures)

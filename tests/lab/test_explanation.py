@@ -1,0 +1,94 @@
+"""`upwash explain`: the reasons of a flight in words, and the same world under other policies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from upwash.cli import main
+
+ROOT = Path(__file__).parents[2]
+SCENARIO = ROOT / "scenarios" / "power-line-heavy.toml"
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("flight") / "log.jsonl"
+    assert main(["simulate", str(SCENARIO), "--policy", "look-ahead", "--json", "--log", str(file)]) == 0
+    return file
+
+
+def explanation(capsys: pytest.CaptureFixture[str], log: Path, *options: str) -> list[str]:
+    capsys.readouterr()
+    assert main(["explain", str(log), *options]) == 0
+    return capsys.readouterr().out.splitlines()
+
+
+def without_its_scenario(log: Path, tmp_path: Path) -> Path:
+    """The log as a real flight leaves it."""
+    lines = log.read_bytes().splitlines(keepends=True)
+    file = tmp_path / "flown.jsonl"
+    file.write_bytes(b"".join(lines[1:]))
+    return file
+
+
+def test_every_call_is_explained_by_what_was_believed(capsys: pytest.CaptureFixture[str], log: Path) -> None:
+    lines = explanation(capsys, log)
+    headings = [line for line in lines if line.startswith("waypoint ")]
+    assert len(headings) == 81
+    fifth = lines[lines.index(headings[5]) : lines.index(headings[6])]
+    assert fifth[0].endswith("on pole2, 2.17 s")
+    assert "pole1 was deselected: pole2 serves the next 20 calls in " in fifth[1]
+    assert "less than with pole1 kept" in fifth[1]
+    assert "pole2, in state CHECK, 0.70 s, its check having taken 10.0 of 11.5 s" in fifth[3]
+    assert fifth[4].endswith("so it was to wait for pole2, for at most 6.8 s: READY expected in 1.47 s")
+
+
+def test_other_policies_are_flown_in_the_world_that_the_log_names(
+    capsys: pytest.CaptureFixture[str], log: Path
+) -> None:
+    lines = explanation(capsys, log)
+    told = [line for line in lines if line.startswith("    local-only: on the drone, 10.00 s; ")]
+    assert len(told) == 81
+    assert "location-aware: on the drone, 10.00 s" in told[5]
+    took_s = {line.split(":")[0].strip(): float(line.split()[-2]) for line in lines[-5:]}
+    assert took_s["look-ahead"] == float(lines[-6].split()[2])
+    assert took_s["an all-knowing drone"] < took_s["look-ahead"] < took_s["location-aware"]
+
+
+def test_a_log_without_a_world_is_explained_by_itself_or_in_one_that_is_given(
+    capsys: pytest.CaptureFixture[str], log: Path, tmp_path: Path
+) -> None:
+    flown = without_its_scenario(log, tmp_path)
+    alone = explanation(capsys, flown)
+    assert "give --scenario FILE" in alone[-1]
+    assert not any("local-only" in line for line in alone)
+    assert explanation(capsys, flown, "--scenario", str(SCENARIO)) == explanation(capsys, log)
+
+
+def test_a_world_where_the_mission_makes_other_calls_is_no_comparison_call_by_call(
+    capsys: pytest.CaptureFixture[str], log: Path
+) -> None:
+    lines = explanation(capsys, log, "--scenario", str(ROOT / "scenarios" / "no-servers.toml"))
+    assert "    local-only: other calls; opportunistic: other calls; location-aware: other calls" in lines
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("seed = 1\n", "is no event log"),
+        ("[]\n", "is no event log"),
+        ("{}\n", "is no event log"),
+        ("", "no service call"),
+    ],
+)
+def test_what_is_no_log_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str, complaint: str
+) -> None:
+    file = tmp_path / "log.jsonl"
+    file.write_text(text)
+    assert main(["explain", str(file)]) == 2
+    assert complaint in capsys.readouterr().err
+    assert main(["explain", str(tmp_path / "missing.jsonl")]) == 2
+    assert "cannot be read" in capsys.readouterr().err
