@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from upwash.core.look_ahead import LookAhead
 from upwash.core.outlook import Outlook
-from upwash.core.policy import Call, Choice, LocationAware, Option, Situation
+from upwash.core.policy import Call, Choice, Decision, Local, LocationAware, Option, Remote, Situation
 from upwash.core.schedule import CheckTimes, ComingCall, Offer
 from upwash.core.servers import State
 
@@ -21,10 +21,12 @@ def calls(*servers: str) -> list[ComingCall]:
 
 
 def choose(
-    outlook: Outlook | None, *, in_range: str, current: str | None = None, calling: bool = False
+    outlook: Outlook | None, *, in_range: str, current: str | None = None, under_way: Decision | None = None
 ) -> str | None:
     options = [Option(server, REMOTE_S, 0.0) for server in in_range]
-    return LookAhead().choose(Situation(options, current, LOCAL_S, calling=calling, outlook=outlook)).server
+    return (
+        LookAhead().choose(Situation(options, current, LOCAL_S, under_way=under_way, outlook=outlook)).server
+    )
 
 
 def test_the_server_of_the_next_call_is_chosen_once_it_is_in_range() -> None:
@@ -51,7 +53,14 @@ def test_it_is_left_before_its_range_ends_if_the_next_one_would_not_be_ready_oth
 
 def test_nothing_is_left_while_a_call_goes_on_there() -> None:
     outlook = Outlook(calls("b", "b", "b"), CHECKS, 0.0)
-    assert choose(outlook, in_range="ab", current="a", calling=True) == "a"
+    assert choose(outlook, in_range="ab", current="a", under_way=Remote("a", 4.0, "server ready")) == "a"
+    assert choose(outlook, in_range="ab", current="a", under_way=Local("not faster there")) == "b"
+
+
+def test_a_check_goes_on_as_long_as_a_call_does() -> None:
+    outlook = Outlook(calls("b", "b", "b"), CHECKS, 5.0)
+    assert choose(outlook, in_range="ab", current="a", under_way=Local("too late to pay off")) == "a"
+    assert choose(outlook, in_range="ab", current="a") == "b"
 
 
 def test_a_server_out_of_range_is_not_kept() -> None:

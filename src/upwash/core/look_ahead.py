@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from upwash.core.outlook import Outlook
-from upwash.core.policy import Call, Choice, Decision, LocationAware, Situation
+from upwash.core.policy import Call, Choice, Decision, LocationAware, Remote, Situation
 from upwash.core.schedule import Schedule, quickest
 
 HORIZON = 20  # calls: what is further away changes nothing about the next server
@@ -32,8 +32,8 @@ class LookAhead:
         local_s = situation.local_mean_call_s
         in_range = [option.server for option in situation.options if option.mean_call_s < local_s]
         current = situation.current if situation.current in in_range else None
-        if current is not None and situation.calling:
-            return Choice(current, "in a call")
+        if current is not None and self._holds(situation.under_way, outlook):
+            return Choice(current, "a call is under way")
         best = self._quickest(outlook, current)
         following = best.servers[0]
         gains = f"serves the next {len(outlook.calls)} calls in {best.total_s:.1f} s"
@@ -49,6 +49,10 @@ class LookAhead:
         if following not in in_range:
             return Choice(current, f"{following} is not in range yet")
         return Choice(following, f"{gains}, {saved_s:.1f} s less than with {current} kept")
+
+    def _holds(self, under_way: Decision | None, outlook: Outlook) -> bool:
+        """Whether a call goes on there, or the check, which is of use later, while a call goes on elsewhere."""
+        return isinstance(under_way, Remote) or (under_way is not None and outlook.ready_in_s > 0)
 
     def _quickest(self, outlook: Outlook, current: str | None, *, stays: bool = False) -> Schedule:
         return quickest(

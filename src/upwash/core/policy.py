@@ -28,14 +28,14 @@ class Situation:
     """What a selection is decided on.
 
     `options` are in the order of the server table; `current` is the selected server, which is among the options
-    unless the drone has left its range; `local_mean_call_s` is the mean delay of calls on the drone. `calling` says
-    whether a call to the current server is under way. `outlook` is there for a policy with a horizon.
+    unless the drone has left its range; `local_mean_call_s` is the mean delay of calls on the drone. `under_way` is
+    what was decided of the call that goes on now, if one does. `outlook` is there for a policy with a horizon.
     """
 
     options: Sequence[Option]
     current: str | None
     local_mean_call_s: float
-    calling: bool = False
+    under_way: Decision | None = None
     outlook: Outlook | None = None
 
 

@@ -5,13 +5,14 @@ What holds in this small world:
 - a check that is not over when a call is made is waited for, or the call runs on the drone and the check goes on;
 - a server that was checked once runs its services from then on.
 
-Call by call, the ways to get so far are carried on, for each server those few that may still turn out best. A switch
-follows the cheapest way of all. That is exact where a check takes the same time whether the services run or not, and
-very nearly so elsewhere: there a dearer way may have started the services of a server that is needed later.
+Call by call, the ways to get so far are carried on: those that no other beats in its cost, in what is left of the
+check, or in the services that it has started. Of the latter only two sets are followed, as there would be too many.
+So the schedule is the best one where a check takes as long whether the services run or not, and nearly so elsewhere.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -67,6 +68,7 @@ class _Way(NamedTuple):
 
 
 _cost_and_rest = itemgetter(0, 1)
+_MOST_STARTED = 2  # sets of servers that ways may have started the services of
 _ASKING_S = 1.0  # a server that is left sooner has perhaps not been told to start anything
 
 
@@ -144,8 +146,9 @@ def _over(
     stays: bool,
 ) -> Iterator[_Way]:
     """The ways that lead over one more call: on without a server, with the same one, or with another."""
-    cheapest = min(ways, key=_cost_and_rest)
-    yield _Way(cheapest.cost_s + call.local_s, math.inf, None, cheapest.started, cheapest)
+    cheapest = _cheapest(ways)
+    for way in cheapest:
+        yield _Way(way.cost_s + call.local_s, math.inf, None, way.started, way)
     by_server: dict[str | None, list[_Way]] = {}
     for way in ways:
         by_server.setdefault(way.server, []).append(way)
@@ -158,10 +161,12 @@ def _over(
         never_left = offer.head_start_s >= call.gap_s
         if never_left:
             arrivals = [(way, way.ready_in_s - call.gap_s) for way in by_server.get(offer.server, ())]
-        if not stays and not (never_left and cheapest.server == offer.server):
-            runs = offer.server in cheapest.started or begins_s < times.runs_for_s
-            check_s = times.running_s if runs else times.stopped_s
-            arrivals.append((cheapest, check_s - offer.head_start_s))
+        if not stays:
+            for way in cheapest:
+                if not (never_left and way.server == offer.server):
+                    runs = (offer.server in way.started) or begins_s < times.runs_for_s
+                    check_s = times.running_s if runs else times.stopped_s
+                    arrivals.append((way, check_s - offer.head_start_s))
         yield from _unbeaten(_served(arrivals, offer, times, call.local_s, longest_s))
 
 
@@ -186,13 +191,22 @@ def _with_started(started: frozenset[str], server: str, times: CheckTimes, rest_
     return started | {server}
 
 
-def _unbeaten(ways: Iterable[_Way]) -> Iterator[_Way]:
-    """Without those that cost no less than another and have no less of the check left."""
-    least_left_s = math.inf
-    for way in sorted(ways, key=_cost_and_rest):
-        if way.ready_in_s < least_left_s:
-            least_left_s = way.ready_in_s
-            yield way
+def _cheapest(ways: Iterable[_Way]) -> list[_Way]:
+    """The cheapest way of all, and the cheapest that has started something else."""
+    ordered = sorted(ways, key=_cost_and_rest)
+    others = (way for way in ordered if not way.started <= ordered[0].started)
+    return [ordered[0], *itertools.islice(others, _MOST_STARTED - 1)]
+
+
+def _unbeaten(ways: Iterable[_Way]) -> list[_Way]:
+    """The ways to one server that no cheaper one beats in what is left of the check or in what it has started."""
+    ordered = sorted(ways, key=_cost_and_rest)
+    best = ordered[:1]
+    for way in ordered[1:]:
+        beaten = any(other.ready_in_s <= way.ready_in_s and other.started >= way.started for other in best)
+        if not beaten and len({way.started, *(other.started for other in best)}) <= _MOST_STARTED:
+            best.append(way)
+    return best
 
 
 def _servers(way: _Way) -> list[str | None]:

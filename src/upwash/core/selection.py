@@ -189,7 +189,7 @@ class Selection:
         self._in_range: Sequence[Server] = ()  # this and the next in the order of the table
         self._met: Sequence[Server] = ()  # those whose state may change by time alone, or as the selected one
         self._itinerary = Itinerary(mission or MissionBeliefs(), areas)
-        self._calling = False  # whether a call to a server is under way
+        self._under_way: Decision | None = None  # of the call that goes on now
         self._changed = True  # whether anything has changed since the policy was last asked
         self._ended = False
 
@@ -260,12 +260,12 @@ class Selection:
 
     def _expect_end(self, decision: Decision, operation: Operation, now_s: float) -> None:
         """Notes until when the mission is busy with the call, as far as is known now."""
+        self._under_way = decision
         match decision:
             case Local():
                 expected_s = self.estimates.local_s(operation)
             case Remote(server):
                 expected_s = self.estimates.remote_s(server, operation)
-                self._calling = True
             case Wait(_, at_most_s):
                 expected_s = at_most_s
         self._itinerary.call_ends(now_s + (expected_s or 0.0))
@@ -320,9 +320,9 @@ class Selection:
                 self._itinerary.lost()
             case LocalCallEnded() | RemoteCallEnded():
                 self._itinerary.call_ends(now_s)
-                self._calling = False
-            case RemoteCallFailed():
-                self._calling = False
+                self._under_way = None
+            case RemoteCallFailed(_, _, why):
+                self._under_way = Local(why)
         self._changed = True
 
     def _is_ready(self, server: str, check: int) -> bool:
@@ -412,7 +412,7 @@ class Selection:
                 options,
                 self._current.name if self._current else None,
                 self.estimates.mean_call_s(),
-                calling=self._calling,
+                under_way=self._under_way,
                 outlook=self._look_out(now_s, position),
             )
         )
