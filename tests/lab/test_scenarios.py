@@ -97,8 +97,8 @@ def test_along_a_line_of_small_cells_looking_ahead_wins_back_most_of_what_reacti
 
 
 @pytest.mark.parametrize("scenario", FILES)
-def test_looking_ahead_costs_next_to_nothing_anywhere(scenario: str) -> None:
-    assert time_s(scenario, "look-ahead") <= 1.003 * time_s(scenario)
+def test_looking_ahead_costs_nothing_anywhere(scenario: str) -> None:
+    assert time_s(scenario, "look-ahead") <= time_s(scenario) + 0.1
 
 
 def test_in_a_dense_city_the_fast_servers_do_the_work() -> None:
