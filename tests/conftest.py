@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 from tests.engines import OwnEngine, own_engine, why_not
+from tests.system.fake_networkmanager import bus_daemon
+from tests.system.radios import Field, field_below
 
 from upwash.real.credentials import Credentials, make_keys, read_credentials
 
@@ -66,3 +68,17 @@ def workbench_image(services: Path, tmp_path_factory: pytest.TempPathFactory) ->
 
     recipe = Recipe("workbench", f"{services}:Workbench", requirements=())
     return package(recipe, tmp_path_factory.mktemp("images"), report=lambda _: None)
+
+
+@pytest.fixture
+def private_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A bus of the test's own, in the place of the system's."""
+    with bus_daemon(tmp_path) as address:
+        monkeypatch.setenv("DBUS_SYSTEM_BUS_ADDRESS", address)
+        yield
+
+
+@pytest.fixture
+def field(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Field]:
+    """Radios that are cables, and a NetworkManager of their own in the place of the system's."""
+    yield from field_below(tmp_path, monkeypatch)

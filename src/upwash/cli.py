@@ -11,6 +11,7 @@ from pathlib import Path
 from upwash.commands import (
     campaign,
     chaos,
+    check,
     compare,
     demo,
     emulate,
@@ -32,6 +33,7 @@ from upwash.errors import MissionStopped, UpwashError, UsageError
 _OK, _FAILURE, _USAGE, _INTERRUPTED = 0, 1, 2, 130
 _COMMANDS = (
     fly,
+    check,
     serve,
     status,
     keys,

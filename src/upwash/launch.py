@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import tempfile
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -41,6 +42,9 @@ from upwash.sim.camera import RenderedCamera
 from upwash.sim.network import Cell, ModelNetwork, NoNetwork
 from upwash.vehicle import VehicleSettings, serve_vehicle
 from upwash.visit import Contact
+
+if TYPE_CHECKING:
+    from upwash.real.survey import Finding
 
 _MAX_MESSAGE_BYTES = 16 * 2**20
 _TRACK_PERIOD_S = 1.0
@@ -101,7 +105,7 @@ async def fly(
             services={name: service.cls for name, service in services.items()},
             world=World(
                 autopilot=autopilot,
-                network=_network(config, autopilot),
+                network=await _network(config, autopilot, journal, stack),
                 dialer=dialer,
                 onboard_dialer=_onboard_dialer(config.name),
                 onboard_runtime=_onboard_runtime(sockets),
@@ -158,15 +162,45 @@ def _dialer(config: DroneConfig) -> GrpcDialer:
     return GrpcDialer(config.name, credentials, max_message_bytes=_MAX_MESSAGE_BYTES)
 
 
-def _network(config: DroneConfig, autopilot: Autopilot) -> Network:
+async def _network(
+    config: DroneConfig, autopilot: Autopilot, journal: Journal, stack: contextlib.AsyncExitStack
+) -> Network:
     if config.network.kind == "wired":
         return NoNetwork()
+    if config.network.kind == "networkmanager":
+        with _extra("network"):
+            from upwash.real.network import ManagedNetwork
+        network = ManagedNetwork(
+            config.network.interfaces, [server.network for server in config.servers], journal
+        )
+        stack.push_async_callback(network.close)
+        await network.open()
+        return network
     cells: dict[str, list[Cell]] = {}
     for server in config.servers:
         area = server_area(server, config.mission.home)
         join_s = server_truth(server, config.services).join_s
         cells.setdefault(server.network, []).append(Cell(area, join_s))
     return ModelNetwork(cells, lambda: autopilot.position)
+
+
+async def survey_networks(config: DroneConfig) -> list[Finding]:
+    """What NetworkManager has ready for the drone; raises NetworkError without one."""
+    with _extra("network"):
+        from upwash.real.survey import survey_networks
+    return await survey_networks(
+        config.network.interfaces, {server.name: server.network for server in config.servers}
+    )
+
+
+@contextlib.contextmanager
+def _extra(name: str) -> Iterator[None]:
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"{error.name} is not installed: `pip install 'upwash[{name}]'` installs it"
+        ) from error
 
 
 @contextlib.asynccontextmanager

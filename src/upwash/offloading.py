@@ -300,7 +300,7 @@ class Offloading:
 
     async def _ask(self, visit: Visit, server: str, check: int) -> None:
         try:
-            await visit.join(timeout_s=self._limit_s(server))
+            await visit.join(timeout_s=self._limit_s(server, running=True))
             self._journal.record("joined", server=server, network=self._contacts[server].network)
             self._watch = asyncio.create_task(self._notice_loss(visit, check))
             running = await visit.ask()
@@ -315,7 +315,7 @@ class Offloading:
         self.tell(NetworkLost(check, await visit.lost()))
 
     async def _start(self, visit: Visit, server: str, check: int) -> None:
-        limit_s = self._limit_s(server)
+        limit_s = self._limit_s(server, running=False)
         try:
             await visit.start(timeout_s=limit_s)
         except LinkError as error:
@@ -324,9 +324,9 @@ class Offloading:
         self.tell(ServicesStarted(check))
         await visit.keep_lease()
 
-    def _limit_s(self, server: str) -> float:
-        """How long joining, or else starting, may take."""
-        return max(_CHECK_LEAST_S, _CHECK_FACTOR * self._selection.estimates.check_s(server, running=False))
+    def _limit_s(self, server: str, *, running: bool) -> float:
+        """How long joining may take, for which it matters nothing whether the services run; or else starting."""
+        return max(_CHECK_LEAST_S, _CHECK_FACTOR * self._selection.estimates.check_s(server, running=running))
 
     def _now_s(self) -> float:
         return asyncio.get_running_loop().time()

@@ -14,7 +14,7 @@ import pytest
 
 pytestmark = pytest.mark.system
 
-COMMANDS = ("fly", "serve", "status", "keys", "vehicle", "demo")
+COMMANDS = ("fly", "check", "serve", "status", "keys", "vehicle", "demo")
 HEAVY = {"cv2", "numpy", "grpc", "pymavlink", "onnxruntime", "matplotlib", "cryptography", "rich"}
 
 DRONE = """
@@ -208,6 +208,18 @@ def test_a_certificate_that_does_not_fit_is_refused(
 def test_a_log_that_cannot_be_written_is_named(drone: Path) -> None:
     said = complaint(upwash("fly", "--config", "drone.toml", "--log", "drone.toml/log", folder=drone.parent))
     assert said.startswith("cannot write the event log drone.toml/log: ")
+
+
+def test_check_says_what_a_configuration_holds(drone: Path) -> None:
+    ended = upwash("check", str(drone))
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout == f"{drone} is understood: 1 waypoints, 1 services, 1 servers\n"
+
+
+def test_check_finds_no_networks_where_none_are_joined(drone: Path) -> None:
+    ended = upwash("check", str(drone), "--networks")
+    assert ended.returncode == 2
+    assert 'network.kind is "stand-in", so no network is joined' in ended.stderr
 
 
 @pytest.mark.timeout(90)

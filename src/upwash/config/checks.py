@@ -12,6 +12,7 @@ from upwash.config.drone import (
     DroneConfig,
     FaultConfig,
     MissionConfig,
+    NetworkConfig,
     ServerConfig,
     ServiceConfig,
     TruthConfig,
@@ -38,6 +39,7 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
         yield f"service[{index}].name", f'a second service named "{name}": give each its own name'
     for index, name in repeated([server.name for server in config.servers]):
         yield f"server[{index}].name", f'a second server named "{name}": give each its own name'
+    yield from _network_problems(config.network)
     for index, service in enumerate(config.services):
         yield from _key_problems(f"service[{index}].local_pace_s", service, service.local_pace_s)
     for index, server in enumerate(config.servers):
@@ -65,6 +67,18 @@ def _camera_problems(camera: CameraConfig) -> Iterator[Problem]:
     found = [key for key, value in sources.items() if value is not None]
     if len(found) > 1:
         yield "camera", f"photos from several places: give one of {listed(sources)}, found {listed(found)}"
+
+
+def _network_problems(network: NetworkConfig) -> Iterator[Problem]:
+    if network.kind == "networkmanager" and not network.interfaces:
+        yield "network.interfaces", 'missing: name those that upwash may use, such as interfaces = ["wlan1"]'
+    if network.kind != "networkmanager" and network.interfaces:
+        yield (
+            "network.interfaces",
+            f'kind = "{network.kind}" uses none: leave them out, or set "networkmanager"',
+        )
+    for index, name in repeated(list(network.interfaces)):
+        yield f"network.interfaces[{index}]", f'"{name}" a second time: name each interface once'
 
 
 def plan_problems(mission: MissionConfig, plan: Plan) -> Iterator[Problem]:

@@ -15,6 +15,7 @@ from upwash.config.values import (
     Fraction,
     GridCount,
     ImportPath,
+    InterfaceName,
     KeysConfig,
     Latitude,
     Longitude,
@@ -106,9 +107,13 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How servers' networks are joined: modelled by the drone's position, or not at all."""
+    """How servers' networks are joined: by NetworkManager, modelled by the drone's position, or not at all.
 
-    kind: Literal["stand-in", "wired"] = "stand-in"
+    NetworkManager joins them on these interfaces, and on no other.
+    """
+
+    kind: Literal["stand-in", "wired", "networkmanager"] = "stand-in"
+    interfaces: Annotated[tuple[InterfaceName, ...], Meta(description="an array of interfaces")] = ()
 
 
 class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -17,6 +17,9 @@ Name = Annotated[
     str,
     Meta(pattern=r"^[A-Za-z0-9._-]+\Z", description="a name of letters, digits, '.', '_' and '-'"),
 ]
+InterfaceName = Annotated[
+    str, Meta(pattern=r"^[^\s/]{1,15}\Z", description='the name of a network interface like "wlan1"')
+]
 Text = Annotated[str, Meta(min_length=1, description="a string that is not empty")]
 Names = Annotated[tuple[str, ...], Meta(description="an array of names")]
 ImportPath = Annotated[

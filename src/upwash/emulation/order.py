@@ -65,7 +65,7 @@ def emulated(config: DroneConfig) -> DroneConfig:
     return replace(
         config,
         mission=replace(config.mission, home=config.mission.home or _SOMEWHERE),
-        network=replace(config.network, kind="stand-in"),
+        network=type(config.network)(),
         keys=None,
         services=tuple(
             replace(service, local_pace_s=service.local_call_s, local_first_extra_s=0.0)

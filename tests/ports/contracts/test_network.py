@@ -7,10 +7,13 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
 import pytest
+from tests.system.fake_networkmanager import FakeDevice, FakeProfile, running
 
 from upwash.core.geo import Circle, Position
 from upwash.errors import NetworkError
 from upwash.ports import Network
+from upwash.real.network import ManagedNetwork
+from upwash.sim.journal import MemoryJournal
 from upwash.sim.loop import run_virtually
 from upwash.sim.network import Cell, ModelNetwork, NoNetwork
 
@@ -46,10 +49,31 @@ def on_the_model(scene: Scene) -> None:
     run_virtually(play())
 
 
-TWINS = pytest.mark.parametrize("play", [on_the_model])
+def on_networkmanager(scene: Scene) -> None:
+    async def play() -> None:
+        profiles = tuple(FakeProfile(name, f"{name}-uuid") for name in ("a", "b"))
+        async with running(FakeDevice("wlan1"), profiles=profiles) as manager:
+            network = ManagedNetwork(["wlan1"], ["a", "b"], MemoryJournal())
+            await network.open()
+            try:
+                await scene(Stage(network, lambda: manager.take_off_the_air("a")))
+            finally:
+                await network.close()
+                assert manager.active == []
+
+    asyncio.run(play())
 
 
-@TWINS
+@pytest.fixture(
+    params=["model", pytest.param("networkmanager", marks=[pytest.mark.system, pytest.mark.root])]
+)
+def play(request: pytest.FixtureRequest) -> Callable[[Scene], None]:
+    if request.param == "model":
+        return on_the_model
+    request.getfixturevalue("private_bus")
+    return on_networkmanager
+
+
 def test_networks_are_joined_and_left_one_after_the_other(play: Callable[[Scene], None]) -> None:
     async def scene(stage: Stage) -> None:
         await stage.network.leave()  # none is joined
@@ -61,7 +85,6 @@ def test_networks_are_joined_and_left_one_after_the_other(play: Callable[[Scene]
     play(scene)
 
 
-@TWINS
 def test_a_join_that_was_given_up_joined_nothing(play: Callable[[Scene], None]) -> None:
     async def scene(stage: Stage) -> None:
         joining = asyncio.create_task(stage.network.join("a", timeout_s=10.0))
@@ -74,7 +97,6 @@ def test_a_join_that_was_given_up_joined_nothing(play: Callable[[Scene], None]) 
     play(scene)
 
 
-@TWINS
 def test_one_radio_joins_one_network(play: Callable[[Scene], None]) -> None:
     async def scene(stage: Stage) -> None:
         await stage.network.join("a", timeout_s=10.0)
@@ -84,7 +106,6 @@ def test_one_radio_joins_one_network(play: Callable[[Scene], None]) -> None:
     play(scene)
 
 
-@TWINS
 def test_what_is_not_joined_in_time_is_not_joined(play: Callable[[Scene], None]) -> None:
     async def scene(stage: Stage) -> None:
         with pytest.raises(NetworkError, match=r"a was not joined within 0\.0 s"):
@@ -94,7 +115,6 @@ def test_what_is_not_joined_in_time_is_not_joined(play: Callable[[Scene], None])
     play(scene)
 
 
-@TWINS
 def test_a_network_that_goes_off_the_air_is_lost_and_then_left(play: Callable[[Scene], None]) -> None:
     async def scene(stage: Stage) -> None:
         await stage.network.join("a", timeout_s=10.0)

@@ -1,0 +1,39 @@
+"""What should be right before take-off, for a person to read."""
+
+from __future__ import annotations
+
+import asyncio
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from upwash.config import DroneConfig
+from upwash.errors import UsageError
+
+
+def check_networks(config: DroneConfig, console: Console) -> bool:
+    """Prints which interfaces and networks can be used, and what to do about the others; whether all can."""
+    if config.network.kind != "networkmanager":
+        raise UsageError(
+            f'network.kind is "{config.network.kind}", so no network is joined: "networkmanager" joins those of '
+            "the servers (docs/networks.md)"
+        )
+    from upwash.launch import survey_networks
+
+    findings = asyncio.run(survey_networks(config))
+    table = Table(box=None, padding=(0, 2))
+    table.add_column("needed")
+    table.add_column("found")
+    table.add_column("ready")
+    for each in findings:
+        table.add_row(
+            Text(each.subject),
+            Text(each.found),
+            Text("no", style="red") if each.trouble else Text("yes", style="green"),
+        )
+    console.print(table)
+    for each in findings:
+        if each.trouble:
+            console.print(Text(f"{each.subject}: {each.trouble}"), soft_wrap=True)
+    return not any(each.trouble for each in findings)

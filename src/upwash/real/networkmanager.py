@@ -1,0 +1,357 @@
+"""NetworkManager over D-Bus: calls that are bounded in time, and what its signals say. Nothing is decided here."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+from dbus_fast import BusType, DBusFastError, Message, MessageFlag, MessageType, Variant
+from dbus_fast.aio import MessageBus
+from dbus_fast.unpack import unpack_variants
+
+from upwash.errors import NetworkError
+
+NO_OBJECT = "/"
+
+_NAME = "org.freedesktop.NetworkManager"
+_ROOT = "/org/freedesktop/NetworkManager"
+_DEVICE = f"{_NAME}.Device"
+_WIRELESS = f"{_DEVICE}.Wireless"
+_ACTIVE = f"{_NAME}.Connection.Active"
+_PROPERTIES = "org.freedesktop.DBus.Properties"
+_BUS = "org.freedesktop.DBus"
+_HEARD = (
+    f"type='signal',sender='{_NAME}',interface='{_DEVICE}',member='StateChanged'",
+    f"type='signal',sender='{_NAME}',interface='{_ACTIVE}',member='StateChanged'",
+    f"type='signal',sender='{_NAME}',interface='{_PROPERTIES}',member='PropertiesChanged',arg0='{_DEVICE}'",
+    f"type='signal',sender='{_BUS}',interface='{_BUS}',member='NameOwnerChanged',arg0='{_NAME}'",
+)
+
+_ANSWER_S = 3.0  # the manager answers within milliseconds, or hangs
+_LOWER_UP = 0x2  # of a device's InterfaceFlags: the carrier
+_ABSENT = (f"{_BUS}.Error.ServiceUnknown", f"{_BUS}.Error.NameHasNoOwner")
+_GONE = (
+    f"{_NAME}.ConnectionNotActive",
+    *(f"{_BUS}.Error.{name}" for name in ("UnknownObject", "UnknownMethod", "UnknownInterface")),
+)
+_FORBIDDEN = (f"{_NAME}.PermissionDenied", f"{_BUS}.Error.AccessDenied")
+
+
+class DeviceKind(IntEnum):
+    """What an interface is; there are many more."""
+
+    ETHERNET = 1
+    WIFI = 2
+    VETH = 20  # a cable between two namespaces
+
+
+class DeviceState(IntEnum):
+    """How far an interface has come, in steps of 10."""
+
+    UNMANAGED = 10
+    UNAVAILABLE = 20
+    DISCONNECTED = 30
+    PREPARE = 40
+    CONFIG = 50
+    NEED_AUTH = 60
+    IP_CONFIG = 70
+    ACTIVATED = 100
+    DEACTIVATING = 110
+    FAILED = 120
+
+
+class ConnectionState(IntEnum):
+    """How far an activation has come."""
+
+    ACTIVATING = 1
+    ACTIVATED = 2
+    DEACTIVATING = 3
+    DEACTIVATED = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """A connection profile: what is stored of a network."""
+
+    path: str
+    uuid: str
+    name: str
+    kind: str  # such as 802-11-wireless
+    interface: str  # the only one it is for; empty for any
+    settings: Mapping[str, Mapping[str, Any]]  # by section, without the secrets
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """An interface as the manager sees it."""
+
+    path: str
+    interface: str
+    kind: int
+    state: int
+    has_carrier: bool
+    connection: str  # the path of what is active on it, or NO_OBJECT
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """A profile that is active, or on the way to it."""
+
+    path: str
+    uuid: str
+    name: str
+    kind: str
+    state: int
+    devices: tuple[str, ...]
+    addresses: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceChanged:
+    """An interface got from one state to another, with the manager's reason or 0."""
+
+    device: str
+    state: int
+    before: int
+    reason: int
+
+
+@dataclass(frozen=True, slots=True)
+class CarrierChanged:
+    """An interface has a carrier now, or none."""
+
+    device: str
+    has_carrier: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectionChanged:
+    """An active connection got to a state."""
+
+    connection: str
+    state: int
+    reason: int
+
+
+@dataclass(frozen=True, slots=True)
+class ManagerGone:
+    """The manager left the bus, or the bus is gone; after a restart nothing has its path any more."""
+
+
+Signal = DeviceChanged | CarrierChanged | ConnectionChanged | ManagerGone
+
+
+class ObjectGoneError(NetworkError):
+    """What was asked about is no longer there."""
+
+
+class ForbiddenError(NetworkError):
+    """This user may not do that."""
+
+
+class NetworkManager:
+    """The manager on the system's bus. Each call raises NetworkError, at the latest when it took too long."""
+
+    def __init__(self, bus: MessageBus, heard: Callable[[Signal], None]) -> None:
+        self._bus = bus
+        self._heard = heard
+        bus.add_message_handler(self._receive)
+        self._end = asyncio.create_task(self._await_end())
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the bus can still be used."""
+        return self._bus.connected
+
+    async def close(self) -> None:
+        """Leaves the bus."""
+        self._bus.disconnect()
+        await self._end
+
+    async def version(self) -> str:
+        """The manager's version."""
+        return str((await self._properties(_ROOT, _NAME))["Version"])
+
+    async def may_join(self) -> bool:
+        """Whether this process may activate and deactivate profiles without being asked for a password."""
+        (permissions,) = await self._call(_ROOT, _NAME, "GetPermissions")
+        return bool(permissions.get(f"{_NAME}.network-control") == "yes")
+
+    async def profiles(self) -> list[Profile]:
+        """All that are stored and visible to this user."""
+        (paths,) = await self._call(f"{_ROOT}/Settings", f"{_NAME}.Settings", "ListConnections")
+        profiles = []
+        for path in paths:
+            try:
+                (settings,) = await self._call(path, f"{_NAME}.Settings.Connection", "GetSettings")
+            except (ObjectGoneError, ForbiddenError):  # or another user's own
+                continue
+            about = settings["connection"]
+            profiles.append(
+                Profile(
+                    path, about["uuid"], about["id"], about["type"], about.get("interface-name", ""), settings
+                )
+            )
+        return profiles
+
+    async def devices(self) -> list[Device]:
+        """All interfaces."""
+        devices = []
+        for path in (await self._properties(_ROOT, _NAME))["AllDevices"]:
+            try:
+                about = await self._properties(path, _DEVICE)
+            except ObjectGoneError:
+                continue
+            devices.append(
+                Device(
+                    path,
+                    about["Interface"],
+                    about["DeviceType"],
+                    about["State"],
+                    bool(about.get("InterfaceFlags", _LOWER_UP) & _LOWER_UP),
+                    about["ActiveConnection"],
+                )
+            )
+        return devices
+
+    async def connections(self) -> list[Connection]:
+        """All that are active."""
+        connections = []
+        for path in (await self._properties(_ROOT, _NAME))["ActiveConnections"]:
+            try:
+                connections.append(await self.connection(path))
+            except ObjectGoneError:
+                continue
+        return connections
+
+    async def connection(self, path: str) -> Connection:
+        """One that is active; raises ObjectGoneError where it is no longer."""
+        about = await self._properties(path, _ACTIVE)
+        addresses: list[str] = []
+        for version in ("4", "6"):
+            if (config := about.get(f"Ip{version}Config", NO_OBJECT)) != NO_OBJECT:
+                data = (await self._properties(config, f"{_NAME}.IP{version}Config"))["AddressData"]
+                addresses += [each["address"] for each in data if not each["address"].startswith("fe80:")]
+        return Connection(
+            path,
+            about["Uuid"],
+            about["Id"],
+            about["Type"],
+            about["State"],
+            tuple(about["Devices"]),
+            tuple(addresses),
+        )
+
+    async def activate(self, profile: Profile, device: Device | None) -> str:
+        """Begins to activate a profile, on a device unless it makes its own; returns the connection's path."""
+        place = device.path if device else NO_OBJECT
+        (path,) = await self._call(_ROOT, _NAME, "ActivateConnection", "ooo", profile.path, place, NO_OBJECT)
+        return str(path)
+
+    async def deactivate(self, connection: str) -> None:
+        """Begins to end a connection; raises ObjectGoneError where it is over already."""
+        await self._call(_ROOT, _NAME, "DeactivateConnection", "o", connection)
+
+    async def scan(self, device: Device) -> None:
+        """Has a WiFi device look for networks; it refuses to do so all the time."""
+        await self._call(device.path, _WIRELESS, "RequestScan", "a{sv}", {})
+
+    # --- the bus --------------------------------------------------------------------------------------------
+
+    async def listen(self) -> None:
+        """Lets the bus pass on the signals."""
+        for rule in _HEARD:
+            await self._call("/org/freedesktop/DBus", _BUS, "AddMatch", "s", rule, destination=_BUS)
+
+    async def _properties(self, path: str, interface: str) -> dict[str, Any]:
+        (properties,) = await self._call(path, _PROPERTIES, "GetAll", "s", interface)
+        return dict(properties)
+
+    async def _call(
+        self,
+        path: str,
+        interface: str,
+        member: str,
+        signature: str = "",
+        *arguments: object,
+        destination: str = _NAME,
+    ) -> list[Any]:
+        message = Message(
+            destination=destination,
+            path=path,
+            interface=interface,
+            member=member,
+            signature=signature,
+            body=list(arguments),
+            flags=MessageFlag.NO_AUTOSTART,
+        )
+        try:
+            async with asyncio.timeout(_ANSWER_S):
+                reply = await self._bus.call(message)
+        except TimeoutError:
+            raise NetworkError(
+                f"NetworkManager did not answer {member} within {_ANSWER_S:.0f} s: it hangs; "
+                "`systemctl restart NetworkManager` may help"
+            ) from None
+        except (OSError, EOFError, DBusFastError) as error:
+            raise NetworkError(f"the system bus broke off: {error}") from error
+        if reply is None:
+            raise NetworkError("the system bus was left")
+        if reply.message_type is MessageType.ERROR:
+            raise _refusal(reply.error_name or "", str(reply.body[0]) if reply.body else "")
+        return list(unpack_variants(reply.body))
+
+    def _receive(self, message: Message) -> None:
+        path = message.path or ""
+        match message.interface, message.member, message.body:
+            case name, "StateChanged", [int(state), int(before), int(reason)] if name == _DEVICE:
+                self._heard(DeviceChanged(path, state, before, reason))
+            case name, "StateChanged", [int(state), int(reason)] if name == _ACTIVE:
+                self._heard(ConnectionChanged(path, state, reason))
+            case _, "PropertiesChanged", [_, {"InterfaceFlags": Variant(value=int(flags))}, _]:
+                self._heard(CarrierChanged(path, bool(flags & _LOWER_UP)))
+            case _, "NameOwnerChanged", [str(name), str(before), _] if name == _NAME and before:
+                self._heard(ManagerGone())
+
+    async def _await_end(self) -> None:
+        try:
+            await self._bus.wait_for_disconnect()  # type: ignore[no-untyped-call]
+        except (OSError, EOFError, DBusFastError):
+            self._heard(ManagerGone())
+
+
+async def connect_networkmanager(heard: Callable[[Signal], None]) -> NetworkManager:
+    """The manager on the system's bus; `heard` is called with each signal. Raises NetworkError without a bus."""
+    try:
+        async with asyncio.timeout(_ANSWER_S):
+            bus = await MessageBus(bus_type=BusType.SYSTEM).connect()
+    except (OSError, EOFError, TimeoutError, DBusFastError) as error:
+        raise NetworkError(
+            f"the system bus cannot be reached ({str(error) or 'no answer'}): is D-Bus installed and running?"
+        ) from error
+    manager = NetworkManager(bus, heard)
+    try:
+        await manager.listen()
+    except BaseException:
+        await manager.close()
+        raise
+    return manager
+
+
+def _refusal(name: str, text: str) -> NetworkError:
+    if name in _ABSENT:
+        return NetworkError(
+            "NetworkManager is not on the system bus: install it, and start it with "
+            "`systemctl enable --now NetworkManager`"
+        )
+    if name in _GONE:
+        return ObjectGoneError(text)
+    if name in _FORBIDDEN:
+        return ForbiddenError(
+            f"NetworkManager does not let this user join networks ({text}): "
+            "docs/networks.md has the polkit rule that does"
+        )
+    return NetworkError(f"NetworkManager refused: {text or name}")
