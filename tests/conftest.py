@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
-from tests.engines import OwnEngine, own_engine, why_not
+from tests.engines import Kind, OwnEngine, own_engine, why_not
 from tests.system.fake_networkmanager import bus_daemon
 from tests.system.radios import Field, field_below
 
@@ -55,19 +55,33 @@ def services() -> Path:
 @pytest.fixture(scope="session")
 def lxd() -> Iterator[OwnEngine]:
     """An LXD of the tests' own."""
-    if why := why_not("lxd"):
+    yield from _engine("lxd")
+
+
+@pytest.fixture(scope="session")
+def incus() -> Iterator[OwnEngine]:
+    """An Incus of the tests' own."""
+    yield from _engine("incus")
+
+
+def _engine(kind: Kind) -> Iterator[OwnEngine]:
+    if why := why_not(kind):
         pytest.skip(why)
-    with own_engine("lxd") as engine:
+    with own_engine(kind) as engine:
         yield engine
 
 
 @pytest.fixture(scope="session")
 def workbench_image(services: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The image of the workbench."""
+    from upwash.bundled import load_service_alone
     from upwash.packaging.image import Recipe, package
 
-    recipe = Recipe("workbench", f"{services}:Workbench", requirements=())
-    return package(recipe, tmp_path_factory.mktemp("images"), report=lambda _: None)
+    return package(
+        Recipe(load_service_alone(f"{services}:Workbench")),
+        tmp_path_factory.mktemp("images"),
+        report=lambda _: None,
+    )
 
 
 @pytest.fixture

@@ -37,18 +37,23 @@ class OwnEngine:
     def socket(self) -> Path:
         return self.folder / "unix.socket"
 
-    def command(self, *arguments: str) -> str:
+    def command(self, *arguments: str, given: str = "") -> str:
         """What the engine's own client answers; raises CalledProcessError."""
         program = "lxc" if self.kind == "lxd" else "incus"
         return subprocess.run(
             (program, *arguments),
             env=_environment(self.kind, self.folder),
-            stdin=subprocess.DEVNULL,
+            input=given,
             capture_output=True,
             check=True,
             text=True,
             timeout=60.0,
         ).stdout
+
+    def process_1(self, container: str) -> int:
+        """The id of a running container's first process."""
+        lines = self.command("info", container).splitlines()
+        return next(int(line.split()[1]) for line in lines if line.lower().startswith("pid:"))
 
     def running(self) -> list[str]:
         """The names of the containers that run or are frozen."""
@@ -63,14 +68,11 @@ class OwnEngine:
 
 def why_not(kind: Kind) -> str:
     """Why no engine of that kind can be started here; empty where it can."""
-    daemon = _daemon(kind)
     if os.geteuid() != 0:
         return "a container engine needs root"
-    return (
-        ""
-        if shutil.which(daemon)
-        else f"no {daemon} here: tests/system/install-packages installs it if it can"
-    )
+    if shutil.which(_daemon(kind)) is None:
+        return f"no {kind} here: tests/system/install-packages installs what it can"
+    return ""
 
 
 @contextlib.contextmanager
@@ -142,7 +144,7 @@ def _processes_of(folder: Path) -> list[int]:
 
 
 def _daemon(kind: Kind) -> str:
-    return "lxd" if kind == "lxd" else "incusd"
+    return "lxd" if kind == "lxd" else "/usr/libexec/incus/incusd"
 
 
 def _environment(kind: Kind, folder: Path) -> dict[str, str]:

@@ -29,15 +29,18 @@ class Score:
     false: int
 
 
-def fly_demonstration(folder: Path) -> None:
-    """Flies it with everything below `folder`; whatever it started is gone when it returns or raises."""
+def fly_demonstration(folder: Path, *, runtime: str = "") -> None:
+    """Flies it with everything below `folder`; whatever it started is gone when it returns or raises.
+
+    `runtime` is what the daemons' configuration is to say besides, in TOML: a table [runtime].
+    """
     console = Console(markup=False)
     config = read_demonstration()
     names = [server.name for server in config.servers]
     make_keys(folder / "keys", servers=[[name] for name in names], drones=[config.name])
     with contextlib.ExitStack() as processes:
         vehicle = processes.enter_context(ready_vehicle("vehicle", folder, config))
-        daemons = {name: processes.enter_context(_daemon(name, folder)) for name in names}
+        daemons = {name: processes.enter_context(_daemon(name, folder, runtime)) for name in names}
         here = _fill_in(config, folder, vehicle=vehicle, daemons=daemons)
         console.print(
             f"the vehicle is at {vehicle}, the servers at {', '.join(daemons.values())}", soft_wrap=True
@@ -93,14 +96,14 @@ def _fill_in(config: DroneConfig, folder: Path, *, vehicle: str, daemons: Mappin
 
 
 @contextlib.contextmanager
-def _daemon(name: str, folder: Path) -> Iterator[str]:
+def _daemon(name: str, folder: Path, runtime: str) -> Iterator[str]:
     config = folder / f"{name}.toml"
     config.write_text(
         f'listen = "127.0.0.1:0"\n\n'
         f"[keys]\n"
         f'authority = "keys/authority.pem"\ncertificate = "keys/{name}.pem"\nkey = "keys/{name}.key"\n\n'
         f'[[service]]\nname = "detector"\n\n'
-        f'[[server]]\nname = "{name}"\n'
+        f'[[server]]\nname = "{name}"\n\n{runtime}'
     )
     with ready_program(name, folder, "serve", "--config", str(config)) as address:
         yield address

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import inspect
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -50,6 +50,17 @@ def required_settings(kind: type[msgspec.Struct]) -> list[str]:
 def plain(settings: msgspec.Struct) -> dict[str, object]:
     """The settings as they travel."""
     found: dict[str, object] = msgspec.to_builtins(settings, enc_hook=str, str_keys=True)
+    return found
+
+
+def with_files(
+    kind: type[msgspec.Struct], settings: PlainSettings, carried: Callable[[Path], Path]
+) -> dict[str, object]:
+    """The same settings with every path in them replaced by the one that its file was carried to."""
+    checked = msgspec.convert(settings, kind, dec_hook=_path, str_keys=True)
+    found: dict[str, object] = msgspec.to_builtins(
+        checked, enc_hook=lambda path: str(carried(path)), str_keys=True
+    )
     return found
 
 

@@ -11,11 +11,16 @@ from pathlib import Path
 
 import pytest
 
+from upwash.bundled import load_service_alone
+from upwash.config import read_daemon_config
 from upwash.errors import UsageError
 from upwash.packaging.archive import write_archive
 from upwash.packaging.base import lay_base
 from upwash.packaging.contents import copy_distributions, copy_program, extra_of
 from upwash.packaging.image import Recipe, package
+from upwash.packaging.shipping import find_service
+from upwash.real.lxd.engine import EngineImage
+from upwash.real.lxd.image import newest_images
 
 
 @pytest.fixture
@@ -35,7 +40,7 @@ def test_the_same_service_makes_the_same_file_and_another_another(services: Path
     def made(folder: str, umask: int, cls: str = "Workbench") -> Path:
         before = os.umask(umask)
         try:
-            recipe = Recipe("workbench", f"{services}:{cls}", requirements=())
+            recipe = Recipe(load_service_alone(f"{services}:{cls}"))
             return package(recipe, tmp_path / folder, report=lambda _: None)
         finally:
             os.umask(before)
@@ -48,7 +53,7 @@ def test_the_same_service_makes_the_same_file_and_another_another(services: Path
 
 @pytest.mark.usefixtures("base_of_the_host")
 def test_an_image_says_what_it_holds_and_belongs_to_root(services: Path, tmp_path: Path) -> None:
-    recipe = Recipe("workbench", f"{services}:Workbench", requirements=("cryptography",))
+    recipe = Recipe(load_service_alone(f"{services}:Workbench"), requirements=("cryptography",))
     with tarfile.open(package(recipe, tmp_path, report=lambda _: None)) as image:
         metadata = image.extractfile("metadata.yaml")
         assert metadata is not None
@@ -109,3 +114,35 @@ def test_links_and_rights_survive_the_archive_and_times_do_not(tmp_path: Path) -
     with tarfile.open(tmp_path / "a") as archive:
         assert archive.getmember("program").mode == 0o755
         assert archive.getmember("link").linkname == "program"
+
+
+@pytest.mark.usefixtures("base_of_the_host")
+def test_settings_go_into_the_image_with_the_files_that_they_name(tmp_path: Path) -> None:
+    program = tmp_path / "here" / "reader.py"
+    program.parent.mkdir()
+    program.write_text(
+        "from pathlib import Path\n"
+        "from upwash import service\n"
+        "@service\n"
+        "class Reader:\n"
+        "    def __init__(self, model: Path, threads: int = 2) -> None: ...\n"
+        "    def read(self) -> None: ...\n"
+    )
+    (tmp_path / "here" / "weights").write_bytes(b"a model")
+    config = tmp_path / "server.toml"
+    config.write_text(
+        'listen = "127.0.0.1:0"\nallow_without_certificates = true\n'
+        '[[service]]\nname = "reader"\nprogram = "here/reader.py:Reader"\n'
+        'settings = { model = "here/weights", threads = 3 }\n[[server]]\nname = "s1"\n'
+    )
+    recipe = Recipe(find_service("reader", read_daemon_config(config)))
+    with tarfile.open(package(recipe, tmp_path / "images", report=lambda _: None)) as image:
+        metadata = image.extractfile("metadata.yaml")
+        assert metadata is not None
+        said = EngineImage("f00", json.load(metadata)["properties"], "2026")
+        packed = newest_images([said])["reader"].program
+        model = str(packed.settings["model"])
+        carried = image.extractfile(f"rootfs{model}")
+        assert carried is not None and carried.read() == b"a model"
+    assert packed.path == "/opt/upwash/program/reader.py:Reader"
+    assert packed.settings == {"model": model, "threads": 3}

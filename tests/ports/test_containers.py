@@ -11,10 +11,12 @@ from pathlib import Path
 import pytest
 
 from upwash.errors import EngineError, UsageError
+from upwash.ports import Program
 from upwash.real.leash import Leash, new_leash
 from upwash.real.lxd.container import (
     Container,
     ContainerSettings,
+    addresses,
     definition,
     in_order,
     known_container,
@@ -25,17 +27,17 @@ from upwash.real.lxd.image import ServiceImage, newest_images
 
 SUBNET = IPv4Network("10.9.0.0/29")  # of six addresses
 SETTINGS = ContainerSettings(SUBNET)
-DETECTOR = ServiceImage("detector", "package:Detector", "host", "3.11", "f00")
+DETECTOR = ServiceImage("detector", Program("package:Detector", {"threads": 2}), "host", "3.11", "f00")
 
 
 def held(container: Container, settings: ContainerSettings = SETTINGS) -> EngineInstance:
     """The container as an engine tells of it, once it was created."""
-    asked = definition(container, settings, base="host")
+    asked = definition(container, settings, base="host", engine="lxd")
     return EngineInstance(container.name, "Stopped", container.member, asked["config"], asked["devices"])  # type: ignore[arg-type]
 
 
 def made(server: str = "s1", *others: EngineInstance, member: str = "m1") -> Container:
-    return new_container(server, DETECTOR, member=member, others=others, subnet=SUBNET)
+    return new_container(server, DETECTOR, member=member, taken=addresses(others), subnet=SUBNET)
 
 
 def test_a_container_is_known_again_by_what_the_engine_keeps() -> None:

@@ -17,6 +17,9 @@ def add(commands: Commands) -> None:
     """Adds the command."""
     demo = commands.add_parser("demo", help="fly the demonstration: a survey over two edge servers, all here")
     demo.add_argument("--folder", type=Path, help="where everything of the run goes (default: runs/TIME)")
+    demo.add_argument(
+        "--runtime", type=Path, metavar="FILE", help="a table [runtime] for both daemons, such as containers"
+    )
     demo.set_defaults(run=run)
 
 
@@ -25,5 +28,6 @@ def run(options: argparse.Namespace) -> bool:
     os.environ.setdefault("GRPC_VERBOSITY", "ERROR")
     from upwash.demo import fly_demonstration
 
-    fly_demonstration(options.folder or new_run_folder())
+    runtime = options.runtime.read_text() if options.runtime else ""
+    fly_demonstration(options.folder or new_run_folder(), runtime=runtime)
     return True

@@ -47,12 +47,11 @@ def run(options: argparse.Namespace) -> bool:
     from upwash.config import read_daemon_config
     from upwash.packaging.contents import extra_of
     from upwash.packaging.image import Recipe, package
-    from upwash.packaging.shipping import find_program, import_image
+    from upwash.packaging.shipping import find_service, import_image
 
     daemon = read_daemon_config(options.config) if options.config else None
     recipe = Recipe(
-        service=options.service,
-        program=find_program(options.service, daemon),
+        service=find_service(options.service, daemon),
         requirements=(*extra_of(options.service), *options.requires),
         beside=tuple(options.include),
         base=options.base,

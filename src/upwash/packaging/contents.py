@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import shutil
 from collections.abc import Iterable, Iterator
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 LIBRARY = "opt/upwash/lib"  # below the image's root
 PROGRAM = "opt/upwash/program"
+SETTINGS = "opt/upwash/settings"
 
 # Of upwash's own requirements those that a service instance and its container's warden import.
 _OF_EVERY_INSTANCE = ("grpcio", "msgspec")
@@ -35,6 +37,13 @@ def copy_program(program: str, root: Path, *, beside: Iterable[Path] = ()) -> st
     if top != "upwash":
         _copy(_source(top), root / LIBRARY / _source(top).name)
     return program
+
+
+def copy_setting(file: Path, root: Path) -> Path:
+    """Copies a file or folder that a setting names; returns its path in the image, the same for the same contents."""
+    target = Path(SETTINGS, _hash(file), file.name)
+    _copy(file, root / target)
+    return Path("/") / target
 
 
 def copy_distributions(requirements: Iterable[str], root: Path) -> list[str]:
@@ -91,6 +100,16 @@ def _close(text: str, found: dict[str, Distribution]) -> None:
 
 def _without_marker(required: Requirement) -> str:
     return str(required).partition(";")[0].strip()
+
+
+def _hash(path: Path) -> str:
+    """Tells two files of one name apart."""
+    files = sorted(path.rglob("*")) if path.is_dir() else [path]
+    found = hashlib.sha256()
+    for file in files:
+        if file.is_file():
+            found.update(file.read_bytes())
+    return found.hexdigest()[:12]
 
 
 def _source(module: str) -> Path:

@@ -11,10 +11,14 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from upwash.bundled import LoadedService
 from upwash.packaging.archive import write_archive
 from upwash.packaging.base import Base, lay_base
-from upwash.packaging.contents import LIBRARY, PROGRAM, copy_distributions, copy_program
+from upwash.packaging.contents import LIBRARY, PROGRAM, copy_distributions, copy_program, copy_setting
+from upwash.ports import Program
 from upwash.real.lxd.image import ServiceImage
+from upwash.service import spec_of
+from upwash.settings import with_files
 
 _CREATED_S = 1_700_000_000  # a constant, as the same contents are the same image
 
@@ -23,11 +27,15 @@ _CREATED_S = 1_700_000_000  # a constant, as the same contents are the same imag
 class Recipe:
     """What goes into an image of a service."""
 
-    service: str
-    program: str
-    requirements: tuple[str, ...]  # Python distributions, besides upwash's own
+    service: LoadedService
+    requirements: tuple[str, ...] = ()  # Python distributions, besides upwash's own
     beside: tuple[Path, ...] = ()  # files and folders that the program reads, put beside it
     base: Base = "host"
+
+    @property
+    def name(self) -> str:
+        """The service's name."""
+        return spec_of(self.service.cls).name
 
 
 def package(recipe: Recipe, folder: Path, *, report: Callable[[str], None]) -> Path:
@@ -40,15 +48,23 @@ def package(recipe: Recipe, folder: Path, *, report: Callable[[str], None]) -> P
         report(f"laying the base: {recipe.base}")
         lay_base(recipe.base, root)
         report("copying the service and what it imports")
-        program = copy_program(recipe.program, root, beside=recipe.beside)
+        program = _copy_service(recipe, root)
         distributions = copy_distributions(recipe.requirements, root)
         _compile(root)
         _describe(tree, recipe, program, distributions)
         report("packing")
         packed = Path(scratch) / "image.tar.gz"
         write_archive(tree, packed)
-        file = folder / f"{recipe.service}-{_hash(packed)[:12]}.tar.gz"
+        file = folder / f"{recipe.name}-{_hash(packed)[:12]}.tar.gz"
         return packed.rename(file)
+
+
+def _copy_service(recipe: Recipe, root: Path) -> Program:
+    """Copies the service's program and the files that its settings name; returns it as it is in the image."""
+    given = recipe.service.program
+    path = copy_program(given.path, root, beside=recipe.beside)
+    kind = spec_of(recipe.service.cls).settings
+    return Program(path, with_files(kind, given.settings, lambda file: copy_setting(file, root)))
 
 
 def _compile(root: Path) -> None:
@@ -64,9 +80,9 @@ def _compile(root: Path) -> None:
         )
 
 
-def _describe(tree: Path, recipe: Recipe, program: str, distributions: Iterable[str]) -> None:
+def _describe(tree: Path, recipe: Recipe, program: Program, distributions: Iterable[str]) -> None:
     """What the engine shows of the image, and the daemon knows it by. JSON is YAML too."""
-    image = ServiceImage(recipe.service, program, recipe.base, platform.python_version())
+    image = ServiceImage(recipe.name, program, recipe.base, platform.python_version())
     metadata = {
         "architecture": platform.machine(),
         "creation_date": _CREATED_S,

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from upwash.bundled import bundled_service
+from upwash.bundled import LoadedService, bundled_service, load_service_alone, load_services
 from upwash.config import DaemonConfig, RuntimeConfig
 from upwash.errors import UsageError
 from upwash.hosting import engine_of
@@ -28,17 +28,15 @@ class Offer:
     can_run: bool = True
 
 
-def find_program(service: str, daemon: DaemonConfig | None) -> str:
-    """The path of the service's class: as configured, or the bundled one; raises UsageError."""
-    for image in daemon.images if daemon else ():
-        if image.name == service:
-            return image.program or bundled_service(service)
-    if daemon is not None:
-        raise UsageError(
-            f"the configuration has no service {service}: it has "
-            + ", ".join(image.name for image in daemon.images)
-        )
-    return bundled_service(service)
+def find_service(name: str, daemon: DaemonConfig | None) -> LoadedService:
+    """The service as the daemon's configuration has it, or the bundled one; raises UsageError."""
+    if daemon is None:
+        return load_service_alone(name)
+    wanted = [image for image in daemon.images if image.name == name]
+    if not wanted:
+        known = ", ".join(image.name for image in daemon.images)
+        raise UsageError(f"the configuration has no service {name}: it has {known}")
+    return load_services(wanted)[name]
 
 
 async def import_image(file: Path, daemon: DaemonConfig | None) -> None:
@@ -50,14 +48,14 @@ async def import_image(file: Path, daemon: DaemonConfig | None) -> None:
 async def list_images(daemon: DaemonConfig) -> list[Offer]:
     """What the daemon has of each of its services."""
     if daemon.runtime.kind == "process":
-        return [Offer(image.name, find_program(image.name, daemon)) for image in daemon.images]
+        return [Offer(image.name, image.program or bundled_service(image.name)) for image in daemon.images]
     async with _connected(daemon) as engine:
         newest = newest_images(await engine.images())
     offers = []
     for service in (image.name for image in daemon.images):
         if image := newest.get(service):
             made_with = f"{image.base}, Python {image.python}"
-            offers.append(Offer(service, image.program, image.fingerprint[:_HASH_SHOWN], made_with))
+            offers.append(Offer(service, image.program.path, image.fingerprint[:_HASH_SHOWN], made_with))
         else:
             offers.append(Offer(service, "", "missing", can_run=False))
     return offers

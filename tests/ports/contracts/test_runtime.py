@@ -63,7 +63,8 @@ class Site:
 Use = Callable[[Callable[[Site], Awaitable[None]]], None]
 
 
-CONTAINER = (pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group("lxd"))
+def on(engine: str) -> tuple[pytest.MarkDecorator, ...]:
+    return pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group(engine)
 
 
 @pytest.fixture(
@@ -71,8 +72,11 @@ CONTAINER = (pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group("lxd"
         "model",
         "process",
         "sandbox",
-        pytest.param("stopped container", marks=CONTAINER),
-        pytest.param("frozen container", marks=CONTAINER),
+        *(
+            pytest.param(f"{state} container of {engine}", marks=on(engine))
+            for engine in ("lxd", "incus")
+            for state in ("stopped", "frozen")
+        ),
     ]
 )
 def use(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Use:
@@ -105,9 +109,10 @@ def use(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Use:
             case "sandbox":
                 return process(found_sandbox())
             case other:
-                lxd, image = (request.getfixturevalue(name) for name in ("lxd", "workbench_image"))
+                state, _, _, kind = other.split()
+                engine, image = (request.getfixturevalue(name) for name in (kind, "workbench_image"))
                 shown: Callable[[str], Credentials] = request.getfixturevalue("credentials")
-                return containers(lxd.socket, image, shown, spec, freezes=other == "frozen container")
+                return containers(engine.socket, image, shown, spec, freezes=state == "frozen")
 
     def used(what: Callable[[Site], Awaitable[None]]) -> None:
         async def at_site() -> None:

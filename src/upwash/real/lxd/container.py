@@ -6,7 +6,7 @@ import re
 import secrets
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from ipaddress import IPv4Address, IPv4Network
+from ipaddress import IPv4Network
 
 from upwash.errors import EngineError
 from upwash.real.leash import Leash, new_leash
@@ -16,6 +16,10 @@ from upwash.real.warden import LEASH
 
 _SERVER, _SERVICE, _IMAGE = "user.upwash.server", "user.upwash.service", "user.upwash.image"
 _NIC = "eth0"
+_GUEST_INTERFACE = {
+    "lxd": "security.devlxd",
+    "incus": "security.guestapi",
+}  # of the engine, inside the container
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,9 +53,9 @@ class Container:
 
 
 def new_container(
-    server: str, image: ServiceImage, *, member: str, others: Collection[EngineInstance], subnet: IPv4Network
+    server: str, image: ServiceImage, *, member: str, taken: Collection[str], subnet: IPv4Network
 ) -> Container:
-    """A container that is not there yet, with an address that none of the others has; raises EngineError."""
+    """A container that is not there yet, with an address that is not taken; raises EngineError."""
     return Container(
         name=f"upwash-{_slug(image.service)}-{_slug(server)}-{secrets.token_hex(3)}",
         server=server,
@@ -59,7 +63,7 @@ def new_container(
         image=image.fingerprint,
         member=member,
         status="Stopped",
-        address=_free_address(subnet, others),
+        address=_free_address(subnet, taken),
         leash=new_leash(),
     )
 
@@ -81,7 +85,9 @@ def known_container(instance: EngineInstance) -> Container | None:
     )
 
 
-def definition(container: Container, settings: ContainerSettings, *, base: str) -> dict[str, object]:
+def definition(
+    container: Container, settings: ContainerSettings, *, base: str, engine: str
+) -> dict[str, object]:
     """What an engine is asked to create: unprivileged, limited, with nothing but its image and its address."""
     devices: dict[str, Mapping[str, str]] = {
         "root": {"type": "disk", "path": "/", "pool": settings.pool},
@@ -99,7 +105,7 @@ def definition(container: Container, settings: ContainerSettings, *, base: str) 
     config = {
         "security.privileged": "false",
         "security.nesting": "false",
-        "security.devlxd": "false",
+        _GUEST_INTERFACE[engine]: "false",
         "boot.autostart": "false",
         "limits.memory": str(settings.memory_bytes),
         "limits.processes": str(settings.processes),
@@ -125,21 +131,26 @@ def in_order(
     online: Collection[str], containers: Collection[Container], suspects: Collection[str]
 ) -> list[str]:
     """The members to try: those that are not suspected of being lost first, then those with the least to do."""
+    held = [container.member for container in containers]
     busy = [container.member for container in containers if container.status == "Running"]
-    return sorted(online, key=lambda member: (member in suspects, busy.count(member), member))
+    return sorted(
+        online,
+        key=lambda member: (member in suspects, busy.count(member), held.count(member), member),
+    )
 
 
-def _free_address(subnet: IPv4Network, others: Collection[EngineInstance]) -> str:
+def addresses(instances: Collection[EngineInstance]) -> set[str]:
+    """The addresses that instances have, whoever made them."""
+    devices = [device for instance in instances for device in instance.devices.values()]
+    return {device["ipv4.address"] for device in devices if "ipv4.address" in device}
+
+
+def _free_address(subnet: IPv4Network, taken: Collection[str]) -> str:
     """One at random: the site's network may still remember who had the last one."""
-    taken = {device.get("ipv4.address") for other in others for device in other.devices.values()}
-    free = [str(address) for address in _hosts(subnet) if str(address) not in taken]
+    free = [str(address) for address in subnet.hosts() if str(address) not in taken]
     if not free:
         raise EngineError(f"every address of {subnet} is taken: give runtime.network a larger subnet")
     return secrets.choice(free)
-
-
-def _hosts(subnet: IPv4Network) -> list[IPv4Address]:
-    return list(subnet.hosts())
 
 
 def _slug(name: str) -> str:

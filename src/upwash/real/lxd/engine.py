@@ -65,6 +65,7 @@ class Engine:
     """One project of one engine, or of one cluster of engines."""
 
     def __init__(self, addresses: Sequence[EngineAddress], *, project: str) -> None:
+        self.kind = ""  # "lxd" or "incus", once it is connected
         self._addresses = list(addresses)
         self._project = project
         self._threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="upwash-engine")
@@ -86,6 +87,7 @@ class Engine:
                 "add it there, as with `lxc config trust add`"
             )
         environment = info["environment"]
+        self.kind = environment["server"]
         _log.info("%s %s answers", environment["server"], environment["server_version"])
 
     async def images(self) -> list[EngineImage]:
@@ -103,11 +105,15 @@ class Engine:
         await self._work(post, wait_s=120.0, done_already="already exists")
 
     async def instances(self) -> list[EngineInstance]:
-        """All containers of the project."""
+        """All containers of the project; of those on a lost member little more than the names."""
         found = await self._ask(lambda api: api.instances.get(params={"recursion": 1}).json()["metadata"])
         return [
             EngineInstance(
-                each["name"], each["status"], each["location"], each["config"], each["expanded_devices"]
+                each["name"],
+                each["status"],
+                each["location"],
+                each.get("config") or {},
+                each.get("expanded_devices") or {},
             )
             for each in found
         ]
@@ -200,8 +206,9 @@ class Engine:
             except LXDAPIException as error:
                 raise EngineError(str(error)) from error
             except (ClientConnectionFailed, RequestException, OSError) as error:
-                problem = problem or _unreachable(address, error)
-                _log.warning("%s", problem)
+                unreachable = _unreachable(address, error)
+                _log.warning("%s", unreachable)
+                problem = problem or unreachable
                 continue
             if address != self._addresses[0]:
                 self._addresses = [address, *(each for each in self._addresses if each != address)]

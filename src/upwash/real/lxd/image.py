@@ -5,17 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+import msgspec
+
+from upwash.ports import Program
 from upwash.real.lxd.engine import EngineImage
 
 _PREFIX = "upwash."
+_NAMES = ("service", "program", "settings", "base", "python")
+_plain = msgspec.json.Decoder(dict[str, object])
 
 
 @dataclass(frozen=True, slots=True)
 class ServiceImage:
-    """A service's image: the path of its class inside, the system below it, the Python that it was packaged with."""
+    """A service's image: its program inside, the system below it, the Python that it was packaged with."""
 
     service: str
-    program: str
+    program: Program
     base: str
     python: str
     fingerprint: str = ""
@@ -25,7 +30,8 @@ class ServiceImage:
         return {
             "description": f"{self.service}, a service of upwash",
             f"{_PREFIX}service": self.service,
-            f"{_PREFIX}program": self.program,
+            f"{_PREFIX}program": self.program.path,
+            f"{_PREFIX}settings": msgspec.json.encode(self.program.settings, order="sorted").decode(),
             f"{_PREFIX}base": self.base,
             f"{_PREFIX}python": self.python,
         }
@@ -35,9 +41,11 @@ def newest_images(images: Iterable[EngineImage]) -> Mapping[str, ServiceImage]:
     """Of each service the image that was imported last, by the service's name; other people's are left aside."""
     found: dict[str, ServiceImage] = {}
     for image in sorted(images, key=lambda each: each.uploaded_at):
-        said = image.properties
-        names = ("service", "program", "base", "python")
-        if all(_PREFIX + name in said for name in names):
-            service, program, base, python = (said[_PREFIX + name] for name in names)
-            found[service] = ServiceImage(service, program, base, python, image.fingerprint)
+        said = {name: image.properties.get(_PREFIX + name) for name in _NAMES}
+        match said:
+            case {"service": str(service), "program": str(path), "settings": str(settings), **rest}:
+                program = Program(path, _plain.decode(settings))
+                found[service] = ServiceImage(
+                    service, program, rest["base"] or "", rest["python"] or "", image.fingerprint
+                )
     return found

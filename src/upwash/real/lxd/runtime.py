@@ -13,6 +13,7 @@ from upwash.real.leash import SERVICE_PORT
 from upwash.real.lxd.container import (
     Container,
     ContainerSettings,
+    addresses,
     definition,
     in_order,
     known_container,
@@ -47,6 +48,7 @@ class ContainerRuntime:
         self._credentials = credentials
         self._max_message_bytes = max_message_bytes
         self._frozen: dict[tuple[str, str], ContainerInstance] = {}
+        self._given: set[str] = set()  # addresses that are taken, or were
         self._suspects: set[str] = set()  # members that lost an instance and are not known to be offline yet
 
     async def prepare(self, servers: Collection[str], wanted: Sequence[tuple[str, str]]) -> None:
@@ -133,15 +135,14 @@ class ContainerRuntime:
         raise problem
 
     async def _create(self, server: str, image: ServiceImage, member: str) -> Container:
+        # A lost member's containers are listed without their addresses, so those are remembered.
+        self._given |= addresses(await self._engine.instances())
         container = new_container(
-            server,
-            image,
-            member=member,
-            others=await self._engine.instances(),
-            subnet=self._settings.subnet,
+            server, image, member=member, taken=self._given, subnet=self._settings.subnet
         )
+        self._given.add(container.address)
         await self._engine.create(
-            definition(container, self._settings, base=image.base),
+            definition(container, self._settings, base=image.base, engine=self._engine.kind),
             member=member,
             wait_s=_CREATE_S if member == THE_ONLY_ONE else _CREATE_ON_MEMBER_S,
         )
@@ -202,8 +203,8 @@ class ContainerRuntime:
         credentials = self._credentials
         authority = credentials.authority + container.leash.certificate  # which may ask for its health
         return Begin(
-            program=image.program,
-            settings=dict(spec.program.settings),
+            program=image.program.path,
+            settings=dict(image.program.settings),
             service=spec.service,
             listen=f"0.0.0.0:{SERVICE_PORT}",
             max_message_bytes=self._max_message_bytes,
