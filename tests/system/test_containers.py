@@ -19,6 +19,7 @@ import pytest
 from tests.engines import OwnEngine
 from tests.system.test_serve import Guest
 
+from upwash.bundled import load_service_alone
 from upwash.errors import InstanceError, LinkError, Refused, ServiceError
 from upwash.packaging.image import Recipe, package
 from upwash.ports import Instance, InstanceSpec, Program
@@ -78,8 +79,11 @@ OpenSite = Callable[..., Any]
 
 @pytest.fixture(scope="session")
 def vandal_image(services: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    recipe = Recipe("vandal", f"{services}:Vandal", requirements=())
-    return package(recipe, tmp_path_factory.mktemp("images"), report=lambda _: None)
+    return package(
+        Recipe(load_service_alone(f"{services}:Vandal")),
+        tmp_path_factory.mktemp("images"),
+        report=lambda _: None,
+    )
 
 
 @pytest.fixture
@@ -285,7 +289,7 @@ def test_a_container_that_is_killed_from_outside_is_noticed_and_started_again(
     async def use(site: Site) -> None:
         instance = await site.start("s1", "workbench")
         (name,) = lxd.running()
-        os.kill(process_1(lxd, name), signal.SIGKILL)
+        os.kill(lxd.process_1(name), signal.SIGKILL)
         async with asyncio.timeout(10.0):
             assert await instance.exited() == "the container is gone, or cannot be reached"
         await instance.stop()
@@ -294,12 +298,6 @@ def test_a_container_that_is_killed_from_outside_is_noticed_and_started_again(
         await again.stop()
 
     at(open_site, use)
-
-
-def process_1(lxd: OwnEngine, name: str) -> int:
-    return next(
-        int(line.split()[1]) for line in lxd.command("info", name).splitlines() if line.startswith("PID:")
-    )
 
 
 def test_a_start_without_an_image_names_the_remedy(open_site: OpenSite) -> None:

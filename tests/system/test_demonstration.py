@@ -47,8 +47,9 @@ class Demonstration:
         log = self.folder / "events.jsonl"
         return [msgspec.json.decode(line) for line in log.read_bytes().splitlines()] if log.exists() else []
 
-    def wait_for(self, wanted: Callable[[dict[str, Any]], bool]) -> None:
-        while not any(map(wanted, self.events())):
+    def wait_for(self, wanted: Callable[[dict[str, Any]], bool], *, since: int = 0) -> None:
+        """Waits for such an event, after the first `since` of them."""
+        while not any(map(wanted, self.events()[since:])):
             assert self.process.poll() is None, "the demonstration ended too early"
             time.sleep(0.05)
 

@@ -1,0 +1,125 @@
+"""One daemon with a cluster of three machines, of which it loses some."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterator
+from ipaddress import IPv4Network
+from pathlib import Path
+
+import pytest
+from tests.engines import OwnEngine
+from tests.system.cluster import SERVICES, OwnCluster, own_cluster
+
+from upwash.errors import InstanceError
+from upwash.ports import InstanceSpec, Program
+from upwash.protocol import service_path
+from upwash.real.credentials import Credentials, make_keys, read_credentials
+from upwash.real.link import GrpcDialer
+from upwash.real.lxd.container import ContainerSettings
+from upwash.real.lxd.engine import Engine, EngineAddress
+from upwash.real.lxd.instance import ContainerInstance
+from upwash.real.lxd.runtime import ContainerRuntime
+from upwash.service import load_service, spec_of
+
+pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group("lxd"), pytest.mark.timeout(300)]
+
+SERVERS = ("s1", "s2", "s3")
+MAX_MESSAGE_BYTES = 1_000_000
+HERON = frozenset({"heron"})
+
+
+@pytest.fixture
+def cluster(lxd: OwnEngine) -> Iterator[OwnCluster]:
+    with own_cluster(lxd) as cluster:
+        yield cluster
+
+
+def test_what_a_lost_member_ran_runs_on_another_and_the_rest_goes_on(
+    cluster: OwnCluster, services: Path, tmp_path: Path, workbench_image: Path
+) -> None:
+    make_keys(tmp_path, servers=[SERVERS], drones=["heron"])
+
+    def shown(holder: str) -> Credentials:
+        return read_credentials(
+            tmp_path / "authority.pem", tmp_path / f"{holder}.pem", tmp_path / f"{holder}.key"
+        )
+
+    dialer = GrpcDialer("heron", shown("heron"), max_message_bytes=MAX_MESSAGE_BYTES)
+    echo = spec_of(load_service(f"{services}:Workbench")).methods["echo"]
+
+    async def call(instance: ContainerInstance, server: str) -> object:
+        link = dialer.dial(instance.endpoint, server=server)
+        try:
+            _, request = echo.encode((b"photo",), {})
+            reply = await link.request(service_path("workbench", "echo"), request, timeout_s=5.0)
+            return echo.result(echo.decode(reply))
+        finally:
+            await link.close()
+
+    async def use(runtime: ContainerRuntime) -> None:
+        async def start(server: str) -> tuple[ContainerInstance, str]:
+            instance = await runtime.start(
+                InstanceSpec(server, "workbench", Program("")), called=lambda _: None
+            )
+            await instance.admit(HERON)
+            return instance, instance.container.member
+
+        started = {server: await start(server) for server in SERVERS}
+        assert len({member for _, member in started.values()}) == 3, "each has a member of its own"
+        leader = cluster.leader()
+        lost_server, lost_member = next(
+            (server, member) for server, (_, member) in started.items() if member != leader
+        )
+        lost, _ = started.pop(lost_server)
+
+        await asyncio.to_thread(cluster.lose, lost_member)
+        async with asyncio.timeout(15.0):
+            assert await lost.exited() == "the container is gone, or cannot be reached"
+        await lost.stop()
+        async with asyncio.timeout(30.0):
+            again, member = await start(lost_server)
+        assert member != lost_member
+        assert await call(again, lost_server) == b"photo"
+        for server, (instance, _) in started.items():
+            assert await call(instance, server) == b"photo"
+
+        for survivor in {member for _, member in started.values()}:
+            await asyncio.to_thread(cluster.silence, survivor)  # nobody answers for the cluster any more
+        for server, (instance, _) in started.items():
+            await instance.admit(HERON)
+            assert await call(instance, server) == b"photo"
+        with pytest.raises(InstanceError, match=r"engine does not answer"):
+            async with asyncio.timeout(60.0):
+                await start("s1")
+        for instance in (again, *(instance for instance, _ in started.values())):
+            await instance.stop()
+
+    asyncio.run(with_runtime(cluster, shown("s1"), workbench_image, use))
+
+
+async def with_runtime(
+    cluster: OwnCluster,
+    credentials: Credentials,
+    image: Path,
+    use: Callable[[ContainerRuntime], Awaitable[None]],
+) -> None:
+    addresses = [
+        EngineAddress(url, cluster.certificate, cluster.key, cluster.engine_certificate)
+        for url in cluster.urls
+    ]
+    engine = Engine(addresses, project="default")
+    runtime = ContainerRuntime(
+        engine,
+        ContainerSettings(IPv4Network(SERVICES), interface="eth0"),
+        freezes=False,
+        credentials=credentials,
+        max_message_bytes=MAX_MESSAGE_BYTES,
+    )
+    try:
+        await engine.connect()
+        await engine.import_image(image)
+        await runtime.prepare(SERVERS, [(server, "workbench") for server in SERVERS])
+        await use(runtime)
+    finally:
+        await runtime.close()

@@ -1,0 +1,118 @@
+"""The demonstration, flown for real against two servers whose services run in containers, and shot at."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.engines import Kind, OwnEngine
+from tests.system.test_demonstration import MARK, Demonstration
+
+
+def on(kind: Kind) -> object:
+    return pytest.param(kind, marks=pytest.mark.xdist_group(kind))
+
+
+pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.timeout(400)]
+
+RUNTIME = """\
+[runtime]
+kind = "lxd"
+network.subnet = "{subnet}"
+engine.addresses = ["unix:{socket}"]
+"""
+SUBNET = {"lxd": "10.147.72.0/24", "incus": "10.147.73.0/24"}
+DAEMON = """\
+listen = "127.0.0.1:0"
+keys = { authority = "a", certificate = "b", key = "c" }
+service = [{ name = "detector" }]
+server = [{ name = "s1" }]
+"""
+
+
+@pytest.mark.parametrize("kind", [on("lxd"), on("incus")])
+def test_a_mission_survives_the_kill_of_a_container_and_of_a_daemon_in_mid_call(
+    kind: Kind, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    engine: OwnEngine = request.getfixturevalue(kind)
+    runtime = RUNTIME.format(subnet=SUBNET[kind], socket=engine.socket)
+    (tmp_path / "runtime.toml").write_text(runtime)
+    (tmp_path / "daemon.toml").write_text(DAEMON + runtime)
+    upwash("package", "detector", "--output", tmp_path, "--config", tmp_path / "daemon.toml", "--import")
+    assert "detector" in upwash("images", "--config", tmp_path / "daemon.toml")
+
+    mark = uuid.uuid4().hex
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "upwash",
+            "demo",
+            "--folder",
+            tmp_path / "run",
+            "--runtime",
+            tmp_path / "runtime.toml",
+        ],
+        env={**os.environ, MARK: mark},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+    )
+    flight = Demonstration(tmp_path / "run", mark, process)
+    try:
+        hung = next_call_hangs(flight, engine, "s1")
+        os.kill(hung, signal.SIGKILL)
+        next_call_hangs(flight, engine, "s2")
+        (daemon,) = [each for each in flight.daemons() if each.command.rstrip().endswith("s2.toml")]
+        os.kill(daemon.pid, signal.SIGKILL)
+        result = flight.finish()
+    finally:
+        process.kill()
+        process.wait()
+    assert result.totals.fallbacks == 2, "each call in progress was answered on the drone"
+    assert set(result.totals.remote) == {"s1", "s2"}
+    until(lambda: engine.running() == [])
+
+
+def next_call_hangs(flight: Demonstration, engine: OwnEngine, server: str) -> int:
+    """Stops the server's service after its first call and waits until it is called again.
+
+    Returns the id of its container's first process.
+    """
+    flight.wait_for(lambda event: event["event"] == "call" and event["place"] == server)
+    (container,) = [name for name in engine.running() if f"-{server}-" in name]
+    warden = engine.process_1(container)
+    os.kill(child_of(warden), signal.SIGSTOP)
+    seen = len(flight.events())
+    flight.wait_for(lambda event: is_sent_to(server, event), since=seen)
+    return warden
+
+
+def is_sent_to(server: str, event: dict[str, Any]) -> bool:
+    return (event["event"], event.get("decision"), event.get("server")) == ("decided", "remote", server)
+
+
+def child_of(process_id: int) -> int:
+    (child,) = Path(f"/proc/{process_id}/task/{process_id}/children").read_text().split()
+    return int(child)
+
+
+def upwash(*arguments: str | Path) -> str:
+    command = [sys.executable, "-m", "upwash", *map(str, arguments)]
+    return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, timeout=200.0).stdout
+
+
+def until(true: Callable[[], bool]) -> None:
+    give_up_s = time.monotonic() + 15.0
+    while not true():
+        assert time.monotonic() < give_up_s
+        time.sleep(0.1)
