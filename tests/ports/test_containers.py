@@ -77,10 +77,10 @@ def test_any_servers_name_makes_a_host_name(server: str) -> None:
     assert all(part.isascii() and part.isalnum() and part == part.lower() for part in name.split("-"))
 
 
-def test_a_member_that_lost_an_instance_is_tried_last_and_the_idle_one_first() -> None:
-    running = [replace(made(member=member), status="Running") for member in ("m1", "m1", "m2")]
-    assert in_order(["m1", "m2", "m3"], running, {"m3"}) == ["m2", "m1", "m3"]
-    assert in_order(["m1", "m2", "m3"], running, set()) == ["m3", "m2", "m1"]
+def test_a_member_that_lost_an_instance_is_tried_last_and_the_one_with_the_fewest_first() -> None:
+    held = [made(member=member) for member in ("m1", "m1", "m2")]
+    assert in_order(["m1", "m2", "m3"], held, {"m3"}) == ["m2", "m1", "m3"]
+    assert in_order(["m1", "m2", "m3"], held, set()) == ["m3", "m2", "m1"]
 
 
 def test_of_several_images_the_one_that_was_imported_last_counts() -> None:

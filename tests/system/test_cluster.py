@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import logging
+import time
 from collections.abc import Awaitable, Callable, Iterator
 from ipaddress import IPv4Network
 from pathlib import Path
@@ -24,6 +26,8 @@ from upwash.service import load_service, spec_of
 
 pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group("lxd"), pytest.mark.timeout(300)]
 
+_log = logging.getLogger(__name__)
+
 SERVERS = ("s1", "s2", "s3")
 MAX_MESSAGE_BYTES = 1_000_000
 HERON = frozenset({"heron"})
@@ -36,7 +40,10 @@ def cluster(lxd: OwnEngine) -> Iterator[OwnCluster]:
 
 
 def test_what_a_lost_member_ran_runs_on_another_and_the_rest_goes_on(
-    cluster: OwnCluster, services: Path, tmp_path: Path, workbench_image: Path
+    cluster: OwnCluster,
+    services: Path,
+    tmp_path: Path,
+    workbench_image: Path,
 ) -> None:
     make_keys(tmp_path, servers=[SERVERS], drones=["heron"])
 
@@ -74,13 +81,17 @@ def test_what_a_lost_member_ran_runs_on_another_and_the_rest_goes_on(
         lost, _ = started.pop(lost_server)
 
         await asyncio.to_thread(cluster.lose, lost_member)
+        lost_s = time.monotonic()
         async with asyncio.timeout(15.0):
             assert await lost.exited() == "the container is gone, or cannot be reached"
+        _log.info("noticed %.2f s after its member was lost", time.monotonic() - lost_s)
         await lost.stop()
+        began_s = time.monotonic()
         async with asyncio.timeout(30.0):
             again, member = await start(lost_server)
         assert member != lost_member
         assert await call(again, lost_server) == b"photo"
+        _log.info("the first answer from another member came after %.2f s", time.monotonic() - began_s)
         for server, (instance, _) in started.items():
             assert await call(instance, server) == b"photo"
 

@@ -115,10 +115,11 @@ def _hash(path: Path) -> str:
 def _source(module: str) -> Path:
     """The folder of a package, or the file of a module."""
     spec = importlib.util.find_spec(module)
+    if spec is not None and spec.submodule_search_locations:
+        return Path(next(iter(spec.submodule_search_locations)))
     if spec is None or spec.origin is None:
         raise UsageError(f"{module} cannot be packaged: there is no such module here")
-    origin = Path(spec.origin)
-    return origin.parent if spec.submodule_search_locations else origin
+    return Path(spec.origin)
 
 
 def _copy(source: Path, target: Path) -> None:

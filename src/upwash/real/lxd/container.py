@@ -130,13 +130,9 @@ def definition(
 def in_order(
     online: Collection[str], containers: Collection[Container], suspects: Collection[str]
 ) -> list[str]:
-    """The members to try: those that are not suspected of being lost first, then those with the least to do."""
+    """The members to try: those that are not suspected of being lost first, then those with the fewest containers."""
     held = [container.member for container in containers]
-    busy = [container.member for container in containers if container.status == "Running"]
-    return sorted(
-        online,
-        key=lambda member: (member in suspects, busy.count(member), held.count(member), member),
-    )
+    return sorted(online, key=lambda member: (member in suspects, held.count(member), member))
 
 
 def addresses(instances: Collection[EngineInstance]) -> set[str]:

@@ -23,9 +23,11 @@ _log = logging.getLogger("upwash.lxd")
 
 _CONNECT_S = 3.0
 _ANSWER_S = 10.0
+_LIST_S = 45.0
 _THREADS = 8
 _RETRY_S = 0.05
 _BUSY = "Instance is busy running"  # it ends by itself, for instance
+_DONE_ALREADY = {"start": ["already running"], "stop": ["already stopped", "is not running"]}
 T = TypeVar("T")
 
 THE_ONLY_ONE = "none"  # what an engine calls the place of a container where there is no cluster
@@ -102,11 +104,17 @@ class Engine:
             with file.open("rb") as content:
                 return api.images.post(data=content, headers={"X-LXD-public": "false"}).json()
 
-        await self._work(post, wait_s=120.0, done_already="already exists")
+        await self._work(post, wait_s=120.0, done_already=("already exists",))
 
     async def instances(self) -> list[EngineInstance]:
         """All containers of the project; of those on a lost member little more than the names."""
-        found = await self._ask(lambda api: api.instances.get(params={"recursion": 1}).json()["metadata"])
+
+        def ask(api: Any) -> Any:
+            # A cluster asks every member that it takes for online, and waits for those that are lost.
+            return api.instances.get(params={"recursion": 1}, timeout=(_CONNECT_S, _LIST_S)).json()[
+                "metadata"
+            ]
+
         return [
             EngineInstance(
                 each["name"],
@@ -115,7 +123,7 @@ class Engine:
                 each.get("config") or {},
                 each.get("expanded_devices") or {},
             )
-            for each in found
+            for each in await self._ask(ask)
         ]
 
     async def members(self) -> list[str]:
@@ -133,23 +141,14 @@ class Engine:
         params = {} if member == THE_ONLY_ONE else {"target": member}
         await self._work(lambda api: api.instances.post(json=definition, params=params).json(), wait_s=wait_s)
 
-    async def change(self, name: str, action: str, *, wait_s: float, done_already: str = "") -> None:
-        """Has a container start, stop (at once), freeze or unfreeze, when it is through with what it does."""
+    async def change(self, name: str, action: str, *, wait_s: float) -> None:
+        """Has a container start, stop (at once), freeze or unfreeze; one that runs or is stopped already is well."""
         state = {"action": action, "force": True, "timeout": int(wait_s)}
-        give_up_s = asyncio.get_running_loop().time() + wait_s
-        while True:
-            try:
-                await self._work(
-                    lambda api: api.instances[name].state.put(json=state).json(),
-                    wait_s=wait_s,
-                    done_already=done_already,
-                )
-            except EngineError as error:
-                if _BUSY not in str(error) or asyncio.get_running_loop().time() > give_up_s:
-                    raise
-                await asyncio.sleep(_RETRY_S)
-            else:
-                return
+        await self._work(
+            lambda api: api.instances[name].state.put(json=state).json(),
+            wait_s=wait_s,
+            done_already=_DONE_ALREADY.get(action, ()),
+        )
 
     async def delete(self, name: str, *, wait_s: float = 30.0) -> None:
         """Deletes a container that is stopped."""
@@ -164,9 +163,27 @@ class Engine:
     async def close(self) -> None:
         """Waits for no more answers."""
         self._threads.shutdown(wait=False, cancel_futures=True)
+        for api in self._clients.values():
+            api.session.close()
 
-    async def _work(self, begin: Callable[[Any], Any], *, wait_s: float, done_already: str = "") -> None:
-        """Has the engine do something that takes time; raises EngineError where it fails or takes too long."""
+    async def _work(
+        self, begin: Callable[[Any], Any], *, wait_s: float, done_already: Sequence[str] = ()
+    ) -> None:
+        """Has the engine do something that takes time, once a container is through with what it does.
+
+        Raises EngineError where it fails or takes too long.
+        """
+        loop = asyncio.get_running_loop()
+        give_up_s = loop.time() + wait_s
+        while problem := await self._attempt(begin, wait_s):
+            if any(words in problem for words in done_already):
+                return
+            if _BUSY not in problem or loop.time() > give_up_s:
+                raise EngineError(problem)
+            await asyncio.sleep(_RETRY_S)
+
+    async def _attempt(self, begin: Callable[[Any], Any], wait_s: float) -> str:
+        """Why it was not done; empty when it was."""
 
         def run(api: Any) -> Any:
             answer = begin(api)
@@ -181,14 +198,10 @@ class Engine:
         try:
             result = await self._ask(run)
         except EngineError as error:
-            if done_already and done_already in str(error):
-                return
-            raise
-        problem = result.get("err") or result.get("error")
-        if problem and not (done_already and done_already in problem):
-            raise EngineError(problem)
+            return str(error)
         if result.get("status") == "Running":
-            raise EngineError(f"{result['description']}: not done within {wait_s:.0f} s")
+            return f"{result['description']}: not done within {wait_s:.0f} s"
+        return str(result.get("err") or result.get("error") or "")
 
     async def _ask(self, ask: Callable[[Any], T]) -> T:
         loop = asyncio.get_running_loop()

@@ -51,7 +51,7 @@ class ContainerInstance:
     async def begin(self, begin: Begin, *, called: Callable[[str], None], max_message_bytes: int) -> None:
         """Starts the container and tells it what to be; returns when it is healthy, raises InstanceError."""
         name = self.container.name
-        await self._engine.change(name, "start", wait_s=_START_S, done_already="already running")
+        await self._engine.change(name, "start", wait_s=_START_S)
         reports, orders = await self._reach()
         self._conversation = Conversation(self._name, called, self._output, reports=reports, orders=orders)
         try:
@@ -116,9 +116,7 @@ class ContainerInstance:
         if self._conversation is not None:
             await self._conversation.close()
         try:
-            await self._engine.change(
-                self.container.name, "stop", wait_s=_STOP_S, done_already="already stopped"
-            )
+            await self._engine.change(self.container.name, "stop", wait_s=_STOP_S)
         except EngineError as error:
             _log.warning("%s could not be stopped: %s", self.container.name, error)
 

@@ -48,7 +48,8 @@ class ContainerRuntime:
         self._credentials = credentials
         self._max_message_bytes = max_message_bytes
         self._frozen: dict[tuple[str, str], ContainerInstance] = {}
-        self._given: set[str] = set()  # addresses that are taken, or were
+        self._containers: list[Container] = []  # not asked for again: a cluster waits for its lost members
+        self._taken: set[str] = set()  # addresses
         self._suspects: set[str] = set()  # members that lost an instance and are not known to be offline yet
 
     async def prepare(self, servers: Collection[str], wanted: Sequence[tuple[str, str]]) -> None:
@@ -59,17 +60,17 @@ class ContainerRuntime:
         await self._engine.connect()
         images = {service: await self._image(service) for _, service in wanted}
         current = {(server, service): images[service].fingerprint for server, service in wanted}
-        kept: set[tuple[str, str]] = set()
-        for container in await self._containers():
-            if container.server not in servers:
-                continue
-            place = (container.server, container.service)
-            if await self._recover(
-                container, keep=current.get(place) == container.image and place not in kept
-            ):
-                kept.add(place)
+        instances = await self._engine.instances()
+        self._taken = addresses(instances)
+        self._containers.clear()
+        for container in filter(None, map(known_container, instances)):
+            if container.server in servers:
+                place = (container.server, container.service)
+                is_first = place not in {(each.server, each.service) for each in self._containers}
+                if await self._recover(container, keep=is_first and current.get(place) == container.image):
+                    self._containers.append(container)
         for server, service in wanted:
-            if (server, service) not in kept:
+            if (server, service) not in {(each.server, each.service) for each in self._containers}:
                 await self._create_somewhere(server, images[service])
                 _log.info("%s@%s has a container", service, server)
 
@@ -103,18 +104,12 @@ class ContainerRuntime:
             "and import its file with `lxc image import FILE`"
         )
 
-    async def _containers(self) -> list[Container]:
-        known = (known_container(instance) for instance in await self._engine.instances())
-        return [container for container in known if container is not None]
-
     async def _recover(self, container: Container, *, keep: bool) -> bool:
         """Stops what runs in it, and deletes it unless it is to be kept; says whether it is there to be used."""
         try:
             if container.status != "Stopped":
                 _log.info("%s was left by an earlier daemon: stopping it", container.name)
-                await self._engine.change(
-                    container.name, "stop", wait_s=_STOP_S, done_already="already stopped"
-                )
+                await self._engine.change(container.name, "stop", wait_s=_STOP_S)
             if not keep:
                 await self._engine.delete(container.name)
         except EngineError as error:
@@ -126,7 +121,7 @@ class ContainerRuntime:
         """A new container on the first member that makes it; raises EngineError where none does."""
         online = await self._online()
         problem = EngineError("no member of the cluster is online")
-        for member in in_order(online, await self._containers(), self._suspects):
+        for member in in_order(online, self._containers, self._suspects):
             try:
                 return await self._create(server, image, member)
             except EngineError as error:
@@ -135,17 +130,16 @@ class ContainerRuntime:
         raise problem
 
     async def _create(self, server: str, image: ServiceImage, member: str) -> Container:
-        # A lost member's containers are listed without their addresses, so those are remembered.
-        self._given |= addresses(await self._engine.instances())
         container = new_container(
-            server, image, member=member, taken=self._given, subnet=self._settings.subnet
+            server, image, member=member, taken=self._taken, subnet=self._settings.subnet
         )
-        self._given.add(container.address)
+        self._taken.add(container.address)
         await self._engine.create(
             definition(container, self._settings, base=image.base, engine=self._engine.kind),
             member=member,
             wait_s=_CREATE_S if member == THE_ONLY_ONE else _CREATE_ON_MEMBER_S,
         )
+        self._containers.append(container)
         return container
 
     async def _start_somewhere(
@@ -153,7 +147,7 @@ class ContainerRuntime:
     ) -> ContainerInstance:
         """In the container that is kept for it, or else in a new one elsewhere."""
         online = await self._online()
-        for container in await self._containers():
+        for container in list(self._containers):
             is_its_own = (container.server, container.service, container.image) == (
                 spec.server,
                 spec.service,
@@ -165,6 +159,7 @@ class ContainerRuntime:
                 except EngineError as error:
                     _log.warning("%s cannot be used: %s", container.name, error)
                     self._suspect(container.member)
+                    self._containers.remove(container)
         return await self._run(await self._create_somewhere(spec.server, image), spec, image, called)
 
     async def _online(self) -> list[str]:
