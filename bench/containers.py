@@ -24,7 +24,7 @@ from upwash.bundled import load_service_alone
 from upwash.packaging.image import Recipe, package
 from upwash.ports import Instance, InstanceSpec, Program, Runtime
 from upwash.protocol import service_path
-from upwash.real.credentials import make_keys, read_credentials
+from upwash.real.credentials import fingerprint, make_keys, read_credentials
 from upwash.real.link import GrpcDialer, GrpcLink
 from upwash.real.lxd.container import ContainerSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
@@ -52,6 +52,7 @@ class Bench:
     stopped: ContainerRuntime
     frozen: ContainerRuntime
     dialer: GrpcDialer
+    drone: frozenset[str]  # what instances know it by
 
     def dial(self, instance: Instance) -> GrpcLink:
         """A link to an instance, which gives a bare port where it is on this host's loopback."""
@@ -86,7 +87,7 @@ async def starts(bench: Bench, runtime: Runtime, before: Callable[[], Awaitable[
             await before()
         began_s = time.perf_counter()
         instance = await runtime.start(SPEC, called=lambda _: None)
-        await instance.admit(frozenset({"drone"}))
+        await instance.admit(bench.drone)
         link = bench.dial(instance)
         await call(link, photo)
         found.append(time.perf_counter() - began_s)
@@ -103,7 +104,7 @@ async def calls(bench: Bench) -> None:
     ]
     links = [bench.dial(instance) for instance in instances]
     for instance in instances:
-        await instance.admit(frozenset({"drone"}))
+        await instance.admit(bench.drone)
     rounds = [[await call(link, photo) for link in links] for _ in range(WARM_UP_CALLS + CALLS)][
         WARM_UP_CALLS:
     ]
@@ -165,7 +166,7 @@ async def opened(address: str, subnet: IPv4Network) -> AsyncIterator[Bench]:
         )
         dialer = GrpcDialer("drone", drone, max_message_bytes=MAX_MESSAGE_BYTES)
         try:
-            yield Bench(process, stopped, frozen, dialer)
+            yield Bench(process, stopped, frozen, dialer, frozenset({fingerprint(drone.certificate)}))
         finally:
             await frozen.close()
             await stopped.prepare([SERVER], [])

@@ -27,6 +27,7 @@ async def container_runtime(
             profiles=config.runtime.engine.profiles,
             memory_bytes=config.runtime.memory_bytes,
             processes=config.runtime.processes,
+            disk_bytes=config.runtime.disk_bytes,
             cpus=config.runtime.cpus,
         ),
         freezes=config.runtime.idle == "freeze",

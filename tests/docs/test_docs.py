@@ -51,7 +51,7 @@ def test_the_page_on_containers_shows_a_runtime_that_is_understood(tmp_path: Pat
     known = {
         name for table in (runtime, runtime.engine, runtime.network) for name in msgspec.structs.asdict(table)
     }
-    of_processes = {"sandbox", "readable", "disk_bytes"}
+    of_processes = {"sandbox", "readable"}
     assert written == known - {"engine", "network"} - of_processes
     servers = (ROOT / "docs/servers.md").read_text()
     assert all(f"`runtime.{name}`" in servers for name in of_processes)

@@ -16,7 +16,7 @@ from tests.system.cluster import SERVICES, OwnCluster, own_cluster
 from upwash.errors import InstanceError
 from upwash.ports import InstanceSpec, Program
 from upwash.protocol import service_path
-from upwash.real.credentials import Credentials, make_keys, read_credentials
+from upwash.real.credentials import Credentials, fingerprint, make_keys, read_credentials
 from upwash.real.link import GrpcDialer
 from upwash.real.lxd.container import ContainerSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
@@ -30,7 +30,6 @@ _log = logging.getLogger(__name__)
 
 SERVERS = ("s1", "s2", "s3")
 MAX_MESSAGE_BYTES = 1_000_000
-HERON = frozenset({"heron"})
 
 
 @pytest.fixture
@@ -52,6 +51,7 @@ def test_what_a_lost_member_ran_runs_on_another_and_the_rest_goes_on(
             tmp_path / "authority.pem", tmp_path / f"{holder}.pem", tmp_path / f"{holder}.key"
         )
 
+    heron = frozenset({fingerprint(shown("heron").certificate)})
     dialer = GrpcDialer("heron", shown("heron"), max_message_bytes=MAX_MESSAGE_BYTES)
     echo = spec_of(load_service(f"{services}:Workbench")).methods["echo"]
 
@@ -69,7 +69,7 @@ def test_what_a_lost_member_ran_runs_on_another_and_the_rest_goes_on(
             instance = await runtime.start(
                 InstanceSpec(server, "workbench", Program("")), called=lambda _: None
             )
-            await instance.admit(HERON)
+            await instance.admit(heron)
             return instance, instance.container.member
 
         started = {server: await start(server) for server in SERVERS}
@@ -98,7 +98,7 @@ def test_what_a_lost_member_ran_runs_on_another_and_the_rest_goes_on(
         for survivor in {member for _, member in started.values()}:
             await asyncio.to_thread(cluster.silence, survivor)  # nobody answers for the cluster any more
         for server, (instance, _) in started.items():
-            await instance.admit(HERON)
+            await instance.admit(heron)
             assert await call(instance, server) == b"photo"
         with pytest.raises(InstanceError, match=r"engine does not answer"):
             async with asyncio.timeout(60.0):

@@ -18,13 +18,16 @@ import sys
 from upwash.real.control import Ended, Failed, Said, line
 from upwash.real.leash import CONTROL_PORT, SERVICE_PORT, Leash, notice_silence
 
-LEASH = "UPWASH_LEASH"  # in the environment of process 1
+# In the environment of process 1:
+LEASH = "UPWASH_LEASH"
+SCRATCH_BYTES = (
+    "UPWASH_SCRATCH_BYTES"  # that the service may write to a folder, in memory and part of the container's
+)
 
 _SERVICE_USER = 1000
 _HANDSHAKE_S = 2.0
 _LAST_OUTPUT_S = 1.0  # a child of the service may hold the pipe open
 _CHUNK_BYTES = 16384
-_SCRATCH = "64m"  # in memory, and part of the container's
 _SCRATCH_FOLDERS = ("/tmp", "/dev/shm")  # noqa: S108 - the container's own, and mounted here
 
 # Nothing is asked of anyone from in here: only who called gets an answer.
@@ -121,10 +124,11 @@ async def stand() -> None:
 def close_off() -> str:
     """Shuts the network but for the service's ports, and gives the service memory to write to; or says why not."""
     commands: list[tuple[str, ...]] = [("nft", "-f", "-")]
+    size = os.environ[SCRATCH_BYTES]
     for folder in _SCRATCH_FOLDERS:
         os.makedirs(folder, exist_ok=True)  # noqa: PTH103 - pathlib is not imported here
         commands.append(
-            ("mount", "-t", "tmpfs", "-o", f"size={_SCRATCH},mode=1777,nosuid,nodev", "tmpfs", folder)
+            ("mount", "-t", "tmpfs", "-o", f"size={size},mode=1777,nosuid,nodev", "tmpfs", folder)
         )
     for command in commands:
         try:

@@ -12,7 +12,7 @@ from upwash.errors import EngineError
 from upwash.real.leash import Leash, new_leash
 from upwash.real.lxd.engine import EngineInstance
 from upwash.real.lxd.image import ServiceImage
-from upwash.real.warden import LEASH
+from upwash.real.warden import LEASH, SCRATCH_BYTES
 
 _SERVER, _SERVICE, _IMAGE = "user.upwash.server", "user.upwash.service", "user.upwash.image"
 _NIC = "eth0"
@@ -35,6 +35,7 @@ class ContainerSettings:
     profiles: Sequence[str] = ()
     memory_bytes: int = 2**31
     processes: int = 256
+    disk_bytes: int = 2**28
     cpus: int | None = None
 
 
@@ -110,6 +111,7 @@ def definition(
         "limits.memory": str(settings.memory_bytes),
         "limits.processes": str(settings.processes),
         f"environment.{LEASH}": container.leash.text(),
+        f"environment.{SCRATCH_BYTES}": str(settings.disk_bytes),
         _SERVER: container.server,
         _SERVICE: container.service,
         _IMAGE: container.image,
