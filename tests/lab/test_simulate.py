@@ -150,3 +150,16 @@ def test_a_camera_over_a_park_shows_a_mission_real_photos_and_the_log_their_trut
     assert [photo["position"]["east_m"] for photo in photos] == pytest.approx([0, 40, 0], abs=1)
     first, other, again = ([fault["label"] for fault in photo["truth"]] for photo in photos)
     assert first == again != other
+
+
+def test_a_call_takes_its_processing_and_the_transfer_at_the_bandwidth(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    patrol = Path(__file__).parents[2] / "examples" / "patrol.toml"
+    scenario = tmp_path / "patrol.toml"
+    text = patrol.read_text().replace("remote_call_s = 0.5", "processing_s = 0.5\nbandwidth_bit_s = 1e6")
+    text = text.replace('"patrol.py:', f'"{patrol.parent}/patrol.py:')
+    scenario.write_text(text.replace("local_call_s = 6.0", "local_call_s = 6.0\nrequest_bytes = 250_000"))
+    remote = [call for call in simulate(capsys, scenario)["calls"] if call["place"] == "s1"]
+    assert [call["delay_s"] - call["waited_s"] for call in remote] == [pytest.approx(2.504)] * len(remote)
+    assert remote

@@ -191,14 +191,15 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class ServerTruth(Struct, frozen=True, kw_only=True):
     """What is true of a simulated server, the belief taken wherever the file says nothing else.
 
-    An operation in `remote_call_s` takes that long end to end; any other takes its `processing_s` and the
-    transfer: by the radio's goodput at the drone's distance, or by the bandwidth where radio is "fixed".
+    Where the radio is "fixed" a service in `remote_call_s` takes that long end to end. Any other takes its
+    `processing_s` and the transfer: by the radio's goodput at the drone's distance, or else by the bandwidth.
     """
 
     join_s: float
     start_s: float
     processing_s: Mapping[str, Mapping[str, float]]
     remote_call_s: Mapping[str, Mapping[str, float]]
+    bandwidth_bit_s: float | None
     radio: str
     slots: int
     images: tuple[str, ...]
@@ -310,6 +311,7 @@ def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> Ser
         start_s=start_s,
         processing_s=_merged(server.processing_s, truth.processing_s),
         remote_call_s=_merged(_remote_calls_still_believed(server), truth.remote_call_s),
+        bandwidth_bit_s=server.bandwidth_bit_s,
         radio=truth.radio,
         slots=truth.slots,
         images=tuple(service.name for service in services) if truth.images is None else truth.images,

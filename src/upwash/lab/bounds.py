@@ -14,7 +14,7 @@ from upwash.core.schedule import ComingCall, Offer
 from upwash.lab.run import Run
 from upwash.preparation import make_estimates
 from upwash.service import spec_of
-from upwash.sim.radio import read_goodput
+from upwash.sim.radio import goodput_of
 from upwash.sim.world import computing_s, delay_of
 
 
@@ -73,7 +73,7 @@ def _remote_s(operation: Operation, service: ServiceConfig, truth: ServerTruth, 
         call_s = computing_s(operation, truth)
     except KeyError:
         return math.inf
-    goodput = read_goodput(truth.radio)
+    goodput = goodput_of(truth, service.name)
     if goodput is not None:
         call_s += goodput.transfer_s(service.request_bytes, distance_m)
         call_s += goodput.transfer_s(service.reply_bytes, distance_m)

@@ -30,7 +30,6 @@ from upwash.sim.journal import MemoryJournal
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
 from upwash.sim.network import Cell, ModelNetwork
-from upwash.sim.radio import read_goodput
 from upwash.sim.runtime import Computer, ModelRuntime
 from upwash.sim.sleeping import sleeps_reported
 from upwash.sim.world import DroneComputer, Radio, Wire
@@ -185,7 +184,7 @@ def _radio(
     truths = {server.name: server_truth(server, config.services) for server in config.servers}
     radio = Radio(
         areas,
-        {name: read_goodput(truth.radio) for name, truth in truths.items()},
+        truths,
         config.services,
         faults=faults,
         position=lambda: autopilot.position,

@@ -10,6 +10,7 @@ from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 
+from upwash.config import ServerTruth
 from upwash.errors import UsageError
 
 _BUNDLED = {"disc54": "goodput_54.csv", "disc12": "goodput_12.csv"}
@@ -40,9 +41,28 @@ class GoodputTable:
         return self.goodput_bit_s[before] * (1 - share) + self.goodput_bit_s[after] * share
 
 
+@dataclass(frozen=True)
+class SteadyGoodput:
+    """The same goodput wherever the drone is, in bit/s."""
+
+    goodput_bit_s: float
+
+    def transfer_s(self, data_bytes: int, distance_m: float) -> float:
+        """How long the bytes need."""
+        return 8 * data_bytes / self.goodput_bit_s
+
+
+def goodput_of(truth: ServerTruth, service: str) -> GoodputTable | SteadyGoodput | None:
+    """What carries the service's calls to the server; None where their delays are given end to end."""
+    table = read_goodput(truth.radio)
+    if table is not None or service in truth.remote_call_s or truth.bandwidth_bit_s is None:
+        return table
+    return SteadyGoodput(truth.bandwidth_bit_s)
+
+
 @lru_cache
 def read_goodput(radio: str) -> GoodputTable | None:
-    """The table of that name or csv file; None for "fixed", where delays are given end to end."""
+    """The table of that name or csv file; None for "fixed"."""
     if radio == "fixed":
         return None
     bundled = _BUNDLED.get(radio)

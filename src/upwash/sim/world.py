@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol
 
 from upwash.config import ServerTruth, ServiceConfig
 from upwash.core.estimates import Operation
@@ -14,13 +13,7 @@ from upwash.ports import InstanceSpec
 from upwash.sim.chance import Chance
 from upwash.sim.faults import Faults
 from upwash.sim.heat import Heat
-
-
-class Goodput(Protocol):
-    """A radio's speed by distance."""
-
-    def transfer_s(self, data_bytes: int, distance_m: float) -> float:
-        """How long the bytes need over the distance."""
+from upwash.sim.radio import goodput_of
 
 
 class Wire:
@@ -40,14 +33,14 @@ class Radio:
     def __init__(
         self,
         areas: Mapping[str, Circle],
-        goodputs: Mapping[str, Goodput | None],
+        truths: Mapping[str, ServerTruth],
         services: Sequence[ServiceConfig],
         *,
         faults: Faults,
         position: Callable[[], Position],
     ) -> None:
         self._areas = areas
-        self._goodputs = goodputs
+        self._truths = truths
         self._services = {f"/upwash.service.{service.name}/": service for service in services}
         self._faults = faults
         self._position = position
@@ -72,9 +65,11 @@ class Radio:
         fault = self._faults.now(f"link:{server}")
         if fault is not None and fault.kind == "slow":
             await asyncio.sleep(fault.extra_s / 2)
-        goodput = self._goodputs[server]
         service = self._services.get(path[: path.rfind("/") + 1])
-        if goodput is None or service is None:
+        if service is None:
+            return
+        goodput = goodput_of(self._truths[server], service.name)
+        if goodput is None:
             return
         distance_m = ground_distance_m(self._position(), self._areas[server].centre)
         data_bytes = service.reply_bytes if reply else service.request_bytes
