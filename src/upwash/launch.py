@@ -29,7 +29,7 @@ from upwash.profiling import OnboardProfile, Sample, ServerProfile, Watch, profi
 from upwash.protocol import STATUS, StatusReply, StatusRequest, decode_reply
 from upwash.real.autopilot import FlightSettings, connect_autopilot
 from upwash.real.camera import FolderCamera
-from upwash.real.credentials import read_credentials
+from upwash.real.credentials import Credentials, read_credentials
 from upwash.real.journal import FileJournal, JournalNotifier, Watcher, read_events
 from upwash.real.link import GrpcDialer
 from upwash.real.memory import peak_memory_bytes
@@ -152,6 +152,11 @@ def _dialer(config: DroneConfig) -> GrpcDialer:
                 f"server {server.name} at {server.address} needs certificates: make them with `upwash keys` "
                 "and name them in [keys]; only servers on this machine are called without"
             )
+    return GrpcDialer(config.name, drone_credentials(config), max_message_bytes=_MAX_MESSAGE_BYTES)
+
+
+def drone_credentials(config: DroneConfig) -> Credentials | None:
+    """What the drone shows servers, None without [keys]; raises CredentialsError where that is not the drone's."""
     keys = config.keys
     credentials = read_credentials(keys.authority, keys.certificate, keys.key) if keys else None
     if credentials is not None and config.name not in credentials.names:
@@ -159,7 +164,7 @@ def _dialer(config: DroneConfig) -> GrpcDialer:
             f"the certificate is for {', '.join(credentials.names)}, but this drone is called {config.name}: "
             f'write name = "{credentials.names[0]}" at the top of its configuration, or make another certificate'
         )
-    return GrpcDialer(config.name, credentials, max_message_bytes=_MAX_MESSAGE_BYTES)
+    return credentials
 
 
 async def _network(

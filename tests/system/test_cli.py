@@ -210,10 +210,15 @@ def test_a_log_that_cannot_be_written_is_named(drone: Path) -> None:
     assert said.startswith("cannot write the event log drone.toml/log: ")
 
 
-def test_check_says_what_a_configuration_holds(drone: Path) -> None:
+def test_check_says_what_a_configuration_holds_and_what_hurts(drone: Path, keys: Path) -> None:
     ended = upwash("check", str(drone))
-    assert ended.returncode == 0, ended.stderr
-    assert ended.stdout == f"{drone} is understood: 1 waypoints, 1 services, 1 servers\n"
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert ended.stdout.startswith(f"{drone} is understood: 1 waypoints, 1 services, 1 servers\n")
+    drone.write_text(DRONE + f'[keys]\nauthority = "{keys}/authority.pem"\ncertificate = "no"\nkey = "no"\n')
+    ended = upwash("check", str(drone))
+    assert ended.returncode == 1
+    assert "warning: " in ended.stdout
+    assert str(drone.parent / "no") in ended.stdout
 
 
 def test_check_finds_no_networks_where_none_are_joined(drone: Path) -> None:

@@ -1,4 +1,4 @@
-"""upwash check: says what is not right before take-off."""
+"""upwash check: says what a mission will be like, and what is not right, before take-off."""
 
 from __future__ import annotations
 
@@ -6,37 +6,50 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from upwash.commands.arguments import count
+
 if TYPE_CHECKING:
     from upwash.commands.arguments import Commands
 
 
 def add(commands: Commands) -> None:
     """Adds the command."""
-    check = commands.add_parser(
-        "check", help="check a drone's configuration, and what it needs, before take-off"
-    )
-    check.add_argument("config", type=Path, help="the drone's configuration, a TOML file")
+    check = commands.add_parser("check", help="predict a mission and say what will hurt, before take-off")
+    check.add_argument("config", type=Path, help="the drone's configuration or a scenario, a TOML file")
     check.add_argument(
-        "--networks", action="store_true", help="also see whether each server's network can be joined"
+        "--seeds", type=count, default=5, metavar="N",
+        help="simulated missions for each prediction, where there is noise (default: 5)",
+    )  # fmt: skip
+    check.add_argument("--workers", type=count, metavar="N", help="processes (default: one per core)")
+    check.add_argument(
+        "--place", type=count, default=0, metavar="N", help="suggest where N more servers would help most"
+    )
+    check.add_argument("--figures", type=Path, metavar="DIR", help="draw the coverage there")
+    what = check.add_mutually_exclusive_group()
+    what.add_argument("--json", action="store_true", help="print what was found as one JSON object")
+    what.add_argument(
+        "--networks", action="store_true", help="only see whether each server's network can be joined"
     )
     check.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> bool:
-    """Checks and prints what it found; whether all is well."""
-    from rich.console import Console
+    """Checks and prints what it found; whether there is nothing to warn of."""
+    if options.networks:
+        from rich.console import Console
 
-    from upwash.config import read_drone_config, waypoints
+        from upwash.config import read_drone_config
+        from upwash.preflight.networks import check_networks
 
-    console = Console(markup=False)
-    config = read_drone_config(options.config)
-    console.print(
-        f"{options.config} is understood: {len(waypoints(config.mission))} waypoints, "
-        f"{len(config.services)} services, {len(config.servers)} servers",
-        soft_wrap=True,
+        return check_networks(read_drone_config(options.config), Console(markup=False))
+    from upwash.lab.campaign import in_processes
+    from upwash.preflight.display import show_check
+
+    return show_check(
+        options.config,
+        seeds=options.seeds,
+        servers_to_place=options.place,
+        as_json=options.json,
+        figures=options.figures,
+        fly=in_processes(options.workers),
     )
-    if not options.networks:
-        return True
-    from upwash.preflight import check_networks
-
-    return check_networks(config, console)

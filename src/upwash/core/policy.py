@@ -131,6 +131,10 @@ class WaitRule:
     gain_wait: float = 0.25
     deadline: Deadline = Deadline()
 
+    def longest_s(self, *, local_s: float, remote_s: float) -> float:
+        """The longest wait that pays off for a call with these estimates; none does where it is not above 0."""
+        return local_s * (1 - self.gain_wait) - remote_s
+
     def decide(self, call: Call) -> Decision:
         """Remote if the server is ready; while it is checked, a bounded wait or local."""
         if call.state is State.READY:
@@ -138,7 +142,7 @@ class WaitRule:
             return Remote(call.server, deadline_s, "server ready")
         if call.state not in CHECKING:
             return Local(f"{call.server} is {call.state}")
-        longest_s = call.local_s * (1 - self.gain_wait) - call.remote_s
+        longest_s = self.longest_s(local_s=call.local_s, remote_s=call.remote_s)
         wait_s = call.check_expected_s - call.check_elapsed_s
         if longest_s <= 0:
             return Local("waiting cannot pay off")

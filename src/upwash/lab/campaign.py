@@ -61,7 +61,19 @@ def run_campaign(
             file.append(rows)
             flown(len(rows))
     file.finish()
-    return [_summary(combination, file.rows) for combination in file.sweep.combinations]
+    return _summaries(file.sweep, file.rows)
+
+
+def fly_sweep(
+    sweep: Sweep, *, fly: Fly, flown: Callable[[int], None] = lambda _: None
+) -> list[CombinationSummary]:
+    """Flies the whole sweep and keeps no file of it; returns and tells what `run_campaign` does."""
+    rows: list[Row] = []
+    with fly(list(_chunks(sweep, ()))) as chunks:
+        for some in chunks:
+            rows += some
+            flown(len(some))
+    return _summaries(sweep, rows)
 
 
 def in_processes(workers: int | None = None) -> Fly:
@@ -137,6 +149,10 @@ def _chunks(sweep: Sweep, done: Iterable[Row]) -> Iterator[Chunk]:
         missing = (seed for seed in range(1, sweep.seeds + 1) if (combination.values, seed) not in flown)
         while seeds := tuple(itertools.islice(missing, _CHUNK_RUNS)):
             yield Chunk(str(sweep.file), combination.values, combination.document, seeds)
+
+
+def _summaries(sweep: Sweep, rows: Sequence[Row]) -> list[CombinationSummary]:
+    return [_summary(combination, rows) for combination in sweep.combinations]
 
 
 def _summary(combination: Combination, rows: Iterable[Row]) -> CombinationSummary:

@@ -1,0 +1,125 @@
+"""Checks a configuration before take-off: flies it in simulation, and holds the file against what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from msgspec import Struct
+
+from upwash.bundled import load_services
+from upwash.config import Document, DroneConfig, drone_config, read_document, server_area, waypoints
+from upwash.errors import UpwashError
+from upwash.lab.campaign import Fly
+from upwash.lab.run import Run, simulate
+from upwash.launch import drone_credentials
+from upwash.preflight.concerns import Belief, Concern, concerns, is_for_flight, usable_s
+from upwash.preflight.coverage import Coverage, coverage, uncovered
+from upwash.preflight.placement import Place
+from upwash.preflight.prediction import LOCAL_ONLY, Prediction, cases, changed, predict
+from upwash.preparation import make_estimates
+from upwash.service import spec_of
+
+
+class Plan(Struct, frozen=True):
+    """What is about to be flown, as it stands in the file and as values."""
+
+    file: Path
+    document: Document
+    config: DroneConfig
+
+
+class Check(Struct, frozen=True, kw_only=True):
+    """What was found: the one object that `upwash check --json` prints.
+
+    `usable_s` is how long the battery lasts above the mission's reserve, None where the file does not say.
+    """
+
+    config: str
+    waypoints: int
+    uncovered: tuple[int, ...]
+    servers: tuple[Coverage, ...]
+    predictions: tuple[Prediction, ...]
+    usable_s: float | None
+    concerns: tuple[Concern, ...]
+    places: tuple[Place, ...] = ()
+
+
+def read_plan(file: Path) -> Plan:
+    """The file's configuration; raises ConfigError."""
+    document = read_document(file)
+    return Plan(file, document, drone_config(document, file))
+
+
+def missions_to_fly(plan: Plan, seeds: int) -> int:
+    """How many missions `check` flies."""
+    return len(dict(cases(plan.document, plan.config))) * seeds
+
+
+def check(plan: Plan, *, seeds: int, fly: Fly, flown: Callable[[int], None] = lambda _: None) -> Check:
+    """Flies each case of the mission in simulation with the seeds 1 to `seeds`, and says what was found.
+
+    Raises UpwashError for a mission that is not completed even with every call on the drone.
+    """
+    places = [waypoint.position for waypoint in waypoints(plan.config.mission)]
+    alone = _flown_alone(plan)
+    covered = coverage(
+        places,
+        {server.name: server_area(server, plan.config.mission.home) for server in plan.config.servers},
+        alone.stays,
+        ended_s=alone.result.mission_time_s,
+    )
+    predictions = predict(
+        dict(cases(plan.document, plan.config)), plan.file, seeds=seeds, fly=fly, flown=flown
+    )
+    return Check(
+        config=str(plan.file),
+        waypoints=len(places),
+        uncovered=uncovered(len(places), covered),
+        servers=covered,
+        predictions=tuple(predictions),
+        usable_s=usable_s(plan.config),
+        concerns=(
+            *concerns(plan.config, covered, list(_beliefs(plan.config, alone)), predictions),
+            *_certificate_concerns(plan.config),
+        ),
+    )
+
+
+def _flown_alone(plan: Plan) -> Run:
+    try:
+        run = simulate(drone_config(changed(plan.document, policy=LOCAL_ONLY), plan.file))
+    except Exception as error:  # whatever the mission raises
+        raise UpwashError(
+            f"the mission ends by itself in simulation, with {type(error).__name__}: {error}; `upwash simulate` "
+            "shows where"
+        ) from error
+    if run.failure:
+        raise UpwashError(f"the mission is not completed in simulation: {run.failure}")
+    return run
+
+
+def _beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:
+    """What is believed of each operation that the mission called."""
+    specs = {name: spec_of(each.cls) for name, each in load_services(config.services).items()}
+    estimates = make_estimates(config, specs)
+    called = {call.operation for call in run.result.calls}
+    for operation in estimates.operations:
+        local_s = estimates.local_s(operation)
+        if local_s is None or str(operation) not in called:
+            continue
+        remote_s = {server.name: estimates.remote_s(server.name, operation) for server in config.servers}
+        yield Belief(
+            operation=str(operation),
+            local_s=local_s,
+            remote_s={name: call_s for name, call_s in remote_s.items() if call_s is not None},
+        )
+
+
+def _certificate_concerns(config: DroneConfig) -> Iterator[Concern]:
+    if not is_for_flight(config):
+        return
+    try:
+        drone_credentials(config)
+    except UpwashError as error:
+        yield Concern("certificate", str(error))

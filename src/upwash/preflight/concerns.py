@@ -1,0 +1,220 @@
+"""What will hurt: everything that a person should know, and perhaps mend, before take-off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from msgspec import Struct
+
+from upwash.config import DroneConfig, PolicyConfig, ServerConfig, is_on_this_machine
+from upwash.core.policy import WaitRule
+from upwash.preflight.coverage import Coverage
+from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, without
+
+_WORTH_SAYING = 0.01  # of a mission time: less is the luck of when a check happened to begin
+
+
+class Concern(Struct, frozen=True):
+    """One thing that will hurt: its kind, which stays the same from version to version, and what a person reads."""
+
+    kind: str
+    text: str
+
+
+class Belief(Struct, frozen=True, kw_only=True):
+    """What a call is believed to take on the drone, and on each server that offers it."""
+
+    operation: str
+    local_s: float
+    remote_s: Mapping[str, float]
+
+
+def usable_s(config: DroneConfig) -> float | None:
+    """How long the battery lasts above the mission's reserve; None where the configuration does not say."""
+    if config.vehicle.endurance_s is None:
+        return None
+    return config.vehicle.endurance_s * (1 - (config.mission.reserve_percent or 0.0) / 100)
+
+
+def concerns(
+    config: DroneConfig,
+    covered: Sequence[Coverage],
+    beliefs: Sequence[Belief],
+    predictions: Sequence[Prediction],
+) -> list[Concern]:
+    """All that is known to hurt; the beliefs are those of the operations that the mission calls."""
+    found: list[Concern] = []
+    if config.policy.name != LOCAL_ONLY:
+        found += _range_concerns(config.servers, covered)
+        found += _operation_concerns(config, beliefs)
+        found += _gain_concerns(config, predictions)
+    found += _failure_concerns(predictions)
+    found += _battery_concerns(config, predictions)
+    found += _address_concerns(config.servers)
+    if is_for_flight(config):
+        found += _flight_concerns(config)
+    return found
+
+
+def is_for_flight(config: DroneConfig) -> bool:
+    """Whether the file says how anything real is reached; else it is a scenario, to be simulated only."""
+    return config.autopilot.connection is not None or any(server.address for server in config.servers)
+
+
+def _range_concerns(servers: Sequence[ServerConfig], covered: Sequence[Coverage]) -> Iterator[Concern]:
+    checks = {server.name: server for server in servers}
+    for each in covered:
+        server = checks[each.server]
+        if not each.waypoints:
+            yield Concern(
+                "covers-nothing",
+                f"{each.server} covers no waypoint: the nearest is {each.nearest_m:.0f} m away, its range is "
+                f"{each.range_m:g} m",
+            )
+        elif each.longest_stay_s <= server.check_running_s:
+            yield Concern(
+                "too-short",
+                f"{each.server} is in range for at most {each.longest_stay_s:.1f} s at a time, less than a check "
+                f"takes (check_running_s = {server.check_running_s:g}): it is never ready in time",
+            )
+        elif each.longest_stay_s <= server.check_s:
+            yield Concern(
+                "too-short",
+                f"{each.server} is in range for at most {each.longest_stay_s:.1f} s at a time, less than a check "
+                f"takes that starts the services (check_s = {server.check_s:g}): it helps only if they run already",
+            )
+
+
+def _operation_concerns(config: DroneConfig, beliefs: Sequence[Belief]) -> Iterator[Concern]:
+    if not config.servers:
+        return
+    for belief in beliefs:
+        fastest_s = min(belief.remote_s.values(), default=None)
+        if fastest_s is None:
+            yield Concern("not-offered", f"no server is configured with a delay of {belief.operation}")
+        elif fastest_s >= belief.local_s:
+            yield Concern(
+                "not-faster",
+                f"no server is faster for {belief.operation}: {belief.local_s:g} s on the drone, {fastest_s:g} s "
+                "on the fastest server",
+            )
+    for server in config.servers:
+        yield from _wait_concerns(server.name, config.policy, beliefs)
+
+
+def _wait_concerns(server: str, policy: PolicyConfig, beliefs: Sequence[Belief]) -> Iterator[Concern]:
+    """Of a server that is faster, but for no operation so much that a wait for it could ever pay off."""
+    rule = WaitRule(gain_wait=policy.gain_wait)
+    faster = [
+        (1 - remote_s / each.local_s, each)
+        for each in beliefs
+        if (remote_s := each.remote_s.get(server)) is not None and remote_s < each.local_s
+    ]
+    if not faster or any(
+        rule.longest_s(local_s=each.local_s, remote_s=each.remote_s[server]) > 0 for _, each in faster
+    ):
+        return
+    saved, best = max(faster, key=lambda pair: pair[0])
+    yield Concern(
+        "never-waits",
+        f"the drone never waits for {server}: a call there saves at most {100 * saved:.0f} % "
+        f"({best.operation}), and policy.gain_wait = {policy.gain_wait:g} wants more",
+    )
+
+
+def _gain_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> Iterator[Concern]:
+    by_case = {each.case: each for each in predictions}
+    configured = by_case.get(AS_CONFIGURED)
+    if configured is None or configured.mission_time_s is None:
+        return
+    local_only = by_case.get(LOCAL_ONLY)
+    if config.servers and local_only is not None and not _is_slower(local_only, configured):
+        yield Concern(
+            "no-gain",
+            f"the servers gain next to nothing: {configured.mission_time_s:.0f} s as configured, "
+            f"{local_only.mission_time_s or 0:.0f} s with every call on the drone",
+        )
+    for server in config.servers:
+        other = by_case.get(without(server.name))
+        if other is not None and _is_slower(configured, other):
+            yield Concern(
+                "hurts",
+                f"{server.name} makes the mission slower: {configured.mission_time_s:.0f} s with it, "
+                f"{other.mission_time_s or 0:.0f} s with it dead",
+            )
+
+
+def _is_slower(this: Prediction, than: Prediction) -> bool:
+    """Whether it takes longer by more than its margins leave open, and by so much that it is worth saying."""
+    if this.mission_time_s is None or than.mission_time_s is None:
+        return this.mission_time_s is None and than.mission_time_s is not None
+    least_s = max(_WORTH_SAYING * than.mission_time_s, this.certain_margin_s + than.certain_margin_s)
+    return this.mission_time_s - than.mission_time_s > least_s
+
+
+def _failure_concerns(predictions: Sequence[Prediction]) -> Iterator[Concern]:
+    cases: dict[str, list[str]] = {}  # by reason
+    for each in predictions:
+        if each.failures:
+            case = f"{each.case} ({len(each.failures)} of {each.missions})"
+            cases.setdefault(each.failures[0], []).append(case)
+    for reason, failed in cases.items():
+        yield Concern(
+            "not-completed", f"simulated missions were not completed, {', '.join(failed)}: {reason}"
+        )
+
+
+def _battery_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> Iterator[Concern]:
+    lasts_s = usable_s(config)
+    if lasts_s is None:
+        return
+    needed_s = {
+        each.case: each.mission_time_s + each.certain_margin_s
+        for each in predictions
+        if each.mission_time_s is not None
+    }
+    too_long = [f"{case} ({seconds:.0f} s)" for case, seconds in needed_s.items() if seconds > lasts_s]
+    if too_long:
+        reserve = config.mission.reserve_percent
+        above = f" above the reserve of {reserve:g} %" if reserve else ""
+        yield Concern(
+            "battery",
+            f"the battery lasts {lasts_s:.0f} s{above}, which is not enough for the mission "
+            f"{', '.join(too_long)}",
+        )
+
+
+def _address_concerns(servers: Sequence[ServerConfig]) -> Iterator[Concern]:
+    by_address: dict[str, list[str]] = {}
+    for server in servers:
+        if server.address:
+            by_address.setdefault(server.address, []).append(server.name)
+    for address, names in by_address.items():
+        if len(names) > 1:
+            yield Concern(
+                "same-address",
+                f"{' and '.join(names)} have one address, {address}: right only if one daemon offers them all, "
+                "or each has it in a network of its own",
+            )
+
+
+def _flight_concerns(config: DroneConfig) -> Iterator[Concern]:
+    """What `upwash fly` would refuse."""
+    if config.mission.home is None:
+        yield Concern(
+            "no-home", "mission.home is missing: a flight needs the place where east and north are 0"
+        )
+    camera = config.camera
+    if camera.folder is None and camera.device is None and camera.park_seed is None:
+        yield Concern(
+            "no-camera", "no camera: say in [camera] where photos come from: folder, device or park_seed"
+        )
+    for server in config.servers:
+        if not server.address:
+            yield Concern("no-address", f"{server.name} has no address: say where its daemon is reached")
+        elif config.keys is None and not is_on_this_machine(server.address):
+            yield Concern(
+                "no-keys",
+                f"{server.name} at {server.address} needs certificates: make them with `upwash keys` and name them "
+                "in [keys]",
+            )

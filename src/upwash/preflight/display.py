@@ -1,0 +1,156 @@
+"""What a person sees of a check: progress while missions are flown, then coverage, predictions and warnings."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress
+from rich.table import Table
+from rich.text import Text
+
+from upwash.config import DroneConfig, drone_config
+from upwash.lab.campaign import Fly
+from upwash.preflight.check import Check, check, missions_to_fly, read_plan
+from upwash.preflight.concerns import is_for_flight
+from upwash.preflight.coverage import Coverage, spans
+from upwash.preflight.placement import Place, missions_to_place, place
+from upwash.preflight.prediction import LOCAL_ONLY, Prediction, is_noisy
+
+
+def show_check(
+    file: Path,
+    *,
+    seeds: int,
+    servers_to_place: int = 0,
+    as_json: bool = False,
+    figures: Path | None = None,
+    fly: Fly,
+) -> bool:
+    """Checks the file and prints what was found; returns whether nothing will hurt."""
+    plan = read_plan(file)
+    seeds = seeds if is_noisy(plan.config) else 1
+    with _progress("flying it in simulation", missions_to_fly(plan, seeds)) as flown:
+        found = check(plan, seeds=seeds, fly=fly, flown=flown)
+    drawn = plan.config
+    if servers_to_place:
+        with _progress("trying places", missions_to_place(servers_to_place)) as flown:
+            places, document = place(
+                plan.document, plan.config, file, servers=servers_to_place, fly=fly, flown=flown
+            )
+        found = msgspec.structs.replace(found, places=tuple(places))
+        drawn = drone_config(document, file)
+    if figures is not None:
+        _draw(drawn, figures)
+    if as_json:
+        sys.stdout.write(msgspec.json.encode(found).decode() + "\n")
+    else:
+        _print(found, plan.config, servers_to_place, Console(markup=False))
+    return not found.concerns
+
+
+@contextmanager
+def _progress(what: str, missions: int) -> Generator[Callable[[int], None]]:
+    columns = (*Progress.get_default_columns(), MofNCompleteColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(what, total=missions)
+        yield lambda flown: progress.advance(task, flown)
+
+
+def _draw(config: DroneConfig, folder: Path) -> None:
+    from upwash.lab.figures import draw_map
+
+    draw_map(config, folder / "coverage.png", title="waypoints by the servers that cover them")
+
+
+def _print(found: Check, config: DroneConfig, servers_to_place: int, console: Console) -> None:
+    console.print(
+        f"{found.config} is understood: {found.waypoints} waypoints, {len(config.services)} services, "
+        f"{len(config.servers)} servers",
+        soft_wrap=True,
+    )
+    if not is_for_flight(config):
+        console.print(
+            "it is a scenario, without autopilot.connection and addresses: what a flight needs was not looked at",
+            soft_wrap=True,
+        )
+    console.print()
+    if found.servers:
+        console.print(_coverage_table(found.servers, found.waypoints))
+        console.print(Text(f"in nobody's range: {spans(found.uncovered) or 'no waypoint'}"), soft_wrap=True)
+        console.print()
+    console.print(_prediction_table(found))
+    console.print(_how_sure(found, config), soft_wrap=True)
+    for each in found.places:
+        console.print(_place_line(each), soft_wrap=True)
+    if len(found.places) < servers_to_place:
+        console.print("one more server would gain nothing, wherever it stands")
+    console.print()
+    for concern in found.concerns:
+        console.print(Text("warning: ", style="yellow") + Text(concern.text), soft_wrap=True)
+    if not found.concerns:
+        console.print(Text("nothing to warn of", style="green"))
+
+
+def _coverage_table(servers: tuple[Coverage, ...], waypoints: int) -> Table:
+    table = Table(box=None, padding=(0, 2))
+    table.add_column("server", overflow="fold")
+    table.add_column("covers", justify="right", no_wrap=True)
+    table.add_column("waypoints", overflow="fold")
+    table.add_column("longest in range", justify="right", no_wrap=True)
+    for each in servers:
+        table.add_row(
+            Text(each.server),
+            f"{len(each.waypoints)} of {waypoints}",
+            spans(each.waypoints),
+            f"{each.longest_stay_s:.0f} s",
+        )
+    return table
+
+
+def _prediction_table(found: Check) -> Table:
+    local_only_s = next((each.mission_time_s for each in found.predictions if each.case == LOCAL_ONLY), None)
+    table = Table(box=None, padding=(0, 2))
+    table.add_column("predicted", overflow="fold")
+    for title in ("mission time", "against local-only", *(["battery left"] if found.usable_s else [])):
+        table.add_column(title, justify="right", no_wrap=True)
+    for each in found.predictions:
+        table.add_row(*_prediction_cells(each, local_only_s, found.usable_s))
+    return table
+
+
+def _prediction_cells(
+    prediction: Prediction, local_only_s: float | None, usable_s: float | None
+) -> list[Text]:
+    time_s = prediction.mission_time_s
+    if time_s is None:
+        return [Text(prediction.case), Text("not completed", style="red")]
+    margin = f" ± {prediction.margin_s / 60:.2f}" if prediction.margin_s is not None else ""
+    cells = [Text(prediction.case), Text(f"{time_s / 60:.2f}{margin} min")]
+    cells.append(Text(f"{100 * (time_s / local_only_s - 1):+.0f} %" if local_only_s else "-"))
+    if usable_s:
+        left_s = usable_s - time_s
+        cells.append(Text(f"{left_s / 60:.1f} min", style="red" if left_s < 0 else ""))
+    return cells
+
+
+def _how_sure(found: Check, config: DroneConfig) -> str:
+    missions = found.predictions[0].missions
+    if is_noisy(config):
+        sure = f"means of {missions} simulated missions each, ± 95 % confidence"
+    else:
+        sure = "one simulated mission each: without [noise] all are alike"
+    if found.usable_s is not None:
+        return sure
+    return f"{sure}; vehicle.endurance_s is not given, so nothing says whether the battery lasts"
+
+
+def _place_line(place: Place) -> str:
+    return (
+        f"one more server helps most at {place.east_m:.0f} m east, {place.north_m:.0f} m north "
+        f"({place.server}): {place.mission_time_s / 60:.2f} min"
+    )

@@ -1,0 +1,92 @@
+"""How long the mission will take, with all that may be missing: from simulated missions."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from msgspec import Struct
+
+from upwash.config import Document, DroneConfig
+from upwash.lab.campaign import Fly, fly_sweep
+from upwash.lab.sweep import Combination, Sweep
+
+LOCAL_ONLY, AS_CONFIGURED, ALONE = "local-only", "as configured", "without any server"
+
+
+class Prediction(Struct, frozen=True, kw_only=True):
+    """What became of one case in so many simulated missions.
+
+    `mission_time_s` is the mean of the completed ones, None where there are none; the true mean lies within
+    `margin_s` of it with a probability of 95 %. The margin is None where a single mission says all, or little.
+    `failures` are the reasons of those that were not completed.
+    """
+
+    case: str
+    missions: int
+    mission_time_s: float | None
+    margin_s: float | None
+    failures: tuple[str, ...] = ()
+
+    @property
+    def certain_margin_s(self) -> float:
+        """The margin, 0 for a single mission."""
+        return self.margin_s or 0.0
+
+
+def without(server: str) -> str:
+    """The case in which that server is dead."""
+    return f"without {server}"
+
+
+def is_noisy(config: DroneConfig) -> bool:
+    """Whether chance plays a part, so that one simulated mission is not like another."""
+    return bool(config.noise.call or config.noise.leg)
+
+
+def predict(
+    documents: dict[str, Document],
+    file: Path,
+    *,
+    seeds: int,
+    fly: Fly,
+    flown: Callable[[int], None] = lambda _: None,
+) -> list[Prediction]:
+    """Flies each of the named documents with the seeds 1 to `seeds`."""
+    combinations = tuple(Combination((case,), document) for case, document in documents.items())
+    summaries = fly_sweep(Sweep(file, (), combinations, seeds), fly=fly, flown=flown)
+    return [
+        Prediction(
+            case=summary.values[0],
+            missions=seeds,
+            mission_time_s=mean.value if (mean := summary.mission_time_s) else None,
+            margin_s=mean.margin if mean and mean.count > 1 else None,
+            failures=tuple(summary.failures.values()),
+        )
+        for summary in summaries
+    ]
+
+
+def cases(document: Document, config: DroneConfig) -> Iterator[tuple[str, Document]]:
+    """The mission local-only, as configured, with each server dead and with all of them dead."""
+    names = [server.name for server in config.servers]
+    yield LOCAL_ONLY, changed(document, policy=LOCAL_ONLY)
+    if config.policy.name == LOCAL_ONLY:
+        return
+    yield AS_CONFIGURED, changed(document)
+    for name in names:
+        yield without(name), changed(document, dead=[name])
+    if len(names) > 1:
+        yield ALONE, changed(document, dead=names)
+
+
+def changed(document: Document, *, policy: str | None = None, dead: Sequence[str] = ()) -> Document:
+    """The document under another policy, or with dead servers; flown to the end, without a reserve."""
+    other = copy.deepcopy(document)
+    other["mission"].pop("reserve_percent", None)
+    if policy is not None:
+        other.setdefault("policy", {})["name"] = policy
+    if dead:
+        other["fault"] = [{"target": name, "kind": "off"} for name in dead] + other.get("fault", [])
+    return other

@@ -1,0 +1,181 @@
+"""What is predicted of small missions, and what `upwash check` says of them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Generator, Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from upwash.cli import main
+from upwash.core.geo import Position
+from upwash.errors import UpwashError, UsageError
+from upwash.lab.campaign import Chunk, fly_chunk
+from upwash.lab.campaign_file import Row
+from upwash.lab.run import simulate
+from upwash.preflight.check import Check, check, missions_to_fly, read_plan
+from upwash.preflight.placement import STEPS, candidates, missions_to_place, place
+from upwash.preflight.prediction import ALONE, AS_CONFIGURED, LOCAL_ONLY, without
+
+SCENARIO = """
+[mission]
+waypoints_m = [[0, 0], [30, 0], [60, 0], [90, 0], [300, 0], [330, 0]]
+
+[[service]]
+name = "detector"
+local_call_s = { light = 3.0, heavy = 10.0 }
+
+[[server]]
+name = "s1"
+east_m = 45.0
+north_m = 0.0
+range_m = 60.0
+remote_call_s = { light = 0.3, heavy = 0.7 }
+"""
+SECOND = """
+[[server]]
+name = "s2"
+east_m = 3000.0
+north_m = 0.0
+range_m = 60.0
+remote_call_s = { light = 0.3, heavy = 0.7 }
+"""
+NOISE = "\n[noise]\ncall = 0.1\nleg = 0.1\n"
+
+
+@contextlib.contextmanager
+def here(chunks: Sequence[Chunk]) -> Generator[Iterator[list[Row]]]:
+    yield map(fly_chunk, chunks)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    file = tmp_path / "drone.toml"
+    file.write_text(SCENARIO)
+    return file
+
+
+def checked(file: Path, *, seeds: int = 1) -> tuple[Check, dict[str, float]]:
+    found = check(read_plan(file), seeds=seeds, fly=here)
+    return found, {
+        each.case: each.mission_time_s for each in found.predictions if each.mission_time_s is not None
+    }
+
+
+def test_each_case_is_predicted_by_the_missions_themselves(file: Path) -> None:
+    file.write_text(SCENARIO + SECOND)
+    plan = read_plan(file)
+    found, times_s = checked(file)
+    assert list(times_s) == [LOCAL_ONLY, AS_CONFIGURED, without("s1"), without("s2"), ALONE]
+    assert times_s[AS_CONFIGURED] == simulate(plan.config).result.mission_time_s
+    assert times_s[AS_CONFIGURED] == times_s[without("s2")] < times_s[without("s1")]
+    assert times_s[ALONE] == pytest.approx(times_s[LOCAL_ONLY], rel=0.01)
+    assert [each.kind for each in found.concerns] == ["covers-nothing"]
+    assert missions_to_fly(plan, 3) == 15
+
+
+def test_coverage_is_of_the_files_waypoints(file: Path) -> None:
+    found, _ = checked(file)
+    assert found.servers[0].waypoints == (0, 1, 2, 3)
+    assert found.uncovered == (4, 5)
+    assert found.servers[0].longest_stay_s > 4 * 10.0  # four calls on the drone, at least
+
+
+def test_noise_gives_a_margin_that_has_the_mean_within_it(file: Path) -> None:
+    file.write_text(SCENARIO + NOISE)
+    (local_only, configured, _) = checked(file, seeds=4)[0].predictions
+    assert local_only.missions == 4
+    assert local_only.mission_time_s is not None
+    assert configured.mission_time_s is not None
+    assert 0 < local_only.certain_margin_s < local_only.mission_time_s - configured.mission_time_s
+
+
+def test_a_mission_is_predicted_to_its_end_whatever_the_reserve(file: Path) -> None:
+    _, times_s = checked(file)
+    file.write_text(
+        SCENARIO.replace("[mission]", "[mission]\nreserve_percent = 50.0")
+        + "[vehicle]\nendurance_s = 150.0\n"
+    )
+    found, again_s = checked(file)
+    assert again_s == times_s
+    assert found.usable_s == 75.0 < times_s[AS_CONFIGURED]
+    assert [each.kind for each in found.concerns] == ["battery"]
+
+
+def test_a_drone_that_never_offloads_has_one_case(file: Path) -> None:
+    file.write_text(SCENARIO + '[policy]\nname = "local-only"\n')
+    assert list(checked(file)[1]) == [LOCAL_ONLY]
+
+
+@pytest.mark.parametrize(
+    ("program", "said"),
+    [
+        ("def fly(drone):\n    raise ValueError('no idea')\n", "with ValueError: no idea"),
+        ("def fly(drone):\n    drone.autopilot.goto(drone.plan[0])\n", "not completed in simulation: goto"),
+    ],
+)
+def test_a_mission_that_fails_by_itself_is_said_to(file: Path, program: str, said: str) -> None:
+    (file.parent / "failing.py").write_text(program)
+    file.write_text(SCENARIO.replace("[mission]", '[mission]\nprogram = "failing.py:fly"'))
+    with pytest.raises(UpwashError, match=said):
+        checked(file)
+
+
+# --- where more servers would help --------------------------------------------------------------------------
+
+
+def test_candidates_are_spread_over_the_field() -> None:
+    field = candidates([Position(0.0, 0.0), Position(60.0, 0.0), Position(60.0, 120.0)])
+    assert len(field) == STEPS**2
+    assert (field[0], field[-1]) == (Position(5.0, 10.0), Position(55.0, 110.0))
+    assert len(candidates([Position(0.0, 7.0), Position(60.0, 7.0)])) == STEPS
+
+
+def test_a_server_is_placed_where_none_is_and_none_where_it_gains_nothing(file: Path) -> None:
+    plan = read_plan(file)
+    _, times_s = checked(file)
+    flown: list[int] = []
+    places, document = place(plan.document, plan.config, file, servers=3, fly=here, flown=flown.append)
+    assert places[0].server == "new1"
+    assert places[0].east_m > 240.0  # within range of the last two waypoints
+    assert places[0].mission_time_s < times_s[AS_CONFIGURED]
+    assert len(places) < 3
+    assert [server["name"] for server in document["server"]] == ["s1", *(each.server for each in places)]
+    assert sum(flown) <= missions_to_place(3)
+
+
+def test_without_a_server_to_be_like_nothing_is_placed(file: Path) -> None:
+    file.write_text(SCENARIO.partition("[[server]]")[0])
+    plan = read_plan(file)
+    with pytest.raises(UsageError, match="needs one"):
+        place(plan.document, plan.config, file, servers=1, fly=here)
+
+
+# --- the command --------------------------------------------------------------------------------------------
+
+
+def test_a_person_reads_coverage_predictions_and_warnings(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["check", str(file), "--workers", "1"]) == 0
+    printed = capsys.readouterr().out
+    assert "4 of 6    0-3" in printed
+    assert "in nobody's range: 4-5" in printed
+    assert "nothing to warn of" in printed
+    file.write_text(SCENARIO + SECOND)
+    assert main(["check", str(file), "--workers", "1"]) == 1
+    assert "warning: s2 covers no waypoint" in capsys.readouterr().out
+
+
+def test_json_is_one_object_and_the_figure_is_drawn(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    figures = file.parent / "figures"
+    assert main(["check", str(file), "--json", "--workers", "1", "--figures", str(figures)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert list(found) == [
+        "config", "waypoints", "uncovered", "servers", "predictions", "usable_s", "concerns", "places",
+    ]  # fmt: skip
+    assert [each["case"] for each in found["predictions"]] == [LOCAL_ONLY, AS_CONFIGURED, without("s1")]
+    assert (figures / "coverage.png").is_file()

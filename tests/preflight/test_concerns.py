@@ -1,0 +1,173 @@
+"""What is warned of: decided on values alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from upwash.config import DroneConfig, drone_config
+from upwash.preflight.concerns import Belief, concerns, usable_s
+from upwash.preflight.coverage import Coverage
+from upwash.preflight.prediction import ALONE, AS_CONFIGURED, LOCAL_ONLY, Prediction, without
+
+OPERATION = "detector.process_photo[heavy]"
+
+
+def configured(*, servers: tuple[str, ...] = ("s1",), **tables: Any) -> DroneConfig:
+    """A configuration in which nothing hurts, but for what the tables change."""
+    document = {
+        "mission": {"waypoints_m": [[0, 0]], **tables.pop("mission", {})},
+        "service": [{"name": "detector", "local_call_s": {"heavy": 10.0}}],
+        "server": [
+            {"name": name, "east_m": 0, "north_m": 0, "range_m": 50, "remote_call_s": {"heavy": 1.0}}
+            for name in servers
+        ],
+        **tables,
+    }
+    return drone_config(document, Path("drone.toml"))
+
+
+def covered(**changes: Any) -> Coverage:
+    return msgspec.structs.replace(
+        Coverage(server="s1", range_m=50.0, nearest_m=0.0, waypoints=(0,), longest_stay_s=60.0), **changes
+    )
+
+
+def believed(local_s: float = 10.0, **remote_s: float) -> Belief:
+    return Belief(operation=OPERATION, local_s=local_s, remote_s=remote_s or {"s1": 1.0})
+
+
+def predicted(**times_s: float | None) -> list[Prediction]:
+    names = {"local": LOCAL_ONLY, "configured": AS_CONFIGURED, "s1": without("s1"), "alone": ALONE}
+    return [
+        Prediction(case=names[case], missions=1, mission_time_s=time_s, margin_s=None)
+        for case, time_s in times_s.items()
+    ]
+
+
+GOOD = predicted(local=100.0, configured=50.0, s1=100.0)
+
+
+def kinds(
+    config: DroneConfig,
+    cover: Coverage | None = None,
+    belief: Belief | None = None,
+    predictions: list[Prediction] | None = None,
+) -> list[str]:
+    found = concerns(config, [cover or covered()], [belief or believed()], predictions or GOOD)
+    return [each.kind for each in found]
+
+
+def test_nothing_is_said_where_nothing_hurts() -> None:
+    assert kinds(configured()) == []
+
+
+@pytest.mark.parametrize(
+    ("cover", "kind", "said"),
+    [
+        (covered(waypoints=(), nearest_m=80.0, longest_stay_s=0.0), "covers-nothing", "80 m away"),
+        (covered(longest_stay_s=3.0), "too-short", "never ready in time"),
+        (covered(longest_stay_s=11.0), "too-short", "only if they run already"),
+    ],
+)
+def test_a_server_that_is_too_far_or_too_short_in_range_is_named(
+    cover: Coverage, kind: str, said: str
+) -> None:
+    (concern,) = concerns(configured(), [cover], [believed()], GOOD)
+    assert concern.kind == kind
+    assert said in concern.text
+
+
+def test_an_operation_that_no_server_is_faster_for_is_named() -> None:
+    assert kinds(configured(), belief=believed(local_s=1.0)) == ["not-faster"]
+    assert kinds(configured(servers=("s1", "s2")), belief=believed(local_s=1.0, s1=2.0, s2=0.5)) == []
+
+
+def test_an_operation_that_no_server_offers_is_named() -> None:
+    nowhere = Belief(operation=OPERATION, local_s=10.0, remote_s={})
+    assert kinds(configured(), belief=nowhere) == ["not-offered"]
+    assert concerns(configured(servers=()), [], [nowhere], predicted(local=9.0, configured=9.0)) == []
+
+
+def test_a_wait_that_can_never_pay_off_is_named() -> None:
+    greedy = {"gain_wait": 0.9}
+    assert kinds(configured(policy=greedy)) == ["never-waits"]
+    assert kinds(configured(policy=greedy), belief=believed(s1=0.9)) == []
+    assert kinds(configured(policy={"gain_wait": 0.89})) == []
+
+
+def test_servers_that_gain_nothing_or_hurt_are_named() -> None:
+    assert kinds(configured(), predictions=predicted(local=100.0, configured=99.5, s1=100.0)) == ["no-gain"]
+    assert kinds(configured(), predictions=predicted(local=100.0, configured=60.0, s1=55.0)) == ["hurts"]
+
+
+def test_what_the_margins_leave_open_is_no_difference() -> None:
+    unsure = [
+        msgspec.structs.replace(each, margin_s=3.0)
+        for each in predicted(local=100.0, configured=60.0, s1=55.0)
+    ]
+    assert kinds(configured(), predictions=unsure) == []
+
+
+def test_the_battery_has_to_last_above_the_reserve_margin_included() -> None:
+    config = configured(vehicle={"endurance_s": 100.0}, mission={"reserve_percent": 20.0})
+    assert usable_s(config) == 80.0
+    (concern,) = concerns(config, [covered()], [believed()], GOOD)
+    assert concern.kind == "battery"
+    assert "80 s above the reserve of 20 %" in concern.text
+    assert "local-only (100 s), without s1 (100 s)" in concern.text
+    lasting = predicted(local=79.0, configured=40.0)
+    assert kinds(config, predictions=lasting) == []
+    assert kinds(config, predictions=[msgspec.structs.replace(lasting[0], margin_s=2.0)]) == ["battery"]
+
+
+def test_without_an_endurance_nothing_is_said_of_the_battery() -> None:
+    assert usable_s(configured(mission={"reserve_percent": 20.0})) is None
+
+
+def test_missions_that_fail_alike_are_said_once() -> None:
+    failed = [
+        Prediction(case=case, missions=2, mission_time_s=None, margin_s=None, failures=("lost",))
+        for case in (LOCAL_ONLY, AS_CONFIGURED)
+    ]
+    (concern,) = concerns(configured(), [covered()], [believed()], failed)
+    assert concern.text.endswith("local-only (1 of 2), as configured (1 of 2): lost")
+
+
+def with_addresses(*addresses: str, **tables: Any) -> DroneConfig:
+    config = configured(servers=tuple(f"s{number}" for number in range(1, len(addresses) + 1)), **tables)
+    servers = tuple(
+        msgspec.structs.replace(server, address=address or None)
+        for server, address in zip(config.servers, addresses, strict=True)
+    )
+    return msgspec.structs.replace(config, servers=servers)
+
+
+FLIGHT: dict[str, Any] = {
+    "mission": {"home": {"latitude_deg": 39.0, "longitude_deg": 22.0}},
+    "camera": {"folder": "photos"},
+}
+
+
+def test_two_servers_with_one_address_are_named() -> None:
+    assert kinds(with_addresses("127.0.0.1:1", "127.0.0.1:1", **FLIGHT)) == ["same-address"]
+    assert kinds(with_addresses("127.0.0.1:1", "127.0.0.1:2", **FLIGHT)) == []
+
+
+def test_what_a_flight_would_be_refused_for_is_named() -> None:
+    assert kinds(with_addresses("127.0.0.1:1", "", **FLIGHT)) == ["no-address"]
+    assert kinds(with_addresses("10.0.0.1:1", **FLIGHT)) == ["no-keys"]
+    assert kinds(with_addresses("127.0.0.1:1")) == ["no-home", "no-camera"]
+
+
+def test_a_scenario_needs_none_of_that() -> None:
+    assert kinds(with_addresses("", "")) == []
+
+
+def test_a_drone_that_never_offloads_is_not_told_of_servers() -> None:
+    assert (
+        kinds(configured(policy={"name": "local-only"}), covered(waypoints=()), believed(local_s=0.5)) == []
+    )
