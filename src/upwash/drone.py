@@ -9,7 +9,9 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequenc
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from upwash.config import DroneConfig, ending, geofence, waypoints
+import msgspec
+
+from upwash.config import DroneConfig, ending, geofence, server_area, waypoints
 from upwash.core.estimates import Operation
 from upwash.core.geo import Position, Waypoint, ground_distance_m
 from upwash.core.geofence import Fence, breached_by_leg, breached_by_position
@@ -359,6 +361,7 @@ class Flight:
         try:
             await self._find_vehicle()
             await self._start_services()
+            journal.record("planned", **self._planned())
             journal.record(
                 "mission_started",
                 drone=config.name,
@@ -374,6 +377,20 @@ class Flight:
             raise
         finally:
             await self._onboard.close()
+
+    def _planned(self) -> Mapping[str, object]:
+        """What a reader of the log needs to draw the flight on a map."""
+        mission = self._config.mission
+        places = [each.position for each in self._waypoints]
+        return {
+            "home": msgspec.to_builtins(mission.home),
+            "waypoints_m": [(place.east_m, place.north_m) for place in places],
+            "ranges": {
+                server.name: msgspec.to_builtins(server_area(server, mission.home))
+                for server in self._config.servers
+            },
+            "paced": any(service.local_pace_s for service in self._config.services),
+        }
 
     def stop(self, why: str) -> None:
         """Ends the mission early, in the configured action."""

@@ -50,7 +50,7 @@ class RunResult(msgspec.Struct, frozen=True):
 
         None where an operation was never run on the drone, so that nothing measured says.
         """
-        local = _mean_local_delay_s(self.calls)
+        local = mean_local_delay_s(self.calls)
         if any(call.operation not in local for call in self.calls):
             return None
         return self.mission_time_s + sum(local[call.operation] - call.delay_s for call in self.calls)
@@ -138,7 +138,8 @@ def _call(event: Mapping[str, Any], waypoint: int | None, began_s: float) -> Cal
     )
 
 
-def _mean_local_delay_s(calls: Iterable[CallResult]) -> dict[str, float]:
+def mean_local_delay_s(calls: Iterable[CallResult]) -> dict[str, float]:
+    """By operation, what its calls on the drone took on average, without what was waited for servers."""
     delays: dict[str, list[float]] = {}
     for call in calls:
         if call.place == "local":

@@ -77,10 +77,11 @@ def test_a_world_where_the_mission_makes_other_calls_is_no_comparison_call_by_ca
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("seed = 1\n", "is no event log"),
-        ("[]\n", "is no event log"),
-        ("{}\n", "is no event log"),
-        ("", "no service call"),
+        ("seed = 1\n", "is not an event log"),
+        ("[]\n", "is not an event log"),
+        ("{}\n", "is not an event log"),
+        ("", "is not an event log"),
+        ('{"t": 0.0, "event": "landed"}\n', "no service call"),
     ],
 )
 def test_what_is_no_log_is_refused(
@@ -91,4 +92,4 @@ def test_what_is_no_log_is_refused(
     assert main(["explain", str(file)]) == 2
     assert complaint in capsys.readouterr().err
     assert main(["explain", str(tmp_path / "missing.jsonl")]) == 2
-    assert "cannot be read" in capsys.readouterr().err
+    assert "cannot read the event log" in capsys.readouterr().err

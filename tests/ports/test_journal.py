@@ -188,9 +188,10 @@ def test_a_log_that_another_flight_writes_is_not_resumed(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("content", "why"),
     [
-        (b"", "not the event log"),
+        (b"", "is not an event log"),
         (b"photo\n", "is not an event log"),
-        (b'{"t":1}\n', "not the event log"),
+        (b'{"t":1}\n', "is not an event log"),
+        (b'{"t":1,"event":"arrived"}\n', "not the event log of a flight"),
         (b"[1]\n", "is not an event log"),
     ],
 )

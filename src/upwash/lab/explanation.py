@@ -7,28 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
+from upwash import event_log
 from upwash.core.policies import POLICIES
-from upwash.core.servers import Event
 from upwash.errors import UsageError
 from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run, simulate
 from upwash.lab.simulation import read_scenario
-from upwash.results import CallResult, last_run, read_result
-
-_TOLD = {Event.SELECTED, Event.CHECK_FAILED, Event.CALL_FAILED_IN_RANGE, Event.CALL_FAILED_OUT_OF_RANGE}
-_LEFT = {Event.DESELECTED, Event.DESELECTED_AFTER_START}
-
-
-@dataclass(frozen=True, slots=True)
-class ExplainedCall:
-    """One call, the decisions made for it, and what happened to the selection since the call before."""
-
-    waypoint: int | None
-    outcome: Mapping[str, Any]
-    decisions: Sequence[Mapping[str, Any]]
-    changes: Sequence[Mapping[str, Any]]
+from upwash.reasons import explained_calls, ran_on, told
+from upwash.results import CallResult, read_result
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,17 +39,8 @@ def show_explanation(log: Path, *, scenario: Path | None = None) -> None:
 
 
 def read_log(log: Path) -> list[dict[str, Any]]:
-    """The events of a log; raises UsageError for a file that is none."""
-    try:
-        lines = log.read_bytes().splitlines()
-    except OSError as error:
-        raise UsageError(f"{log} cannot be read: {error.strerror}") from error
-    try:
-        events = [msgspec.json.decode(line, type=dict[str, Any]) for line in lines]
-    except msgspec.MsgspecError as error:
-        raise UsageError(f"{log} is no event log: {error}") from error
-    if not all("event" in event and "t" in event for event in events):
-        raise UsageError(f"{log} is no event log: each line of one has an event and its time")
+    """The events of a log with calls; raises UsageError for any other file."""
+    events = event_log.read(log)
     if not any(event["event"] == "call" for event in events):
         raise UsageError(f"{log} has no service call to explain")
     return events
@@ -88,7 +65,9 @@ def explain(events: Sequence[Mapping[str, Any]], replayed: Replay) -> Iterator[s
     """The explanation, line by line."""
     result = read_result(events)
     for number, call in enumerate(explained_calls(events)):
-        yield from _call_lines(call)
+        heading, *reasons = told(call)
+        yield heading
+        yield from (f"    {reason}" for reason in reasons)
         if replayed.runs:
             yield f"    {_elsewhere(number, len(result.calls), replayed, result.policy)}"
         yield ""
@@ -104,81 +83,14 @@ def explain(events: Sequence[Mapping[str, Any]], replayed: Replay) -> Iterator[s
         yield f"    an all-knowing drone: at least {replayed.bound_s:.1f} s"
 
 
-def explained_calls(events: Sequence[Mapping[str, Any]]) -> Iterator[ExplainedCall]:
-    """The calls of a log in their order."""
-    waypoint: int | None = None
-    decisions: list[Mapping[str, Any]] = []
-    changes: list[Mapping[str, Any]] = []
-    for event in last_run(events):
-        match event["event"]:
-            case "arrived":
-                waypoint = event["waypoint"]
-            case "decided":
-                decisions.append(event)
-            case "call":
-                later = [change for change in changes if change["t"] >= event["t"]]
-                yield ExplainedCall(waypoint, event, decisions, changes[: len(changes) - len(later)])
-                decisions, changes = [], later
-            case name if name in _TOLD or name in _LEFT:
-                changes.append(event)
-
-
-def _call_lines(call: ExplainedCall) -> Iterator[str]:
-    outcome = call.outcome
-    where = "" if call.waypoint is None else f"waypoint {call.waypoint}, "
-    yield (
-        f"{where}{outcome['at_s']:.1f} s: {outcome['operation']} {_place(outcome['place'])}, "
-        f"{outcome['delay_s']:.2f} s"
-    )
-    for change in call.changes:
-        verb = {Event.SELECTED: "selected"}.get(change["event"], change["event"].replace("_", " "))
-        yield f"    at {change['t']:.1f} s {change['server']} was {verb}: {change['why']}"
-    for decision in call.decisions:
-        yield f"    {_beliefs(decision)}"
-        yield f"    so it was to {_verdict(decision)}: {decision['why']}"
-    if outcome["fell_back"]:
-        yield "    no usable answer came, so the drone did it itself"
-
-
-def _beliefs(decision: Mapping[str, Any]) -> str:
-    local_s, remote_s, server = decision["local_s"], decision["remote_s"], decision["selected"]
-    drone = (
-        "nothing is known of a call on the drone" if local_s is None else f"the drone needs {local_s:.2f} s"
-    )
-    if server is None:
-        return f"{drone}, it was believed, and no server was selected"
-    there = "an unknown time" if remote_s is None else f"{remote_s:.2f} s"
-    state = decision["state"]
-    checked = (
-        ""
-        if state == "READY"
-        else f", its check having taken {decision['check_elapsed_s']:.1f} of {decision['check_s']:.1f} s"
-    )
-    return f"{drone}, it was believed, and {server}, in state {state}, {there}{checked}"
-
-
-def _verdict(decision: Mapping[str, Any]) -> str:
-    match decision["decision"]:
-        case "remote":
-            return f"run on {decision['server']}, for at most {decision['deadline_s']:.1f} s"
-        case "wait":
-            return f"wait for {decision['server']}, for at most {decision['at_most_s']:.1f} s"
-        case _:
-            return "run on the drone"
-
-
 def _elsewhere(number: int, count: int, replayed: Replay, own: str) -> str:
     """What the other policies did with the same call; a mission that made other calls has no same one."""
-    told = []
+    others = []
     for policy, run in replayed.runs.items():
         if policy != own:
             calls = run.result.calls
             same: CallResult | None = calls[number] if len(calls) == count else None
-            told.append(
-                f"{policy}: {_place(same.place)}, {same.delay_s:.2f} s" if same else f"{policy}: other calls"
+            others.append(
+                f"{policy}: {ran_on(same.place)}, {same.delay_s:.2f} s" if same else f"{policy}: other calls"
             )
-    return "; ".join(told)
-
-
-def _place(place: str) -> str:
-    return "on the drone" if place == "local" else f"on {place}"
+    return "; ".join(others)

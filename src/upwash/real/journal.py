@@ -13,6 +13,7 @@ from typing import Any
 
 import msgspec
 
+from upwash import event_log
 from upwash.core.geo import Position
 from upwash.errors import UsageError
 
@@ -86,16 +87,9 @@ class FileJournal:
 
 
 def read_events(path: Path) -> list[dict[str, Any]]:
-    """The events of a log, but for a last line that a failing computer left unfinished; raises UsageError."""
-    try:
-        lines = path.read_bytes().split(b"\n")[:-1]  # what follows the last line's end is nothing, or torn
-    except OSError as error:
-        raise UsageError(f"cannot read the event log {path}: {error.strerror}") from error
-    try:
-        events = msgspec.convert([msgspec.json.decode(line) for line in lines], list[dict[str, Any]])
-    except msgspec.MsgspecError as error:
-        raise UsageError(f"{path} is not an event log: {error}") from error
-    if not events or events[0].get("event") != "log_opened":
+    """The events of a flight's log, which begins with the time of day; raises UsageError."""
+    events = event_log.read(path)
+    if events[0]["event"] != "log_opened":
         raise UsageError(f"{path} is not the event log of a flight")
     return events
 

@@ -1,0 +1,92 @@
+"""Why each call of a flight ran where it ran, read from its events, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from upwash.core.servers import Event
+from upwash.results import last_run
+
+_TOLD = {Event.SELECTED, Event.CHECK_FAILED, Event.CALL_FAILED_IN_RANGE, Event.CALL_FAILED_OUT_OF_RANGE}
+_LEFT = {Event.DESELECTED, Event.DESELECTED_AFTER_START}
+
+
+@dataclass(frozen=True, slots=True)
+class ExplainedCall:
+    """One call, the decisions made for it, and what happened to the selection since the call before."""
+
+    waypoint: int | None
+    outcome: Mapping[str, Any]
+    decisions: Sequence[Mapping[str, Any]]
+    changes: Sequence[Mapping[str, Any]]
+
+
+def explained_calls(events: Sequence[Mapping[str, Any]]) -> Iterator[ExplainedCall]:
+    """The calls of a log in their order."""
+    waypoint: int | None = None
+    decisions: list[Mapping[str, Any]] = []
+    changes: list[Mapping[str, Any]] = []
+    for event in last_run(events):
+        match event["event"]:
+            case "arrived":
+                waypoint = event["waypoint"]
+            case "decided":
+                decisions.append(event)
+            case "call":
+                later = [change for change in changes if change["t"] >= event["t"]]
+                yield ExplainedCall(waypoint, event, decisions, changes[: len(changes) - len(later)])
+                decisions, changes = [], later
+            case name if name in _TOLD or name in _LEFT:
+                changes.append(event)
+
+
+def told(call: ExplainedCall) -> Iterator[str]:
+    """The call and its reasons, a line each."""
+    outcome = call.outcome
+    where = "" if call.waypoint is None else f"waypoint {call.waypoint}, "
+    yield (
+        f"{where}{outcome['at_s']:.1f} s: {outcome['operation']} {ran_on(outcome['place'])}, "
+        f"{outcome['delay_s']:.2f} s"
+    )
+    for change in call.changes:
+        verb = {Event.SELECTED: "selected"}.get(change["event"], change["event"].replace("_", " "))
+        yield f"at {change['t']:.1f} s {change['server']} was {verb}: {change['why']}"
+    for decision in call.decisions:
+        yield _beliefs(decision)
+        yield f"so it was to {_verdict(decision)}: {decision['why']}"
+    if outcome["fell_back"]:
+        yield "no usable answer came, so the drone did it itself"
+
+
+def _beliefs(decision: Mapping[str, Any]) -> str:
+    local_s, remote_s, server = decision["local_s"], decision["remote_s"], decision["selected"]
+    drone = (
+        "nothing is known of a call on the drone" if local_s is None else f"the drone needs {local_s:.2f} s"
+    )
+    if server is None:
+        return f"{drone}, it was believed, and no server was selected"
+    there = "an unknown time" if remote_s is None else f"{remote_s:.2f} s"
+    state = decision["state"]
+    checked = (
+        ""
+        if state == "READY"
+        else f", its check having taken {decision['check_elapsed_s']:.1f} of {decision['check_s']:.1f} s"
+    )
+    return f"{drone}, it was believed, and {server}, in state {state}, {there}{checked}"
+
+
+def _verdict(decision: Mapping[str, Any]) -> str:
+    match decision["decision"]:
+        case "remote":
+            return f"run on {decision['server']}, for at most {decision['deadline_s']:.1f} s"
+        case "wait":
+            return f"wait for {decision['server']}, for at most {decision['at_most_s']:.1f} s"
+        case _:
+            return "run on the drone"
+
+
+def ran_on(place: str) -> str:
+    """Where a call ran, as a sentence says it."""
+    return "on the drone" if place == "local" else f"on {place}"

@@ -1,0 +1,1 @@
+"""What event logs tell: a page for people, and files for other tools."""

@@ -1,0 +1,110 @@
+"""Runs as files for other tools: CSV, GeoJSON, and the results as JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import msgspec
+
+from upwash.core.geo import Circle, LocalFrame, Position
+from upwash.errors import UsageError
+from upwash.report.record import Record
+from upwash.results import RunResult
+
+_SIDES = 64  # of the polygon that stands for a range
+_DIGITS = 7  # of a degree: about a centimetre
+
+
+class Exported(msgspec.Struct, frozen=True):
+    """One run in the JSON export."""
+
+    log: str
+    result: RunResult
+    local_only_time_s: float | None
+    saved_s: float | None
+
+
+def write_json(records: Sequence[Record]) -> str:
+    """The results as one JSON array, an object a run."""
+    exported = [
+        Exported(record.name, record.result, record.result.local_only_time_s(), record.saved_s)
+        for record in records
+    ]
+    return msgspec.json.encode(exported).decode()
+
+
+def write_csv(records: Sequence[Record]) -> str:
+    """A row a call; numbers in full precision."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(
+        ["log", "waypoint", "at_s", "operation", "place", "delay_s", "waited_s", "wait", "fell_back",
+         "east_m", "north_m", "decision"]
+    )  # fmt: skip
+    for record in records:
+        for call in record.calls:
+            result, place = call.result, call.position
+            rows.writerow(
+                [record.name, result.waypoint, result.at_s, result.operation, result.place, result.delay_s,
+                 result.waited_s, call.wait, int(call.fell_back), place.east_m if place else None,
+                 place.north_m if place else None, result.decision]
+            )  # fmt: skip
+    return text.getvalue()
+
+
+def write_geojson(records: Sequence[Record]) -> str:
+    """Tracks, waypoints, ranges and calls on the Earth (RFC 7946); UsageError for a run without a home."""
+    features = [feature for record in records for feature in _features(record)]
+    return msgspec.json.encode({"type": "FeatureCollection", "features": features}).decode()
+
+
+def _features(record: Record) -> Iterator[dict[str, Any]]:
+    if record.plan.home is None:
+        raise UsageError(
+            f"{record.name} does not say where home is, so nothing in it has coordinates: "
+            "set mission.home in the configuration and fly again"
+        )
+    frame = LocalFrame(record.plan.home)
+
+    def feature(kind: str, shape: str, coordinates: object, **facts: object) -> dict[str, Any]:
+        return {
+            "type": "Feature",
+            "geometry": {"type": shape, "coordinates": coordinates},
+            "properties": {"log": record.name, "kind": kind, **facts},
+        }
+
+    yield feature("home", "Point", _degrees(frame, Position(0.0, 0.0)))
+    track = [_degrees(frame, fix.position) for fix in record.track]
+    if len(track) > 1:  # one place is no line
+        yield feature("track", "LineString", track, at_s=[fix.at_s for fix in record.track])
+    for name, area in record.plan.ranges.items():
+        yield feature("range", "Polygon", [_ring(frame, area)], server=name, range_m=area.radius_m)
+    for index, (east_m, north_m) in enumerate(record.plan.waypoints_m):
+        yield feature("waypoint", "Point", _degrees(frame, Position(east_m, north_m)), waypoint=index)
+    for call in record.calls:
+        if call.position is not None:
+            facts = msgspec.to_builtins(call.result)
+            yield feature("call", "Point", _degrees(frame, call.position), **facts)
+
+
+def _degrees(frame: LocalFrame, place: Position) -> list[float]:
+    """Longitude before latitude, as GeoJSON has them; heights there are not those above home, so none is given."""
+    geo = frame.geo(place)
+    return [round(geo.longitude_deg, _DIGITS), round(geo.latitude_deg, _DIGITS)]
+
+
+def _ring(frame: LocalFrame, area: Circle) -> list[list[float]]:
+    """The circle as a closed ring, anticlockwise."""
+    angles = [math.tau * side / _SIDES for side in range(_SIDES)]
+    corners = [
+        Position(
+            area.centre.east_m + area.radius_m * math.cos(angle),
+            area.centre.north_m + area.radius_m * math.sin(angle),
+        )
+        for angle in angles
+    ]
+    return [_degrees(frame, corner) for corner in (*corners, corners[0])]

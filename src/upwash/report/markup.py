@@ -1,0 +1,40 @@
+"""HTML and SVG as values: text is escaped where it enters, so that a log is never read as markup."""
+
+from __future__ import annotations
+
+import html
+import re
+
+_UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")  # no XML has them
+
+
+class Markup(str):
+    """Text that is markup already."""
+
+    __slots__ = ()
+
+
+def element(name: str, /, *children: str, **attributes: str | float) -> Markup:
+    """An element; children that are not Markup are text. `stroke_width` is the attribute stroke-width.
+
+    Without children it closes itself, which HTML takes from its void elements and from those of SVG only.
+    """
+    written = "".join(
+        f' {key.rstrip("_").replace("_", "-")}="{_value(value)}"' for key, value in attributes.items()
+    )
+    if not children:
+        return Markup(f"<{name}{written}/>")
+    return Markup(f"<{name}{written}>{joined(*children)}</{name}>")
+
+
+def joined(*children: str) -> Markup:
+    """Several pieces in a row."""
+    return Markup("".join(child if isinstance(child, Markup) else _escaped(child) for child in children))
+
+
+def _value(value: str | float) -> str:
+    return _escaped(value) if isinstance(value, str) else f"{value:.6g}"
+
+
+def _escaped(text: str) -> str:
+    return html.escape(_UNPRINTABLE.sub("\ufffd", text))

@@ -1,0 +1,155 @@
+"""What the figures show, as tables: for those who read numbers, and for those who cannot see figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from upwash.core.servers import State
+from upwash.report.charts import state_seconds
+from upwash.report.markup import Markup, element
+from upwash.report.places import name_of
+from upwash.report.record import Record
+from upwash.results import mean_local_delay_s
+
+
+def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Markup:
+    """A table whose first column names its rows."""
+    body = [
+        element(
+            "tr",
+            element("th", row[0], scope="row"),
+            *(element("td", cell) for cell in row[1:]),
+        )
+        for row in rows
+    ]
+    return element(
+        "div",
+        element(
+            "table",
+            element("caption", caption),
+            element("thead", element("tr", *(element("th", head, scope="col") for head in heads))),
+            element("tbody", *body) if body else "",
+        ),
+        class_="scroll",
+        tabindex="0",
+        role="region",
+        aria_label=caption,
+    )
+
+
+def folded(summary: str, *content: Markup) -> Markup:
+    """Content that is opened by its summary."""
+    return element("details", element("summary", summary), *content)
+
+
+def totals(records: Sequence[Record]) -> Markup:
+    """What each run came to, a column each."""
+    rows = [
+        ["policy", *(record.result.policy for record in records)],
+        ["mission time", *(f"{record.result.mission_time_s:.1f} s{_ended(record)}" for record in records)],
+        ["waypoints reached", *(_reached(record) for record in records)],
+        ["calls", *(str(record.result.totals.calls) for record in records)],
+        ["calls on the drone", *(str(record.result.totals.local) for record in records)],
+        ["calls on servers", *(_remote(record) for record in records)],
+        ["calls that fell back to the drone", *(str(record.result.totals.fallbacks) for record in records)],
+        ["waits, of which in vain", *(_waits(record) for record in records)],
+        ["selections of a server", *(str(record.result.totals.switches) for record in records)],
+        ["time spent in calls", *(f"{record.result.totals.service_delay_s:.1f} s" for record in records)],
+        ["with every call on the drone", *(_local_only(record) for record in records)],
+        ["saved by offloading", *(_saved(record) for record in records)],
+    ]
+    return table("Totals", ["", *(record.name for record in records)], rows)
+
+
+def _ended(record: Record) -> str:
+    return "" if record.result.completed else ", not completed"
+
+
+def _reached(record: Record) -> str:
+    return f"{record.result.waypoints - len(record.result.undone)} of {record.result.waypoints}"
+
+
+def _remote(record: Record) -> str:
+    return ", ".join(f"{count} on {name}" for name, count in record.result.totals.remote.items()) or "0"
+
+
+def _waits(record: Record) -> str:
+    return f"{record.result.totals.waits}, {record.result.totals.waits_failed}"
+
+
+def _local_only(record: Record) -> str:
+    local_only_s = record.result.local_only_time_s()
+    return "not known" if local_only_s is None else f"{local_only_s:.1f} s"
+
+
+def _saved(record: Record) -> str:
+    local_only_s, saved_s = record.result.local_only_time_s(), record.saved_s
+    if not local_only_s or saved_s is None:
+        return "not known"
+    return f"{saved_s:.1f} s, {100 * saved_s / local_only_s:.0f} %"
+
+
+def by_operation(record: Record) -> Markup:
+    """What calls of each operation took, on the drone and altogether."""
+    local_s = mean_local_delay_s(record.result.calls)
+    rows = []
+    for operation in sorted({call.operation for call in record.result.calls}):
+        delays = [call.delay_s for call in record.result.calls if call.operation == operation]
+        alone = f"{local_s[operation]:.2f} s" if operation in local_s else "not measured"
+        rows.append([operation, str(len(delays)), alone, f"{sum(delays) / len(delays):.2f} s"])
+    return table("By operation", ["operation", "calls", "mean on the drone", "mean of all"], rows)
+
+
+def calls(record: Record) -> Markup:
+    """Every call, by waypoint."""
+    rows = [
+        [
+            "start" if call.result.waypoint is None else str(call.result.waypoint),
+            f"{call.result.at_s:.1f} s",
+            call.result.operation,
+            name_of(call.result.place),
+            f"{call.result.delay_s:.2f} s",
+            f"{call.result.waited_s:.2f} s, {call.wait}" if call.wait else "",
+            call.result.decision,
+        ]
+        for call in record.calls
+    ]
+    heads = ["waypoint", "at", "operation", "place", "delay", "waited", "decision"]
+    return table("Calls by waypoint", heads, rows)
+
+
+def map_places(record: Record) -> Markup:
+    """Where the servers were believed to be in range."""
+    rows = [
+        [name, f"{area.centre.east_m:.1f} m", f"{area.centre.north_m:.1f} m", f"{area.radius_m:g} m"]
+        for name, area in record.plan.ranges.items()
+    ]
+    return table("Ranges of the servers, from home", ["server", "east", "north", "range"], rows)
+
+
+def waypoints(record: Record) -> Markup:
+    """Where the waypoints are."""
+    rows = [
+        [str(index), f"{east_m:.1f} m", f"{north_m:.1f} m"]
+        for index, (east_m, north_m) in enumerate(record.plan.waypoints_m)
+    ]
+    return table("Waypoints, from home", ["waypoint", "east", "north"], rows)
+
+
+def states(record: Record) -> Markup:
+    """How long each server was in each state."""
+    rows = []
+    for server, stretches in record.stretches.items():
+        seconds = state_seconds(stretches)
+        rows.append([server, *(f"{seconds[state]:.1f} s" for state in State)])
+    return table("Time in each state", ["server", *(state.value for state in State)], rows)
+
+
+def steps(record: Record) -> Markup:
+    """Every stretch of every server."""
+    rows = [
+        [server, stretch.state.value, f"{stretch.from_s:.1f} s", f"{stretch.to_s:.1f} s", stretch.why]
+        for server, stretches in record.stretches.items()
+        for stretch in stretches
+    ]
+    return table("States over time", ["server", "state", "from", "to", "why"], rows)

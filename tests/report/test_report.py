@@ -1,0 +1,357 @@
+"""`upwash report`: the page stands alone, its numbers are the log's, and other tools can read what it exports."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import msgspec
+import pytest
+
+from upwash import event_log
+from upwash.cli import main
+from upwash.config import read_drone_config, server_area, waypoints
+from upwash.core.geo import GeoPosition, LocalFrame, ground_distance_m
+from upwash.core.servers import State
+from upwash.errors import UsageError
+from upwash.report.page import write_page
+from upwash.report.record import Record, read_records
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+SVG, XHTML = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xhtml}"
+HOSTILE = "</title><script>alert('1')</script>&\"\x00]]>"
+HERE = {"east_m": 3.0, "north_m": 4.0, "altitude_m": 20.0}
+CALL = {
+    "operation": "detector.count", "place": "local", "decision": "none near", "at_s": 1.0,
+    "delay_s": 2.0, "waited_s": 0.0, "wait": "", "fell_back": False,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The log of the thesis's mission, and of the same without offloading."""
+    folder = tmp_path_factory.mktemp("logs")
+    thesis = str(SCENARIOS / "thesis.toml")
+    assert main(["simulate", thesis, "--log", str(folder / "with.jsonl")]) == 0
+    assert main(["simulate", thesis, "--policy", "local-only", "--log", str(folder / "without.jsonl")]) == 0
+    return folder / "with.jsonl", folder / "without.jsonl"
+
+
+@pytest.fixture(scope="module")
+def records(logs: Sequence[Path]) -> list[Record]:
+    return read_records(logs)
+
+
+def event(t: float, name: str, **facts: object) -> dict[str, Any]:
+    return {"t": t, "event": name, **facts}
+
+
+def write_log(file: Path, *events: Mapping[str, Any]) -> Path:
+    lines = [json.dumps(each).encode() + b"\n" for each in events]
+    file.write_bytes(b"".join(lines))
+    return file
+
+
+def step(t: float, name: str, before: str, after: str, server: str = "s1") -> dict[str, Any]:
+    return event(t, name, server=server, before=before, after=after, why="so it is")
+
+
+MISSION_BEGAN_S = 0.0  # in the simulated logs
+STARTED = event(1.0, "mission_started", policy="location-aware", waypoints=1)
+
+
+def parsed(page: str) -> ElementTree.Element:
+    return ElementTree.fromstring(page.removeprefix("<!DOCTYPE html>"))
+
+
+def rows_of(table: ElementTree.Element) -> list[list[str]]:
+    return [["".join(cell.itertext()) for cell in row] for row in table.iter(f"{XHTML}tr")]
+
+
+def tables_named(page: ElementTree.Element, caption: str) -> list[list[list[str]]]:
+    return [rows_of(table) for table in page.iter(f"{XHTML}table") if table[0].text == caption]
+
+
+# --- the page -------------------------------------------------------------------------------------------------
+
+
+def test_the_page_is_well_formed_and_refers_to_nothing_outside_itself(records: list[Record]) -> None:
+    page = write_page(records)
+    for each in parsed(page).iter():
+        assert not {"src", "href", "srcset", "data", "action"} & set(each.attrib), each.tag
+        assert each.tag.removeprefix(XHTML) not in {"script", "link", "iframe", "img", "object", "base"}
+    assert set(re.findall(r"\w*=\"https?://[^\"]*", page)) == {
+        'xmlns="http://www.w3.org/1999/xhtml', 'xmlns="http://www.w3.org/2000/svg',
+    }  # fmt: skip
+    assert page.count("http") == len(re.findall('xmlns="http|http-equiv', page))
+    assert "url(" not in page
+    assert "@import" not in page
+
+
+def test_the_totals_on_the_page_are_the_results(records: list[Record]) -> None:
+    (table,) = tables_named(parsed(write_page(records)), "Totals")
+    told = {row[0]: row[1:] for row in table}
+    results = [record.result for record in records]
+    assert told["mission time"] == [f"{result.mission_time_s:.1f} s" for result in results]
+    assert told["calls on the drone"] == [str(result.totals.local) for result in results] == ["16", "121"]
+    assert told["time spent in calls"] == [f"{result.totals.service_delay_s:.1f} s" for result in results]
+    assert told["with every call on the drone"] == [
+        f"{result.local_only_time_s():.1f} s" for result in results
+    ]
+
+
+def test_every_call_is_in_the_table_and_has_its_mark_in_the_chart_and_on_the_map(
+    records: list[Record],
+) -> None:
+    page = parsed(write_page(records))
+    for record, table in zip(records, tables_named(page, "Calls by waypoint"), strict=True):
+        delays = [row[4] for row in table[1:]]
+        assert delays == [f"{call.delay_s:.2f} s" for call in record.result.calls]
+    for figure in ("Call delay by waypoint", "Map of the flight"):
+        for record in records:
+            (svg,) = [
+                each for each in page.iter(f"{SVG}svg")
+                if each.findtext(f"{SVG}title") == f"{figure}, {record.name}"
+            ]  # fmt: skip
+            assert svg.findtext(f"{SVG}desc")
+            styles = [each.get("class", "") for each in svg.iter()]
+            assert sum(style.startswith("mark ") for style in styles) == len(record.calls)
+
+
+def test_waits_are_ringed(records: list[Record]) -> None:
+    with_offloading = write_page(records[:1])
+    assert with_offloading.count('class="ring"') == records[0].result.totals.waits > 0
+
+
+def test_what_offloading_saved_is_told_also_against_the_flight_without(records: list[Record]) -> None:
+    page = write_page(records)
+    saved_s = records[0].saved_s
+    assert saved_s is not None
+    assert f"offloading saved {saved_s:.1f} s" in page
+    less_s = records[1].result.mission_time_s - records[0].result.mission_time_s
+    assert f"It took {less_s:.1f} s less than without" in page
+    assert "less than" not in write_page(records[:1])
+
+
+def test_the_worst_calls_are_told_with_the_numbers_of_their_decisions(
+    logs: tuple[Path, Path], records: list[Record]
+) -> None:
+    page = parsed(write_page(records[:1]))
+    (worst,) = page.iter(f"{XHTML}ol")
+    told = ["".join(item.itertext()) for item in worst]
+    longest = sorted(records[0].result.calls, key=lambda call: -call.delay_s)[:5]
+    decided = [each for each in event_log.read(logs[0]) if each["event"] == "decided"]
+    assert len(told) == 5
+    for text, call in zip(told, longest, strict=True):
+        assert f"{call.delay_s:.2f} s" in text
+        (decision,) = [each for each in decided if each["t"] == pytest.approx(call.at_s + MISSION_BEGAN_S)]
+        assert f"{decision['local_s']:.2f} s" in text
+        assert decision["why"] in text
+
+
+def test_what_a_log_says_is_never_markup(tmp_path: Path) -> None:
+    log = write_log(
+        tmp_path / "<b>&.jsonl",
+        event(0.0, "planned", home=None, waypoints_m=[], ranges={HOSTILE: {"centre": HERE, "radius_m": 5}}),
+        event(1.0, "mission_started", policy=HOSTILE, waypoints=1),
+        event(2.0, "arrived", waypoint=0, east_m=0.0, north_m=0.0),
+        event(3.0, "call", **(CALL | {"operation": HOSTILE, "place": HOSTILE, "decision": HOSTILE})),
+    )
+    page = write_page(read_records([log]))
+    assert "<script" not in page
+    assert all(each.tag != f"{XHTML}script" for each in parsed(page).iter())
+
+
+def test_a_flight_that_ended_before_its_first_call_has_a_page(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "early.jsonl", STARTED)
+    assert "was not completed" in write_page(read_records([log]))
+
+
+# --- what is read ---------------------------------------------------------------------------------------------
+
+
+def test_the_log_tells_the_plan_and_the_ranges(records: list[Record]) -> None:
+    config = read_drone_config(SCENARIOS / "thesis.toml")
+    plan, home = records[0].plan, config.mission.home
+    assert plan.waypoints_m == [
+        (each.position.east_m, each.position.north_m) for each in waypoints(config.mission)
+    ]
+    assert plan.ranges == {server.name: server_area(server, home) for server in config.servers}
+
+
+def test_the_states_of_each_server_fill_the_mission(records: list[Record]) -> None:
+    for record in records:
+        assert set(record.stretches) == {"s1", "s2"}
+        for stretches in record.stretches.values():
+            ends = [0.0, *(stretch.to_s for stretch in stretches)]
+            assert [stretch.from_s for stretch in stretches] == ends[:-1]
+            assert ends[-1] == pytest.approx(record.result.mission_time_s)
+
+
+def test_calls_on_a_server_begin_while_it_is_ready_or_waited_for(records: list[Record]) -> None:
+    for call in records[0].calls:
+        if call.result.place != "local":
+            sent_s = call.result.at_s + call.result.waited_s
+            (state,) = [
+                stretch.state for stretch in records[0].stretches[call.result.place]
+                if stretch.from_s <= sent_s + 1e-6 < stretch.to_s
+            ]  # fmt: skip
+            assert state is State.READY
+
+
+def test_a_program_that_takes_a_flight_up_again_knows_no_states(tmp_path: Path) -> None:
+    log = write_log(
+        tmp_path / "resumed.jsonl",
+        event(0.0, "log_opened", time="2026-01-01T00:00:00+00:00"),
+        STARTED,
+        step(2.0, "selected", "AVL", "CHECK"),
+        step(4.0, "found_running", "CHECK", "READY"),
+        event(7.0, "log_resumed", time="2026-01-01T00:00:07+00:00"),
+        event(8.0, "mission_started", policy="location-aware", waypoints=1),
+        event(11.0, "mission_completed"),
+        event(30.0, "position", **HERE),
+    )
+    (record,) = read_records([log])
+    told = [(each.state, each.from_s, each.to_s) for each in record.stretches["s1"]]
+    assert told == [
+        (State.AVL, 0.0, 1.0), (State.CHECK, 1.0, 3.0), (State.READY, 3.0, 6.0), (State.AVL, 6.0, 10.0),
+    ]  # fmt: skip
+    assert record.result.mission_time_s == 10.0
+
+
+@pytest.mark.parametrize("content", [b"\xff\n", b'"\xff"\n', b"[" * 100_000 + b"\n", b"photo\n", b"[1]\n"])
+def test_other_files_are_no_logs(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "photo.jpeg"
+    file.write_bytes(content)
+    with pytest.raises(UsageError, match="is not an event log"):
+        read_records([file])
+
+
+def test_logs_of_the_same_name_are_told_apart(tmp_path: Path) -> None:
+    files = [tmp_path / folder / "events.jsonl" for folder in ("monday", "tuesday")]
+    others = [tmp_path / folder / "flight.jsonl" for folder in ("monday", "tuesday")]
+    for file in (*files, *others):
+        file.parent.mkdir(exist_ok=True)
+        write_log(file, STARTED)
+    assert [record.name for record in read_records(files)] == ["monday", "tuesday"]
+    assert [record.name for record in read_records(others)] == [str(file) for file in others]
+
+
+@pytest.mark.parametrize(
+    ("events", "why"),
+    [
+        ([event(0.0, "log_opened")], "has no mission"),
+        ([STARTED, event(2.0, "call", place="local")], "not an event log that this version reads"),
+        ([STARTED, step(2.0, "selected", "AVL", "ASLEEP")], "not an event log that this version reads"),
+        ([event(0.0, "planned", ranges=7), STARTED], "not an event log that this version reads"),
+        ([{"t": 1}], "is not an event log"),
+        ([], "is not an event log"),
+    ],
+)
+def test_what_cannot_be_told_is_refused_with_the_logs_name(
+    tmp_path: Path, events: list[dict[str, Any]], why: str
+) -> None:
+    log = write_log(tmp_path / "odd.jsonl", *events)
+    with pytest.raises(UsageError, match=f"odd.jsonl .*{why}"):
+        read_records([log])
+
+
+# --- exports --------------------------------------------------------------------------------------------------
+
+
+def test_json_has_the_results_that_simulate_prints(
+    logs: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    assert main(["simulate", str(SCENARIOS / "thesis.toml"), "--json"]) == 0
+    simulated = json.loads(capsys.readouterr().out)
+    assert main(["report", *map(str, logs), "--json"]) == 0
+    with_offloading, without = json.loads(capsys.readouterr().out)
+    for fact in ("policy", "mission_time_s", "completed", "calls", "totals"):
+        assert with_offloading["result"][fact] == simulated[fact]
+    assert (with_offloading["log"], without["log"]) == ("with", "without")
+    saved_s = with_offloading["local_only_time_s"] - simulated["mission_time_s"]
+    assert with_offloading["saved_s"] == pytest.approx(saved_s)
+
+
+def test_csv_has_a_row_for_each_call(logs: tuple[Path, Path], records: list[Record], tmp_path: Path) -> None:
+    file = tmp_path / "calls.csv"
+    assert main(["report", *map(str, logs), "--csv", str(file)]) == 0
+    with file.open(newline="") as text:
+        rows = list(csv.DictReader(text))
+    calls = [call.result for record in records for call in record.calls]
+    assert [float(row["delay_s"]) for row in rows] == [call.delay_s for call in calls]
+    assert [row["place"] for row in rows] == [call.place for call in calls]
+    assert {row["log"] for row in rows} == {"with", "without"}
+
+
+def test_geojson_is_as_rfc_7946_has_it_and_lies_where_the_mission_was(
+    logs: tuple[Path, Path], records: list[Record], tmp_path: Path
+) -> None:
+    file = tmp_path / "map.geojson"
+    assert main(["report", str(logs[0]), "--geojson", str(file)]) == 0
+    collection = json.loads(file.read_text())
+    assert collection["type"] == "FeatureCollection"
+    kinds: dict[str, list[dict[str, Any]]] = {}
+    for feature in collection["features"]:
+        assert set(feature) == {"type", "geometry", "properties"}
+        assert feature["type"] == "Feature"
+        assert set(feature["geometry"]) == {"type", "coordinates"}
+        kinds.setdefault(feature["properties"]["kind"], []).append(feature)
+    shapes = {kind: {feature["geometry"]["type"] for feature in found} for kind, found in kinds.items()}
+    assert shapes == {
+        "home": {"Point"}, "track": {"LineString"}, "range": {"Polygon"}, "waypoint": {"Point"}, "call": {"Point"},
+    }  # fmt: skip
+    record = records[0]
+    assert record.plan.home is not None
+    frame = LocalFrame(record.plan.home)
+    for feature, (east_m, north_m) in zip(kinds["waypoint"], record.plan.waypoints_m, strict=True):
+        place = position(frame, feature["geometry"]["coordinates"])
+        assert (place.east_m, place.north_m) == pytest.approx((east_m, north_m), abs=0.02)
+    for feature in kinds["range"]:
+        (ring,) = feature["geometry"]["coordinates"]
+        assert ring[0] == ring[-1]
+        assert turns_left(ring)
+        area = record.plan.ranges[feature["properties"]["server"]]
+        away_m = [ground_distance_m(position(frame, corner), area.centre) for corner in ring]
+        assert away_m == pytest.approx([area.radius_m] * len(ring), abs=0.02)
+    told = [feature["properties"]["delay_s"] for feature in kinds["call"]]
+    assert told == [call.delay_s for call in record.result.calls]
+    (track,) = kinds["track"]
+    assert len(track["geometry"]["coordinates"]) == len(track["properties"]["at_s"]) == len(record.track)
+
+
+def position(frame: LocalFrame, coordinates: Sequence[float]) -> Any:
+    longitude_deg, latitude_deg = coordinates
+    return frame.position(GeoPosition(latitude_deg=latitude_deg, longitude_deg=longitude_deg))
+
+
+def turns_left(ring: Sequence[Sequence[float]]) -> bool:
+    return sum(a[0] * b[1] - b[0] * a[1] for a, b in itertools.pairwise(ring)) > 0
+
+
+def test_without_a_home_there_are_no_coordinates_and_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, file = write_log(tmp_path / "nowhere.jsonl", STARTED), tmp_path / "map.geojson"
+    assert main(["report", str(log), "--geojson", str(file), "-o", str(tmp_path / "page.html")]) == 2
+    assert "set mission.home" in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == [log]
+
+
+def test_something_has_to_be_asked_for(logs: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", str(logs[0])]) == 2
+    assert "nothing to make" in capsys.readouterr().err
+
+
+def test_half_a_last_line_is_left_out(tmp_path: Path, logs: tuple[Path, Path]) -> None:
+    torn = tmp_path / "torn.jsonl"
+    torn.write_bytes(logs[0].read_bytes() + msgspec.json.encode(STARTED)[:20])
+    (record,) = read_records([torn])
+    assert record.result.completed
