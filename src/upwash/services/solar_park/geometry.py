@@ -27,7 +27,7 @@ _TABLE_GAP_M = 0.27
 _FAR = 2**24  # tables are counted from here, since a seed has no negative parts
 
 HEAT_POWER = 2.5  # between a circle's 2 and a square's many: heat spreads from square cells
-_SMALL_HALF_M = (0.075, 0.1)  # one cell, and the warmth around it
+_SMALL_HALF_M = (0.05, 0.085)  # within one cell
 _LARGE_HALF_M = (0.17, 0.34)  # a group of cells
 
 
