@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import traceback
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, TypeVar
 
 import msgspec
@@ -236,7 +236,7 @@ class Photographer:
             source=photo.source,
             bytes=len(photo.jpeg),
             age_s=round(asyncio.get_running_loop().time() - photo.captured_s, 6),
-            position={"east_m": at.east_m, "north_m": at.north_m, "altitude_m": at.altitude_m},
+            position={name: round(metres, 2) for name, metres in asdict(at).items()},
             **truth,
         )
         return photo.jpeg

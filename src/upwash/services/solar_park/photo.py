@@ -134,8 +134,8 @@ def _visible_box(outline: MatLike, label: str) -> TrueBox | None:
     seen_low, seen_high = low.clip(0, size), high.clip(0, size)
     if np.prod(seen_high - seen_low) < _LEAST_VISIBLE * np.prod(high - low):
         return None
-    left, top, right, bottom = (round(float(number), 2) for number in (*seen_low, *seen_high))
-    return TrueBox(left_px=left, top_px=top, width_px=right - left, height_px=bottom - top, label=label)
+    left, top, width, height = (round(float(number), 2) for number in (*seen_low, *(seen_high - seen_low)))
+    return TrueBox(left_px=left, top_px=top, width_px=width, height_px=height, label=label)
 
 
 # --- light ------------------------------------------------------------------------------------------

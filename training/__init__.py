@@ -1,0 +1,1 @@
+"""Trains the default detector; not part of the installed package."""
