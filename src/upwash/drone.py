@@ -22,7 +22,7 @@ from upwash.offloading import Offloading
 from upwash.onboard import OnboardServices
 from upwash.plans import Ending
 from upwash.ports import Autopilot, Camera, Dialer, InstanceSpec, Journal, Network, Notifier, Program, Runtime
-from upwash.preparation import contacts, make_selection
+from upwash.preparation import contacts, make_hedging, make_selection
 from upwash.safety import end_safely, reserve_reached
 from upwash.service import Method, make_stub, spec_of
 
@@ -346,6 +346,7 @@ class Flight:
             dialer=world.dialer,
             onboard=self._onboard,
             journal=world.journal,
+            hedging=make_hedging(config, selection.estimates),
         )
         self._pilot = Pilot(
             world.autopilot,

@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 import msgspec
 
 from upwash.core.estimates import Operation
+from upwash.core.hedging import Hedge, Hedging
 from upwash.core.policy import Decision, Remote, Wait
 from upwash.core.selection import (
     Check,
@@ -34,7 +35,7 @@ from upwash.core.selection import (
     Start,
 )
 from upwash.core.servers import Change, State
-from upwash.errors import AutopilotLost, DeadlineExceeded, LinkError, NetworkError
+from upwash.errors import AutopilotLost, DeadlineExceeded, LinkError, NetworkError, UpwashError
 from upwash.onboard import PLACE, OnboardServices
 from upwash.ports import Autopilot, Dialer, Journal, Network
 from upwash.service import Method
@@ -46,9 +47,8 @@ _LOCAL_LEAST_S = 30.0
 _LOCAL_FACTOR = 10.0  # times the estimate: a local call that takes longer hangs
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """One call, as the mission experienced it."""
+class Outcome(msgspec.Struct, frozen=True, omit_defaults=True):
+    """One call, as the mission experienced it; what has a default is not logged where it is that."""
 
     operation: Operation
     place: str  # "local" or the server's name
@@ -59,6 +59,43 @@ class Outcome:
     onboard_s: float  # of the delay, what the drone's own service took
     wait: str  # "", "paid off" or "failed"
     fell_back: bool
+    hedged_s: float | None = None  # into the remote call, when the drone's own service started on it too
+    queued_s: float = 0.0  # of the delay, until the drone's own service was done with an earlier call
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """What one call came to; the fields are those of an Outcome."""
+
+    reply: Any
+    place: str
+    onboard_s: float = 0.0
+    fell_back: bool = False
+    hedged_s: float | None = None
+    queued_s: float = 0.0
+
+
+@dataclass(slots=True)
+class _Attempt:
+    """A call to a server, bound to the check that made it READY, and the drone's own service at the same call."""
+
+    visit: Visit
+    check: int
+    deadline_s: float
+    rival: asyncio.Task[Any] | None = None
+
+    @property
+    def late(self) -> bool:
+        """Whether the drone's own service has answered."""
+        return self.rival is not None and _is_answered(self.rival)
+
+
+@dataclass(frozen=True, slots=True)
+class _Loser:
+    """What still runs of a call that is answered; `service` is the drone's own that is busy with it, if one is."""
+
+    task: asyncio.Task[Any]
+    service: str | None = None
 
 
 class Offloading:
@@ -75,6 +112,7 @@ class Offloading:
         dialer: Dialer,
         onboard: OnboardServices,
         journal: Journal,
+        hedging: Hedging | None = None,
     ) -> None:
         self._selection = selection
         self._contacts = contacts
@@ -84,6 +122,8 @@ class Offloading:
         self._dialer = dialer
         self._onboard = onboard
         self._journal = journal
+        self._hedging = hedging
+        self._loser: _Loser | None = None  # of the last hedged call, at most one at a time
         self._orders: asyncio.Queue[Check | Start | Leave] = asyncio.Queue()
         self._visit: Visit | None = None
         self._errand: asyncio.Task[None] | None = None  # what the visit is busy with
@@ -102,6 +142,7 @@ class Offloading:
 
     async def end(self) -> None:
         """Leaves whatever server is selected; to be called while `run` runs, after the last call."""
+        await self._stop_loser()
         self.tell(MissionEnded())
         await self._orders.join()
 
@@ -118,18 +159,26 @@ class Offloading:
             wait = "paid off" if isinstance(decision, Remote) else "failed"
             why = f"{why}: {decision.why}"
         waited_s = self._now_s() - began_s
-        reply, place, fell_back, onboard_s = None, PLACE, False, 0.0
-        if isinstance(decision, Remote):
-            reply, place = await self._call_server(decision, operation, method, request), decision.server
-            if reply is None:
-                why, fell_back = f"{why}; no usable answer, so on the drone", True
-        if reply is None:
-            onboard_since_s = self._now_s()
-            reply, place = await self._call_onboard(operation, method, request), PLACE
-            onboard_s = self._now_s() - onboard_since_s
-        delay_s = self._now_s() - began_s
-        self._report(Outcome(operation, place, why, began_s, delay_s, waited_s, onboard_s, wait, fell_back))
-        return reply
+        answer = await self._answer(decision, operation, method, request)
+        if answer.place == PLACE and isinstance(decision, Remote):
+            lost = "no usable answer, so" if answer.fell_back else "late, and sooner"
+            why = f"{why}; {lost} on the drone"
+        self._report(
+            Outcome(
+                operation,
+                answer.place,
+                why,
+                began_s,
+                self._now_s() - began_s,
+                waited_s,
+                answer.onboard_s,
+                wait,
+                answer.fell_back,
+                answer.hedged_s,
+                answer.queued_s,
+            )
+        )
+        return answer.reply
 
     def _report(self, outcome: Outcome) -> None:
         facts = msgspec.to_builtins(outcome)
@@ -210,29 +259,65 @@ class Offloading:
 
     # --- calling --------------------------------------------------------------------------------------------
 
+    async def _answer(
+        self, decision: Decision, operation: Operation, method: Method, request: bytes
+    ) -> _Answer:
+        local_s = self._selection.estimates.local_s(operation)
+        if self._hedging is not None and local_s is not None:
+            self._hedging.count(local_s)
+        if not isinstance(decision, Remote):
+            return await self._answer_onboard(operation, method, request)
+        if (hedge := self._plan_hedge(decision, operation)) is not None:
+            return await self._answer_hedged(decision, hedge, operation, method, request)
+        reply = await self._call_server(
+            decision, operation, method, request, self._attempt(decision.deadline_s)
+        )
+        if reply is not None:
+            return _Answer(reply, decision.server)
+        return await self._answer_onboard(operation, method, request, fell_back=True)
+
+    def _attempt(self, deadline_s: float) -> _Attempt:
+        assert self._visit is not None  # noqa: S101 - a server is READY only by its visit
+        return _Attempt(self._visit, self._selection.check, deadline_s)
+
     async def _call_server(
-        self, decision: Remote, operation: Operation, method: Method, request: bytes
+        self, decision: Remote, operation: Operation, method: Method, request: bytes, attempt: _Attempt
     ) -> Any | None:
         """The decoded reply of a server, or None where it gave no usable one."""
-        check, visit, began_s = self._selection.check, self._visit, self._now_s()
-        assert visit is not None  # noqa: S101 - a server is READY only by its visit
+        began_s = self._now_s()
         try:
             reply = method.decode(
-                await visit.call(operation.service, operation.method, request, deadline_s=decision.deadline_s)
+                await attempt.visit.call(
+                    operation.service, operation.method, request, deadline_s=attempt.deadline_s
+                )
             )
         except LinkError as error:
             self._journal.record("remote_failed", server=decision.server, why=str(error))
             if isinstance(error, DeadlineExceeded):
                 self._cut = RemoteCallCut(decision.server, operation, self._now_s() - began_s)
-            self.tell(RemoteCallFailed(decision.server, check, str(error)))
+            self.tell(RemoteCallFailed(decision.server, attempt.check, str(error), attempt.late))
             return None
-        self.tell(RemoteCallEnded(decision.server, operation, self._now_s() - began_s))
+        delay_s = self._now_s() - began_s
+        if attempt.late:
+            self._journal.record("dropped", operation=str(operation), place=decision.server)
+        if self._hedging is not None:
+            self._hedging.answered(decision.server, operation, delay_s)
+        self.tell(RemoteCallEnded(decision.server, operation, delay_s, attempt.late))
         return reply
 
-    async def _call_onboard(self, operation: Operation, method: Method, request: bytes) -> Any:
+    async def _answer_onboard(
+        self, operation: Operation, method: Method, request: bytes, *, fell_back: bool = False
+    ) -> _Answer:
+        queued_s = await self._queue(operation.service)
         began_s = self._now_s()
+        reply = await self._call_onboard(operation, method, request)
+        delay_s = self._now_s() - began_s
+        self.tell(LocalCallEnded(operation, delay_s))
+        return _Answer(reply, PLACE, delay_s, fell_back, queued_s=queued_s)
+
+    async def _call_onboard(self, operation: Operation, method: Method, request: bytes) -> Any:
         expected_s = self._selection.estimates.local_s(operation) or 0.0
-        reply = method.decode(
+        return method.decode(
             await self._onboard.call(
                 operation.service,
                 operation.method,
@@ -240,8 +325,73 @@ class Offloading:
                 timeout_s=max(_LOCAL_LEAST_S, _LOCAL_FACTOR * expected_s),
             )
         )
-        self.tell(LocalCallEnded(operation, self._now_s() - began_s))
-        return reply
+
+    # --- hedging --------------------------------------------------------------------------------------------
+
+    def _plan_hedge(self, decision: Remote, operation: Operation) -> Hedge | None:
+        """None where there is no hedging, no budget left for it, or a loser that still runs."""
+        local_s = self._selection.estimates.local_s(operation)
+        if self._hedging is None or local_s is None or (self._loser and not self._loser.task.done()):
+            return None
+        return self._hedging.plan(decision.server, operation, local_s=local_s, deadline_s=decision.deadline_s)
+
+    async def _answer_hedged(
+        self, decision: Remote, hedge: Hedge, operation: Operation, method: Method, request: bytes
+    ) -> _Answer:
+        attempt = self._attempt(hedge.deadline_s)
+        remote = asyncio.create_task(self._call_server(decision, operation, method, request, attempt))
+        try:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(hedge.after_s):
+                    await asyncio.shield(remote)
+            if not remote.done():
+                self._journal.record("hedged", server=decision.server, **msgspec.to_builtins(hedge))
+                attempt.rival = asyncio.create_task(self._call_onboard(operation, method, request))
+                return await self._race(decision, hedge, operation, remote, attempt.rival)
+        except BaseException:
+            await _end([each for each in (remote, attempt.rival) if each is not None])
+            raise
+        if (reply := remote.result()) is not None:
+            return _Answer(reply, decision.server)
+        return await self._answer_onboard(operation, method, request, fell_back=True)
+
+    async def _race(
+        self,
+        decision: Remote,
+        hedge: Hedge,
+        operation: Operation,
+        remote: asyncio.Task[Any],
+        local: asyncio.Task[Any],
+    ) -> _Answer:
+        """The first answer; the loser runs on, as a computation cannot be broken off, and its answer is dropped."""
+        began_s = self._now_s()
+        if await _first_answered(remote, local) is remote:
+            onboard_s = self._now_s() - began_s
+            if self._hedging is not None and hedge.after_s + onboard_s <= decision.deadline_s:
+                self._hedging.added(self._selection.estimates.local_s(operation) or 0.0)
+            self._loser = _Loser(asyncio.create_task(self._drop(operation, local)), operation.service)
+            return _Answer(remote.result(), decision.server, onboard_s, hedged_s=hedge.after_s)
+        reply, onboard_s = local.result(), self._now_s() - began_s
+        self.tell(LocalCallEnded(operation, onboard_s))
+        self._loser = _Loser(remote)
+        return _Answer(reply, PLACE, onboard_s, fell_back=_has_failed(remote), hedged_s=hedge.after_s)
+
+    async def _drop(self, operation: Operation, local: asyncio.Task[Any]) -> None:
+        with contextlib.suppress(UpwashError):  # which is in the log
+            await local
+        self._journal.record("dropped", operation=str(operation), place=PLACE)
+
+    async def _queue(self, service: str) -> float:
+        """Waits until the drone's own service is done with a call that was hedged; returns for how long."""
+        if self._loser is None or self._loser.service != service or self._loser.task.done():
+            return 0.0
+        began_s = self._now_s()
+        await asyncio.shield(self._loser.task)
+        return self._now_s() - began_s
+
+    async def _stop_loser(self) -> None:
+        if self._loser is not None:
+            await _end([self._loser.task])
 
     # --- in the background ----------------------------------------------------------------------------------
 
@@ -279,6 +429,7 @@ class Offloading:
                 finally:
                     self._orders.task_done()
         finally:
+            await self._stop_loser()
             await _stop(self._errand)
             await _stop(self._watch)
 
@@ -341,3 +492,32 @@ async def _stop(task: asyncio.Task[None] | None) -> None:
         )  # which is cancelled only by our own caller
         if isinstance(ended, Exception):
             raise ended
+
+
+async def _end(tasks: Sequence[asyncio.Task[Any]]) -> None:
+    """Cancels the tasks and waits for their ends, whatever they are."""
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _first_answered(remote: asyncio.Task[Any], local: asyncio.Task[Any]) -> asyncio.Task[Any]:
+    """The one that answers first; the local one where neither does."""
+    first: asyncio.Future[asyncio.Task[Any]] = asyncio.get_running_loop().create_future()
+
+    def note(ended: asyncio.Task[Any]) -> None:
+        if not first.done() and (not _has_failed(ended) or (remote.done() and local.done())):
+            first.set_result(local if _has_failed(ended) else ended)
+
+    remote.add_done_callback(note)
+    local.add_done_callback(note)
+    return await first
+
+
+def _has_failed(call: asyncio.Task[Any]) -> bool:
+    """Whether the call is over without an answer."""
+    return call.done() and (call.cancelled() or call.exception() is not None or call.result() is None)
+
+
+def _is_answered(call: asyncio.Task[Any]) -> bool:
+    return call.done() and not _has_failed(call)

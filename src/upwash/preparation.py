@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from upwash.config import DroneConfig, ServerConfig, ServiceConfig, server_area
 from upwash.core.estimates import Beliefs, Estimates, Operation, offline_remote_s
 from upwash.core.geo import Waypoint
+from upwash.core.hedging import Hedging
 from upwash.core.itinerary import MissionBeliefs, Step
 from upwash.core.policies import make_policy
 from upwash.core.selection import Selection, SelectionSettings
@@ -28,6 +29,25 @@ def make_selection(
             blacklist_s=policy.blacklist_s, idle_s=policy.idle_s, retry_s=policy.retry_s
         ),
         mission=_mission_beliefs(config, estimates, plan),
+    )
+
+
+def make_hedging(config: DroneConfig, offline: Estimates) -> Hedging | None:
+    """The hedging that the configuration asks for, if it does, with estimates that have seen no call yet."""
+    hedge = config.policy.hedge
+    if hedge is None:
+        return None
+    return Hedging(
+        quantile=hedge.quantile,
+        budget=hedge.budget,
+        offline_s={
+            server.name: {
+                operation: delay_s
+                for operation in offline.operations
+                if (delay_s := offline.remote_s(server.name, operation)) is not None
+            }
+            for server in config.servers
+        },
     )
 
 

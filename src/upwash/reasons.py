@@ -56,6 +56,10 @@ def told(call: ExplainedCall) -> Iterator[str]:
     for decision in call.decisions:
         yield _beliefs(decision)
         yield f"so it was to {_verdict(decision)}: {decision['why']}"
+    if "hedged_s" in outcome:
+        yield f"    no answer had come after {outcome['hedged_s']:.2f} s, so the drone began on it too"
+    if outcome.get("queued_s"):
+        yield f"    the drone was busy with an earlier call for {outcome['queued_s']:.2f} s"
     if outcome["fell_back"]:
         yield "no usable answer came, so the drone did it itself"
 

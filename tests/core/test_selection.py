@@ -525,3 +525,26 @@ def test_after_the_mission_nobody_is_selected_any_more() -> None:
     assert written(ended) == ["s1 READY AVL-R", "leave s1"]
     assert machine.handle(Looked(), now_s=21.0, position=UNDER_BOTH) == []
     assert machine.current is None
+
+
+# ---- hedged calls, where the server is later than the drone
+
+
+def test_a_late_answer_teaches_how_slow_the_server_is_and_is_no_second_call() -> None:
+    machine = with_s1_ready(selection())
+    machine.handle(LocalCallEnded(HEAVY, 8.0), now_s=30.0, position=UNDER_S1)
+    counted = machine.estimates.mean_call_s()
+    late = RemoteCallEnded("s1", HEAVY, 9.75, late=True)
+    machine.handle(late, now_s=31.0, position=UNDER_S1)
+    assert machine.estimates.remote_s("s1", HEAVY) == (0.75 + 0.75 + 9.75) / 3
+    assert machine.estimates.mean_call_s() == counted
+
+
+def test_a_server_that_fails_late_is_left_alone_like_any_other() -> None:
+    machine = with_s1_ready(selection())
+    machine.handle(LocalCallEnded(HEAVY, 8.0), now_s=30.0, position=UNDER_S1)
+    failed = RemoteCallFailed("s1", 1, "no answer", late=True)
+    assert written(machine.handle(failed, now_s=31.0, position=UNDER_S1)) == [
+        "s1 READY BLACKLISTED",
+        "leave s1",
+    ]

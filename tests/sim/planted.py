@@ -12,11 +12,12 @@ import contextlib
 import logging
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from unittest.mock import patch
 
 from upwash.core.geo import Position
+from upwash.core.hedging import Hedging
 from upwash.core.instances import Command as HostCommand
 from upwash.core.instances import Denied, Host, StartInstance
 from upwash.core.policy import Call as CallSituation
@@ -143,13 +144,11 @@ def own_exception_swallowed() -> contextlib.AbstractContextManager[object]:
 
 
 def network_error_raised() -> contextlib.AbstractContextManager[object]:
-    async def raising(
-        self: Offloading, decision: Remote, operation: Any, method: Method, request: bytes
-    ) -> Any:
-        assert self._visit is not None
+    async def raising(self: Offloading, _: Remote, operation: Any, method: Method, *how: Any) -> Any:
+        request, attempt = how
         return method.decode(
-            await self._visit.call(
-                operation.service, operation.method, request, deadline_s=decision.deadline_s
+            await attempt.visit.call(
+                operation.service, operation.method, request, deadline_s=attempt.deadline_s
             )
         )
 
@@ -296,6 +295,34 @@ def chance_from_outside() -> contextlib.AbstractContextManager[object]:
     return patch.object(WaitRule, "decide", moody)
 
 
+def hedging_budget_ignored() -> contextlib.AbstractContextManager[object]:
+    """What the drone computes for nothing is not counted."""
+
+    def forget(self: Hedging, local_s: float) -> None:
+        pass
+
+    return patch.object(Hedging, "added", forget)
+
+
+def both_answers_delivered() -> contextlib.AbstractContextManager[object]:
+    """The answer that a hedged call drops becomes the next call's."""
+    drop, answer, late = Offloading._drop, Offloading._answer, dict[tuple[int, str], Any]()
+
+    async def keep(self: Offloading, operation: Any, local: Any) -> None:
+        await drop(self, operation, local)
+        late[id(self), operation.method] = local.result()
+
+    async def confused(
+        self: Offloading, decision: Any, operation: Any, method: Method, request: bytes
+    ) -> Any:
+        found = await answer(self, decision, operation, method, request)
+        if (old := late.pop((id(self), operation.method), None)) is not None:
+            return replace(found, reply=old)
+        return found
+
+    return patch.multiple(Offloading, _drop=keep, _answer=confused)
+
+
 DEFECTS = (
     Defect("the wait for a server has no bound", wait_without_bound),
     Defect("the program waits longer than was decided", wait_not_watched),
@@ -317,6 +344,8 @@ DEFECTS = (
     Defect("the mission's end waits for a server's goodbye", long_farewell),
     Defect("a silent vehicle ends the watch over ranges", borders_not_watched),
     Defect("a flight that fails ends without its safe action", safe_end_forgotten),
+    Defect("hedging has no budget", hedging_budget_ignored),
+    Defect("the answer that a hedged call drops answers the next", both_answers_delivered),
     Defect("a decision depends on something besides the seed", chance_from_outside),
 )
 

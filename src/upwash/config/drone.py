@@ -25,11 +25,13 @@ from upwash.config.values import (
     Percent,
     PlanPath,
     Positive,
+    Quantile,
     SecondsByKey,
     SecondsByService,
     SecondsOfEachKey,
     Seed,
     Settings,
+    Share,
     Text,
     VideoSource,
 )
@@ -128,6 +130,18 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     park_seed: Seed | None = None
 
 
+class HedgeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """When the drone's own service starts on a remote call that is late, and the share of extra work it may do."""
+
+    after: Quantile = "p95"
+    budget: Share = 0.1
+
+    @property
+    def quantile(self) -> float:
+        """`after` as a fraction."""
+        return int(self.after[1:]) / 100
+
+
 class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """When to offload, and where to."""
 
@@ -138,6 +152,7 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     blacklist_s: AtLeastOneSecond = 60.0
     idle_s: NotNegative = 180.0
     retry_s: NotNegative = 300.0
+    hedge: HedgeConfig | None = None
 
 
 class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

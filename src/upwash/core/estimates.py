@@ -131,10 +131,13 @@ class Estimates:
             self._local[operation] = self._local[operation].observe(delay_s)
             self._count(operation)
 
-    def observe_remote(self, server: str, operation: Operation, delay_s: float, *, now_s: float) -> None:
-        """Learns from a remote call that succeeded."""
+    def observe_remote(
+        self, server: str, operation: Operation, delay_s: float, *, now_s: float, late: bool = False
+    ) -> None:
+        """Learns from a remote call that succeeded; a late one was counted as a local call already."""
         self._learn_remote(server, operation, delay_s, now_s=now_s)
-        self._count(operation)
+        if not late:
+            self._count(operation)
 
     def observe_remote_cut(self, server: str, operation: Operation, waited_s: float, *, now_s: float) -> None:
         """Learns from a remote call that was given up after `waited_s`: it would have taken at least as long.

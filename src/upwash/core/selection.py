@@ -67,20 +67,25 @@ class LocalCallEnded:
 
 @dataclass(frozen=True, slots=True)
 class RemoteCallEnded:
-    """A call ran on a server."""
+    """A call ran on a server; `late` where the drone's own service had answered it before."""
 
     server: str
     operation: Operation
     delay_s: float
+    late: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class RemoteCallFailed:
-    """A call to a server got no usable answer; `check` is the check that made the server READY."""
+    """A call to a server got no usable answer; `check` is the check that made the server READY.
+
+    `late` where the drone's own service had answered it before.
+    """
 
     server: str
     check: int
     why: str
+    late: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,8 +306,8 @@ class Selection:
                 self.estimates.observe_remote_cut(server, operation, waited_s, now_s=now_s)
             case LocalCallEnded(operation, delay_s):
                 self.estimates.observe_local(operation, delay_s)
-            case RemoteCallEnded(server, operation, delay_s):
-                self.estimates.observe_remote(server, operation, delay_s, now_s=now_s)
+            case RemoteCallEnded(server, operation, delay_s, late):
+                self.estimates.observe_remote(server, operation, delay_s, now_s=now_s, late=late)
             case MissionEnded():
                 self._ended = True
         return []
@@ -318,6 +323,8 @@ class Selection:
                 self._itinerary.arrived(now_s=now_s)
             case CourseLost():
                 self._itinerary.lost()
+            case RemoteCallEnded(late=True) | RemoteCallFailed(late=True):
+                pass  # the mission has had its answer, and is at something else
             case LocalCallEnded() | RemoteCallEnded():
                 self._itinerary.call_ends(now_s)
                 self._under_way = None

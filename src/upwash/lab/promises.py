@@ -97,15 +97,32 @@ def broken_promises(history: History, *, seed: int) -> list[Broken]:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """One call of the mission with the decisions that were made for it."""
+    """One call of the mission with the decisions that were made for it, and its hedge, if it had one."""
 
     decisions: tuple[Fact, ...]
     ended: Fact
+    hedged: Fact | None = None
 
     @property
     def allowed_s(self) -> float:
-        """What the rules allowed it to wait and to try: what was not allowed counts 0."""
-        return sum((each.get("at_most_s", 0.0) + each.get("deadline_s", 0.0) for each in self.decisions), 0.0)
+        """What the rules allowed it to wait and to try: what was not allowed counts 0.
+
+        A hedged call was tried alone until the drone's own service started; what comes then is that one's time.
+        """
+        waits_s = sum((each.get("at_most_s", 0.0) for each in self.decisions), self.queued_s)
+        if self.hedged is not None:
+            return waits_s + float(self.hedged["after_s"])
+        return sum((each.get("deadline_s", 0.0) for each in self.decisions), waits_s)
+
+    @property
+    def queued_s(self) -> float:
+        """How long the drone's own service was busy with an earlier call that was hedged."""
+        return float(self.ended.get("queued_s", 0.0))
+
+    @property
+    def computed(self) -> bool:
+        """Whether the drone's own service was at it."""
+        return self.hedged is not None or self.ended["place"] == "local"
 
     @property
     def bound_s(self) -> float:
@@ -117,12 +134,15 @@ class Call:
 def calls_of(events: Sequence[Fact]) -> Iterator[Call]:
     """The calls of an event log, in order."""
     decisions: list[Fact] = []
+    hedged: Fact | None = None
     for event in events:
         if event["event"] == "decided":
             decisions.append(event)
+        elif event["event"] == "hedged":
+            hedged = event
         elif event["event"] == "call":
-            yield Call(tuple(decisions), event)
-            decisions = []
+            yield Call(tuple(decisions), event, hedged)
+            decisions, hedged = [], None
 
 
 # --- 1: autonomy --------------------------------------------------------------------------------------------
@@ -163,15 +183,22 @@ def may_be_cut_short(config: DroneConfig) -> bool:
 def bounded_calls(history: History) -> Iterator[Breach]:
     """The longest worthwhile wait, the remote deadline and one local call, each as the rules say."""
     gain_wait = history.config.policy.gain_wait
-    computed = deque(history.own("computed"))
+    computed: dict[str, deque[Fact]] = {}  # by service, as a hedged call may outlast one of another
+    for fact in history.own("computed"):
+        computed.setdefault(_service(fact), deque()).append(fact)
+    before_s: dict[str, float] = {}  # of the last hedged call, by service
     for call in calls_of(history.run.events):
         ended = call.ended
         if ended["delay_s"] > call.bound_s:
             yield ended, f"took {ended['delay_s']:.3f} s of at most {call.bound_s:.3f} s"
         for decided in call.decisions:
             yield from _allowed_too_much(decided, gain_wait)
-        if computed and ended["place"] == "local":
-            took_s = computed.popleft()["took_s"]
+        yield from _hedged_too_late(call)
+        service = _service(ended)
+        if call.queued_s > (most_s := before_s.get(service, 0.0)) + _SLACK_S:
+            yield ended, f"waited {call.queued_s:.3f} s for a service that needed {most_s:.3f} s"
+        if computed.get(service) and call.computed:
+            before_s[service] = took_s = computed[service].popleft()["took_s"]
             if ended["onboard_s"] > took_s + _SLACK_S:
                 yield (
                     ended,
@@ -188,6 +215,26 @@ def _allowed_too_much(decided: Fact, gain_wait: float) -> Iterator[Breach]:
         longest_s = max(_REMOTE_LEAST_S, min(_REMOTE_FACTOR * decided["remote_s"], decided["local_s"]))
         if decided["deadline_s"] > longest_s + _ROUNDING_S:
             yield decided, f"has a deadline of {decided['deadline_s']:.3f} s, allowed are {longest_s:.3f} s"
+
+
+def _service(fact: Fact) -> str:
+    name: str = fact["operation"]
+    return name.partition(".")[0]
+
+
+def _hedged_too_late(call: Call) -> Iterator[Breach]:
+    """The drone's own service starts within the server's deadline, which grows by a local call at most."""
+    if (hedged := call.hedged) is None:
+        return
+    decided = call.decisions[-1]
+    if hedged["after_s"] > decided["deadline_s"] + _ROUNDING_S:
+        yield (
+            hedged,
+            f"starts {hedged['after_s']:.3f} s into a call whose deadline is {decided['deadline_s']:.3f} s",
+        )
+    longest_s = max(decided["deadline_s"], hedged["after_s"] + decided["local_s"])
+    if hedged["deadline_s"] > longest_s + _ROUNDING_S:
+        yield hedged, f"has a deadline of {hedged['deadline_s']:.3f} s, allowed are {longest_s:.3f} s"
 
 
 def one_answer(history: History) -> Iterator[Breach]:
@@ -212,11 +259,10 @@ def _unbelievable(call: Call) -> Iterator[Breach]:
         return
     if not tried or tried[-1]["server"] != ended["place"]:
         yield ended, f"was answered by {ended['place']}, where it was not sent"
-    elif (took_s := ended["t"] - tried[-1]["t"]) > tried[-1]["deadline_s"] + _SLACK_S:
-        yield (
-            ended,
-            f"was answered {took_s:.3f} s after it was sent, the deadline was {tried[-1]['deadline_s']:.3f} s",
-        )
+        return
+    deadline_s = (call.hedged or tried[-1])["deadline_s"]
+    if (took_s := ended["t"] - tried[-1]["t"]) > deadline_s + _SLACK_S:
+        yield ended, f"was answered {took_s:.3f} s after it was sent, the deadline was {deadline_s:.3f} s"
 
 
 def truthful_errors(history: History) -> Iterator[Breach]:
@@ -315,6 +361,7 @@ def no_harm(history: History) -> Iterator[Breach]:
 
     Chance and heat make two local calls differ that would be alike: each counts here as long as it took alone.
     """
+    yield from _hedged_too_much(history)
     if history.alone is None or history.run.failure or history.alone.failure:
         return
     calls, alone = list(calls_of(history.run.events)), list(calls_of(history.alone.events))
@@ -330,6 +377,22 @@ def no_harm(history: History) -> Iterator[Breach]:
             None,
             f"the mission took {took_s:.3f} s; alone, with what the rules allowed, at most {latest_s:.3f} s",
         )
+
+
+def _hedged_too_much(history: History) -> Iterator[Breach]:
+    """A hedge starts only while what was computed for nothing is within the share of what all calls would take."""
+    hedge = history.config.policy.hedge
+    calls_s = extra_s = 0.0
+    for call in calls_of(history.run.events):
+        decided = call.decisions[-1]
+        calls_s += decided["local_s"] or 0.0
+        if call.hedged is None:
+            continue
+        if hedge is None or extra_s > hedge.budget * calls_s + _ROUNDING_S:
+            yield call.hedged, f"{extra_s:.3f} s were computed for nothing, of {calls_s:.3f} s in all calls"
+        remote_s = call.ended["t"] - decided["t"]
+        if call.ended["place"] != "local" and remote_s <= decided["deadline_s"] - _ROUNDING_S:
+            extra_s += decided["local_s"]
 
 
 # --- 11: admission ------------------------------------------------------------------------------------------

@@ -84,7 +84,7 @@ class _Draft:
         """The scenario, without faults."""
         chance = self._chance
         both = len(self._services) > 1
-        document = {
+        document: dict[str, Any] = {
             "name": "d1",
             "seed": self._number,
             "mission": {
@@ -105,6 +105,11 @@ class _Draft:
             document["noise"] = {"call": _number(chance, 0.0, 0.4), "leg": _number(chance, 0.0, 0.1)}
         if chance.random() < 0.1:
             document["heat"] = {"ambient_c": _number(chance, 20.0, 60.0)}
+        if chance.random() < 0.3:
+            document["policy"]["hedge"] = {
+                "after": chance.choice(("p50", "p80", "p95")),
+                "budget": chance.choice((0.02, 0.1, 0.5)),
+            }
         return document
 
     def _vehicle(self) -> dict[str, Any]:

@@ -1,0 +1,67 @@
+"""When the drone's own service starts on a remote call, and how much work that may add."""
+
+from __future__ import annotations
+
+import pytest
+
+from upwash.core.estimates import Operation
+from upwash.core.hedging import Delays, Hedge, Hedging
+
+HEAVY = Operation("detector", "process_photo", "heavy")
+
+
+def hedging(*, quantile: float = 0.95, budget: float = 0.1) -> Hedging:
+    return Hedging(quantile=quantile, budget=budget, offline_s={"s1": {HEAVY: 0.7}, "s2": {HEAVY: 2.0}})
+
+
+def plan(hedging: Hedging, server: str = "s1", *, deadline_s: float = 2.8) -> Hedge | None:
+    return hedging.plan(server, HEAVY, local_s=10.0, deadline_s=deadline_s)
+
+
+def test_before_any_call_twice_the_offline_estimate_stands_in_for_the_quantile() -> None:
+    new = hedging()
+    new.count(10.0)
+    assert plan(new) == Hedge(after_s=1.4, deadline_s=11.4)
+
+
+def test_a_quantile_is_told_by_enough_delays() -> None:
+    delays = Delays()
+    for tenths in range(1, 19):
+        delays = delays.observe(tenths / 10)
+    assert delays.quantile_s(0.95, offline_s=0.7) == pytest.approx(3.6)  # 18 delays cannot tell a p95
+    assert delays.observe(1.9).quantile_s(0.95, offline_s=0.7) == 1.9
+    assert delays.quantile_s(0.5, offline_s=0.7) == 1.0
+
+
+def test_what_was_long_ago_is_forgotten() -> None:
+    delays = Delays().observe(50.0)
+    for _ in range(100):
+        delays = delays.observe(0.7)
+    assert delays.quantile_s(0.99, offline_s=0.7) == 0.7
+
+
+def test_each_server_has_delays_of_its_own() -> None:
+    new = hedging()
+    new.count(10.0)
+    for _ in range(19):
+        new.answered("s1", HEAVY, 0.8)
+    assert plan(new) == Hedge(after_s=0.8, deadline_s=10.8)
+    assert plan(new, "s2", deadline_s=8.0) == Hedge(after_s=4.0, deadline_s=14.0)
+
+
+def test_the_drone_starts_at_the_ordinary_deadline_at_the_latest() -> None:
+    new = hedging()
+    new.count(10.0)
+    assert plan(new, "s2", deadline_s=3.0) == Hedge(after_s=3.0, deadline_s=13.0)
+
+
+def test_work_for_nothing_is_paid_for_by_later_calls() -> None:
+    new = hedging(budget=0.1)
+    new.count(10.0)
+    new.added(10.0)
+    for _ in range(9):
+        assert plan(new) is None
+        new.count(10.0)
+    assert plan(new) is None  # all of 10 s is used
+    new.count(10.0)
+    assert plan(new) is not None
