@@ -27,7 +27,7 @@ from upwash.real.lxd.image import ServiceImage, newest_images
 
 SUBNET = IPv4Network("10.9.0.0/29")  # of six addresses
 SETTINGS = ContainerSettings(SUBNET)
-DETECTOR = ServiceImage("detector", Program("package:Detector", {"threads": 2}), "host", "3.11", "f00")
+DETECTOR = ServiceImage("detector", Program("package:Detector", {"threads": 2}), "host", "3.11", "1.0", "f00")
 
 
 def held(container: Container, settings: ContainerSettings = SETTINGS) -> EngineInstance:

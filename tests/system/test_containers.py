@@ -306,6 +306,15 @@ def test_a_container_that_is_killed_from_outside_is_noticed_and_started_again(
     at(open_site, use)
 
 
+def test_an_image_of_another_release_is_refused(open_site: OpenSite, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def use(site: Site) -> None:
+        monkeypatch.setattr("upwash.real.lxd.runtime.version", lambda _: "9.9")
+        with pytest.raises(InstanceError, match=r"made with upwash .*, and this is 9\.9: make it again"):
+            await site.start("s1", "workbench")
+
+    at(open_site, use)
+
+
 def test_a_start_without_an_image_names_the_remedy(open_site: OpenSite) -> None:
     async def use(site: Site) -> None:
         with pytest.raises(

@@ -9,6 +9,7 @@ import platform
 import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 from upwash.bundled import LoadedService
@@ -82,7 +83,7 @@ def _compile(root: Path) -> None:
 
 def _describe(tree: Path, recipe: Recipe, program: Program, distributions: Iterable[str]) -> None:
     """What the engine shows of the image, and the daemon knows it by. JSON is YAML too."""
-    image = ServiceImage(recipe.name, program, recipe.base, platform.python_version())
+    image = ServiceImage(recipe.name, program, recipe.base, platform.python_version(), version("upwash"))
     metadata = {
         "architecture": platform.machine(),
         "creation_date": _CREATED_S,

@@ -54,7 +54,7 @@ async def list_images(daemon: DaemonConfig) -> list[Offer]:
     offers = []
     for service in (image.name for image in daemon.images):
         if image := newest.get(service):
-            made_with = f"{image.base}, Python {image.python}"
+            made_with = f"{image.base}, Python {image.python}, upwash {image.release}"
             offers.append(Offer(service, image.program.path, image.fingerprint[:_HASH_SHOWN], made_with))
         else:
             offers.append(Offer(service, "", "missing", can_run=False))

@@ -11,18 +11,19 @@ from upwash.ports import Program
 from upwash.real.lxd.engine import EngineImage
 
 _PREFIX = "upwash."
-_NAMES = ("service", "program", "settings", "base", "python")
+_NAMES = ("service", "program", "settings", "base", "python", "release")
 _plain = msgspec.json.Decoder(dict[str, object])
 
 
 @dataclass(frozen=True, slots=True)
 class ServiceImage:
-    """A service's image: its program inside, the system below it, the Python that it was packaged with."""
+    """A service's image: its program, the system below it, and the Python and upwash that it was packaged with."""
 
     service: str
     program: Program
     base: str
     python: str
+    release: str
     fingerprint: str = ""
 
     def properties(self) -> dict[str, str]:
@@ -34,6 +35,7 @@ class ServiceImage:
             f"{_PREFIX}settings": msgspec.json.encode(self.program.settings, order="sorted").decode(),
             f"{_PREFIX}base": self.base,
             f"{_PREFIX}python": self.python,
+            f"{_PREFIX}release": self.release,
         }
 
 
@@ -41,11 +43,9 @@ def newest_images(images: Iterable[EngineImage]) -> Mapping[str, ServiceImage]:
     """Of each service the image that was imported last, by the service's name; other people's are left aside."""
     found: dict[str, ServiceImage] = {}
     for image in sorted(images, key=lambda each: each.uploaded_at):
-        said = {name: image.properties.get(_PREFIX + name) for name in _NAMES}
+        said = [image.properties.get(_PREFIX + name) for name in _NAMES]
         match said:
-            case {"service": str(service), "program": str(path), "settings": str(settings), **rest}:
+            case [str(service), str(path), str(settings), str(base), str(python), str(release)]:
                 program = Program(path, _plain.decode(settings))
-                found[service] = ServiceImage(
-                    service, program, rest["base"] or "", rest["python"] or "", image.fingerprint
-                )
+                found[service] = ServiceImage(service, program, base, python, release, image.fingerprint)
     return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Collection, Sequence
+from importlib.metadata import version
 
 from upwash.errors import EngineError, InstanceError
 from upwash.ports import InstanceSpec
@@ -97,12 +98,19 @@ class ContainerRuntime:
         await self._engine.close()
 
     async def _image(self, service: str) -> ServiceImage:
-        if image := newest_images(await self._engine.images()).get(service):
-            return image
-        raise EngineError(
-            f"the container engine has no image of {service}: make one with `upwash package {service}`, "
-            "and import its file with `lxc image import FILE`"
-        )
+        image = newest_images(await self._engine.images()).get(service)
+        if image is None:
+            raise EngineError(
+                f"the container engine has no image of {service}: make one with `upwash package {service}`, "
+                "and import its file with `lxc image import FILE`"
+            )
+        own = version("upwash")
+        if image.release != own:
+            raise EngineError(
+                f"the image of {service} was made with upwash {image.release}, and this is {own}: "
+                f"make it again with `upwash package {service}`"
+            )
+        return image
 
     async def _recover(self, container: Container, *, keep: bool) -> bool:
         """Stops what runs in it, and deletes it unless it is to be kept; says whether it is there to be used."""
