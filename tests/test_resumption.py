@@ -5,11 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from upwash.config import DroneConfig
 from upwash.config.drone_file import drone_config
 from upwash.errors import UsageError
+from upwash.real.journal import read_events
 from upwash.resumption import waypoints_done
 
 PLACES = [[0.0, 0.0], [20.0, 0.0], [40.0, 0.0]]
@@ -109,3 +113,45 @@ def test_a_waypoint_that_the_drone_only_circles_is_not_done() -> None:
 def test_a_log_of_something_else_is_refused(events: list[dict[str, Any]], why: str) -> None:
     with pytest.raises(UsageError, match=why):
         waypoints_done(events, config())
+
+
+FACTS = st.fixed_dictionaries(
+    {},
+    optional={
+        "t": st.floats(0, 1e6) | st.text(max_size=2),
+        "event": st.sampled_from(["log_opened", "mission_started", "leg", "arrived", "call", "?"])
+        | st.none(),
+        "time": st.sampled_from(["2026-01-01T00:00:00+00:00", "2026-01-01T00:00:00", "today", 7]),
+        "drone": st.sampled_from(["drone", "heron", None]),
+        "waypoints": st.integers(-1, 4) | st.text(max_size=2),
+        "waypoint": st.integers(-1, 4) | st.text(max_size=2),
+        "east_m": st.sampled_from([0.0, 20.0, 1e300, "0"]),
+        "north_m": st.sampled_from([0.0, 0, None]),
+    },
+)
+
+
+@given(
+    lines=st.lists(
+        st.sampled_from([msgspec.json.encode(each) for each in (*BEGUN, *at(0, "look"), *at(1, "look"))])
+        | FACTS.map(msgspec.json.encode)
+        | st.binary(max_size=20),
+        max_size=6,
+    )
+)
+def test_any_file_is_a_log_to_take_up_or_a_usage_error(
+    tmp_path_factory: pytest.TempPathFactory, lines: list[bytes]
+) -> None:
+    log = tmp_path_factory.getbasetemp() / "any.jsonl"
+    log.write_bytes(b"".join(line + b"\n" for line in (msgspec.json.encode(OPENED), *lines)))
+    try:
+        assert waypoints_done(read_events(log), config()) <= {0, 1, 2}
+    except UsageError:
+        return
+
+
+def test_a_log_without_its_time_of_day_is_refused(tmp_path: Path) -> None:
+    log = tmp_path / "events.jsonl"
+    log.write_bytes(msgspec.json.encode(event("log_opened")) + b"\n")
+    with pytest.raises(UsageError, match="is not an event log"):
+        read_events(log)

@@ -27,7 +27,7 @@ def waypoints_done(events: Iterable[Mapping[str, Any]], config: DroneConfig) -> 
     for event in events:
         match event:
             case {"event": "log_opened"}:
-                results, left, completed = {}, set(), False
+                results, left, here, completed = {}, set(), None, False
             case {"event": "mission_completed"}:
                 completed = True
             case {"event": "mission_started"}:
@@ -36,8 +36,13 @@ def waypoints_done(events: Iterable[Mapping[str, Any]], config: DroneConfig) -> 
             case {"event": "leg", "waypoint": int(index)} if here is not None and index != here:
                 left.add(here)
                 here = None
-            case {"event": "arrived", "waypoint": int(index)}:
-                _require_same_place(event, plan.get(index))
+            case {
+                "event": "arrived",
+                "waypoint": int(index),
+                "east_m": float() | int() as east_m,
+                "north_m": float() | int() as north_m,
+            }:
+                _require_same_place(index, east_m, north_m, plan.get(index))
                 here, results[index] = index, 0
             case {"event": "call"} if here is not None:
                 results[here] += 1
@@ -48,19 +53,20 @@ def waypoints_done(events: Iterable[Mapping[str, Any]], config: DroneConfig) -> 
 
 
 def _require_same_drone(started: Mapping[str, Any], config: DroneConfig, planned: int) -> None:
-    if started["drone"] != config.name:
-        raise UsageError(f"this log is of the drone {started['drone']}, not of {config.name}")
-    if started["waypoints"] != planned:
+    drone, waypoint_count = started.get("drone"), started.get("waypoints")
+    if drone != config.name:
+        raise UsageError(f"this log is of the drone {drone}, not of {config.name}")
+    if waypoint_count != planned:
         raise UsageError(
-            f"this log is of another plan: it had {started['waypoints']} waypoints, this one has {planned}"
+            f"this log is of another plan: it had {waypoint_count} waypoints, this one has {planned}"
         )
 
 
-def _require_same_place(arrived: Mapping[str, Any], planned: Waypoint | None) -> None:
+def _require_same_place(index: int, east_m: float, north_m: float, planned: Waypoint | None) -> None:
     if planned is None:
-        raise UsageError(f"this log is of another plan: this one has no waypoint {arrived['waypoint']}")
+        raise UsageError(f"this log is of another plan: this one has no waypoint {index}")
     place = planned.position
-    off_m = math.hypot(place.east_m - arrived["east_m"], place.north_m - arrived["north_m"])
+    off_m = math.hypot(place.east_m - east_m, place.north_m - north_m)
     if off_m > _SAME_PLACE_M:
         raise UsageError(
             f"this log is of another plan: waypoint {planned.index} was {off_m:.2f} m from where it is now"

@@ -31,7 +31,8 @@ from upwash.server import EdgeServer, Image
 
 _log = logging.getLogger("upwash.serving")
 
-_THREADS = 16
+_CONCURRENT_REQUESTS = 64  # most take no time, a start as long as the service needs
+_REQUESTS_PER_DRONE = 8
 _EXPIRY_WARNING = timedelta(days=30)
 _EXPIRY_LOOK_S = 86_400.0
 _CLOSING = "this edge server is shutting down"
@@ -167,8 +168,8 @@ def _listener(config: DaemonConfig, credentials: Credentials | None, edge: EdgeS
         handle,
         credentials=credentials,
         max_message_bytes=config.max_message_bytes,
-        threads=_THREADS,
-        concurrent_requests=_THREADS,
+        concurrent_requests=_CONCURRENT_REQUESTS,
+        requests_per_drone=_REQUESTS_PER_DRONE,
     )
 
 

@@ -6,9 +6,12 @@ import csv
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from upwash.emulation.goodput import Measurement, Transfers, write_table
 from upwash.emulation.native import WIFI
+from upwash.errors import UsageError
 from upwash.sim.radio import read_goodput
 
 LOST = float("inf")
@@ -43,3 +46,45 @@ def test_a_table_is_a_radio_and_tells_what_it_depends_on(tmp_path: Path) -> None
     assert [row["ok"] for row in rows] == ["2", "2", "1", "0"]
     assert [row["transfer_s"] for row in rows] == ["0.4500", "1.0000", "4.0000", ""]
     assert all(len(row) == 11 and None not in row.values() for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("rows", "problem"),
+    [
+        ("", "no rows"),
+        ("0,11\n0,10", "do not ascend"),
+        ("10,11\n5,10", "do not ascend"),
+        ("0,nan", "not finite"),
+        ("0,11\ninf,0", "not finite"),
+        ("0,-1", "negative"),
+        ("0", "TypeError"),
+    ],
+)
+def test_a_table_in_which_nothing_can_be_looked_up_is_refused(
+    tmp_path: Path, rows: str, problem: str
+) -> None:
+    file = tmp_path / "radio.csv"
+    file.write_text(f"distance_m,goodput_mbit_s\n{rows}\n")
+    with pytest.raises(UsageError, match=problem):
+        read_goodput(str(file))
+
+
+CELLS = st.floats().map(str) | st.text(max_size=4)
+TABLES = st.lists(st.lists(CELLS, max_size=3).map(",".join), max_size=5).map(
+    lambda rows: "\n".join(["distance_m,goodput_mbit_s", *rows]).encode("utf-8", "surrogatepass")
+)
+
+
+@given(content=st.binary(max_size=200) | TABLES, distance_m=st.floats(0, 1e6))
+def test_any_file_is_a_table_or_a_usage_error(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes, distance_m: float
+) -> None:
+    file = tmp_path_factory.getbasetemp() / "any.csv"
+    file.write_bytes(content)
+    read_goodput.cache_clear()
+    try:
+        table = read_goodput(str(file))
+    except UsageError:
+        return
+    assert table is not None
+    assert table.at(distance_m) >= 0

@@ -12,12 +12,13 @@ from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 from typing import Any
 
+import grpc
 import pytest
 
 from upwash.errors import DeadlineExceeded, LinkError, Refused, Unreachable, UpwashError, UsageError
 from upwash.real.credentials import Credentials
-from upwash.real.link import GrpcDialer, GrpcLink
-from upwash.real.listener import Caller, Handler, Listener
+from upwash.real.link import DRONE_METADATA, GrpcDialer, GrpcLink
+from upwash.real.listener import Caller, Gate, Handler, Listener
 
 MAX_MESSAGE_BYTES = 100_000
 PATH = "/upwash.test/echo"
@@ -31,15 +32,22 @@ def echo(_path: str, body: bytes, _caller: Caller) -> bytes:
 
 @contextmanager
 def listening(
-    handler: Handler, *, shown: Credentials | None = None, listen: str = "127.0.0.1:0", threads: int = 16
+    handler: Handler,
+    *,
+    shown: Credentials | None = None,
+    listen: str = "127.0.0.1:0",
+    concurrently: int = 16,
+    each: int = 16,
+    **gated: Gate,
 ) -> Iterator[Listener]:
     listener = Listener(
         listen,
         handler,
         credentials=shown,
         max_message_bytes=MAX_MESSAGE_BYTES,
-        threads=threads,
-        concurrent_requests=threads,
+        concurrent_requests=concurrently,
+        requests_per_drone=each,
+        **gated,
     )
     listener.start()
     try:
@@ -310,11 +318,68 @@ def test_more_requests_than_the_listener_takes_are_refused_at_once() -> None:
             await asking
 
     handler = Stuck()
-    with listening(handler, threads=1) as listener:
+    with listening(handler, concurrently=1) as listener:
         asyncio.run(ask(handler, listener.address))
 
 
 # --- who is who ---------------------------------------------------------------------------------------------
+
+
+def test_a_request_is_refused_at_the_gate_before_its_body_is_there() -> None:
+    def gate(path: str, caller: Caller) -> None:
+        raise Refused(f"{caller.visitor.name} may not {path}")
+
+    with (
+        listening(echo, gate=gate) as listener,
+        grpc.insecure_channel(listener.address, [("grpc.enable_http_proxy", 0)]) as channel,
+    ):
+        let_go = threading.Event()
+        call = channel.stream_unary(PATH).future(
+            iter(let_go.wait, True), timeout=10.0, metadata=((DRONE_METADATA, "heron"),)
+        )
+        try:
+            assert call.exception().details() == f"heron may not {PATH}"
+        finally:
+            let_go.set()
+
+
+def test_a_request_that_does_not_end_holds_up_no_other() -> None:
+    with (
+        listening(echo, concurrently=2) as listener,
+        grpc.insecure_channel(listener.address, [("grpc.enable_http_proxy", 0)]) as channel,
+    ):
+        let_go = threading.Event()
+        channel.stream_unary(PATH).future(iter(let_go.wait, True), timeout=10.0)
+        try:
+            assert request(listener.address) == b"photo"
+        finally:
+            let_go.set()
+
+
+def test_no_drone_has_more_requests_under_way_than_its_share(caplog: pytest.LogCaptureFixture) -> None:
+    handler = Stuck()
+
+    async def crowd(address: str) -> None:
+        async with linked(address) as heron, linked(address, drone="stork") as stork:
+            waiting = asyncio.create_task(heron.request(PATH, b"photo", timeout_s=10.0))
+            assert await entering(handler)
+            with pytest.raises(Refused, match="this drone has 1 requests under way already"):
+                await heron.request(PATH, b"quick", timeout_s=5.0)
+            assert await stork.request(PATH, b"quick", timeout_s=5.0) == b"quick"
+            handler.let_go.set()
+            assert await waiting == b"photo"
+            assert await heron.request(PATH, b"quick", timeout_s=5.0) == b"quick"
+
+    with listening(handler, each=1) as listener:
+        asyncio.run(crowd(listener.address))
+    assert "refused /upwash.test/echo to heron: this drone has 1" in caplog.text
+
+
+def test_a_request_that_is_too_large_is_refused_in_the_log_too(caplog: pytest.LogCaptureFixture) -> None:
+    with listening(echo) as listener:
+        with pytest.raises(Refused, match="larger than max"):
+            request(listener.address, bytes(MAX_MESSAGE_BYTES + 1))
+        until(lambda: f"larger than {MAX_MESSAGE_BYTES} bytes" in caplog.text)
 
 
 def name_of_caller(_path: str, _body: bytes, caller: Caller) -> bytes:

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 from tests.engines import OwnEngine
-from tests.system.test_serve import Guest
+from tests.system.daemons import Guest
 
 from upwash.bundled import load_service_alone
 from upwash.errors import InstanceError, LinkError, Refused, ServiceError

@@ -28,13 +28,20 @@ def run(options: argparse.Namespace) -> bool:
     """Serves until it is told to stop."""
     os.environ.setdefault("GRPC_VERBOSITY", "INFO")  # gRPC then says whose certificate it refused, and why
     service_manager = os.environ.pop("NOTIFY_SOCKET", "")  # instances have nothing to tell it
+    import resource
+
     from upwash.config import read_daemon_config
     from upwash.real.log import log_json, log_text
+    from upwash.real.memory import keep_heaps_few
     from upwash.real.service_manager import ServiceManager
     from upwash.serving import serve
 
+    keep_heaps_few()
     config = read_daemon_config(options.config)
     (log_json if options.log_format == "json" else log_text)()
+    # Each connection is an open file: as many as the system allows, or a thousand strangers would keep drones out.
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     names = ", ".join(identity.name for identity in config.identities)
     asyncio.run(
         serve(

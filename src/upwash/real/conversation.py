@@ -122,7 +122,7 @@ class Conversation:
             message = from_instance.decode(text) if text else None
         except OSError:
             return None
-        except (ValueError, msgspec.MsgspecError):
+        except (ValueError, RecursionError, msgspec.MsgspecError):
             _log.warning("%s said something that cannot be understood: hanging up", self._name)
             return None
         if isinstance(message, Ended):

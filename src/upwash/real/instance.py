@@ -38,7 +38,8 @@ from upwash.real.listener import AlwaysServing, Caller, Listener
 from upwash.service import Method, load_service, spec_of
 from upwash.settings import construct
 
-_CONCURRENT_CALLS = 8  # one runs, the others queue until their deadlines
+_CONCURRENT_CALLS = 32  # one runs, the others arrive or queue until their deadlines
+_CALLS_PER_DRONE = 8
 _LONGEST_REASON = 10_000  # characters
 _REPORT_PERIOD_S = 1.0  # leases last far longer than this
 _LAST_REPLY_S = 1.0  # to get on its way, when the last call has ended
@@ -71,8 +72,9 @@ class ServiceInstance:
             self._answer,
             credentials=credentials,
             max_message_bytes=begin.max_message_bytes,
-            threads=_CONCURRENT_CALLS,
             concurrent_requests=_CONCURRENT_CALLS,
+            requests_per_drone=_CALLS_PER_DRONE,
+            gate=self._admit,
         )
         self._listener.add(AlwaysServing())
 
@@ -102,13 +104,15 @@ class ServiceInstance:
         with self._reporting:
             self._control.sendall(line(message))
 
-    def _answer(self, path: str, body: bytes, caller: Caller) -> bytes:
-        method = self._methods.get(path)
-        if method is None:
+    def _admit(self, path: str, caller: Caller) -> None:
+        if path not in self._methods:
             raise Refused(f"no method {path} here")
         self._refuse_unwelcome(caller)
+
+    def _answer(self, path: str, body: bytes, caller: Caller) -> bytes:
+        """In the service's own thread, one call after the other, in the order in which they were whole."""
         try:
-            call = self._calls.submit(self._perform, method, body, caller)
+            call = self._calls.submit(self._perform, self._methods[path], body, caller)
         except RuntimeError:  # no calls are taken any more
             raise Refused(self._closed) from None
         try:
@@ -123,7 +127,9 @@ class ServiceInstance:
             raise Refused(f"drone {caller.visitor.name or '(unnamed)'} has no lease here")
 
     def _perform(self, method: Method, body: bytes, caller: Caller) -> bytes:
-        self._refuse_unwelcome(caller)  # it may have ended while the call waited for its turn
+        self._refuse_unwelcome(
+            caller
+        )  # its lease may have ended while the call arrived and waited for its turn
         if not caller.is_waiting():
             raise Refused("nobody waits for this call any more")
         drone, began_s = caller.visitor.name, time.monotonic()

@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
@@ -86,11 +86,19 @@ class FileJournal:
         os.close(self._file)
 
 
+class _Opening(msgspec.Struct):
+    time: Annotated[datetime, msgspec.Meta(tz=True)]
+
+
 def read_events(path: Path) -> list[dict[str, Any]]:
     """The events of a flight's log, which begins with the time of day; raises UsageError."""
     events = event_log.read(path)
     if events[0]["event"] != "log_opened":
         raise UsageError(f"{path} is not the event log of a flight")
+    try:
+        msgspec.convert([event for event in events if event["event"] == "log_opened"], list[_Opening])
+    except msgspec.ValidationError as error:
+        raise UsageError(f"{path} is not an event log: {error}") from error
     return events
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import logging
 import socket
-from collections.abc import Callable
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -26,6 +29,7 @@ SERVER_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.keepalive_permit_without_calls", 1),
     ("grpc.keepalive_time_ms", 5000),
     ("grpc.keepalive_timeout_ms", 3000),
+    ("grpc.server_handshake_timeout_ms", 10_000),  # else a connection that says nothing stays for two minutes
 )
 
 
@@ -43,13 +47,16 @@ class Caller:
 
 
 Handler = Callable[[str, bytes, Caller], bytes]
+Gate = Callable[[str, Caller], None]
 
 
 class Listener:
     """Answers requests at one address with `handler`, which runs in a thread of the listener's.
 
     A handler refuses by raising `Refused`; any other error is a bug of the handler, logged, and answered as an
-    internal error without its text.
+    internal error without its text. `gate` may refuse in the same way before the request's body is received, so
+    that whoever is not served takes no memory. Whoever takes long to send its body keeps none but itself waiting,
+    and no drone has more than `requests_per_drone` under way.
     """
 
     def __init__(
@@ -59,13 +66,14 @@ class Listener:
         *,
         credentials: Credentials | None,
         max_message_bytes: int,
-        threads: int,
         concurrent_requests: int,
+        requests_per_drone: int,
+        gate: Gate = lambda _path, _caller: None,
     ) -> None:
         if _is_in_use(listen):
             raise _cannot_listen(listen)
         self._server = grpc.server(
-            ThreadPoolExecutor(max_workers=threads, thread_name_prefix="upwash-request"),
+            ThreadPoolExecutor(max_workers=concurrent_requests, thread_name_prefix="upwash-request"),
             maximum_concurrent_rpcs=concurrent_requests,
             options=[
                 *SERVER_OPTIONS,
@@ -73,7 +81,14 @@ class Listener:
                 ("grpc.max_send_message_length", max_message_bytes),
             ],
         )
-        self._server.add_generic_rpc_handlers((_Requests(handler, certified=credentials is not None),))
+        requests = _Requests(
+            handler,
+            gate,
+            certified=credentials is not None,
+            max_message_bytes=max_message_bytes,
+            requests_per_drone=requests_per_drone,
+        )
+        self._server.add_generic_rpc_handlers((requests,))
         self.address = self._bind(listen, credentials)
 
     def add(self, handlers: grpc.GenericRpcHandler) -> None:
@@ -147,22 +162,40 @@ class AlwaysServing(grpc.GenericRpcHandler):  # type: ignore[misc]
 
 
 class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
-    """Hands every unary request below /upwash. to the handler."""
+    """Hands every unary request below /upwash. to the handler, once it has passed the gate and is whole."""
 
-    def __init__(self, handler: Handler, *, certified: bool) -> None:
+    def __init__(
+        self,
+        handler: Handler,
+        gate: Gate,
+        *,
+        certified: bool,
+        max_message_bytes: int,
+        requests_per_drone: int,
+    ) -> None:
         self._handler = handler
+        self._gate = gate
         self._certified = certified
+        self._max_message_bytes = max_message_bytes
+        self._requests_per_drone = requests_per_drone
+        self._counting = threading.Lock()
+        self._under_way: Counter[str] = Counter()
 
     def service(self, handler_call_details: Any) -> Any:
         path: str = handler_call_details.method
         if not path.startswith("/upwash."):
             return None
-        return grpc.unary_unary_rpc_method_handler(lambda body, context: self._answer(path, body, context))
+        # A stream of one message, on the wire the same: who calls is known before the message is there.
+        return grpc.stream_unary_rpc_method_handler(
+            lambda bodies, context: self._answer(path, bodies, context)
+        )
 
-    def _answer(self, path: str, body: bytes, context: grpc.ServicerContext) -> bytes:
+    def _answer(self, path: str, bodies: Iterator[bytes], context: grpc.ServicerContext) -> bytes:
         caller = Caller(self._visitor(context), context.time_remaining, context.is_active)
         try:
-            return self._handler(path, body, caller)
+            with self._counted(caller.visitor.key):
+                self._gate(path, caller)
+                return self._handler(path, _whole(bodies, self._max_message_bytes), caller)
         except Refused as refusal:
             _log.warning("refused %s to %s: %s", path, caller.visitor.name or "an unnamed caller", refusal)
             context.abort(grpc.StatusCode.FAILED_PRECONDITION, str(refusal))
@@ -172,6 +205,20 @@ class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
             _log.exception("%s by %s failed", path, caller.visitor.name)
             context.abort(grpc.StatusCode.INTERNAL, "the server failed; its log says why")
         raise AssertionError("abort raises")
+
+    @contextlib.contextmanager
+    def _counted(self, drone: str) -> Iterator[None]:
+        with self._counting:
+            if self._under_way[drone] >= self._requests_per_drone:
+                raise Refused(f"this drone has {self._requests_per_drone} requests under way already")
+            self._under_way[drone] += 1
+        try:
+            yield
+        finally:
+            with self._counting:
+                self._under_way[drone] -= 1
+                if not self._under_way[drone]:
+                    del self._under_way[drone]
 
     def _visitor(self, context: grpc.ServicerContext) -> Visitor:
         if self._certified:
@@ -191,3 +238,12 @@ def _certified(name: bytes, subject: bytes, certificate: bytes) -> Visitor:
         fingerprint(certificate),
         is_operator=f"OU={OPERATOR_UNIT}" in subject.decode(errors="replace").split(","),
     )
+
+
+def _whole(bodies: Iterator[bytes], max_message_bytes: int) -> bytes:
+    try:
+        return next(bodies)
+    except (StopIteration, grpc.RpcError):  # which of the two, and why, gRPC does not say
+        raise Refused(
+            f"it did not arrive whole: broken off, empty, or larger than {max_message_bytes} bytes"
+        ) from None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import bisect
 import csv
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -70,11 +72,21 @@ def read_goodput(radio: str) -> GoodputTable | None:
     try:
         lines = source.read_text(encoding="utf-8").splitlines()
         rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
-        return GoodputTable(
-            [float(row["distance_m"]) for row in rows], [1e6 * float(row["goodput_mbit_s"]) for row in rows]
-        )
-    except (OSError, KeyError, ValueError) as error:
+        return _table([(float(row["distance_m"]), 1e6 * float(row["goodput_mbit_s"])) for row in rows])
+    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
         raise UsageError(
             f"radio {radio!r}: {type(error).__name__}: {error}; it must be a csv file with the columns "
-            "distance_m and goodput_mbit_s"
+            "distance_m, ascending, and goodput_mbit_s"
         ) from error
+
+
+def _table(rows: Sequence[tuple[float, float]]) -> GoodputTable:
+    """The table of those rows; ValueError where nothing can be looked up in it."""
+    if not rows:
+        raise ValueError("no rows")
+    distances_m, goodput_bit_s = zip(*rows, strict=True)
+    if not all(0 <= number < math.inf for number in (*distances_m, *goodput_bit_s)):
+        raise ValueError("a number that is negative or not finite")
+    if any(near >= far for near, far in itertools.pairwise(distances_m)):
+        raise ValueError("distances that do not ascend")
+    return GoodputTable(distances_m, goodput_bit_s)

@@ -55,7 +55,7 @@ async def grpc_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
 
     address = f"unix:{folder}/s1.sock"
     listener = Listener(
-        address, answer, credentials=None, max_message_bytes=1000, threads=4, concurrent_requests=4
+        address, answer, credentials=None, max_message_bytes=1000, concurrent_requests=4, requests_per_drone=4
     )
     if answered:
         listener.start()

@@ -1,0 +1,213 @@
+"""Edge daemons as processes, and drones that visit them, for tests."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from upwash.protocol import (
+    AVAILABILITY,
+    LEAVE,
+    START,
+    AvailabilityReply,
+    AvailabilityRequest,
+    LeaveReply,
+    LeaveRequest,
+    StartReply,
+    StartRequest,
+    decode_reply,
+    resolve,
+    service_path,
+)
+from upwash.real.credentials import Credentials
+from upwash.real.link import GrpcDialer, GrpcLink
+from upwash.service import load_service, spec_of
+
+T = TypeVar("T")
+MAX_MESSAGE_BYTES = 1_000_000
+
+CONFIG = """
+[[service]]
+name = "workbench"
+program = "services_for_tests:Workbench"
+
+[[service]]
+name = "unstartable"
+program = "services_for_tests:Unstartable"
+
+[[service]]
+name = "slowtostart"
+program = "services_for_tests:SlowToStart"
+
+[[server]]
+name = "s1"
+
+[[server]]
+name = "s2"
+"""
+
+
+def config(keys: Path | None, listen: str = "127.0.0.1:0", *, sandbox: str = "off", **settings: Any) -> str:
+    """A daemon that is s1 and s2; without a folder of keys it lets anyone of this machine in."""
+    lines = [f'listen = "{listen}"', f'runtime.sandbox = "{sandbox}"']
+    lines += [f"{name} = {value}" for name, value in settings.items()]
+    if keys is None:
+        lines.append("allow_without_certificates = true")
+    else:
+        lines += ["[keys]", f'authority = "{keys}/authority.pem"']
+        lines += [f'certificate = "{keys}/s1.pem"', f'key = "{keys}/s1.key"']
+    return "\n".join(lines) + CONFIG
+
+
+def started(folder: Path, text: str, *options: str, path: str = os.environ["PATH"]) -> subprocess.Popen[str]:
+    (folder / "server.toml").write_text(text)
+    environment = {
+        **os.environ,
+        "PATH": path,
+        "PYTHONPATH": str(Path(__file__).parents[1]),  # where services_for_tests lies
+        "PROCESS_ID_FILE": str(folder / "process_id"),
+    }
+    command = [sys.executable, "-m", "upwash", "serve", "--config", str(folder / "server.toml"), *options]
+    with (folder / "stderr").open("w") as stderr:
+        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, env=environment, text=True)
+
+
+class Daemon:
+    """A daemon's process that is ready at its address."""
+
+    def __init__(self, process: subprocess.Popen[str], names: str) -> None:
+        assert process.stdout is not None
+        self.process = process
+        said, _, self.address = process.stdout.readline().strip().partition(" ready at ")
+        assert said == names
+
+    def instances(self) -> list[int]:
+        return children(self.process.pid)
+
+    def end(self, number: signal.Signals = signal.SIGTERM) -> int:
+        self.process.send_signal(number)
+        return self.process.wait(timeout=10.0)
+
+
+@contextmanager
+def daemon(
+    folder: Path, text: str, *options: str, names: str = "s1, s2", **settings: str
+) -> Iterator[Daemon]:
+    """A daemon until the end of the block, by which it and all of its instances must have ended."""
+    with started(folder, text, *options, **settings) as process:
+        try:
+            running = Daemon(process, names)
+            yield running
+            instances = running.instances()
+            if process.poll() is None:
+                assert running.end() == 0
+            assert not re.search("^Traceback", (folder / "stderr").read_text(), re.MULTILINE)
+            until(lambda: not any(map(is_alive, instances)))
+        finally:
+            process.kill()
+
+
+def children(process_id: int) -> list[int]:
+    """The living processes that the process started."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, parent = status.read_text().rpartition(")")[2].split()[:2]
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if int(parent) == process_id and state not in "ZX":
+            found.append(int(status.parent.name))
+    return found
+
+
+def is_alive(process_id: int) -> bool:
+    try:
+        status = Path(f"/proc/{process_id}/stat").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return status.rpartition(")")[2].split()[0] not in "ZX"
+
+
+def until(true: Callable[[], bool]) -> None:
+    """Returns when it is true; fails if that takes long."""
+    give_up_s = time.monotonic() + 8.0
+    while not true():
+        assert time.monotonic() < give_up_s
+        time.sleep(0.02)
+
+
+class Guest:
+    """A drone's links to one server of a daemon, and to the instances that it was told of."""
+
+    def __init__(self, dialer: GrpcDialer, server: str, address: str, program: str) -> None:
+        self._dialer = dialer
+        self._server = server
+        self._address = address
+        self._methods = spec_of(load_service(program)).methods
+        self.daemon = dialer.dial(address, server=server)
+        self.instances: dict[str, GrpcLink] = {}
+
+    async def availability(self, *services: str) -> AvailabilityReply:
+        return await self._tell(
+            AVAILABILITY, AvailabilityRequest(self._server, list(services)), AvailabilityReply
+        )
+
+    async def start(self, service: str = "workbench") -> StartReply:
+        return await self._tell(START, StartRequest(self._server, service), StartReply)
+
+    async def leave(self) -> LeaveReply:
+        return await self._tell(LEAVE, LeaveRequest(self._server), LeaveReply)
+
+    async def call(self, endpoint: str, name: str, *arguments: object) -> Any:
+        """A call of the workbench that listens at the endpoint."""
+        if endpoint not in self.instances:
+            address = resolve(endpoint, self._address)
+            self.instances[endpoint] = self._dialer.dial(address, server=self._server)
+        method = self._methods[name]
+        _, request = method.encode(arguments, {})
+        path = service_path("workbench", name)
+        reply = await self.instances[endpoint].request(path, request, timeout_s=10.0)
+        return method.result(method.decode(reply))
+
+    async def close(self) -> None:
+        for link in (self.daemon, *self.instances.values()):
+            await link.close()
+
+    async def _tell(self, path: str, message: msgspec.Struct, reply: type[T]) -> T:
+        answer = await self.daemon.request(path, msgspec.msgpack.encode(message), timeout_s=10.0)
+        return decode_reply(answer, reply, sender=self._server)
+
+
+@asynccontextmanager
+async def guests(
+    at: Daemon, services: Path, *who: tuple[str, Credentials | None, str]
+) -> AsyncIterator[list[Guest]]:
+    """Drones, each by its name, what it shows, and the server that it visits."""
+    async with AsyncExitStack() as stack:
+        each = []
+        for name, shown, server in who:
+            dialer = GrpcDialer(name, shown, max_message_bytes=MAX_MESSAGE_BYTES)
+            guest = Guest(dialer, server, at.address, f"{services}:Workbench")
+            stack.push_async_callback(guest.close)
+            each.append(guest)
+        yield each
+
+
+async def eventually(ask: Callable[[], Awaitable[T]], true: Callable[[T], object]) -> None:
+    """Asks again and again, until what is true of the answer should be; fails if that takes long."""
+    async with asyncio.timeout(8.0):
+        while True:
+            if true(await ask()):
+                return
+            await asyncio.sleep(0.05)

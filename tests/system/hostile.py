@@ -1,0 +1,313 @@
+"""What strangers and bad drones do to an edge daemon while an honest drone is served.
+
+`python -m tests.system.hostile` does all of it and prints a table: how long the honest drone's calls took beside
+those before and after it, in the same run, and by how much the memory of the daemon and its instance grew.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import socket
+import ssl
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+import grpc
+from tests.system.daemons import Daemon, Guest, config, daemon, guests
+
+from upwash.protocol import AVAILABILITY, service_path
+from upwash.real.credentials import Credentials, keys_in, make_keys, read_credentials
+
+HALF_OPEN = 1000
+LONGEST = 2**62
+STREAMED_BYTES = 300_000_000
+GARBAGE_BYTES = 1_000_000
+UNFINISHED = 20
+PHOTO = os.urandom(430_000)
+ECHO = service_path("workbench", "echo")
+
+
+@dataclass(frozen=True)
+class Target:
+    """A daemon and its one instance, by their ports, and a folder of keys that they believe."""
+
+    daemon_port: int
+    instance_port: int
+    keys: Path
+
+    def credentials(self, drone: str) -> Credentials:
+        files = keys_in(self.keys, drone)
+        return read_credentials(files.authority, files.certificate, files.key)
+
+
+Attack = Callable[[Target], contextlib.AbstractContextManager[None]]
+
+
+# --- by strangers -------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def random_bytes(at: Target) -> Iterator[None]:
+    """Ten times a megabyte."""
+    for _ in range(10):
+        with _connected(at.daemon_port) as connection, contextlib.suppress(OSError):
+            connection.sendall(os.urandom(GARBAGE_BYTES))
+    yield
+
+
+@contextlib.contextmanager
+def half_open_connections(at: Target) -> Iterator[None]:
+    """A thousand that say nothing."""
+    with contextlib.ExitStack() as stack:
+        for _ in range(HALF_OPEN):
+            stack.enter_context(_connected(at.daemon_port))
+        yield
+
+
+@contextlib.contextmanager
+def stream_without_certificate(at: Target) -> Iterator[None]:
+    """300 MB of nothing."""
+    with _connected(at.daemon_port) as connection, contextlib.suppress(OSError):
+        for _ in range(STREAMED_BYTES // GARBAGE_BYTES):
+            connection.sendall(bytes(GARBAGE_BYTES))
+    yield
+
+
+# --- by drones that hold a certificate ----------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def declared_lengths(at: Target) -> Iterator[None]:
+    """A body of 2^62 bytes, a message and values in it of 2^32 - 1: declared, and not sent."""
+    with _spoken_to(at, at.daemon_port, "stork") as connection:
+        connection.sendall(_head(AVAILABILITY, length=LONGEST))
+        connection.sendall(_frame(0, 0, b"\0\xff\xff\xff\xff"))
+        connection.settimeout(5.0)
+        with contextlib.suppress(OSError):
+            while connection.recv(4096):
+                pass
+    with _channel(at, at.daemon_port, "stork") as channel:
+        for value in (b"\xdd", b"\xdf", b"\xdb", b"\xc6"):  # a list, a map, a text, bytes
+            body = b"\x82\xa6server\xa2s1\xa8services" + value + b"\xff\xff\xff\xff"
+            with contextlib.suppress(grpc.RpcError):
+                channel.unary_unary(AVAILABILITY)(body, timeout=5.0)
+    yield
+
+
+@contextlib.contextmanager
+def slow_reader(at: Target) -> Iterator[None]:
+    """Reads a long reply at one byte a second."""
+    with _spoken_to(at, at.instance_port, "heron") as connection:
+        message = b"\x81\xa4data\xc5\xea\x60" + bytes(60_000)
+        connection.sendall(_head(ECHO))
+        body = b"\0" + len(message).to_bytes(4) + message
+        pieces = [body[start : start + 16_000] for start in range(0, len(body), 16_000)]
+        for piece in pieces:
+            connection.sendall(_frame(0, 1 if piece is pieces[-1] else 0, piece))
+        over = threading.Event()
+        reading = threading.Thread(target=_read_slowly, args=(connection.fileno(), over))
+        reading.start()
+        try:
+            yield
+        finally:
+            over.set()
+            reading.join()
+
+
+@contextlib.contextmanager
+def unfinished_requests(at: Target) -> Iterator[None]:
+    """Requests that begin and never end, as when a link dies under a photo: twenty without a lease, one with."""
+    over = threading.Event()
+
+    def nothing() -> Iterator[bytes]:
+        over.wait()
+        yield from ()
+
+    with _channel(at, at.instance_port, "stork") as stork, _channel(at, at.instance_port, "heron") as heron:
+        grpc.channel_ready_future(heron).result(timeout=10.0)
+        heron.stream_unary(ECHO).future(nothing(), timeout=60.0)
+        refused = [stork.stream_unary(ECHO).future(nothing(), timeout=60.0) for _ in range(UNFINISHED)]
+        try:
+            for call in refused:
+                call.exception(timeout=10.0)
+            yield
+        finally:
+            over.set()
+
+
+@contextlib.contextmanager
+def stream_with_certificate(at: Target) -> Iterator[None]:
+    """300 MB in one request, to the daemon and to the instance."""
+    over = threading.Event()
+
+    def megabytes() -> Iterator[bytes]:
+        for _ in range(STREAMED_BYTES // GARBAGE_BYTES):
+            if over.is_set():
+                return
+            yield bytes(GARBAGE_BYTES)
+
+    with _channel(at, at.daemon_port, "stork") as one, _channel(at, at.instance_port, "heron") as other:
+        calls = [
+            channel.stream_unary(path).future(megabytes(), timeout=30.0)
+            for channel, path in ((one, AVAILABILITY), (other, ECHO))
+        ]
+        try:
+            yield
+        finally:
+            over.set()
+            for call in calls:
+                call.cancel()
+
+
+ATTACKS: dict[str, Attack] = {
+    "10 x 1 MB of random bytes": random_bytes,
+    "1,000 half-open connections": half_open_connections,
+    "300 MB streamed without a certificate": stream_without_certificate,
+    "lengths declared up to 2^62": declared_lengths,
+    "a drone that reads one byte a second": slow_reader,
+    "requests that begin and never end": unfinished_requests,
+    "300 MB streamed by a drone": stream_with_certificate,
+}
+
+
+# --- HTTP/2 as nobody sends it ------------------------------------------------------------------------------
+
+
+def _connected(port: int) -> socket.socket:
+    return socket.create_connection(("127.0.0.1", port), timeout=10.0)
+
+
+@contextlib.contextmanager
+def _spoken_to(at: Target, port: int, drone: str) -> Iterator[ssl.SSLSocket]:
+    """A connection that has shown the drone's certificate and begun to speak HTTP/2."""
+    files = keys_in(at.keys, drone)
+    context = ssl.create_default_context(cafile=str(files.authority))
+    context.load_cert_chain(files.certificate, files.key)
+    context.set_alpn_protocols(["h2"])
+    with _connected(port) as plain, context.wrap_socket(plain, server_hostname="s1") as connection:
+        connection.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + _frame(4, 0, b"", stream=0))
+        yield connection
+
+
+def _frame(kind: int, flags: int, payload: bytes, *, stream: int = 1) -> bytes:
+    return len(payload).to_bytes(3) + bytes([kind, flags]) + stream.to_bytes(4) + payload
+
+
+def _head(path: str, *, length: int | None = None) -> bytes:
+    """The frame of headers that begins a request."""
+    headers = {
+        ":method": "POST",
+        ":scheme": "https",
+        ":path": path,
+        ":authority": "s1",
+        "te": "trailers",
+        "content-type": "application/grpc",
+    }
+    if length is not None:
+        headers["content-length"] = str(length)
+    literals = (
+        b"\0" + bytes([len(name)]) + name.encode() + bytes([len(value)]) + value.encode()
+        for name, value in headers.items()
+    )
+    return _frame(1, 4, b"".join(literals))
+
+
+def _read_slowly(descriptor: int, over: threading.Event) -> None:
+    with contextlib.suppress(OSError):
+        while not over.wait(1.0) and os.read(descriptor, 1):
+            pass
+
+
+def _channel(at: Target, port: int, drone: str) -> grpc.Channel:
+    shown = at.credentials(drone)
+    return grpc.secure_channel(
+        f"127.0.0.1:{port}",
+        grpc.ssl_channel_credentials(shown.authority, shown.key, shown.certificate),
+        [
+            ("grpc.ssl_target_name_override", "s1"),
+            ("grpc.use_local_subchannel_pool", 1),
+            ("grpc.enable_http_proxy", 0),
+        ],
+    )
+
+
+# --- what comes of it ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How an honest drone was served, and what the attack cost the daemon."""
+
+    usual_s: float
+    attacked_s: float
+    grown_bytes: int
+
+
+async def attacked(at: Daemon, keys: Path, services: Path, attack: Attack, *, calls: int) -> Outcome:
+    """Has an honest drone call before and during the attack; raises where a call is not answered."""
+    believed = Target(0, 0, keys).credentials("heron")
+    async with guests(at, services, ("heron", believed, "s1")) as (heron,):
+        endpoint = (await heron.start()).endpoint
+        target = Target(_port(at.address), _port(endpoint), keys)
+        await _served(heron, endpoint, calls)  # what is allocated once
+        usual_s = await _served(heron, endpoint, calls)
+        processes = [at.process.pid, *at.instances()]
+        before_bytes = sum(_memory_bytes(process, "VmRSS") for process in processes)
+        attacking = attack(target)
+        await asyncio.to_thread(attacking.__enter__)
+        try:
+            attacked_s = await _served(heron, endpoint, 2 * calls)
+        finally:
+            await asyncio.to_thread(attacking.__exit__, None, None, None)
+        usual_s += await _served(heron, endpoint, calls)
+        peak_bytes = sum(_memory_bytes(process, "VmHWM") for process in processes)
+        return Outcome(median(usual_s), median(attacked_s), peak_bytes - before_bytes)
+
+
+async def _served(drone: Guest, endpoint: str, calls: int) -> list[float]:
+    """How long each of some calls took, with a question to the daemon before it."""
+    delays_s = []
+    for _ in range(calls):
+        began_s = time.perf_counter()
+        assert (await drone.availability("workbench")).available
+        assert await drone.call(endpoint, "echo", PHOTO) == PHOTO
+        delays_s.append(time.perf_counter() - began_s)
+    return delays_s
+
+
+def _memory_bytes(process: int, what: str) -> int:
+    status = Path(f"/proc/{process}/status").read_text()
+    return next(int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith(f"{what}:"))
+
+
+def _port(address: str) -> int:
+    return int(address.rpartition(":")[2])
+
+
+def main() -> None:
+    """Prints the table."""
+    services = Path(__file__).parents[1] / "services_for_tests.py"
+    print("| attack | usual, ms | attacked, ms | ratio | memory, MB |\n|---|---|---|---|---|")
+    for name, attack in ATTACKS.items():
+        with tempfile.TemporaryDirectory() as folder:
+            keys = Path(folder, "keys")
+            make_keys(keys, servers=[["s1", "s2"]], drones=["heron", "stork"])
+            with daemon(Path(folder), config(keys)) as at:
+                outcome = asyncio.run(attacked(at, keys, services, attack, calls=150))
+        ratio = outcome.attacked_s / outcome.usual_s
+        print(
+            f"| {name} | {outcome.usual_s * 1e3:.1f} | {outcome.attacked_s * 1e3:.1f} | {ratio:.2f} "
+            f"| {outcome.grown_bytes / 1e6:.1f} |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

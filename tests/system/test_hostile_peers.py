@@ -1,0 +1,117 @@
+"""A running daemon among strangers and bad drones: honest drones are served, its memory stays, its log says why."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import Callable
+from datetime import timedelta
+from pathlib import Path
+
+import grpc
+import pytest
+from tests.system.daemons import Daemon, config, daemon, guests, until
+from tests.system.hostile import ATTACKS, attacked
+
+from upwash.errors import Unreachable
+from upwash.protocol import AVAILABILITY
+from upwash.real import credentials as module
+from upwash.real.credentials import Credentials, keys_in, make_keys, read_credentials
+
+pytestmark = pytest.mark.system
+
+MOST_GROWN_BYTES = 50_000_000
+CALLS = 10
+REFUSALS = {  # what the daemon's log says of an attack that it can tell from an honest drone's doing
+    "10 x 1 MB of random bytes": "Handshake failed.*WRONG_VERSION_NUMBER|Handshake failed",
+    "300 MB streamed without a certificate": "Handshake failed",
+    "lengths declared up to 2^62": "refused /upwash.Daemon/Availability to stork: undecodable request.*truncated",
+    "requests that begin and never end": "refused /upwash.service.workbench/echo to stork: drone stork has no lease",
+    "300 MB streamed by a drone": "refused /upwash.Daemon/Availability to stork: undecodable request",
+}
+
+
+@pytest.mark.parametrize("name", ATTACKS)
+def test_an_honest_drone_is_served_during(name: str, tmp_path: Path, keys: Path, services: Path) -> None:
+    with daemon(tmp_path, config(keys)) as at:
+        outcome = asyncio.run(attacked(at, keys, services, ATTACKS[name], calls=CALLS))
+        assert outcome.grown_bytes <= MOST_GROWN_BYTES
+        if name in REFUSALS:
+            until(lambda: re.search(REFUSALS[name], said(tmp_path)) is not None)
+
+
+def said(folder: Path) -> str:
+    return (folder / "stderr").read_text()
+
+
+# --- certificates -------------------------------------------------------------------------------------------
+
+
+def expired(keys: Path, monkeypatch: pytest.MonkeyPatch) -> Credentials:
+    monkeypatch.setattr(module, "_CLOCKS_MAY_DIFFER", timedelta(days=10))
+    monkeypatch.setattr(module, "_CERTIFICATE_LASTS", timedelta(days=-3))
+    make_keys(keys, drones=["expired"])
+    files = keys_in(keys, "expired")
+    return Credentials(*(file.read_bytes() for file in (files.authority, files.certificate, files.key)))
+
+
+def of_another_authority(keys: Path, _: pytest.MonkeyPatch) -> Credentials:
+    make_keys(keys / "other", drones=["heron"])
+    files = keys_in(keys / "other", "heron")
+    authority = keys / "authority.pem"
+    return Credentials(*(file.read_bytes() for file in (authority, files.certificate, files.key)))
+
+
+def of_a_server(keys: Path, _: pytest.MonkeyPatch) -> Credentials:
+    files = keys_in(keys, "s1")
+    return read_credentials(files.authority, files.certificate, files.key)
+
+
+def none(keys: Path, _: pytest.MonkeyPatch) -> Credentials:
+    return Credentials((keys / "authority.pem").read_bytes(), b"", b"")
+
+
+@pytest.mark.parametrize(
+    ("who", "reason"),
+    [
+        (none, "PEER_DID_NOT_RETURN_A_CERTIFICATE"),
+        (of_another_authority, "CERTIFICATE_VERIFY_FAILED"),
+        (expired, "CERTIFICATE_VERIFY_FAILED.*certificate has expired"),
+        (of_a_server, "CERTIFICATE_VERIFY_FAILED.*purpose"),
+    ],
+)
+def test_a_certificate_that_is_not_a_drones_is_refused_and_the_log_says_why(
+    who: Callable[[Path, pytest.MonkeyPatch], Credentials],
+    reason: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    keys = tmp_path / "keys"
+    make_keys(keys, servers=[["s1", "s2"]])
+    shown = who(keys, monkeypatch)
+    with daemon(tmp_path, config(keys)) as at:
+        client = grpc.ssl_channel_credentials(shown.authority, shown.key or None, shown.certificate or None)
+        options = [("grpc.ssl_target_name_override", "s1"), ("grpc.enable_http_proxy", 0)]
+        with (
+            grpc.secure_channel(at.address, client, options) as channel,
+            pytest.raises(grpc.RpcError) as refusal,
+        ):
+            channel.unary_unary(AVAILABILITY)(b"", timeout=10.0)
+        assert refusal.value.code() is grpc.StatusCode.UNAVAILABLE
+        until(lambda: re.search(f"Handshake failed.*{reason}", said(tmp_path)) is not None)
+
+
+def test_a_drones_certificate_makes_no_server(tmp_path: Path, services: Path) -> None:
+    keys = tmp_path / "keys"
+    make_keys(keys, drones=["heron", "s1"])
+    text = config(keys).replace('\n[[server]]\nname = "s2"\n', "")
+
+    async def visit(at: Daemon) -> None:
+        files = keys_in(keys, "heron")
+        shown = read_credentials(files.authority, files.certificate, files.key)
+        async with guests(at, services, ("heron", shown, "s1")) as (heron,):
+            with pytest.raises(Unreachable, match="its certificate is of another authority"):
+                await heron.availability("workbench")
+
+    with daemon(tmp_path, text, names="s1") as at:
+        asyncio.run(visit(at))
