@@ -44,19 +44,20 @@ def show_check(
             )
         found = msgspec.structs.replace(found, places=tuple(places))
         drawn = drone_config(document, file)
-    if figures is not None:
-        _draw(drawn, figures)
     if as_json:
         sys.stdout.write(msgspec.json.encode(found).decode() + "\n")
     else:
         _print(found, plan.config, servers_to_place, Console(markup=False))
+    if figures is not None:
+        _draw(drawn, figures)
     return not found.concerns
 
 
 @contextmanager
 def _progress(what: str, missions: int) -> Generator[Callable[[int], None]]:
     columns = (*Progress.get_default_columns(), MofNCompleteColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(what, total=missions)
         yield lambda flown: progress.advance(task, flown)
 
