@@ -21,6 +21,7 @@ from rich.table import Table
 from training.photos import TEST_SEEDS, VALIDATION_SEEDS
 from training.scoring import Judged, average_precision, precision, recall
 from upwash.services import Detection, Detector, Mode, ModelFiles
+from upwash.services.detector import SOLAR_PARK
 from upwash.services.solar_park import LABELS, RenderedPhoto, TrueBox, render_photo
 
 _SEEDS = {"validation": VALIDATION_SEEDS, "test": TEST_SEEDS}
@@ -118,7 +119,10 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("photos", choices=_SEEDS, nargs="?", default="validation")
     parser.add_argument(
-        "--model", type=_model, help="a model's files without their endings; default: the default model"
+        "--model",
+        type=_model,
+        default=SOLAR_PARK,
+        help="a model's files without their endings; default: the default model",
     )
     return parser.parse_args()
 

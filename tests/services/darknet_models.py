@@ -145,6 +145,31 @@ def _random(
     yield weights * np.float32((12 * gain / inputs) ** 0.5)
 
 
+def weights_for_opencv(cfg: Path, weights: Path, folder: Path) -> Path:
+    """The weights with variances for which OpenCV's sqrt(variance + 1e-6) is Darknet's sqrt(variance) + 1e-6.
+
+    The two differ for the small variances of a trained network.
+    """
+    content = weights.read_bytes()
+    numbers = np.frombuffer(content, "<f4", offset=20).copy()
+    at = 0
+    for layer in read_network(cfg, cfg.read_bytes()).layers:
+        if not isinstance(layer.operator, Convolutional):
+            continue
+        convolution = layer.operator
+        filters = convolution.filters
+        if convolution.batch_normalize:
+            variances = numbers[at + 3 * filters : at + 4 * filters]
+            variances[:] = (np.sqrt(variances.astype(float)) + 1e-6) ** 2 - 1e-6
+        vectors = 4 if convolution.batch_normalize else 1
+        at += vectors * filters
+        at += filters * (layer.input.channels // convolution.groups) * convolution.size**2
+    assert at == len(numbers)
+    file = folder / "for_opencv.weights"
+    file.write_bytes(content[:20] + numbers.tobytes())
+    return file
+
+
 def write_labels(folder: Path, count: int) -> Path:
     """A file of that many names."""
     file = folder / "model.names"

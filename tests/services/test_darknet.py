@@ -20,6 +20,7 @@ from tests.services.darknet_models import (
     pool,
     route,
     small,
+    weights_for_opencv,
     write_model,
     yolo,
     yolov3,
@@ -65,10 +66,12 @@ def test_heads_are_those_of_an_independent_reader(cfg: str, tmp_path: Path) -> N
     assert_same_heads(*write_model(tmp_path, cfg), sides_px=(64, 96))
 
 
-def test_heads_of_the_bundled_network_are_those_of_an_independent_reader() -> None:
-    assert SOLAR_PARK.cfg is not None
-    assert SOLAR_PARK.weights is not None
-    assert_same_heads(SOLAR_PARK.cfg, SOLAR_PARK.weights, sides_px=(320, 608))
+def test_heads_of_the_bundled_network_are_those_of_an_independent_reader(tmp_path: Path) -> None:
+    cfg, weights = SOLAR_PARK.cfg, SOLAR_PARK.weights
+    assert cfg is not None
+    assert weights is not None
+    theirs = weights_for_opencv(cfg, weights, tmp_path)
+    assert_same_heads(cfg, weights, sides_px=(320, 608), opencv_weights=theirs)
 
 
 @pytest.mark.system
@@ -78,10 +81,12 @@ def test_heads_of_the_whole_yolov3_are_those_of_an_independent_reader(tmp_path: 
     assert_same_heads(cfg, weights, sides_px=(96,))
 
 
-def assert_same_heads(cfg: Path, weights: Path, *, sides_px: tuple[int, ...]) -> None:
+def assert_same_heads(
+    cfg: Path, weights: Path, *, sides_px: tuple[int, ...], opencv_weights: Path | None = None
+) -> None:
     for side_px in sides_px:
         picture = random_picture(side_px)
-        ours, theirs = our_heads(cfg, weights, picture), opencv_heads(cfg, weights, picture)
+        ours, theirs = our_heads(cfg, weights, picture), opencv_heads(cfg, opencv_weights or weights, picture)
         assert len(ours) == len(theirs) > 1
         for own, other in zip(ours, theirs, strict=True):
             assert 0.1 < other.std() < 100  # a network that says something

@@ -22,7 +22,7 @@ from upwash.config import read_daemon_config
 from upwash.errors import ConfigError, InstanceError, ModelError, UsageError
 from upwash.ports import InstanceSpec, Program
 from upwash.protocol import service_path
-from upwash.real.credentials import Credentials
+from upwash.real.credentials import Credentials, fingerprint
 from upwash.real.link import GrpcDialer
 from upwash.real.runtime import ProcessRuntime
 from upwash.service import spec_of
@@ -121,7 +121,11 @@ def program(**settings: Any) -> Program:
 
 
 def with_instance(
-    what: Program, runtime: ProcessRuntime, dialer: GrpcDialer, use: Callable[[Call], Awaitable[None]]
+    what: Program,
+    runtime: ProcessRuntime,
+    dialer: GrpcDialer,
+    drone: str,
+    use: Callable[[Call], Awaitable[None]],
 ) -> None:
     """Starts the detector in a process of its own and calls it."""
     method = spec_of(Detector).methods["process_photo"]
@@ -137,7 +141,7 @@ def with_instance(
             return method.result(method.decode(reply))  # type: ignore[return-value]
 
         try:
-            await instance.admit(frozenset({"heron"}))
+            await instance.admit(frozenset({drone}))
             await use(call)
         finally:
             await link.close()
@@ -149,25 +153,27 @@ def with_instance(
 @pytest.fixture(params=["unix socket", "TLS"])
 def way(
     request: pytest.FixtureRequest, tmp_path: Path, credentials: Callable[[str], Credentials]
-) -> tuple[ProcessRuntime, GrpcDialer]:
-    """How an instance is started and called: as on the drone, and as on a server."""
+) -> tuple[ProcessRuntime, GrpcDialer, str]:
+    """How an instance is started, called, and told of the drone: as on the drone, and as on a server."""
     if request.param == "TLS":
         return (
             ProcessRuntime(
                 lambda _: "127.0.0.1:0", credentials=credentials("s1"), max_message_bytes=MAX_MESSAGE_BYTES
             ),
             GrpcDialer("heron", credentials("heron"), max_message_bytes=MAX_MESSAGE_BYTES),
+            fingerprint(credentials("heron").certificate),
         )
     return (
         ProcessRuntime(
             lambda _: f"unix:{tmp_path}/socket", credentials=None, max_message_bytes=MAX_MESSAGE_BYTES
         ),
         GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES),
+        "heron",
     )
 
 
 def test_an_instance_finds_exactly_what_the_object_finds_and_lives_through_wrong_files(
-    model: ModelFiles, photo: bytes, way: tuple[ProcessRuntime, GrpcDialer]
+    model: ModelFiles, photo: bytes, way: tuple[ProcessRuntime, GrpcDialer, str]
 ) -> None:
     detector = Detector(model=model, threads=2)
     giant = cv2.imencode(".jpg", np.zeros((10_000, 10_000), np.uint8))[1].tobytes()
@@ -197,7 +203,7 @@ def test_an_instance_finds_exactly_what_the_object_finds_and_lives_through_wrong
 
 
 def test_an_instance_whose_model_is_damaged_does_not_start_and_says_where(
-    model: ModelFiles, tmp_path: Path, way: tuple[ProcessRuntime, GrpcDialer]
+    model: ModelFiles, tmp_path: Path, way: tuple[ProcessRuntime, GrpcDialer, str]
 ) -> None:
     assert model.weights is not None
     cut = tmp_path / "cut.weights"

@@ -141,7 +141,7 @@ def is_alive(process_id: int) -> bool:
 
 def until(true: Callable[[], bool]) -> None:
     """Returns when it is true; fails if that takes long."""
-    give_up_s = time.monotonic() + 8.0
+    give_up_s = time.monotonic() + 30.0
     while not true():
         assert time.monotonic() < give_up_s
         time.sleep(0.02)

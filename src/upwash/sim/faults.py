@@ -87,7 +87,7 @@ class Faults:
         loop = asyncio.get_running_loop()
         while (fault := self.now(target)) is None or fault.kind != kind:
             changes = [_next_change_s(each, loop.time()) for each in self._faults if each.target == target]
-            next_s = min(changes, default=math.inf)
+            next_s = max(min(changes, default=math.inf), loop.time() + _LEAST_STEP_S)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout_at(next_s if next_s < math.inf else None):
                     await never()
@@ -103,8 +103,7 @@ def _next_change_s(fault: FaultConfig, now_s: float) -> float:
         return fault.from_s
     if fault.kind == "flapping" and now_s < fault.to_s:
         flaps = int((now_s - fault.from_s) / _FLAP_S) + 1
-        next_s = min(fault.from_s + flaps * _FLAP_S, fault.to_s)
-        return max(next_s, now_s + _LEAST_STEP_S)
+        return min(fault.from_s + flaps * _FLAP_S, fault.to_s)
     return fault.to_s if now_s < fault.to_s else math.inf
 
 
