@@ -23,6 +23,7 @@ from upwash.protocol import (
     LeaveReply,
     StartReply,
     decode_reply,
+    resolve,
 )
 from upwash.real.control import Admitted, Called, Ended, Failed, Ready, Said, line
 from upwash.real.conversation import Conversation
@@ -117,3 +118,10 @@ class Silent:
 
     def write(self, _: bytes) -> None:
         """Nobody reads it."""
+
+
+def test_no_daemon_elsewhere_has_the_drone_call_a_socket_of_its_own() -> None:
+    assert resolve(":40000", "10.0.0.1:7070") == "10.0.0.1:40000"
+    assert resolve("unix:/run/echo.sock", "unix:/run/daemon.sock") == "unix:/run/echo.sock"
+    with pytest.raises(GarbledReply, match=r"unix:/run/other\.sock, which is not its own"):
+        resolve("unix:/run/other.sock", "10.0.0.1:7070")

@@ -103,7 +103,15 @@ def decode_reply(reply: bytes, expected: type[T], *, sender: str) -> T:
 
 
 def resolve(endpoint: str, daemon_address: str) -> str:
-    """The address of an endpoint that a daemon gave: a bare port is one of the daemon's host."""
+    """The address of an endpoint that a daemon gave: a bare port is one of the daemon's host.
+
+    Raises GarbledReply for a socket of this machine where the daemon is not on one: it would be called without
+    certificates.
+    """
     if endpoint.startswith(":"):
         return daemon_address.rpartition(":")[0] + endpoint
+    if endpoint.startswith("unix:") and not daemon_address.startswith("unix:"):
+        raise GarbledReply(
+            f"the daemon at {daemon_address} gave the endpoint {endpoint}, which is not its own"
+        )
     return endpoint
