@@ -9,7 +9,7 @@ run: $(READY)
 	$(BIN)/upwash demo
 
 test: $(READY)
-	$(BIN)/python -m pytest -n 5 --dist load --maxschedchunk 1 -m "not root"
+	$(BIN)/python -m pytest -n 5 --dist loadgroup -m "not root"
 
 # Needs root: network namespaces, containers, system services. Each test says why if it cannot run here.
 test-system: $(READY)

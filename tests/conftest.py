@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -18,12 +17,14 @@ settings.register_profile("untimed", deadline=None)  # a busy machine breaks not
 settings.load_profile("untimed")
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Lets flights in real time begin first, each on a worker of its own (workers take tests in pairs)."""
+    """Lets flights in real time begin first, two at a time: each renders photos and detects, as real drones would."""
     flights = [item for item in items if item.get_closest_marker("flight")]
-    others = [item for item in items if not item.get_closest_marker("flight")]
-    first = [item for pair in itertools.zip_longest(flights, others[: len(flights)]) for item in pair if item]
-    items[:] = first + others[len(flights) :]
+    for number, flight in enumerate(flights):
+        if flight.get_closest_marker("xdist_group") is None:
+            flight.add_marker(pytest.mark.xdist_group(f"flights-{number % 2}"))
+    items[:] = flights + [item for item in items if item not in flights]
 
 
 @pytest.fixture(scope="session")

@@ -78,6 +78,9 @@ def started(folder: Path, text: str, *options: str, path: str = os.environ["PATH
         "PYTHONPATH": str(Path(__file__).parents[1]),  # where services_for_tests lies
         "PROCESS_ID_FILE": str(folder / "process_id"),
     }
+    environment.pop(
+        "GRPC_VERBOSITY", None
+    )  # as a command that another test ran in this process may have left it
     command = [sys.executable, "-m", "upwash", "serve", "--config", str(folder / "server.toml"), *options]
     with (folder / "stderr").open("w") as stderr:
         return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, env=environment, text=True)
