@@ -14,7 +14,7 @@ test: $(READY)
 # Needs root: network namespaces, containers, system services. Each test says why if it cannot run here.
 test-system: $(READY)
 	tests/system/install-packages
-	$(BIN)/python -m pytest -n 2 --dist loadgroup -m root
+	$(BIN)/python -m pytest -n 4 --dist loadgroup -m root
 
 # The ns-3 programs of `upwash emulate --radio ns3` and `upwash goodput`; nothing else needs them.
 native:

@@ -10,7 +10,7 @@ import msgspec
 from upwash.emulation.order import RadioKind
 
 RADIO_LAG_LIMIT_S = 0.02  # more, and the radio's times mean nothing
-POSITION_LAG_LIMIT_S = 0.1  # more, and a delay may be that much too long, a drone a metre away from where its radio has it
+POSITION_LAG_LIMIT_S = 0.5  # more, and a drone is metres away from where its radio believes it to be
 INTERRUPTED = 130  # the exit code of a flight that a Ctrl-C has ended
 _FILE = "emulation.json"
 
