@@ -12,7 +12,9 @@ from upwash.sim.radio import read_goodput
 _FRAME_PER_PAYLOAD = 1514 / 1448  # bytes of a full TCP segment on the cable by those that goodput counts
 _FASTEST_BIT_S = 1e9
 _BURST_BYTES = 8_000  # what may pass at once: a few frames
-_QUEUE_BYTES = 2_000_000  # several photos: one lost here would cost a timeout that no table of goodput knows of
+_QUEUE_BYTES = (
+    2_000_000  # several photos: one lost here would cost a timeout that no table of goodput knows of
+)
 _WORTH_A_CHANGE = 0.02  # of the rate
 
 
