@@ -29,7 +29,7 @@ from upwash.commands import (
     status,
     vehicle,
 )
-from upwash.errors import MissionStopped, UpwashError, UsageError
+from upwash.errors import MissionFailed, MissionStopped, UpwashError, UsageError
 
 _OK, _FAILURE, _USAGE, _INTERRUPTED = 0, 1, 2, 130
 _COMMANDS = (
@@ -66,6 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except MissionStopped as error:
         print(f"upwash: the mission was ended early: {error}", file=sys.stderr)
         return _INTERRUPTED
+    except MissionFailed as error:
+        print(error.trace, file=sys.stderr)
+        return _complain(error, _FAILURE)
     except UpwashError as error:
         return _complain(error, _FAILURE)
     except OSError as error:

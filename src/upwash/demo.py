@@ -45,7 +45,7 @@ def fly_demonstration(folder: Path, *, runtime: str = "") -> None:
         console.print(
             f"the vehicle is at {vehicle}, the servers at {', '.join(daemons.values())}", soft_wrap=True
         )
-        fly_with_progress(here, log=folder / "events.jsonl", console=console)
+        fly_with_progress(here, log=folder / "events.jsonl")
     score = score_photos(folder / "events.jsonl")
     console.print(
         f"faulty modules: {score.found} of {score.true} found, {score.false} false alarms, in {score.photos} photos",

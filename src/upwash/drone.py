@@ -16,8 +16,14 @@ from upwash.core.estimates import Operation
 from upwash.core.geo import Position, Waypoint, ground_distance_m
 from upwash.core.geofence import Fence, breached_by_leg, breached_by_position
 from upwash.core.selection import Arrived, CourseLost, Happening, LegBegun, Selection
-from upwash.errors import AutopilotOverruled, AutopilotRefused, MissionStopped, UsageError
-from upwash.mission import MissionThread
+from upwash.errors import (
+    AutopilotOverruled,
+    AutopilotRefused,
+    MissionStopped,
+    UpwashError,
+    UsageError,
+)
+from upwash.mission import MissionThread, mission_failed
 from upwash.offloading import Offloading
 from upwash.onboard import OnboardServices
 from upwash.plans import Ending
@@ -433,6 +439,10 @@ class Flight:
         watch = asyncio.create_task(self._watch_battery())
         try:
             await self._thread.run(lambda: self._program()(self._drone()))
+        except UpwashError:
+            raise
+        except Exception as error:
+            raise mission_failed(error) from error
         finally:
             watch.cancel()
         if self._stopped:  # though the mission made nothing of it

@@ -22,6 +22,7 @@ UpwashError
 │   └── EngineError             the container engine refused, failed, or does not answer
 ├── ServiceError              the service's own exception, of a class that is unknown here
 ├── MissionStopped            the mission is being ended from outside
+├── MissionFailed             the mission program has a bug: it raised what is none of these
 └── TransitionError           a programming error: an event that a server's state does not allow
 """
 
@@ -44,6 +45,7 @@ __all__ = [
     "GarbledReply",
     "InstanceError",
     "LinkError",
+    "MissionFailed",
     "MissionStopped",
     "ModelError",
     "NetworkError",
@@ -171,6 +173,14 @@ class ServiceError(UpwashError):
 
 class MissionStopped(UpwashError):
     """The mission is being ended from outside; every verb raises this from now on."""
+
+
+class MissionFailed(UpwashError):
+    """The mission program raised; `trace` says where, for its author, from the program's own code on."""
+
+    def __init__(self, said: str, trace: str = "") -> None:
+        self.trace = trace
+        super().__init__(said)
 
 
 class TransitionError(UpwashError):

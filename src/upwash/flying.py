@@ -1,8 +1,11 @@
-"""Flies with progress in the terminal and the result at the end."""
+"""Flies, shows how it goes, and tells what it came to."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import sys
+from enum import Enum
 from pathlib import Path
 
 from rich.console import Console
@@ -10,8 +13,18 @@ from rich.console import Console
 from upwash.config import DroneConfig, waypoints
 from upwash.launch import fly
 from upwash.real.journal import read_events
+from upwash.report.exports import write_result
+from upwash.report.record import read_records
 from upwash.results import RunResult, read_result
 from upwash.terminal import Progress, print_result
+
+
+class Show(Enum):
+    """What a flight leaves on standard output: its course and its result for a person, nothing, or one object."""
+
+    PROGRESS = "progress"
+    NOTHING = "nothing"
+    JSON = "json"
 
 
 def fly_with_progress(
@@ -20,22 +33,39 @@ def fly_with_progress(
     program: str | None = None,
     log: Path,
     resumes: bool = False,
-    console: Console | None = None,
+    show: Show = Show.PROGRESS,
 ) -> None:
-    """Flies the mission, prints how it goes and what it came to; raises what ended it early.
+    """Flies the mission, shows how it goes and what it came to; raises what ended it early.
 
-    With `resumes` it takes up the mission that the log is of, and prints what all of it came to.
+    With `resumes` it takes up the mission that the log is of, and shows what all of it came to. What the mission
+    itself prints goes to standard error where one object is shown.
     """
-    console = console or Console(markup=False)
+    console = Console(markup=False) if show is Show.PROGRESS else _silent_console()
     progress = Progress(config, len(waypoints(config.mission)), console)
     try:
-        with progress:
+        with (
+            progress,
+            contextlib.redirect_stdout(sys.stderr) if show is Show.JSON else contextlib.nullcontext(),
+        ):
             asyncio.run(fly(config, program=program, log=log, resumes=resumes, watchers=(progress.follow,)))
     finally:
-        if progress.started and (result := read_log(log)).calls:
-            paced = any(service.local_pace_s for service in config.services)
-            print_result(result, console, paced=paced)
-            console.print(f"event log: {log}", soft_wrap=True)
+        if progress.started:
+            _show_result(config, log, show, console)
+
+
+def _silent_console() -> Console:
+    """One that is no terminal even where there is one: else it would swallow what the mission prints."""
+    return Console(quiet=True, force_terminal=False)
+
+
+def _show_result(config: DroneConfig, log: Path, show: Show, console: Console) -> None:
+    if show is Show.JSON:
+        (record,) = read_records([log])
+        sys.stdout.write(write_result(record) + "\n")
+    elif (result := read_log(log)).calls:
+        paced = any(service.local_pace_s for service in config.services)
+        print_result(result, console, paced=paced)
+        console.print(f"event log: {log}", soft_wrap=True)
 
 
 def read_log(log: Path) -> RunResult:

@@ -10,14 +10,17 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
+import traceback
 from collections.abc import Callable, Coroutine
+from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
-from upwash.errors import MissionStopped
+from upwash.errors import MissionFailed, MissionStopped
 
 T = TypeVar("T")
 
+_UPWASH = Path(__file__).parent
 _GRACE_S = 5.0  # for a mission's own last words, once it has been stopped
 
 
@@ -111,3 +114,15 @@ class MissionThread:
         wake()
         if self._stand_still is not None:
             self._stand_still(self._turn_over)
+
+
+def mission_failed(error: Exception) -> MissionFailed:
+    """The error of a program that raised this; its trace is Python's, without the lines of this package."""
+    trace = traceback.TracebackException.from_exception(error)
+    own = [frame for frame in trace.stack if not Path(frame.filename).is_relative_to(_UPWASH)]
+    if own:  # else the mission is a bundled one
+        trace.stack = traceback.StackSummary.from_list(own)
+    said = f": {error}" if str(error) else ""
+    return MissionFailed(
+        f"the mission program raised {type(error).__name__}{said}", "".join(trace.format()).rstrip()
+    )

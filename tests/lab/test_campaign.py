@@ -253,7 +253,7 @@ def test_a_failing_run_is_a_row_with_its_reason_and_ends_no_other(scenario: Path
     assert near.mission_time_s is not None
     assert (near.mission_time_s.count, near.failures) == (2, {})
     assert far.mission_time_s is None
-    assert far.failures == dict.fromkeys((1, 2), "ValueError: too far from home")
+    assert far.failures == dict.fromkeys((1, 2), "the mission program raised ValueError: too far from home")
     assert [row["completed"] for row in cells(out)] == ["true", "true", "false", "false"]
     assert {summary.values: summary.failures for summary in run_here(sweep, out)} == {
         near.values: near.failures,
@@ -269,8 +269,8 @@ def test_failures_are_told_with_their_seeds_and_in_the_exit_code(
     arguments = ["campaign", str(scenario), "--seeds", "2", "--workers", "1", "--out", str(out)]
     assert main([*arguments, "--set", "mission.program=unreliable.py:survey"]) == 1
     said = capsys.readouterr().out
-    assert "seed 1: ValueError: too far from home" in said
-    assert "seed 2: ValueError: too far from home" in said
+    assert "seed 1: the mission program raised ValueError: too far from home" in said
+    assert "seed 2: the mission program raised ValueError: too far from home" in said
 
 
 def test_a_parquet_file_has_the_rows_of_the_csv_file_beside_it(scenario: Path, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 
 from upwash.cli import main
+from upwash.mission import mission_failed
 
 THESIS = Path(__file__).parents[2] / "scenarios" / "thesis.toml"
 NOISE = "\n[noise]\ncall = 0.05\nleg = 0.05\n"
@@ -120,6 +122,42 @@ def test_a_mission_that_fails_still_shows_its_result(
     captured = capsys.readouterr()
     assert json.loads(captured.out)["completed"] is False
     assert "not completed: goto: the vehicle is on the ground" in captured.err
+
+
+BUGGY = """
+def fly(drone):
+    drone.autopilot.arm()
+    look(None)
+
+def look(photo):
+    return photo.size
+"""
+
+
+def test_a_mission_with_a_bug_is_one_message_and_its_own_trace(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "buggy.py").write_text(BUGGY)
+    scenario = tmp_path / "buggy.toml"
+    scenario.write_text(THESIS.read_text().replace('program = "survey"', 'program = "buggy.py:fly"'))
+    assert main(["simulate", str(scenario)]) == 1
+    said = capsys.readouterr().err.splitlines()
+    assert said[-1] == (
+        "upwash: the mission program raised AttributeError: 'NoneType' object has no attribute 'size'"
+    )
+    assert [line.split('"')[1] for line in said if line.startswith("  File ")] == [
+        str(tmp_path / "buggy.py")
+    ] * 2
+
+
+def test_a_mission_with_a_bug_is_told_from_another_process_too() -> None:
+    try:
+        raise ValueError("no idea")
+    except ValueError as error:
+        failed = mission_failed(error)
+    again = pickle.loads(pickle.dumps(failed))
+    assert (str(again), again.trace) == ("the mission program raised ValueError: no idea", failed.trace)
+    assert "test_simulate.py" in failed.trace
 
 
 def test_figures_are_drawn_on_request(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

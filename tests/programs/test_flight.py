@@ -9,6 +9,7 @@ import pytest
 
 from upwash import Drone
 from upwash.config import read_drone_config
+from upwash.errors import MissionFailed
 from upwash.lab.run import Run, simulate
 from upwash.services import Detector
 
@@ -174,12 +175,12 @@ def here(mission: Any) -> str:
 
 
 def test_a_mission_that_raises_in_the_air_is_brought_home(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="has a bug"):
+    with pytest.raises(MissionFailed, match="raised ValueError: the mission has a bug"):
         fly(tmp_path, here(fail_in_the_air))
 
 
 def test_a_mission_that_raises_on_the_ground_moves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="has a bug"):
+    with pytest.raises(MissionFailed, match="raised ValueError: the mission has a bug"):
         fly(tmp_path, here(fail_on_the_ground))
 
 

@@ -17,7 +17,14 @@ from upwash.config import DroneConfig, FaultConfig, SafeEnd, waypoints
 from upwash.config.drone_file import drone_config
 from upwash.core.geo import Position
 from upwash.drone import Drone, Flight, World
-from upwash.errors import AutopilotOverruled, AutopilotRefused, InstanceError, MissionStopped, Unreachable
+from upwash.errors import (
+    AutopilotOverruled,
+    AutopilotRefused,
+    InstanceError,
+    MissionFailed,
+    MissionStopped,
+    Unreachable,
+)
 from upwash.missions.survey import survey
 from upwash.ports import Program
 from upwash.results import RunResult, read_result
@@ -165,7 +172,7 @@ def fail_at_waypoint_1(drone: Drone) -> None:
 @pytest.mark.parametrize("action", ACTIONS)
 def test_a_mission_that_raises(action: SafeEnd) -> None:
     scene, error = fly(scenario(autopilot={"on_failure": action}), fail_at_waypoint_1)
-    assert isinstance(error, ValueError)
+    assert isinstance(error, MissionFailed)
     assert_ended_in(action, scene)
 
 

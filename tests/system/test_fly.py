@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -100,3 +102,62 @@ def test_a_vehicle_that_falls_silent_half_way_is_named_with_the_step(fly: Fly) -
     assert code == 1
     assert said.startswith("upwash: goto 200.0 m east, 0.0 m north: nothing was heard on tcp:")
     assert said.count("\n") == 1
+
+
+BRIEF = """
+def look(drone):
+    print("said by the mission")
+    drone.autopilot.arm()
+    drone.autopilot.disarm()
+
+def stumble(drone):
+    drone.autopilot.arm()
+    raise ValueError("no idea")
+"""
+
+
+def flown(mission: str, *options: str) -> int:
+    with vehicle("--armable-after", "0") as connection:
+        return main(["fly", mission, "--config", "drone.toml", "--autopilot", connection, *options])
+
+
+@pytest.fixture
+def brief(fly: Fly) -> None:
+    """Missions that never leave the ground."""
+    Path("brief.py").write_text(BRIEF)
+
+
+@pytest.mark.usefixtures("brief")
+def test_without_a_terminal_a_flight_is_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    assert flown("brief.py:look") == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"^ +\d+\.\d s  mission started, policy location-aware$", printed, flags=re.MULTILINE)
+    assert "\x1b" not in printed
+
+
+@pytest.mark.usefixtures("brief")
+def test_a_quiet_flight_prints_what_its_mission_does_and_nothing_else(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert flown("brief.py:look", "--quiet") == 0
+    assert capsys.readouterr() == ("said by the mission\n", "")
+
+
+@pytest.mark.usefixtures("brief")
+def test_a_flights_result_is_one_object_as_report_has_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert flown("brief.py:look", "--json", "--log", "flight.jsonl") == 0
+    printed, said = capsys.readouterr()
+    assert printed.count("\n") == 1
+    assert said == "said by the mission\n"
+    assert main(["report", "flight.jsonl", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == [json.loads(printed)]
+
+
+@pytest.mark.usefixtures("brief")
+def test_a_flight_that_fails_leaves_its_object_and_says_why(capsys: pytest.CaptureFixture[str]) -> None:
+    assert flown("brief.py:stumble", "--json") == 1
+    printed, said = capsys.readouterr()
+    assert json.loads(printed)["result"]["completed"] is False
+    assert said.endswith("upwash: the mission program raised ValueError: no idea\n")
+    assert 'brief.py", line 9, in stumble' in said
+    assert "upwash/" not in said

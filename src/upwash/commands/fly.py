@@ -29,6 +29,11 @@ def add(commands: Commands) -> None:
         metavar="LOG",
         help="take up the mission that this event log is of, where it broke off",
     )
+    shown = fly.add_mutually_exclusive_group()
+    shown.add_argument("--quiet", action="store_true", help="print nothing but what goes wrong")
+    shown.add_argument(
+        "--json", action="store_true", help="print the result as one JSON object at the end, and nothing else"
+    )
     fly.set_defaults(run=run)
 
 
@@ -38,12 +43,18 @@ def run(options: argparse.Namespace) -> bool:
     import msgspec
 
     from upwash.config import read_drone_config
-    from upwash.flying import fly_with_progress
+    from upwash.flying import Show, fly_with_progress
 
     config = read_drone_config(options.config)
     if options.autopilot:
         autopilot = msgspec.structs.replace(config.autopilot, connection=options.autopilot)
         config = msgspec.structs.replace(config, autopilot=autopilot)
     log = options.resume or options.log or new_run_folder() / "events.jsonl"
-    fly_with_progress(config, program=options.mission, log=log, resumes=options.resume is not None)
+    fly_with_progress(
+        config,
+        program=options.mission,
+        log=log,
+        resumes=options.resume is not None,
+        show=Show.JSON if options.json else Show.NOTHING if options.quiet else Show.PROGRESS,
+    )
     return True

@@ -12,7 +12,7 @@ from statistics import fmean
 import msgspec
 
 from upwash.config import Document, drone_config
-from upwash.errors import UsageError
+from upwash.errors import MissionFailed, UsageError
 from upwash.lab import processes
 from upwash.lab.bounds import bound_of
 from upwash.lab.campaign_file import CampaignFile, Row
@@ -115,9 +115,8 @@ def _fly(chunk: Chunk, seed: int) -> Row:
     config = msgspec.structs.replace(drone_config(chunk.document, Path(chunk.file)), seed=seed)
     try:
         run = simulate(config)
-    except Exception as error:  # noqa: BLE001 - whatever a mission raises is this run's failure, not the others'
-        failure = _one_line(f"{type(error).__name__}: {error}")
-        return Row(chunk.values, seed, config.policy.name, failure=failure)
+    except MissionFailed as error:  # this run's failure, not the others'
+        return Row(chunk.values, seed, config.policy.name, failure=_one_line(str(error)))
     totals, bound = run.result.totals, bound_of(run, config)
     return Row(
         chunk.values,

@@ -14,7 +14,7 @@ from upwash.bundled import load_mission, load_services
 from upwash.config import CameraConfig, DroneConfig, server_area, server_truth, waypoints
 from upwash.core.geo import Position
 from upwash.drone import Flight, World
-from upwash.errors import UpwashError
+from upwash.errors import MissionFailed, UpwashError
 from upwash.lab.field import Software, serving
 from upwash.lab.stays import Stay, observe
 from upwash.lab.witness import DroneWitness
@@ -56,7 +56,10 @@ class Run:
 
 
 def simulate(config: DroneConfig) -> Run:
-    """Flies the scenario's mission on virtual time; the same scenario and seed give the same run."""
+    """Flies the scenario's mission on virtual time; the same scenario and seed give the same run.
+
+    Raises MissionFailed for a mission program with a bug; whatever else ends a mission early is the run's `failure`.
+    """
     (run,) = simulate_fleet([config])
     return run
 
@@ -75,6 +78,8 @@ def simulate_fleet(
     try:
         with sleeps_reported():
             failures = run_virtually(_fly(fleet, journals, stays, computing=computing, witness=witness))
+    except MissionFailed:
+        raise
     except UpwashError as error:
         failures = [str(error)] * len(fleet)
     return [
@@ -167,6 +172,8 @@ async def _fly_one(
     observer = asyncio.create_task(observe(autopilot, areas, stays), name="observer of ranges")
     try:
         await flight.run()
+    except MissionFailed:
+        raise
     except UpwashError as error:
         return str(error)
     finally:

@@ -87,13 +87,7 @@ def check(plan: Plan, *, seeds: int, fly: Fly, flown: Callable[[int], None] = la
 
 
 def _flown_alone(plan: Plan) -> Run:
-    try:
-        run = simulate(drone_config(changed(plan.document, policy=LOCAL_ONLY), plan.file))
-    except Exception as error:  # whatever the mission raises
-        raise UpwashError(
-            f"the mission ends by itself in simulation, with {type(error).__name__}: {error}; `upwash simulate` "
-            "shows where"
-        ) from error
+    run = simulate(drone_config(changed(plan.document, policy=LOCAL_ONLY), plan.file))
     if run.failure:
         raise UpwashError(f"the mission is not completed in simulation: {run.failure}")
     return run

@@ -30,11 +30,16 @@ class Exported(msgspec.Struct, frozen=True):
 
 def write_json(records: Sequence[Record]) -> str:
     """The results as one JSON array, an object a run."""
-    exported = [
-        Exported(record.name, record.result, record.result.local_only_time_s(), record.saved_s)
-        for record in records
-    ]
-    return msgspec.json.encode(exported).decode()
+    return msgspec.json.encode(list(map(_exported, records))).decode()
+
+
+def write_result(record: Record) -> str:
+    """The result of one run, as `write_json` has it."""
+    return msgspec.json.encode(_exported(record)).decode()
+
+
+def _exported(record: Record) -> Exported:
+    return Exported(record.name, record.result, record.result.local_only_time_s(), record.saved_s)
 
 
 def write_csv(records: Sequence[Record]) -> str:

@@ -1,0 +1,130 @@
+"""What the events of a flight say to a person, a sentence each, while it lasts or afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+_SAFE_ENDS = {"return": "returning to land", "land": "landing where it is", "hold": "stopping to hover"}
+LEFT_HOVERING = "The vehicle hovers where it is, and nobody flies it now: take over with the remote control."
+
+
+class Tone(StrEnum):
+    """How a sentence is meant."""
+
+    PLAIN = "plain"
+    ASIDE = "aside"  # a step of a server that changes nothing for the mission
+    CHECKING = "checking"
+    READY = "ready"
+    REMOTE = "remote"  # a call that ran on a server
+    FOUND = "found"  # what the mission tells its user
+    TROUBLE = "trouble"  # something failed, and the flight goes on
+    ALARM = "alarm"  # a person should look
+
+
+_STATE_TONES = {
+    "READY": Tone.READY,
+    "CHECK": Tone.CHECKING,
+    "CHECK-R": Tone.CHECKING,
+    "BLACKLISTED": Tone.TROUBLE,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """One sentence."""
+
+    text: str
+    tone: Tone = Tone.PLAIN
+
+
+class Narrator:
+    """Follows the events of one flight in their order, and knows what the drone is doing."""
+
+    def __init__(self) -> None:
+        self.doing = "starting the services of the drone"
+        self.where = ""
+        self.reached = 0  # waypoints
+        self.started = False  # whether the mission has begun
+
+    def tell(self, event: Mapping[str, Any]) -> Said | None:
+        """What the event says; None for one that is not worth a sentence."""
+        match event:
+            case {"event": "position", "east_m": east_m, "north_m": north_m, "altitude_m": altitude_m}:
+                self.where = f"{east_m:.0f} m east, {north_m:.0f} m north, {altitude_m:.0f} m up"
+                return None
+            case {"event": "call"}:
+                return _call(event, self.doing)
+            case {"server": server, "before": before, "after": after, "why": why}:
+                because = f" ({why})" if why else ""
+                return Said(f"{server}: {before} → {after}{because}", _STATE_TONES.get(after, Tone.ASIDE))
+            case {"event": "leg" | "arrived" as leg, "waypoint": waypoint}:
+                place = "a place beside the plan" if waypoint is None else f"waypoint {waypoint}"
+                self.doing = f"flying to {place}" if leg == "leg" else f"at {place}"
+                self.reached += leg == "arrived" and waypoint is not None
+                return None
+            case {"event": "notified", "message": message}:
+                return Said(f"told the user: {_describe(message)}", Tone.FOUND)
+            case _:
+                return self._course(event) or _ending(event) or _failure(event)
+
+    def _course(self, event: Mapping[str, Any]) -> Said | None:
+        match event:
+            case {"event": "local_ready", "service": service}:
+                return Said(f"{service} is ready on the drone")
+            case {"event": "mission_started", "policy": policy}:
+                self.started = True
+                self.doing = "before take-off"
+                done = event.get("done", ())
+                self.reached = len(done)
+                before = f"taken up again, {len(done)} waypoints done before" if done else "started"
+                return Said(f"mission {before}, policy {policy}")
+            case {"event": "returning" | "landed" as doing}:
+                self.doing = doing
+                return Said("returning home to land" if doing == "returning" else "landed")
+            case {"event": "safe_end", "action": action, "why": why}:
+                self.doing = _SAFE_ENDS[action]
+                return Said(f"{self.doing}: {why}", Tone.ALARM)
+            case {"event": "left_hovering"}:
+                self.doing = "hovering"
+                return Said(LEFT_HOVERING, Tone.ALARM)
+        return None
+
+
+def _ending(event: Mapping[str, Any]) -> Said | None:
+    match event:
+        case {"event": "stopping", "why": why}:
+            return Said(
+                f"stopping ({why}); once more ends this at once, the vehicle left to itself", Tone.ALARM
+            )
+        case {"event": "left_to_pilot" | "mission_ended" as ending, "why": why}:
+            return Said(f"{ending.replace('_', ' ')}: {why}", Tone.ALARM)
+    return None
+
+
+def _failure(event: Mapping[str, Any]) -> Said | None:
+    match event:
+        case {"event": name, "why": why} if name.endswith("_failed"):
+            return Said(f"{name.replace('_', ' ')}: {why}", Tone.TROUBLE)
+        case {"event": "local_ended", "service": service, "how": how}:
+            return Said(f"{service} on the drone ended ({how}); starting it again", Tone.TROUBLE)
+    return None
+
+
+def _call(event: Mapping[str, Any], doing: str) -> Said:
+    place = "on the drone" if event["place"] == "local" else f"on {event['place']}"
+    waited = f" after waiting {event['waited_s']:.1f} s" if event["wait"] else ""
+    return Said(
+        f"{doing}: {event['operation']} {place}, {event['delay_s']:.2f} s{waited} ({event['decision']})",
+        Tone.PLAIN if event["place"] == "local" else Tone.REMOTE,
+    )
+
+
+def _describe(message: object) -> str:
+    """A message to the user in one line: detections by their number and labels, anything else as it is."""
+    if isinstance(message, list) and all(isinstance(item, dict) and "label" in item for item in message):
+        labels = [item["label"] for item in message]
+        return ", ".join(f"{labels.count(label)} x {label}" for label in dict.fromkeys(labels))
+    return str(message)
