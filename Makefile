@@ -41,7 +41,7 @@ bench: $(READY)
 lock: $(READY)
 	$(BIN)/python -m pip install --quiet uv
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
-	    --no-emit-find-links --no-annotate --no-header --all-extras --group dev --group clients pyproject.toml -o requirements.lock
+	    --no-emit-find-links --no-annotate --no-header --all-extras --group dev --group clients --group docs pyproject.toml -o requirements.lock
 
 clean:
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache runs dist

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from upwash.commands.arguments import Commands
+    from upwash.report.record import Record
+
+    Writer = Callable[[Sequence[Record]], bytes]
 
 
 def add(commands: Commands) -> None:
@@ -20,6 +24,10 @@ def add(commands: Commands) -> None:
     )
     report.add_argument("--csv", type=Path, metavar="FILE", help="a row for each call")
     report.add_argument("--geojson", type=Path, metavar="FILE", help="tracks, waypoints, ranges and calls")
+    report.add_argument("--mcap", type=Path, metavar="FILE", help="a recording that Foxglove opens")
+    report.add_argument(
+        "--photos", type=Path, metavar="DIR", help="with --mcap: the folder of the photos that the logs name"
+    )
     report.add_argument("--json", action="store_true", help="print the results as one JSON array")
     report.set_defaults(run=run)
 
@@ -31,16 +39,38 @@ def run(options: argparse.Namespace) -> bool:
     from upwash.report.page import write_page
     from upwash.report.record import read_records
 
-    files = [(options.out, write_page), (options.csv, write_csv), (options.geojson, write_geojson)]
+    files: list[tuple[Path | None, Writer]] = [
+        (options.out, _in_utf8(write_page)),
+        (options.csv, _in_utf8(write_csv)),
+        (options.geojson, _in_utf8(write_geojson)),
+        (options.mcap, _recorder(options.photos)),
+    ]
+    if options.photos and not options.mcap:
+        raise UsageError("--photos goes with --mcap: nothing else has photos in it")
     wanted = [(file, write) for file, write in files if file is not None]
     if not wanted and not options.json:
-        raise UsageError("nothing to make: ask for -o FILE, --csv FILE, --geojson FILE or --json")
+        raise UsageError(
+            "nothing to make: ask for -o FILE, --csv FILE, --geojson FILE, --mcap FILE or --json"
+        )
     records = read_records(options.logs)
     written = [(file, write(records)) for file, write in wanted]
     for file, content in written:
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(content, encoding="utf-8")
+        file.write_bytes(content)
         print(f"written: {file}", file=sys.stderr)
     if options.json:
         print(write_json(records))
     return True
+
+
+def _in_utf8(write: Callable[[Sequence[Record]], str]) -> Writer:
+    return lambda records: write(records).encode()
+
+
+def _recorder(photos: Path | None) -> Writer:
+    def write(records: Sequence[Record]) -> bytes:
+        from upwash.report.recording import write_mcap
+
+        return write_mcap(records, photos=photos)
+
+    return write

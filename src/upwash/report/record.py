@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -59,9 +60,16 @@ class Fix:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One run; `servers` are those of the plan and of the calls, in the order of their names."""
+    """One run; `servers` are those of the plan and of the calls, in the order of their names.
+
+    `opened` is the time of day at second 0 of the event log, None for a simulated one; `began_s` is the second of the
+    log at which the mission began.
+    """
 
     name: str
+    opened: datetime | None
+    began_s: float
+    events: Sequence[Mapping[str, Any]]
     result: RunResult
     plan: Plan
     calls: Sequence[Call]
@@ -103,6 +111,9 @@ def _read_record(log: Path, name: str) -> Record:
         plan = msgspec.convert(next((event for event in events if event["event"] == "planned"), {}), Plan)
         return Record(
             name=name,
+            opened=_opened(events),
+            began_s=began_s,
+            events=events,
             result=result,
             plan=plan,
             calls=list(_calls(events, result.calls)),
@@ -111,6 +122,11 @@ def _read_record(log: Path, name: str) -> Record:
         )
     except (KeyError, TypeError, ValueError) as error:  # msgspec's ValidationError is a ValueError
         raise UsageError(f"{log} is not an event log that this version reads: {error!r}") from error
+
+
+def _opened(events: Sequence[Mapping[str, Any]]) -> datetime | None:
+    first = events[0]
+    return datetime.fromisoformat(first["time"]) if first["event"] == "log_opened" else None
 
 
 def _mission(events: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
