@@ -6,14 +6,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from tests.engines import Kind, OwnEngine, own_engine, why_not
 from tests.system.fake_networkmanager import bus_daemon
 from tests.system.radios import Field, field_below
 
 from upwash.real.credentials import Credentials, make_keys, read_credentials
 
-settings.register_profile("untimed", deadline=None)  # a busy machine breaks nothing
+# A busy machine breaks nothing.
+settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
 
 
