@@ -19,7 +19,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position, distance_m
 from upwash.real.mavlink import MavlinkLink
-from upwash.vehicle import VehicleSettings, serve_vehicle
+from upwash.vehicle.copter import VehicleSettings
+from upwash.vehicle.server import serve_vehicle
 
 SPEEDUP = 10.0
 HOME = GeoPosition(39.3666, 22.9507)

@@ -40,7 +40,8 @@ from upwash.resumption import waypoints_done
 from upwash.service import spec_of
 from upwash.sim.camera import RenderedCamera
 from upwash.sim.network import Cell, ModelNetwork, NoNetwork
-from upwash.vehicle import VehicleSettings, serve_vehicle
+from upwash.vehicle.copter import VehicleSettings
+from upwash.vehicle.server import serve_vehicle
 from upwash.visit import Contact
 
 if TYPE_CHECKING:

@@ -19,6 +19,7 @@ import pytest
 from upwash.cli import main
 from upwash.config import drone_config, read_document, read_drone_config
 from upwash.errors import ConfigError, UsageError
+from upwash.lab import processes
 from upwash.lab.campaign import Chunk, CombinationSummary, fly_chunk, in_processes, on_cluster, run_campaign
 from upwash.lab.campaign_file import CampaignFile, Row
 from upwash.lab.confidence import mean_of, student_quantile
@@ -364,6 +365,21 @@ def test_any_number_of_processes_writes_the_same_file(scenario: Path, tmp_path: 
     assert written[0] == written[1] == written[2]
 
 
+@pytest.mark.parametrize(("worth_s", "here_alone"), [(3600.0, True), (1e-9, False)])
+def test_what_takes_long_enough_is_also_flown_in_other_processes(
+    monkeypatch: pytest.MonkeyPatch, worth_s: float, here_alone: bool
+) -> None:
+    monkeypatch.setattr(processes, "_WORTH_STARTING_S", worth_s)
+    with processes.here_first(_process_of, range(6), workers=1) as results:
+        found = list(results)
+    assert sorted(part for part, _ in found) == list(range(6))
+    assert ({process for _, process in found} == {os.getpid()}) is here_alone
+
+
+def _process_of(part: int) -> tuple[int, int]:
+    return part, os.getpid()
+
+
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_a_killed_campaign_leaves_no_process_behind_and_is_continued(
     scenario: Path, tmp_path: Path, how: signal.Signals
@@ -379,7 +395,7 @@ def test_a_killed_campaign_leaves_no_process_behind_and_is_continued(
         ) as campaign,
     ):  # fmt: skip
         os.close(writing)
-        until_s = time.monotonic() + 30
+        until_s = time.monotonic() + 120
         while not (out.exists() and out.read_bytes().count(b"\n") > 1):
             assert campaign.poll() is None
             assert time.monotonic() < until_s
@@ -416,7 +432,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             )  # fmt: skip
             stack.callback(process.wait)
             stack.callback(process.kill)
-            until_s = time.monotonic() + 30
+            until_s = time.monotonic() + 120
             while not _address(file):
                 assert process.poll() is None
                 assert time.monotonic() < until_s

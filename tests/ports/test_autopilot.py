@@ -25,7 +25,8 @@ from upwash.ports import Autopilot
 from upwash.real.autopilot import FlightSettings, MavlinkAutopilot, connect_autopilot
 from upwash.real.copter import Patience
 from upwash.real.mavlink import MavlinkLink
-from upwash.vehicle import VehicleServer, VehicleSettings, serve_vehicle
+from upwash.vehicle.copter import VehicleSettings
+from upwash.vehicle.server import VehicleServer, serve_vehicle
 
 HOME = GeoPosition(39.3666, 22.9507)
 FRAME = LocalFrame(HOME)

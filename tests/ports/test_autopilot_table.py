@@ -15,7 +15,9 @@ from upwash.core.geo import GeoPosition, LocalFrame, Position, distance_m
 from upwash.errors import AutopilotError, AutopilotLost, AutopilotRefused, AutopilotTimeout
 from upwash.real.autopilot import FlightSettings, MavlinkAutopilot, connect_autopilot
 from upwash.real.copter import Copter, Patience
-from upwash.vehicle import Fault, FaultKind, VehicleServer, VehicleSettings, serve_vehicle
+from upwash.vehicle.copter import VehicleSettings
+from upwash.vehicle.faults import Fault, FaultKind
+from upwash.vehicle.server import VehicleServer, serve_vehicle
 
 HOME = GeoPosition(39.3666, 22.9507)
 SPEEDUP = 10.0

@@ -15,7 +15,8 @@ from upwash.core.geo import GeoPosition, LocalFrame, Position, distance_m
 from upwash.real.autopilot import connect_autopilot
 from upwash.real.copter import Copter, Patience
 from upwash.real.mavlink import MavlinkLink
-from upwash.vehicle import VehicleSettings, serve_vehicle
+from upwash.vehicle.copter import VehicleSettings
+from upwash.vehicle.server import serve_vehicle
 
 HOME = GeoPosition(39.3666, 22.9507)
 BYTES = 1_000_000

@@ -14,8 +14,9 @@ from tests.vehicle.direct import directly_linked
 from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
 from upwash.sim.loop import run_virtually
-from upwash.vehicle import Fault, FaultKind, VehicleSettings, read_fault
 from upwash.vehicle.conversation import Vehicle
+from upwash.vehicle.copter import VehicleSettings
+from upwash.vehicle.faults import Fault, FaultKind, read_fault
 
 HOME = GeoPosition(39.3666, 22.9507)
 SETTINGS = VehicleSettings(home=HOME, armable_after_s=0.0)

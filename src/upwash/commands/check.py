@@ -20,7 +20,9 @@ def add(commands: Commands) -> None:
         "--seeds", type=count, default=5, metavar="N",
         help="simulated missions for each prediction, where there is noise (default: 5)",
     )  # fmt: skip
-    check.add_argument("--workers", type=count, metavar="N", help="processes (default: one per core)")
+    check.add_argument(
+        "--workers", type=count, metavar="N", help="processes, where they pay (default: one per core)"
+    )
     check.add_argument(
         "--place", type=count, default=0, metavar="N", help="suggest where N more servers would help most"
     )
@@ -42,7 +44,7 @@ def run(options: argparse.Namespace) -> bool:
         from upwash.preflight.networks import check_networks
 
         return check_networks(read_drone_config(options.config), Console(markup=False))
-    from upwash.lab.campaign import in_processes
+    from upwash.lab.campaign import here_first
     from upwash.preflight.display import show_check
 
     return show_check(
@@ -51,5 +53,5 @@ def run(options: argparse.Namespace) -> bool:
         servers_to_place=options.place,
         as_json=options.json,
         figures=options.figures,
-        fly=in_processes(options.workers),
+        fly=here_first(options.workers),
     )

@@ -43,7 +43,8 @@ def run(options: argparse.Namespace) -> bool:
     """Runs it until it is told to stop."""
     from upwash.core.geo import GeoPosition
     from upwash.launch import run_vehicle
-    from upwash.vehicle import VehicleSettings, read_fault
+    from upwash.vehicle.copter import VehicleSettings
+    from upwash.vehicle.faults import read_fault
 
     settings = VehicleSettings(
         home=GeoPosition(*options.home),

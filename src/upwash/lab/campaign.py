@@ -81,6 +81,11 @@ def in_processes(workers: int | None = None) -> Fly:
     return lambda chunks: processes.in_processes(fly_chunk, chunks, workers=workers)
 
 
+def here_first(workers: int | None = None) -> Fly:
+    """Flies in this process, and in others too where it takes long enough for them to pay."""
+    return lambda chunks: processes.here_first(fly_chunk, chunks, workers=workers)
+
+
 def on_cluster(address: str, *, answer_s: float = 10.0) -> Fly:
     """Flies on the workers of a Dask cluster; raises UsageError where none answers in time."""
     try:

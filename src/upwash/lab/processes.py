@@ -7,6 +7,8 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -16,6 +18,8 @@ from upwash.errors import UpwashError
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+_WORTH_STARTING_S = 2.0  # of computing: what two processes need before they are ready
 
 
 @contextlib.contextmanager
@@ -40,6 +44,25 @@ def in_processes(
         ) from None
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+@contextlib.contextmanager
+def here_first(
+    do: Callable[[T], R], parts: Sequence[T], *, workers: int | None = None
+) -> Generator[Iterator[R]]:
+    """The results of the parts: from this process as long as others would take to start, the rest from those."""
+
+    def results() -> Generator[R]:
+        ends_s = time.process_time() + _WORTH_STARTING_S
+        left = deque(parts)
+        while left and time.process_time() < ends_s:
+            yield do(left.popleft())
+        if left:
+            with in_processes(do, left, workers=workers) as others:
+                yield from others
+
+    with contextlib.closing(results()) as all_of_them:
+        yield all_of_them
 
 
 def _cores() -> int:

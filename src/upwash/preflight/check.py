@@ -12,7 +12,6 @@ from upwash.config import Document, DroneConfig, drone_config, read_document, se
 from upwash.errors import UpwashError
 from upwash.lab.campaign import Fly
 from upwash.lab.run import Run, simulate
-from upwash.launch import drone_credentials
 from upwash.preflight.concerns import Belief, Concern, concerns, is_for_flight, usable_s
 from upwash.preflight.coverage import Coverage, coverage, uncovered
 from upwash.preflight.placement import Place
@@ -113,6 +112,8 @@ def _beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:
 def _certificate_concerns(config: DroneConfig) -> Iterator[Concern]:
     if not is_for_flight(config):
         return
+    from upwash.launch import drone_credentials  # with all that flies a drone: only where one is to fly
+
     try:
         drone_credentials(config)
     except UpwashError as error:

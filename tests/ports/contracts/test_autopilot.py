@@ -14,7 +14,9 @@ from upwash.ports import Autopilot
 from upwash.real.autopilot import FlightSettings, connect_autopilot
 from upwash.sim.autopilot import Manner, ModelAutopilot, Plain
 from upwash.sim.loop import run_virtually
-from upwash.vehicle import VehicleSettings, arducopter, serve_vehicle
+from upwash.vehicle import arducopter
+from upwash.vehicle.copter import VehicleSettings
+from upwash.vehicle.server import serve_vehicle
 
 HOME = GeoPosition(39.3666, 22.9507)
 SPEED_M_S = 60.0
