@@ -16,17 +16,11 @@ from statistics import median
 
 from upwash.core.estimates import Beliefs, Estimates, Operation
 from upwash.core.geo import Circle, Position, Waypoint
+from upwash.core.happenings import Arrived, CheckAnswered, LegBegun, LocalCallEnded, RemoteCallEnded
 from upwash.core.itinerary import MissionBeliefs, Step
 from upwash.core.look_ahead import HORIZON
 from upwash.core.policies import make_policy
-from upwash.core.selection import (
-    Arrived,
-    CheckAnswered,
-    LegBegun,
-    LocalCallEnded,
-    RemoteCallEnded,
-    Selection,
-)
+from upwash.core.selection import Selection
 
 HEAVY = Operation("detector", "process_photo", "heavy")
 SERVERS, COLUMNS, ROWS, SPACING_M = 50, 20, 20, 20.0

@@ -14,12 +14,15 @@ from hypothesis import strategies as st
 from upwash.core.instances import Host, HostSettings, ServerOffer
 from upwash.core.visitors import Visitor
 from upwash.errors import GarbledReply, Refused
-from upwash.ports import Instance, InstanceSpec
+from upwash.ports import Instance, InstanceSpec, Link
 from upwash.protocol import (
     AVAILABILITY,
+    HOLD,
     LEAVE,
+    PREPARE,
     START,
     AvailabilityReply,
+    HoldReply,
     LeaveReply,
     StartReply,
     decode_reply,
@@ -41,7 +44,18 @@ values: st.SearchStrategy[Any] = st.recursive(
     max_leaves=4,
 )
 names = st.sampled_from(
-    ["server", "service", "services", "available", "endpoint", "endpoints", "reason", "lease_s"]
+    [
+        "server",
+        "service",
+        "services",
+        "available",
+        "endpoint",
+        "endpoints",
+        "reason",
+        "lease_s",
+        "peer",
+        "for_s",
+    ]
 )
 messages = st.dictionaries(names, values, max_size=4).map(msgspec.msgpack.encode)
 bodies = st.binary(max_size=60) | messages | messages.map(lambda body: body[:-1])
@@ -52,13 +66,20 @@ class NoRuntime:
         raise AssertionError(f"{spec.name} was started")
 
 
-@given(path=st.sampled_from([AVAILABILITY, START, LEAVE]), body=bodies)
+class NoDialer:
+    def dial(self, address: str, *, server: str) -> Link:
+        raise AssertionError(f"{server} was called")
+
+
+@given(path=st.sampled_from([AVAILABILITY, START, LEAVE, PREPARE, HOLD]), body=bodies)
 @example(path=AVAILABILITY, body=b"\x82\xa6server\xa2s1\xa8services\xdd\xff\xff\xff\xff")
 @example(path=START, body=b"\x91" * 50_000)
 def test_any_request_is_answered_or_refused(path: str, body: bytes) -> None:
     async def ask() -> bytes:
         host = Host({"s1": ServerOffer(frozenset())}, HostSettings())
-        daemon = EdgeServer(host, images={}, runtime=NoRuntime(), drain_s=1.0, start_timeout_s=1.0)
+        daemon = EdgeServer(
+            host, images={}, runtime=NoRuntime(), dialer=NoDialer(), drain_s=1.0, start_timeout_s=1.0
+        )
         return await daemon.handle(path, body, Visitor("heron"))
 
     try:
@@ -68,7 +89,7 @@ def test_any_request_is_answered_or_refused(path: str, body: bytes) -> None:
     assert isinstance(msgspec.msgpack.decode(reply), dict)
 
 
-@pytest.mark.parametrize("expected", [AvailabilityReply, StartReply, LeaveReply])
+@pytest.mark.parametrize("expected", [AvailabilityReply, StartReply, LeaveReply, HoldReply])
 @given(reply=bodies)
 @example(reply=b"\x91" * 50_000)
 def test_any_reply_is_of_its_kind_or_garbled(expected: type[msgspec.Struct], reply: bytes) -> None:

@@ -15,7 +15,8 @@ from upwash.config import DroneConfig, ending, geofence, server_area, waypoints
 from upwash.core.estimates import Operation
 from upwash.core.geo import Position, Waypoint, ground_distance_m
 from upwash.core.geofence import Fence, breached_by_leg, breached_by_position
-from upwash.core.selection import Arrived, CourseLost, Happening, LegBegun, Selection
+from upwash.core.happenings import Arrived, CourseLost, Happening, LegBegun
+from upwash.core.selection import Selection
 from upwash.errors import (
     AutopilotOverruled,
     AutopilotRefused,

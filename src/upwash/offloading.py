@@ -14,35 +14,27 @@ from typing import Any, NoReturn
 import msgspec
 
 from upwash.core.estimates import Operation
-from upwash.core.hedging import Hedge, Hedging
-from upwash.core.policy import Decision, Remote, Wait
-from upwash.core.selection import (
-    Check,
-    CheckAnswered,
-    CheckFailed,
-    Command,
+from upwash.core.happenings import (
     Happening,
-    Leave,
     LocalCallEnded,
     Looked,
     MissionEnded,
-    NetworkLost,
     RemoteCallCut,
     RemoteCallEnded,
     RemoteCallFailed,
-    Selection,
-    ServicesStarted,
-    Start,
 )
+from upwash.core.hedging import Hedge, Hedging
+from upwash.core.orders import Command
+from upwash.core.policy import Decision, Remote, Wait
+from upwash.core.selection import Selection
 from upwash.core.servers import Change, State
-from upwash.errors import AutopilotLost, DeadlineExceeded, LinkError, NetworkError, UpwashError
+from upwash.envoy import Envoy
+from upwash.errors import AutopilotLost, DeadlineExceeded, LinkError, UpwashError
 from upwash.onboard import PLACE, OnboardServices
 from upwash.ports import Autopilot, Dialer, Journal, Network
 from upwash.service import Method
 from upwash.visit import Contact, Visit
 
-_CHECK_LEAST_S = 10.0
-_CHECK_FACTOR = 3.0  # times the estimate: a check that takes longer has failed
 _LOCAL_LEAST_S = 30.0
 _LOCAL_FACTOR = 10.0  # times the estimate: a local call that takes longer hangs
 
@@ -115,36 +107,34 @@ class Offloading:
         hedging: Hedging | None = None,
     ) -> None:
         self._selection = selection
-        self._contacts = contacts
         self._period_s = period_s
         self._autopilot = autopilot
-        self._network = network
-        self._dialer = dialer
         self._onboard = onboard
         self._journal = journal
         self._hedging = hedging
         self._loser: _Loser | None = None  # of the last hedged call, at most one at a time
-        self._orders: asyncio.Queue[Check | Start | Leave] = asyncio.Queue()
-        self._visit: Visit | None = None
-        self._errand: asyncio.Task[None] | None = None  # what the visit is busy with
-        self._watch: asyncio.Task[None] | None = None  # over the network that the visit joined
-        self._cut: RemoteCallCut | None = None  # the call that ended the visit by taking too long
+        self._envoy = Envoy(
+            selection, contacts, network=network, dialer=dialer, journal=journal, tell=self.tell
+        )
         self._look_now = asyncio.Event()
         self._changed = asyncio.Event()
 
     async def run(self) -> NoReturn:
         """Looks for servers and visits them, until cancelled."""
-        async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._look())
-            tasks.create_task(self._watch_borders())
-            tasks.create_task(self._carry_out())
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._look())
+                tasks.create_task(self._watch_borders())
+                tasks.create_task(self._envoy.run())
+        finally:
+            await self._stop_loser()
         raise AssertionError("these tasks never end by themselves")
 
     async def end(self) -> None:
         """Leaves whatever server is selected; to be called while `run` runs, after the last call."""
         await self._stop_loser()
         self.tell(MissionEnded())
-        await self._orders.join()
+        await self._envoy.done()
 
     async def invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
         """Runs one call where it is decided to run, and on the drone when that fails; returns its decoded reply.
@@ -237,7 +227,7 @@ class Offloading:
             if isinstance(command, Change):
                 self._record_change(command)
             else:
-                self._orders.put_nowait(command)
+                self._envoy.send(command)
         if commands:
             self._changed.set()
             self._changed = asyncio.Event()
@@ -277,8 +267,9 @@ class Offloading:
         return await self._answer_onboard(operation, method, request, fell_back=True)
 
     def _attempt(self, deadline_s: float) -> _Attempt:
-        assert self._visit is not None  # noqa: S101 - a server is READY only by its visit
-        return _Attempt(self._visit, self._selection.check, deadline_s)
+        visit = self._envoy.visit
+        assert visit is not None  # noqa: S101 - a server is READY only by its visit
+        return _Attempt(visit, self._selection.check, deadline_s)
 
     async def _call_server(
         self, decision: Remote, operation: Operation, method: Method, request: bytes, attempt: _Attempt
@@ -294,7 +285,7 @@ class Offloading:
         except LinkError as error:
             self._journal.record("remote_failed", server=decision.server, why=str(error))
             if isinstance(error, DeadlineExceeded):
-                self._cut = RemoteCallCut(decision.server, operation, self._now_s() - began_s)
+                self._envoy.cut = RemoteCallCut(decision.server, operation, self._now_s() - began_s)
             self.tell(RemoteCallFailed(decision.server, attempt.check, str(error), attempt.late))
             return None
         delay_s = self._now_s() - began_s
@@ -419,79 +410,8 @@ class Offloading:
                 silent = False
                 self.tell(Looked())
 
-    async def _carry_out(self) -> None:
-        """Carries out what concerns the radio, one order after the other."""
-        try:
-            while True:
-                order = await self._orders.get()
-                try:
-                    await self._follow(order)
-                finally:
-                    self._orders.task_done()
-        finally:
-            await self._stop_loser()
-            await _stop(self._errand)
-            await _stop(self._watch)
-
-    async def _follow(self, order: Check | Start | Leave) -> None:
-        match order:
-            case Check(server, check):
-                self._visit = Visit(self._contacts[server], network=self._network, dialer=self._dialer)
-                self._errand = asyncio.create_task(self._ask(self._visit, server, check))
-            case Start(server, check) if self._visit is not None:
-                self._errand = asyncio.create_task(self._start(self._visit, server, check))
-            case Leave(server):
-                await _stop(self._errand)
-                if self._visit is not None:
-                    answered = await self._visit.end(in_range=self._selection.servers[server].in_range)
-                    if answered and self._cut is not None:
-                        self.tell(self._cut)
-                await _stop(self._watch)
-                self._visit = self._errand = self._watch = self._cut = None
-
-    async def _ask(self, visit: Visit, server: str, check: int) -> None:
-        try:
-            await visit.join(timeout_s=self._limit_s(server, running=True))
-            self._journal.record("joined", server=server, network=self._contacts[server].network)
-            self._watch = asyncio.create_task(self._notice_loss(visit, check))
-            running = await visit.ask()
-        except (NetworkError, LinkError) as error:
-            self.tell(CheckFailed(check, str(error)))
-            return
-        self.tell(CheckAnswered(check, running))
-        if running:
-            await visit.keep_lease()
-
-    async def _notice_loss(self, visit: Visit, check: int) -> None:
-        self.tell(NetworkLost(check, await visit.lost()))
-
-    async def _start(self, visit: Visit, server: str, check: int) -> None:
-        limit_s = self._limit_s(server, running=False)
-        try:
-            await visit.start(timeout_s=limit_s)
-        except LinkError as error:
-            self.tell(CheckFailed(check, str(error)))
-            return
-        self.tell(ServicesStarted(check))
-        await visit.keep_lease()
-
-    def _limit_s(self, server: str, *, running: bool) -> float:
-        """How long joining may take, for which it matters nothing whether the services run; or else starting."""
-        return max(_CHECK_LEAST_S, _CHECK_FACTOR * self._selection.estimates.check_s(server, running=running))
-
     def _now_s(self) -> float:
         return asyncio.get_running_loop().time()
-
-
-async def _stop(task: asyncio.Task[None] | None) -> None:
-    """Cancels the task and waits for its end; raises what else it ended with."""
-    if task is not None:
-        task.cancel()
-        (ended,) = await asyncio.gather(
-            task, return_exceptions=True
-        )  # which is cancelled only by our own caller
-        if isinstance(ended, Exception):
-            raise ended
 
 
 async def _end(tasks: Sequence[asyncio.Task[Any]]) -> None:

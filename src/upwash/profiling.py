@@ -165,7 +165,7 @@ async def profile_server(
     visit = Visit(contact, network=network, dialer=dialer)
     began_s = _now_s()
     try:
-        if not await visit.ask():
+        if not (await visit.ask()).running:
             raise UpwashError(
                 f"{contact.name} has stopped its services again already: let its idle_stop_s be longer"
             )
@@ -240,7 +240,7 @@ async def _check_stopped_s(visit: Visit) -> float | None:
     """From selection to READY with the services to be started; None where they ran already."""
     began_s = _now_s()
     try:
-        if await visit.ask():
+        if (await visit.ask()).running:
             return None
         await visit.start(timeout_s=_LONGEST_START_S)
         return _now_s() - began_s

@@ -19,29 +19,35 @@ from upwash.wire import decode
 AVAILABILITY = "/upwash.Daemon/Availability"
 START = "/upwash.Daemon/Start"
 LEAVE = "/upwash.Daemon/Leave"
+PREPARE = "/upwash.Daemon/Prepare"
+HOLD = "/upwash.Daemon/Hold"
 STATUS = "/upwash.Daemon/Status"
 
 T = TypeVar("T")
 NameText = Annotated[str, msgspec.Meta(max_length=255)]  # it stands in logs and refusals
+Names = Annotated[list[NameText], msgspec.Meta(max_length=255)]
+Seconds = Annotated[float, msgspec.Meta(ge=0)]
 
 
 class AvailabilityRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Can this server serve me, and which of these services run already?"""
 
     server: NameText
-    services: Annotated[list[NameText], msgspec.Meta(max_length=255)]
+    services: Names
 
 
 class AvailabilityReply(msgspec.Struct, frozen=True):
     """Yes, with the endpoints of those that run and the length of the lease; or no, with the reason.
 
-    An endpoint that begins with a colon is a port of the host that the daemon was reached at.
+    An endpoint that begins with a colon is a port of the host that the daemon was reached at. `peers` are the servers
+    that it can have prepared.
     """
 
     available: bool
     reason: str = ""
     endpoints: dict[str, str] = {}
     lease_s: float = 0.0
+    peers: list[str] = []
 
 
 class StartRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -66,6 +72,33 @@ class LeaveRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 class LeaveReply(msgspec.Struct, frozen=True):
     """Noted."""
+
+
+class PrepareRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """I will be at your peer by then: have it start these services, and hold a slot for me for so long after."""
+
+    server: NameText
+    peer: NameText
+    services: Names
+    arrives_in_s: Seconds
+    hold_s: Seconds
+
+
+class HoldRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A daemon to its peer: start these services for this drone, and hold a slot for it for so long."""
+
+    server: NameText
+    drone: NameText
+    certificate: NameText
+    services: Names
+    for_s: Seconds
+
+
+class HoldReply(msgspec.Struct, frozen=True):
+    """The slot is held and the services start or run; or why not."""
+
+    held: bool
+    reason: str = ""
 
 
 class StatusRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -6,6 +6,7 @@ import asyncio
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import NoReturn, TypeVar
 
 import msgspec
@@ -23,27 +24,34 @@ from upwash.core.instances import (
     StopInstance,
 )
 from upwash.core.visitors import Visitor
-from upwash.errors import InstanceError, Refused
-from upwash.ports import Instance, InstanceSpec, Program, Runtime
+from upwash.errors import InstanceError, LinkError, Refused
+from upwash.ports import Dialer, Instance, InstanceSpec, Program, Runtime
 from upwash.protocol import (
     AVAILABILITY,
+    HOLD,
     LEAVE,
+    PREPARE,
     START,
     STATUS,
     AvailabilityReply,
     AvailabilityRequest,
     CertificateStatus,
+    HoldReply,
+    HoldRequest,
     LeaveReply,
     LeaveRequest,
+    PrepareRequest,
     StartReply,
     StartRequest,
     StatusReply,
     StatusRequest,
+    decode_reply,
 )
 from upwash.wire import decode
 
 _log = logging.getLogger("upwash.server")
 _LEAST_LOOK_S = 1.0  # between two looks at what has come to its end
+_PEER_S = 3.0  # a peer answers at once, over a wire, or is in trouble
 T = TypeVar("T")
 
 
@@ -57,7 +65,7 @@ class Image:
 
 
 class EdgeServer:
-    """One daemon: `host` decides, `runtime` runs, `images` says what each service is."""
+    """One daemon: `host` decides, `runtime` runs, `images` says what each service is, `dialer` leads to its peers."""
 
     def __init__(
         self,
@@ -65,13 +73,17 @@ class EdgeServer:
         *,
         images: Mapping[str, Image],
         runtime: Runtime,
+        dialer: Dialer,
         start_timeout_s: float,
         drain_s: float,
+        peers: Mapping[str, str] = MappingProxyType({}),
         certificates: Sequence[CertificateStatus] = (),
     ) -> None:
         self._host = host
         self._images = images
         self._runtime = runtime
+        self._dialer = dialer
+        self._peers = peers  # the address of each
         self._start_timeout_s = start_timeout_s
         self._drain_s = drain_s
         self._certificates = certificates
@@ -94,6 +106,10 @@ class EdgeServer:
                 return msgspec.msgpack.encode(await self._start(_decode(body, StartRequest), visitor))
             case _ if path == LEAVE:
                 return msgspec.msgpack.encode(await self._leave(_decode(body, LeaveRequest), visitor))
+            case _ if path == PREPARE:
+                return msgspec.msgpack.encode(await self._prepare(_decode(body, PrepareRequest), visitor))
+            case _ if path == HOLD:
+                return msgspec.msgpack.encode(await self._hold(_decode(body, HoldRequest), visitor))
             case _ if path == STATUS:
                 _decode(body, StatusRequest)
                 return msgspec.msgpack.encode(self._status(visitor))
@@ -139,7 +155,10 @@ class EdgeServer:
         match answer:
             case Available(endpoints):
                 return AvailabilityReply(
-                    available=True, endpoints=dict(endpoints), lease_s=self._host.settings.lease_s
+                    available=True,
+                    endpoints=dict(endpoints),
+                    lease_s=self._host.settings.lease_s,
+                    peers=list(self._host.peers),
                 )
             case Denied(why):
                 _log.info("%s: no place for %s: %s", request.server, drone.name, why)
@@ -164,6 +183,48 @@ class EdgeServer:
     async def _leave(self, request: LeaveRequest, drone: Visitor) -> LeaveReply:
         await self._perform(self._host.leave(request.server, drone))
         return LeaveReply()
+
+    async def _prepare(self, request: PrepareRequest, drone: Visitor) -> HoldReply:
+        """Passes the drone's wish on to the peer; says why where it cannot, or the peer will not."""
+        for_s = request.arrives_in_s + request.hold_s
+        denied, commands = self._host.send_ahead(
+            request.server, request.peer, drone, for_s=for_s, now_s=self._now_s()
+        )
+        await self._perform(commands)
+        if denied is not None:
+            return HoldReply(held=False, reason=denied.why)
+        hold = HoldRequest(request.peer, drone.name, drone.certificate, request.services, for_s)
+        try:
+            reply = await self._ask_peer(hold)
+        except LinkError as error:  # it may have heard it all the same
+            return HoldReply(held=False, reason=str(error))
+        if not reply.held:
+            self._host.not_held(request.peer, drone)
+        return reply
+
+    async def _ask_peer(self, hold: HoldRequest) -> HoldReply:
+        link = self._dialer.dial(self._peers[hold.server], server=hold.server)
+        try:
+            reply = await link.request(HOLD, msgspec.msgpack.encode(hold), timeout_s=_PEER_S)
+        finally:
+            await link.close()
+        return decode_reply(reply, HoldReply, sender=hold.server)
+
+    async def _hold(self, request: HoldRequest, peer: Visitor) -> HoldReply:
+        answer, commands = self._host.hold(
+            request.server,
+            request.services,
+            Visitor(request.drone, request.certificate),
+            peer=peer,
+            for_s=request.for_s,
+            now_s=self._now_s(),
+        )
+        await self._perform(commands)
+        if isinstance(answer, Denied):
+            _log.info("%s: nothing held for %s: %s", request.server, request.drone, answer.why)
+            return HoldReply(held=False, reason=answer.why)
+        _log.info("%s: a slot is held for %s, as %s asked", request.server, request.drone, peer.name)
+        return HoldReply(held=True)
 
     def _status(self, visitor: Visitor) -> StatusReply:
         now_s = self._now_s()

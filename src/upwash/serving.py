@@ -22,6 +22,7 @@ from upwash.errors import CredentialsError, Refused, UpwashError, UsageError
 from upwash.ports import InstanceSpec, Program, Runtime
 from upwash.protocol import CertificateStatus
 from upwash.real.credentials import Credentials, read_credentials, read_revoked
+from upwash.real.link import GrpcDialer
 from upwash.real.listener import Caller, Listener
 from upwash.real.runtime import ProcessRuntime, sockets_in
 from upwash.real.sandbox import Limits, Sandbox, find_sandbox
@@ -56,9 +57,17 @@ async def serve(
     async with contextlib.AsyncExitStack() as stack:
         sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="upwash-")))
         edge = EdgeServer(
-            Host(_offers(config), HostSettings(lease_s=config.lease_s, idle_stop_s=config.idle_stop_s)),
+            Host(
+                _offers(config),
+                HostSettings(lease_s=config.lease_s, idle_stop_s=config.idle_stop_s, hold_s=config.hold_s),
+                peers=[peer.name for peer in config.peers],
+            ),
             images=images,
             runtime=await stack.enter_async_context(_runtime(config, credentials, sockets, sandbox)),
+            dialer=GrpcDialer(
+                config.identities[0].name, credentials, max_message_bytes=config.max_message_bytes
+            ),
+            peers={peer.name: peer.address for peer in config.peers},
             start_timeout_s=config.start_timeout_s,
             drain_s=config.drain_s,
             certificates=_certificates(credentials),
@@ -196,6 +205,11 @@ def _credentials(config: DaemonConfig) -> Credentials | None:
                 f"{identity.name}: make one with `upwash keys DIR --server "
                 f"{','.join(each.name for each in config.identities)}`"
             )
+    if config.peers and not credentials.is_good_for_calling:
+        raise CredentialsError(
+            "this daemon has peers, and its certificate is from a release that had none: "
+            "make another one with `upwash keys`"
+        )
     return None if config.listen.startswith("unix:") else credentials
 
 

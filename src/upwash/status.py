@@ -31,7 +31,8 @@ def _print_server(server: ServerStatus, console: Console) -> None:
     console.print(f"\n{server.name}: {len(server.leases)} of {server.slots} slots in use", soft_wrap=True)
     for lease in server.leases:
         certificate = f", certificate {lease.certificate[:16]}" if lease.certificate else ""
-        line = f"  {lease.drone}: lease ends in {_duration(lease.ends_in_s)}{certificate}"
+        held = f", held for {lease.held_by}" if lease.held_by else ""
+        line = f"  {lease.drone}: lease ends in {_duration(lease.ends_in_s)}{certificate}{held}"
         console.print(Text(line), soft_wrap=True)
     table = Table(box=None, padding=(0, 2))
     for column in ("instance", "state", "at", "unused for"):

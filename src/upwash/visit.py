@@ -13,10 +13,13 @@ from upwash.ports import Dialer, Link, Network
 from upwash.protocol import (
     AVAILABILITY,
     LEAVE,
+    PREPARE,
     START,
     AvailabilityReply,
     AvailabilityRequest,
+    HoldReply,
     LeaveRequest,
+    PrepareRequest,
     StartReply,
     StartRequest,
     decode_reply,
@@ -36,6 +39,14 @@ class Contact:
     network: str
     address: str
     services: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a server that is available says: whether all wanted services run, and whom it can have prepared."""
+
+    running: bool
+    peers: tuple[str, ...]
 
 
 class Visit:
@@ -63,13 +74,14 @@ class Visit:
         await self._hang_up()
         return self._lost
 
-    async def ask(self) -> bool:
-        """Asks for the services; returns whether all that are wanted run. Raises LinkError."""
+    async def ask(self) -> Answer:
+        """Asks for the services; raises LinkError where the server is not available."""
         self._daemon = self._dialer.dial(self._contact.address, server=self._contact.name)
         answer = await self._availability()
         for service, endpoint in answer.endpoints.items():
             self._dial(service, endpoint)
-        return all(service in self._instances for service in self._contact.services)
+        running = all(service in self._instances for service in self._contact.services)
+        return Answer(running, tuple(answer.peers))
 
     async def start(self, *, timeout_s: float) -> None:
         """Has the services that do not run yet started, and learns their endpoints."""
@@ -83,6 +95,17 @@ class Visit:
             if not reply.endpoint:
                 raise Refused(f"{self._contact.name} cannot start {service}: {reply.reason}")
             self._dial(service, reply.endpoint)
+
+    async def prepare(self, peer: Contact, *, arrives_in_s: float, hold_s: float) -> None:
+        """Has the peer of this server start its services and hold a slot; raises LinkError where it will not."""
+        request = PrepareRequest(
+            self._contact.name, peer.name, list(peer.services), arrives_in_s=arrives_in_s, hold_s=hold_s
+        )
+        reply = decode_reply(
+            await self._tell(PREPARE, request, timeout_s=_ANSWER_S), HoldReply, sender=self._contact.name
+        )
+        if not reply.held:
+            raise Refused(reply.reason)
 
     async def keep_lease(self) -> None:
         """Renews the lease, as the drone may be busy flying for longer than it lasts; until cancelled."""

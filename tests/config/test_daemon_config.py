@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from upwash.config import DaemonConfig, ImageConfig, read_daemon_config
+from upwash.config import DaemonConfig, ImageConfig, PeerConfig, read_daemon_config
 from upwash.errors import ConfigError
 
 FULL = (Path(__file__).parent / "daemon.toml").read_text()
@@ -87,6 +87,23 @@ def test_a_refusal_names_the_key_and_the_remedy(
         read(tmp_path, FULL.replace(old, new, 1))
     assert refusal.value.key == key
     assert named in refusal.value.problem
+
+
+PEER = '[[peer]]\nname = "s3"\naddress = "10.0.0.3:7070"\n'
+
+
+def test_peers_are_other_daemons_that_certificates_can_be_shown_to(tmp_path: Path) -> None:
+    assert read(tmp_path, FULL + PEER).peers == (PeerConfig(name="s3", address="10.0.0.3:7070"),)
+    for text, key, named in (
+        (FULL + PEER + PEER, "peer[1].name", 'a second peer named "s3"'),
+        (FULL + PEER.replace("s3", "s2"), "peer[0].name", "s2 is this daemon itself"),
+        (FULL + PEER.replace(":7070", ""), "peer[0].address", "host:port"),
+        (FULL.replace("0.0.0.0:7070", "unix:/run/upwash") + PEER, "peer[0].address", "another machine"),
+    ):
+        with pytest.raises(ConfigError) as refusal:
+            read(tmp_path, text)
+        assert refusal.value.key == key
+        assert named in refusal.value.problem
 
 
 def test_containers_need_certificates_and_a_network(tmp_path: Path) -> None:

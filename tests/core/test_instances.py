@@ -17,7 +17,7 @@ from upwash.core.instances import (
     StartInstance,
     StopInstance,
 )
-from upwash.core.visitors import InstanceStatus, LeaseStatus, ServerStatus, Visitor
+from upwash.core.visitors import InstanceStatus, LeaseStatus, Role, ServerStatus, Visitor
 
 ABSENT, STARTING, RUNNING, STOPPING = InstanceState
 
@@ -372,7 +372,7 @@ def test_a_daemon_that_closes_stops_what_runs_or_starts_and_serves_nobody_for_th
 
 # ---- what operators see
 
-ALICE = Visitor("alice", "0c", is_operator=True)
+ALICE = Visitor("alice", "0c", role=Role.OPERATOR)
 
 
 def test_an_operator_sees_the_servers_and_the_last_refusals_the_latest_first() -> None:

@@ -17,6 +17,7 @@ from upwash.core.instances import (
     Available,
     Command,
     Denied,
+    Held,
     Host,
     HostSettings,
     InstanceState,
@@ -26,10 +27,11 @@ from upwash.core.instances import (
     StartInstance,
     StopInstance,
 )
-from upwash.core.visitors import Visitor
+from upwash.core.visitors import Role, Visitor
 
 OFFERED = {"s1": ["counter", "detector"], "s2": ["detector"]}
-SETTINGS = HostSettings(lease_s=30.0, idle_stop_s=100.0)
+SETTINGS = HostSettings(lease_s=30.0, idle_stop_s=100.0, hold_s=50.0)
+PEER = Visitor("s3", "53", Role.SERVER)
 
 servers = st.sampled_from(list(OFFERED))
 services = st.sampled_from(["counter", "detector"])
@@ -43,11 +45,14 @@ class Daemon(RuleBasedStateMachine):
     def boot(self, slots: dict[str, int]) -> None:
         self.slots = slots
         self.host = Host(
-            {name: ServerOffer(frozenset(images), slots[name]) for name, images in OFFERED.items()}, SETTINGS
+            {name: ServerOffer(frozenset(images), slots[name]) for name, images in OFFERED.items()},
+            SETTINGS,
+            peers=[PEER.name],
         )
         self.now_s = 0.0
         self.admitted: dict[str, frozenset[str]] = dict.fromkeys(OFFERED, frozenset())
         self.lease_ends_s: dict[tuple[str, str], float] = {}
+        self.expected: set[tuple[str, str]] = set()  # those that have not come yet
         self.living: dict[tuple[str, str], int] = {}
         self.serving: dict[tuple[str, str], str] = {}
         self.stopping: set[tuple[str, str]] = set()
@@ -101,6 +106,27 @@ class Daemon(RuleBasedStateMachine):
                 assert started == ([] if place in lived else [StartInstance(server, service, number)])
             case Denied():
                 assert started == []
+
+    @rule(
+        server=servers,
+        wanted=st.lists(services, max_size=2),
+        drone=drones,
+        for_s=st.sampled_from([0.0, 20.0, 50.0, 1e6]),
+    )
+    def peer_sends_word(self, server: str, wanted: list[str], drone: str, for_s: float) -> None:
+        before, end_s = self.after_a_look(), self.now_s + min(for_s, SETTINGS.hold_s)
+        known_s = self.lease_ends_s.get((server, drone), self.now_s)
+        has_come = known_s > self.now_s and (server, drone) not in self.expected
+        answer, commands = self.host.hold(
+            server, wanted, Visitor(drone), peer=PEER, for_s=for_s, now_s=self.now_s
+        )
+        is_held = isinstance(answer, Held)
+        self.answered(server, wanted, drone, granted=is_held, before=before, commands=commands)
+        if is_held:
+            self.lease_ends_s[server, drone] = max(known_s, end_s) if has_come else end_s
+            if not has_come:
+                self.expected.add((server, drone))
+            assert {each.service for each in commands if isinstance(each, StartInstance)} <= set(wanted)
 
     @rule(server=servers, drone=drones)
     def drone_leaves(self, server: str, drone: str) -> None:
@@ -164,6 +190,7 @@ class Daemon(RuleBasedStateMachine):
         self.carry_out(commands)
         if granted:
             self.lease_ends_s[server, drone] = self.now_s + SETTINGS.lease_s
+            self.expected.discard((server, drone))
         else:
             assert commands == expected
             for name in OFFERED:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from upwash.core.look_ahead import LookAhead
 from upwash.core.outlook import Outlook
-from upwash.core.policy import Call, Choice, Decision, Local, LocationAware, Option, Remote, Situation
+from upwash.core.policy import Call, Choice, Coming, Decision, Local, LocationAware, Option, Remote, Situation
 from upwash.core.schedule import CheckTimes, ComingCall, Offer
 from upwash.core.servers import State
 
@@ -66,6 +66,16 @@ def test_a_check_goes_on_as_long_as_a_call_does() -> None:
 def test_a_server_out_of_range_is_not_kept() -> None:
     outlook = Outlook(calls("b", "b"), CHECKS, 0.0)
     assert choose(outlook, in_range="", current="a") is None
+
+
+def test_the_server_that_comes_next_is_named_with_the_time_until_its_range() -> None:
+    leaving = [*calls("a", ""), ComingCall(LOCAL_S, GAP_S, [Offer("b", REMOTE_S, 5.0)]), *calls("b")]
+    situation = Situation([Option("a", REMOTE_S, 0.0)], "a", LOCAL_S, outlook=Outlook(leaving, CHECKS, 0.0))
+    assert LookAhead().choose(situation).coming == Coming("b", 3 * GAP_S - 5.0 + REMOTE_S + LOCAL_S)
+    staying = Situation(
+        [Option("a", REMOTE_S, 0.0)], "a", LOCAL_S, outlook=Outlook(calls("a", "a"), CHECKS, 0.0)
+    )
+    assert LookAhead().choose(staying).coming is None
 
 
 def test_where_nothing_is_foreseen_it_is_location_aware() -> None:

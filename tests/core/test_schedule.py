@@ -54,6 +54,25 @@ def test_a_server_that_was_started_before_is_ready_sooner() -> None:
     assert quickest(calls, forgotten).total_s > 3 * REMOTE_S
 
 
+def test_a_peer_starts_its_services_while_the_server_before_is_ready() -> None:
+    calls = [call(6.0, a=6.0), call(8.0, b=4.0), call(8.0, b=8.0)]
+    alone = quickest(calls, SAME, server="a")
+    prepared = quickest(calls, SAME, server="a", peers={"a": ["b"]})
+    assert alone.total_s == REMOTE_S + (12.0 - 4.0) + REMOTE_S + REMOTE_S
+    assert prepared.total_s == 3 * REMOTE_S, "b has had 11 s by the time that its range is entered"
+    late = quickest(calls, SAME, server="a", ready_in_s=5.0, peers={"a": ["b"]})
+    assert late.total_s == REMOTE_S + (12.0 - 6.0 - 4.0) + REMOTE_S + REMOTE_S, (
+        "and 6 s, where a is ready later"
+    )
+
+
+def test_a_server_is_kept_that_has_peers_or_is_prepared() -> None:
+    both = [call(30.0, a=30.0, b=30.0), call(4.0, c=4.0), call(4.0, c=4.0)]
+    checks = {**SAME, "c": CheckTimes(12.0, 4.0)}
+    assert quickest(both, checks, peers={"b": ["c"]}).servers == ["b", "c", "c"]
+    assert quickest(both, checks, peers={"a": ["c"]}).servers == ["a", "c", "c"]
+
+
 def test_a_wait_has_to_gain_what_is_asked() -> None:
     calls = [call(8.0, a=8.0)]  # 4 s of the check are left
     assert quickest(calls, SAME).total_s == 4.0 + REMOTE_S

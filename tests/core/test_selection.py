@@ -6,23 +6,20 @@ import pytest
 
 from upwash.core.estimates import Beliefs, Estimates, Operation
 from upwash.core.geo import Circle, Position
-from upwash.core.policy import Local, LocalOnly, LocationAware, Opportunistic, Policy, Remote, Wait
-from upwash.core.selection import (
-    Check,
+from upwash.core.happenings import (
     CheckAnswered,
     CheckFailed,
-    Command,
-    Leave,
     LocalCallEnded,
     Looked,
     MissionEnded,
     NetworkLost,
     RemoteCallEnded,
     RemoteCallFailed,
-    Selection,
     ServicesStarted,
-    Start,
 )
+from upwash.core.orders import Check, Command, Leave, Start
+from upwash.core.policy import Local, LocalOnly, LocationAware, Opportunistic, Policy, Remote, Wait
+from upwash.core.selection import Selection
 from upwash.core.servers import Change, State
 from upwash.errors import TransitionError
 

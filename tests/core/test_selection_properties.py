@@ -15,8 +15,25 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from upwash.core.estimates import Beliefs, Estimates, Operation
 from upwash.core.geo import Circle, Position, Waypoint
+from upwash.core.happenings import (
+    Arrived,
+    CheckAnswered,
+    CheckFailed,
+    CourseLost,
+    Happening,
+    LegBegun,
+    LocalCallEnded,
+    Looked,
+    MissionEnded,
+    NetworkLost,
+    Prepared,
+    RemoteCallEnded,
+    RemoteCallFailed,
+    ServicesStarted,
+)
 from upwash.core.itinerary import MissionBeliefs, Step
 from upwash.core.look_ahead import LookAhead
+from upwash.core.orders import Check, Command, Leave, Prepare, Start
 from upwash.core.policy import (
     Decision,
     Local,
@@ -28,27 +45,7 @@ from upwash.core.policy import (
     Wait,
     WaitRule,
 )
-from upwash.core.selection import (
-    Arrived,
-    Check,
-    CheckAnswered,
-    CheckFailed,
-    Command,
-    CourseLost,
-    Happening,
-    Leave,
-    LegBegun,
-    LocalCallEnded,
-    Looked,
-    MissionEnded,
-    NetworkLost,
-    RemoteCallEnded,
-    RemoteCallFailed,
-    Selection,
-    SelectionSettings,
-    ServicesStarted,
-    Start,
-)
+from upwash.core.selection import Selection, SelectionSettings
 from upwash.core.servers import SELECTED, TRANSITIONS, Change, State
 
 OPERATIONS = [Operation("detector", "process_photo", "heavy"), Operation("counter", "count")]
@@ -93,6 +90,7 @@ class Flights(RuleBasedStateMachine):
         policy=st.sampled_from([POLICIES[0], POLICIES[-1], *POLICIES]),
         position=positions,
         plan=st.lists(positions, max_size=6),
+        connected=st.booleans(),
     )
     def take_off(
         self,
@@ -101,6 +99,8 @@ class Flights(RuleBasedStateMachine):
         policy: Policy,
         position: Position,
         plan: list[Position],
+        *,
+        connected: bool,
     ) -> None:
         self.areas = {f"s{number}": area for number, (area, _) in enumerate(servers, start=1)}
         believed = {f"s{number}": belief for number, (_, belief) in enumerate(servers, start=1)}
@@ -123,6 +123,9 @@ class Flights(RuleBasedStateMachine):
         self.entered_s = dict.fromkeys(self.areas, 0.0)
         self.blacklisted_at_s: dict[str, float] = {}
         self.checks: list[int] = []
+        self.asked: dict[int, str] = {}  # by check
+        self.peers = {name: {*self.areas, "elsewhere"} if connected else set() for name in self.areas}
+        self.announced: list[tuple[str, str]] = []
         self.starts: list[int] = []
         self.calls: list[CallUnderWay] = []
         self.waits: list[tuple[Operation, int]] = []
@@ -165,13 +168,23 @@ class Flights(RuleBasedStateMachine):
     @rule(running=st.booleans())
     def check_goes_on(self, *, running: bool) -> None:
         check = self.checks[-1]
-        self.happens(ServicesStarted(check) if check in self.starts else CheckAnswered(check, running))
+        self.happens(ServicesStarted(check) if check in self.starts else self.answer(check, running=running))
 
     @precondition(lambda self: self.checks)
     @rule(running=st.booleans(), back=BACK)
     def daemon_answers(self, back: int, *, running: bool) -> None:
         check = self.checks[-1 - back % len(self.checks)]
-        self.happens(CheckAnswered(check, running), check=check)
+        self.happens(self.answer(check, running=running), check=check)
+
+    def answer(self, check: int, *, running: bool) -> CheckAnswered:
+        server = self.asked[check]
+        return CheckAnswered(check, running, tuple(sorted(self.peers[server])))
+
+    @precondition(lambda self: self.announced)
+    @rule()
+    def peer_is_prepared(self) -> None:
+        server, peer = self.announced.pop()
+        self.happens(Prepared(peer, server))
 
     @precondition(lambda self: self.starts)
     @rule(back=BACK)
@@ -274,11 +287,19 @@ class Flights(RuleBasedStateMachine):
                     self.contact(server)
                     self.joined = server
                     self.checks.append(check)
+                    self.asked[check] = server
                 case Start(server, check):
                     assert self.joined == server
                     assert check == self.checks[-1]
                     assert check not in self.starts, "started twice"
                     self.starts.append(check)
+                case Prepare(server, check, peer, arrives_in_s, hold_s):
+                    assert self.joined == server
+                    assert check == self.checks[-1]
+                    assert self.states[server] is State.READY
+                    assert peer in self.peers[server] - {server}
+                    assert min(arrives_in_s, hold_s) >= 0
+                    self.announced.append((server, peer))
 
     def contact(self, server: str) -> None:
         """Promise 7: a blacklisted server is not contacted before its time."""

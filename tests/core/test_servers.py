@@ -40,6 +40,8 @@ TABLE = {
     (READY, "network_lost"): BLACKLISTED,
     (BLACKLISTED, "blacklist_expired"): AVL,
     (AVL_R, "idle_expired"): AVL,
+    (AVL, "prepared"): AVL_R,  # a peer's word: its services are being started
+    (AVL_R, "prepared"): AVL_R,
 }
 
 WAY_TO = {

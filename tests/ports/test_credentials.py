@@ -25,9 +25,10 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
+from upwash.core.visitors import Role
 from upwash.errors import CredentialsError, UsageError
 from upwash.real import credentials as module
-from upwash.real.credentials import Credentials, make_keys, read_credentials, read_revoked, revoke
+from upwash.real.credentials import Credentials, make_keys, read_credentials, read_revoked, revoke, role_of
 
 
 def read(folder: Path, name: str, *, authority: Path | None = None) -> Credentials:
@@ -53,16 +54,16 @@ def test_the_files_written_are_returned(tmp_path: Path) -> None:
     assert files == [tmp_path / "new" / name for name in names]
 
 
-def test_a_certificate_is_good_for_all_its_names_and_one_purpose(keys: Path) -> None:
+def test_a_certificate_is_good_for_all_its_names_and_a_drones_for_no_server(keys: Path) -> None:
     assert read(keys, "s1").names == ("s1", "s2")
     assert read(keys, "heron").names == ("heron",)
-    for name, purpose in (
-        ("s1", ExtendedKeyUsageOID.SERVER_AUTH),
-        ("heron", ExtendedKeyUsageOID.CLIENT_AUTH),
+    for name, purposes in (
+        ("s1", [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]),
+        ("heron", [ExtendedKeyUsageOID.CLIENT_AUTH]),
     ):
         made = certificate(keys, name)
         usage = made.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
-        assert list(usage) == [purpose]
+        assert list(usage) == purposes
         assert not made.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
         public_key = made.public_key()
         assert isinstance(public_key, ec.EllipticCurvePublicKey)
@@ -285,9 +286,26 @@ def test_a_server_that_shows_a_drones_certificate_is_not_believed(keys: Path) ->
         assert answer(port, client(read(keys, "heron")), "stork") is grpc.StatusCode.UNAVAILABLE
 
 
-def test_a_server_that_shows_a_servers_certificate_as_a_client_gets_no_answer(keys: Path) -> None:
+def test_a_daemon_may_call_another_with_its_own_certificate(keys: Path) -> None:
+    make_keys(keys, servers=[["s3"]])
+    assert read(keys, "s3").is_good_for_calling
     with echo_server(read(keys, "s1")) as port:
-        assert answer(port, client(read(keys, "s1")), "s1") is grpc.StatusCode.UNAVAILABLE
+        assert answer(port, client(read(keys, "s3")), "s1") == b"hello"
+
+
+def test_a_daemons_certificate_from_before_there_were_peers_is_good_for_answering_alone(
+    keys: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(x509, "ExtendedKeyUsage", lambda usages: _usage(usages[:1]))
+    make_keys(keys, servers=[["s3"]])
+    monkeypatch.undo()
+    assert not read(keys, "s3").is_good_for_calling
+    with echo_server(read(keys, "s3")) as port:
+        assert answer(port, client(read(keys, "s3")), "s3") is grpc.StatusCode.UNAVAILABLE
+        assert answer(port, client(read(keys, "heron")), "s3") == b"hello"
+
+
+_usage = x509.ExtendedKeyUsage
 
 
 def test_a_server_is_not_believed_under_another_servers_name(keys: Path) -> None:
@@ -315,11 +333,13 @@ def test_a_list_that_names_no_fingerprint_is_refused(tmp_path: Path) -> None:
         read_revoked(file)
 
 
-def test_only_an_operators_certificate_says_so_in_its_subject(tmp_path: Path) -> None:
+def test_certificates_of_operators_and_daemons_say_so_in_their_subjects(tmp_path: Path) -> None:
     make_keys(tmp_path, servers=[["s1"]], drones=["heron"], operators=["alice"])
     subjects = {
         name: certificate(tmp_path, name).subject.rfc4514_string() for name in ("s1", "heron", "alice")
     }
-    assert subjects == {"s1": "CN=s1", "heron": "CN=heron", "alice": "CN=alice,OU=operator"}
+    assert subjects == {"s1": "CN=s1,OU=server", "heron": "CN=heron", "alice": "CN=alice,OU=operator"}
+    assert [role_of(subject) for subject in subjects.values()] == [Role.SERVER, Role.DRONE, Role.OPERATOR]
+    assert role_of("CN=x OU=operator,O=OU=server") is Role.DRONE
     usage = certificate(tmp_path, "alice").extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
     assert list(usage) == [ExtendedKeyUsageOID.CLIENT_AUTH]

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from upwash.core.instances import Host, HostSettings, ServerOffer
-from upwash.core.visitors import Visitor
+from upwash.core.visitors import Role, Visitor
 from upwash.errors import InstanceError, Refused
 from upwash.ports import InstanceSpec, Program
 from upwash.protocol import (
@@ -27,7 +27,9 @@ from upwash.protocol import (
     StatusRequest,
 )
 from upwash.server import EdgeServer, Image
+from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
+from upwash.sim.world import Wire
 
 T = TypeVar("T")
 COLD_START_S = 8.0
@@ -92,6 +94,7 @@ class Daemon:
             ),
             images={"detector": Image(Program("somewhere:Detector"))},
             runtime=self.runtime,
+            dialer=ModelDialer("s1", Switchboard({}), Wire()),
             start_timeout_s=start_timeout_s,
             drain_s=DRAIN_S,
         )
@@ -354,7 +357,7 @@ def test_its_status_is_for_operators() -> None:
         request = msgspec.msgpack.encode(StatusRequest())
         with pytest.raises(Refused, match="d1 is no operator"):
             await daemon.edge.handle(STATUS, request, Visitor("d1", "0a"))
-        reply = await daemon.edge.handle(STATUS, request, Visitor("alice", "0c", is_operator=True))
+        reply = await daemon.edge.handle(STATUS, request, Visitor("alice", "0c", role=Role.OPERATOR))
         status = msgspec.msgpack.decode(reply, type=StatusReply)
         assert status.up_s == pytest.approx(COLD_START_S)
         assert [lease.drone for lease in status.servers[0].leases] == ["d1"]

@@ -232,6 +232,32 @@ def slots_over_admitted() -> contextlib.AbstractContextManager[object]:
     return patch.object(Host, "_deny", generous)
 
 
+def held_for_ever() -> contextlib.AbstractContextManager[object]:
+    """A slot that is held for a drone waits until it comes."""
+    hold = Host._hold
+
+    def patient(self: Host, name: str, drone: Visitor, peer: str, until_s: float) -> list[HostCommand]:
+        return hold(self, name, drone, peer, until_s + 1e6)
+
+    return patch.object(Host, "_hold", patient)
+
+
+def held_everywhere() -> contextlib.AbstractContextManager[object]:
+    """A drone may have as many slots held as it likes."""
+    send_ahead = Host.send_ahead
+
+    def forgetful(self: Host, *what: Any, **how: Any) -> Any:
+        self._sent_ahead.clear()
+        return send_ahead(self, *what, **how)
+
+    return patch.object(Host, "send_ahead", forgetful)
+
+
+def held_for_strangers() -> contextlib.AbstractContextManager[object]:
+    """Any server may have a slot held."""
+    return patch.object(Host, "_unknown", lambda _self, _peer: "")
+
+
 def started_twice() -> contextlib.AbstractContextManager[object]:
     """An instance that is being started is not remembered to be."""
     start = Host.start
@@ -339,6 +365,9 @@ DEFECTS = (
     Defect("a transition of the server table is skipped", transition_skipped),
     Defect("leases do not end", lease_leaked),
     Defect("more drones are admitted than there are slots", slots_over_admitted),
+    Defect("a slot is held until the drone comes", held_for_ever),
+    Defect("a drone has several slots held at a time", held_everywhere),
+    Defect("a slot is held for a server that is no peer", held_for_strangers),
     Defect("one start makes two instances", started_twice),
     Defect("calls on the drone take longer than the service", local_call_dawdles),
     Defect("the mission's end waits for a server's goodbye", long_farewell),

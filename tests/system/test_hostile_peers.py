@@ -62,11 +62,6 @@ def of_another_authority(keys: Path, _: pytest.MonkeyPatch) -> Credentials:
     return Credentials(*(file.read_bytes() for file in (authority, files.certificate, files.key)))
 
 
-def of_a_server(keys: Path, _: pytest.MonkeyPatch) -> Credentials:
-    files = keys_in(keys, "s1")
-    return read_credentials(files.authority, files.certificate, files.key)
-
-
 def none(keys: Path, _: pytest.MonkeyPatch) -> Credentials:
     return Credentials((keys / "authority.pem").read_bytes(), b"", b"")
 
@@ -77,7 +72,6 @@ def none(keys: Path, _: pytest.MonkeyPatch) -> Credentials:
         (none, "PEER_DID_NOT_RETURN_A_CERTIFICATE"),
         (of_another_authority, "CERTIFICATE_VERIFY_FAILED"),
         (expired, "CERTIFICATE_VERIFY_FAILED.*certificate has expired"),
-        (of_a_server, "CERTIFICATE_VERIFY_FAILED.*purpose"),
     ],
 )
 def test_a_certificate_that_is_not_a_drones_is_refused_and_the_log_says_why(

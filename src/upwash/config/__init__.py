@@ -7,6 +7,7 @@ from upwash.config.daemon import (
     DaemonKeysConfig,
     IdentityConfig,
     ImageConfig,
+    PeerConfig,
     read_daemon_config,
 )
 from upwash.config.drone import (
@@ -57,6 +58,7 @@ __all__ = [
     "MissionConfig",
     "NetworkConfig",
     "NoiseConfig",
+    "PeerConfig",
     "PolicyConfig",
     "RuntimeConfig",
     "SafeEnd",

@@ -117,6 +117,10 @@ def _server_problems(server: ServerConfig, config: DroneConfig) -> Iterator[Prob
     yield from _times_problems("remote_call_s", server.remote_call_s, config.services)
     for key, problem in _truth_problems(server.truth, config.services):
         yield f"truth.{key}", problem
+    others = [each.name for each in config.servers if each.name != server.name]
+    for name in server.truth.peers:
+        if name not in others:
+            yield "truth.peers", unknown("other server", name, others)
     if config.services:
         yield from _belief_problems(server, config.services)
 

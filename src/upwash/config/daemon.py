@@ -65,12 +65,19 @@ class IdentityConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     images: Names
 
 
+class PeerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A server that another daemon of the operator acts as, which drones go on to from here, or come from."""
+
+    name: Name
+    address: Text
+
+
 class DaemonConfig(
     Struct,
     frozen=True,
     kw_only=True,
     forbid_unknown_fields=True,
-    rename={"images": "service", "identities": "server"},
+    rename={"images": "service", "identities": "server", "peers": "peer"},
 ):
     """One edge daemon."""
 
@@ -80,6 +87,7 @@ class DaemonConfig(
     idle_stop_s: Positive = 600.0
     start_timeout_s: Positive = 60.0
     drain_s: Positive = 10.0
+    hold_s: Positive = 60.0
     allow_without_certificates: bool = False
     keys: DaemonKeysConfig | None = None
     runtime: RuntimeConfig = RuntimeConfig()
@@ -91,6 +99,7 @@ class DaemonConfig(
         tuple[IdentityConfig, ...],
         Meta(min_length=1, description="tables that each begin with [[server]], at least one"),
     ]
+    peers: Annotated[tuple[PeerConfig, ...], Meta(description="tables that each begin with [[peer]]")] = ()
 
 
 def read_daemon_config(path: Path) -> DaemonConfig:
@@ -139,6 +148,23 @@ def _problems(config: DaemonConfig) -> Iterator[Problem]:
         for image in identity.images:
             if image not in names:
                 yield f"server[{index}].images", unknown("service", image, names)
+    yield from _peer_problems(config)
+
+
+def _peer_problems(config: DaemonConfig) -> Iterator[Problem]:
+    for index, name in repeated([peer.name for peer in config.peers]):
+        yield f"peer[{index}].name", f'a second peer named "{name}": name each server once'
+    shows_certificate = config.keys is not None and not config.listen.startswith("unix:")
+    for index, peer in enumerate(config.peers):
+        if peer.name in [identity.name for identity in config.identities]:
+            yield f"peer[{index}].name", f"{peer.name} is this daemon itself: name servers of other daemons"
+        if not is_address(peer.address):
+            yield f"peer[{index}].address", f'expected "host:port" or "unix:path", found "{peer.address}"'
+        elif not shows_certificate and not is_on_this_machine(peer.address):
+            yield (
+                f"peer[{index}].address",
+                f'"{peer.address}" is another machine: give [keys], and a "host:port" to listen on',
+            )
 
 
 def _access_problems(config: DaemonConfig) -> Iterator[Problem]:

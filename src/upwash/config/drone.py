@@ -182,6 +182,7 @@ class TruthConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     radio: Text = "fixed"
     slots: Count = 1
     images: Names | None = None
+    peers: Names = ()
 
 
 class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -218,6 +219,7 @@ class ServerTruth(Struct, frozen=True, kw_only=True):
     radio: str
     slots: int
     images: tuple[str, ...]
+    peers: tuple[str, ...]
 
 
 class HeatConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -330,6 +332,7 @@ def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> Ser
         radio=truth.radio,
         slots=truth.slots,
         images=tuple(service.name for service in services) if truth.images is None else truth.images,
+        peers=truth.peers,
     )
 
 

@@ -112,6 +112,10 @@ class Estimates:
         """Delay from selection to READY: `CheckR_s` when the services run there already, else `Check_s`."""
         return (self._check_running if running else self._check)[server].mean_s
 
+    def start_s(self, server: str) -> float:
+        """What starting the services adds to a check."""
+        return max(0.0, self.check_s(server, running=False) - self.check_s(server, running=True))
+
     def mean_call_s(self, server: str | None = None) -> float:
         """Mean delay of this drone's calls with the server ready, or without any.
 

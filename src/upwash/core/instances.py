@@ -1,11 +1,14 @@
 """The server-side machine: images, instances, slots and leases.
 
 A daemon acts as one or several servers; each has its own images (services it can run), instances (at most one
-of each service) and slots (drones that it serves at the same time). A slot is held by a drone as a lease.
+of each service) and slots (drones that it serves at the same time). A slot is held by a drone as a lease. The daemon
+of the server that a drone comes from, a peer, may ask for one beforehand, with the instances that it will call.
 
 Laws:
 - a server gives no lease while it has as many as slots, and only drones with a lease are admitted to its instances;
 - a certificate that is revoked holds no lease, and a daemon that closes gives none;
+- a peer gets a lease for a drone where the drone itself would, for a bounded time, and nothing else;
+- a drone may have peers hold one slot at a time, and only while it has a lease here;
 - an instance goes absent, starting, running, stopping, absent; it may fall back to absent at any time;
 - an instance is known by its number, and what arrives for another number changes nothing;
 - commands are to be carried out in their order.
@@ -22,9 +25,12 @@ from upwash.core.visitors import (
     LeaseStatus,
     Refusals,
     RefusalStatus,
+    Role,
     ServerStatus,
     Visitor,
 )
+
+_ROLES = {Role.OPERATOR: "an operator", Role.SERVER: "a server"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +43,11 @@ class ServerOffer:
 
 @dataclass(frozen=True, slots=True)
 class HostSettings:
-    """How long a lease lasts without a request, and an instance without a call."""
+    """How long a lease lasts without a request, an instance without a call, and a slot for a peer's drone at most."""
 
     lease_s: float = 30.0
     idle_stop_s: float = 600.0
+    hold_s: float = 60.0
 
 
 class InstanceState(StrEnum):
@@ -79,6 +86,11 @@ class Pending:
 
     number: int
     stopping: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """A slot is held for the drone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +135,16 @@ class _Instance:
 class _Lease:
     drone: Visitor
     until_s: float
+    held_by: str = ""  # the peer that asked for it, until the drone comes itself
+
+
+@dataclass(frozen=True, slots=True)
+class _SentAhead:
+    """A peer was asked to hold a slot for a drone until then; without that it holds one until `otherwise_s`."""
+
+    peer: str
+    until_s: float
+    otherwise_s: float
 
 
 @dataclass(slots=True)
@@ -135,8 +157,16 @@ class _Server:
 class Host:
     """Keeps the servers of one daemon and decides whom they serve and what runs."""
 
-    def __init__(self, offers: Mapping[str, ServerOffer], settings: HostSettings | None = None) -> None:
+    def __init__(
+        self,
+        offers: Mapping[str, ServerOffer],
+        settings: HostSettings | None = None,
+        *,
+        peers: Iterable[str] = (),
+    ) -> None:
         self.settings = settings or HostSettings()
+        self.peers = tuple(peers)  # the servers that other daemons of the operator act as
+        self._sent_ahead: dict[str, _SentAhead] = {}  # by drone, until the slot is held no longer
         self._number = 0
         self._closing = ""  # why nobody is served any more
         self._revoked: frozenset[str] = frozenset()
@@ -176,12 +206,59 @@ class Host:
         instance = self._servers[server].instances[service]
         if instance.state is InstanceState.RUNNING:
             return Running(instance.endpoint), commands
-        if instance.state is InstanceState.ABSENT:
-            self._number += 1
-            instance.state = InstanceState.STARTING
-            instance.number = self._number
-            commands.append(StartInstance(server, service, instance.number))
+        commands += self._begin(server, service)
         return Pending(instance.number, stopping=instance.state is InstanceState.STOPPING), commands
+
+    def send_ahead(
+        self, server: str, peer: str, drone: Visitor, *, for_s: float, now_s: float
+    ) -> tuple[Denied | None, list[Command]]:
+        """Whether the drone, which is served here, may have the peer hold a slot for it; one at a time may be."""
+        commands = self._end_leases(now_s)
+        why = self._mistrust(drone) or self._obstacle(server, (), drone) or self._unknown(peer)
+        lease = self._servers[server].leases.get(drone.name) if not why else None
+        ahead = self._sent_ahead.get(drone.name)
+        if not why and (lease is None or lease.drone != drone):
+            why = f"{drone.name} has no lease on {server}"
+        elif not why and ahead is not None and ahead.peer != peer and ahead.until_s > now_s:
+            why = f"{drone.name} has a slot of {ahead.peer} held for another {ahead.until_s - now_s:.0f} s"
+        if why:
+            return self._denied(server, drone.name, why, now_s), commands
+        known_s = ahead.until_s if ahead is not None else now_s
+        until_s = max(known_s, now_s + min(self.settings.hold_s, for_s))
+        self._sent_ahead[drone.name] = _SentAhead(peer, until_s, otherwise_s=known_s)
+        return None, commands
+
+    def not_held(self, peer: str, drone: Visitor) -> None:
+        """The peer refused what it was asked last; what it granted before still counts."""
+        ahead = self._sent_ahead.get(drone.name)
+        if ahead is not None and ahead.peer == peer:
+            self._sent_ahead[drone.name] = _SentAhead(peer, ahead.otherwise_s, ahead.otherwise_s)
+
+    def hold(
+        self,
+        server: str,
+        services: Iterable[str],
+        drone: Visitor,
+        *,
+        peer: Visitor,
+        for_s: float,
+        now_s: float,
+    ) -> tuple[Held | Denied, list[Command]]:
+        """Has the services running for a drone that a peer expects to come, and a slot, as if the drone had asked."""
+        commands = self._end_leases(now_s)
+        why = self._mistrust(peer) or self._unknown(peer.name)
+        if not why and peer.certificate and peer.role is not Role.SERVER:
+            why = f"{peer.name} is no daemon: only a server's certificate may ask for another drone"
+        if why:
+            return self._denied(server, peer.name, why, now_s), commands
+        wanted = sorted(set(services))
+        denied = self._deny(server, wanted, drone, now_s) or self._impostor(server, drone, now_s)
+        if denied is not None:
+            return denied, commands
+        commands += self._hold(server, drone, peer.name, now_s + min(self.settings.hold_s, for_s))
+        for service in wanted:
+            commands += self._begin(server, service)
+        return Held(), commands
 
     def ready(self, server: str, service: str, number: int, endpoint: str, *, now_s: float) -> list[Command]:
         """The instance of that number can be called at the endpoint."""
@@ -271,7 +348,7 @@ class Host:
     ) -> tuple[list[ServerStatus], list[RefusalStatus]] | Denied:
         """What there is to see of the servers, and the last refusals, for an operator."""
         why = self._mistrust(visitor)
-        if not why and visitor.certificate and not visitor.is_operator:
+        if not why and visitor.certificate and visitor.role is not Role.OPERATOR:
             why = f"{visitor.name} is no operator: show a certificate of `upwash keys --operator NAME`"
         if why:
             self._refusals.note("", visitor.name, why, now_s=now_s)
@@ -310,9 +387,10 @@ class Host:
 
     def _deny(self, name: str, services: Iterable[str], drone: Visitor, now_s: float) -> Denied | None:
         why = self._mistrust(drone) or self._obstacle(name, services, drone)
-        if not why:
-            return None
-        self._refusals.note(name, drone.name, why, now_s=now_s)
+        return self._denied(name, drone.name, why, now_s) if why else None
+
+    def _denied(self, name: str, visitor: str, why: str, now_s: float) -> Denied:
+        self._refusals.note(name, visitor, why, now_s=now_s)
         return Denied(why)
 
     def _mistrust(self, visitor: Visitor) -> str:
@@ -320,14 +398,26 @@ class Host:
             return f"the certificate of {visitor.name} is revoked"
         return ""
 
+    def _unknown(self, peer: str) -> str:
+        return "" if peer in self.peers else f"{peer} is no peer of this daemon"
+
+    def _impostor(self, name: str, drone: Visitor, now_s: float) -> Denied | None:
+        """A peer cannot take the lease from a drone that came itself, under another certificate."""
+        lease = self._servers[name].leases.get(drone.name)
+        if lease is None or lease.held_by or lease.drone == drone:
+            return None
+        return self._denied(
+            name, drone.name, f"{drone.name} is here already, with another certificate", now_s
+        )
+
     def _obstacle(self, name: str, services: Iterable[str], drone: Visitor) -> str:
         server = self._servers.get(name)
         if server is None:
             return f"no server {name} here; this daemon is {', '.join(self._servers)}"
         if self._closing:
             return self._closing
-        if drone.is_operator:
-            return f"{drone.name} is an operator, and {name} serves drones"
+        if drone.role is not Role.DRONE:
+            return f"{drone.name} is {_ROLES[drone.role]}, and {name} serves drones"
         missing = [service for service in services if service not in server.offer.images]
         if missing:
             return f"{name} has no image of {', '.join(missing)}"
@@ -341,7 +431,27 @@ class Host:
         leases[drone.name] = _Lease(drone, now_s + self.settings.lease_s)
         return [] if known is not None and known.drone == drone else [self._admission(name)]
 
+    def _hold(self, name: str, drone: Visitor, peer: str, until_s: float) -> list[Command]:
+        """A lease until then; one that the drone has itself is not made shorter by it."""
+        leases = self._servers[name].leases
+        known = leases.get(drone.name)
+        if known is not None and not known.held_by:
+            known.until_s = max(known.until_s, until_s)
+            return []
+        leases[drone.name] = _Lease(drone, until_s, held_by=peer)
+        return [] if known is not None and known.drone == drone else [self._admission(name)]
+
+    def _begin(self, name: str, service: str) -> list[Command]:
+        instance = self._servers[name].instances[service]
+        if instance.state is not InstanceState.ABSENT:
+            return []
+        self._number += 1
+        instance.state = InstanceState.STARTING
+        instance.number = self._number
+        return [StartInstance(name, service, instance.number)]
+
     def _end_leases(self, now_s: float) -> list[Command]:
+        self._sent_ahead = {drone: each for drone, each in self._sent_ahead.items() if each.until_s > now_s}
         return [
             command
             for name, server in self._servers.items()
@@ -381,7 +491,7 @@ class Host:
             name,
             server.offer.slots,
             [
-                LeaseStatus(drone, lease.drone.certificate, lease.until_s - now_s)
+                LeaseStatus(drone, lease.drone.certificate, lease.until_s - now_s, lease.held_by)
                 for drone, lease in sorted(server.leases.items())
             ],
             [

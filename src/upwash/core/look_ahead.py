@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from upwash.core.outlook import Outlook
-from upwash.core.policy import Call, Choice, Decision, LocationAware, Remote, Situation
+from upwash.core.policy import Call, Choice, Coming, Decision, LocationAware, Remote, Situation
 from upwash.core.schedule import Schedule, quickest
 
 HORIZON = 20  # calls: what is further away changes nothing about the next server
@@ -42,12 +42,14 @@ class LookAhead:
                 return Choice(following, gains)
             return Choice(None, f"{following} is not in range yet" if following else "no server pays off")
         if following in (None, current):
-            return Choice(current, "no other is better")
-        saved_s = self._quickest(outlook, current, stays=True).total_s - best.total_s
+            return Choice(current, "no other is better", _coming(best, outlook, current))
+        staying = self._quickest(outlook, current, stays=True)
+        saved_s = staying.total_s - best.total_s
         if saved_s <= self.gain_leave * local_s:
-            return Choice(current, f"{following} saves no more than {saved_s:.1f} s")
+            why = f"{following} saves no more than {saved_s:.1f} s"
+            return Choice(current, why, _coming(staying, outlook, current))
         if following not in in_range:
-            return Choice(current, f"{following} is not in range yet")
+            return Choice(current, f"{following} is not in range yet", _coming(best, outlook, current))
         return Choice(following, f"{gains}, {saved_s:.1f} s less than with {current} kept")
 
     def _holds(self, under_way: Decision | None, outlook: Outlook) -> bool:
@@ -61,6 +63,7 @@ class LookAhead:
             server=current,
             ready_in_s=outlook.ready_in_s,
             gain_wait=self.reactive.wait.gain_wait,
+            peers=outlook.peers,
             stays=stays,
         )
 
@@ -70,3 +73,15 @@ class LookAhead:
         While a call runs on the drone the check goes on.
         """
         return self.reactive.decide(call)
+
+
+def _coming(schedule: Schedule, outlook: Outlook, current: str) -> Coming | None:
+    """The server that the schedule changes to, and when its range is entered."""
+    at_s = 0.0
+    for call, server in zip(outlook.calls, schedule.servers, strict=True):
+        at_s += call.gap_s
+        offer = next((offer for offer in call.offers if offer.server == server), None)
+        if offer is not None and server != current:
+            return Coming(offer.server, max(0.0, at_s - offer.head_start_s))
+        at_s += call.local_s if offer is None else min(call.local_s, offer.call_s)
+    return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from upwash.core.estimates import Estimates, Operation
 from upwash.core.itinerary import ExpectedCall
@@ -14,11 +14,15 @@ from upwash.core.servers import CHECKING, Server, State
 
 @dataclass(frozen=True, slots=True)
 class Outlook:
-    """The calls to come with the servers that could take them, and in how long the selected server is ready."""
+    """The calls to come with the servers that could take them, and in how long the selected server is ready.
+
+    `peers` says of servers which others they can have prepared.
+    """
 
     calls: Sequence[ComingCall]
     checks: Mapping[str, CheckTimes]
     ready_in_s: float
+    peers: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
 def look_out(
@@ -47,6 +51,7 @@ def look_out(
         list(_calls(expected, estimates, banned_s)),
         {name: _check_times(server, estimates, now_s, idle_s) for name, server in gaining.items()},
         ready_in_s,
+        {name: server.peers for name, server in gaining.items() if server.peers},
     )
 
 

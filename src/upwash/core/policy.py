@@ -40,11 +40,20 @@ class Situation:
 
 
 @dataclass(frozen=True, slots=True)
+class Coming:
+    """The server that the drone goes on to, and in how long at the earliest."""
+
+    server: str
+    in_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Choice:
-    """The server to have selected from now on, if any, and why."""
+    """The server to have selected from now on, if any, and why; and the one after it, where one is foreseen."""
 
     server: str | None
     why: str
+    coming: Coming | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,8 @@
 What holds in this small world:
 - between two calls the drone may leave its server and check another one, from when it is in that one's range;
 - a check that is not over when a call is made is waited for, or the call runs on the drone and the check goes on;
-- a server that was checked once runs its services from then on.
+- a server that was checked once runs its services from then on;
+- a server that is ready has its peers start their services from then on.
 
 Call by call, the ways to get so far are carried on: those that no other beats in its cost, in what is left of the
 check, or in the services that it has started. Of the latter only two sets are followed, as there would be too many.
@@ -14,9 +15,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
+from types import MappingProxyType
 from typing import NamedTuple
 
 
@@ -64,9 +66,11 @@ class _Way(NamedTuple):
     ready_in_s: float  # what is left of the server's check
     server: str | None
     started: frozenset[str]
+    since_s: float  # when that check is over
     before: _Way | None
 
 
+_Arrival = tuple[_Way, float, float]  # at a call: what is left of the server's check, and when it is over
 _cost_and_rest = itemgetter(0, 1)
 _MOST_STARTED = 2  # sets of servers that ways may have started the services of
 _ASKING_S = 1.0  # a server that is left sooner has perhaps not been told to start anything
@@ -80,20 +84,21 @@ def quickest(
     ready_in_s: float = 0.0,
     gain_wait: float = 0.0,
     stays: bool = False,
+    peers: Mapping[str, Collection[str]] = MappingProxyType({}),
 ) -> Schedule:
     """The schedule of least total delay from now on, with `server` selected and its check over in `ready_in_s`.
 
     A call waits only where that makes it shorter than a local one by more than the fraction `gain_wait`. A drone
-    that `stays` does not leave its server before the first call.
+    that `stays` does not leave its server before the first call. `peers` are those that each server has prepared.
     """
-    useful = _useful(calls, checks, server)
+    useful = _useful(calls, checks, server, peers)
     started = frozenset[str]()
     if server in useful:
         started = _with_started(started, server, useful[server], ready_in_s)
-    ways = [_Way(0.0, ready_in_s, server, started, None)]
+    ways = [_Way(0.0, ready_in_s, server, started, ready_in_s, None)]
     begins_s = 0.0
     for call in calls:
-        ways = list(_over(call, ways, useful, begins_s=begins_s, gain_wait=gain_wait, stays=stays))
+        ways = list(_over(call, ways, useful, peers, begins_s=begins_s, gain_wait=gain_wait, stays=stays))
         begins_s += call.gap_s
         stays = False
     best = min(ways, key=_cost_and_rest)
@@ -101,7 +106,10 @@ def quickest(
 
 
 def _useful(
-    calls: Sequence[ComingCall], checks: Mapping[str, CheckTimes], server: str | None
+    calls: Sequence[ComingCall],
+    checks: Mapping[str, CheckTimes],
+    server: str | None,
+    peers: Mapping[str, Collection[str]],
 ) -> dict[str, CheckTimes]:
     """The servers that are better than each other one at some call, and the one that is selected."""
     offers: dict[str, dict[int, Offer]] = {}
@@ -115,6 +123,7 @@ def _useful(
     for name in best_first:
         beaten = any(
             _is_no_worse(checks[other], checks[name])
+            and _is_no_lonelier(other, name, peers)
             and all(
                 (its := offers[other].get(number)) is not None
                 and its.call_s <= offer.call_s
@@ -136,10 +145,19 @@ def _is_no_worse(times: CheckTimes, others: CheckTimes) -> bool:
     )
 
 
+def _is_no_lonelier(server: str, other: str, peers: Mapping[str, Collection[str]]) -> bool:
+    """Whether it has all the peers that the other has, and is prepared by all that prepare the other."""
+    own = peers.get(server, ())
+    return all(peer in own for peer in peers.get(other, ()) if peer != server) and all(
+        server in told for name, told in peers.items() if other in told and name != server
+    )
+
+
 def _over(
     call: ComingCall,
     ways: Sequence[_Way],
     checks: Mapping[str, CheckTimes],
+    peers: Mapping[str, Collection[str]],
     *,
     begins_s: float,
     gain_wait: float,
@@ -148,7 +166,7 @@ def _over(
     """The ways that lead over one more call: on without a server, with the same one, or with another."""
     cheapest = _cheapest(ways)
     for way in cheapest:
-        yield _Way(way.cost_s + call.local_s, math.inf, None, way.started, way)
+        yield _Way(way.cost_s + call.local_s, math.inf, None, way.started, math.inf, way)
     by_server: dict[str | None, list[_Way]] = {}
     for way in ways:
         by_server.setdefault(way.server, []).append(way)
@@ -157,31 +175,40 @@ def _over(
         times = checks.get(offer.server)
         if times is None:
             continue
-        arrivals: list[tuple[_Way, float]] = []
+        arrivals: list[_Arrival] = []
         never_left = offer.head_start_s >= call.gap_s
         if never_left:
-            arrivals = [(way, way.ready_in_s - call.gap_s) for way in by_server.get(offer.server, ())]
+            arrivals = [
+                (way, way.ready_in_s - call.gap_s, way.since_s) for way in by_server.get(offer.server, ())
+            ]
         if not stays:
             for way in cheapest:
                 if not (never_left and way.server == offer.server):
-                    runs = (offer.server in way.started) or begins_s < times.runs_for_s
-                    check_s = times.running_s if runs else times.stopped_s
-                    arrivals.append((way, check_s - offer.head_start_s))
+                    called_s = begins_s + call.gap_s + way.cost_s
+                    check_s = times.stopped_s
+                    if offer.server in way.started or begins_s < times.runs_for_s:
+                        check_s = times.running_s
+                    elif way.server is not None and offer.server in peers.get(way.server, ()):
+                        prepared_s = max(0.0, called_s - offer.head_start_s - way.since_s)
+                        check_s = max(times.running_s, times.stopped_s - prepared_s)
+                    left_s = check_s - offer.head_start_s
+                    arrivals.append((way, left_s, called_s + left_s))
         yield from _unbeaten(_served(arrivals, offer, times, call.local_s, longest_s))
 
 
 def _served(
-    arrivals: Iterable[tuple[_Way, float]], offer: Offer, times: CheckTimes, local_s: float, longest_s: float
+    arrivals: Iterable[_Arrival], offer: Offer, times: CheckTimes, local_s: float, longest_s: float
 ) -> Iterator[_Way]:
     """The ways over a call that is made with so much of the server's check left."""
-    for way, left_s in arrivals:
+    for way, left_s, since_s in arrivals:
         if left_s <= 0:
             cost_s, rest_s = way.cost_s + min(local_s, offer.call_s), 0.0
         elif left_s + offer.call_s < longest_s:
             cost_s, rest_s = way.cost_s + left_s + offer.call_s, 0.0
         else:
             cost_s, rest_s = way.cost_s + local_s, max(0.0, left_s - local_s)
-        yield _Way(cost_s, rest_s, offer.server, _with_started(way.started, offer.server, times, rest_s), way)
+        started = _with_started(way.started, offer.server, times, rest_s)
+        yield _Way(cost_s, rest_s, offer.server, started, since_s, way)
 
 
 def _with_started(started: frozenset[str], server: str, times: CheckTimes, rest_s: float) -> frozenset[str]:

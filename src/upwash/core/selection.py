@@ -14,153 +14,30 @@ from dataclasses import dataclass
 
 from upwash.core.estimates import Estimates, Operation
 from upwash.core.geo import Circle, Position
+from upwash.core.happenings import (
+    Arrived,
+    CheckAnswered,
+    CheckFailed,
+    CourseLost,
+    Happening,
+    LegBegun,
+    LocalCallEnded,
+    Looked,
+    MissionEnded,
+    NetworkLost,
+    Prepared,
+    RemoteCallCut,
+    RemoteCallEnded,
+    RemoteCallFailed,
+    ServicesStarted,
+)
+from upwash.core.herald import Herald
 from upwash.core.itinerary import Itinerary, MissionBeliefs
+from upwash.core.orders import Check, Command, Leave, Prepare, Start
 from upwash.core.outlook import Outlook, look_out
-from upwash.core.policy import Call, Decision, Local, Option, Policy, Remote, Situation, Wait
+from upwash.core.policy import Call, Choice, Coming, Decision, Local, Option, Policy, Remote, Situation, Wait
 from upwash.core.ranges import Ranges
 from upwash.core.servers import CHECKING, SELECTED, Change, Event, Server, State
-
-
-@dataclass(frozen=True, slots=True)
-class Looked:
-    """A period is over, or a border of a range was crossed: time to look again."""
-
-
-@dataclass(frozen=True, slots=True)
-class CheckAnswered:
-    """The daemon answered that the server is available; whether all wanted services run there already."""
-
-    check: int
-    running: bool
-
-
-@dataclass(frozen=True, slots=True)
-class ServicesStarted:
-    """The daemon started the services and gave their endpoints."""
-
-    check: int
-
-
-@dataclass(frozen=True, slots=True)
-class CheckFailed:
-    """The server could not be joined, did not answer in time, is unavailable or could not start a service."""
-
-    check: int
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
-class NetworkLost:
-    """The network that was joined for the check is no longer connected."""
-
-    check: int
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
-class LocalCallEnded:
-    """A call ran on the drone."""
-
-    operation: Operation
-    delay_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class RemoteCallEnded:
-    """A call ran on a server; `late` where the drone's own service had answered it before."""
-
-    server: str
-    operation: Operation
-    delay_s: float
-    late: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class RemoteCallFailed:
-    """A call to a server got no usable answer; `check` is the check that made the server READY.
-
-    `late` where the drone's own service had answered it before.
-    """
-
-    server: str
-    check: int
-    why: str
-    late: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class RemoteCallCut:
-    """A call was cut off by its deadline after `waited_s`, on a server that turned out to be alive: it is slow."""
-
-    server: str
-    operation: Operation
-    waited_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class LegBegun:
-    """The drone leaves for a place, at that ground speed; None for the one it flew at before."""
-
-    target: Position
-    ground_speed_m_s: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class Arrived:
-    """The drone is where its leg led to."""
-
-
-@dataclass(frozen=True, slots=True)
-class CourseLost:
-    """Where the drone goes next is not known: it takes off, holds, returns or lands."""
-
-
-@dataclass(frozen=True, slots=True)
-class MissionEnded:
-    """No call will come any more."""
-
-
-Happening = (
-    Looked
-    | CheckAnswered
-    | ServicesStarted
-    | CheckFailed
-    | NetworkLost
-    | LocalCallEnded
-    | RemoteCallEnded
-    | RemoteCallFailed
-    | RemoteCallCut
-    | LegBegun
-    | Arrived
-    | CourseLost
-    | MissionEnded
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Leave:
-    """Give up the server: drop what is under way there, leave its network."""
-
-    server: str
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """Join the server's network and ask for its availability."""
-
-    server: str
-    check: int
-
-
-@dataclass(frozen=True, slots=True)
-class Start:
-    """Ask the daemon to start the services that do not run."""
-
-    server: str
-    check: int
-
-
-Command = Change | Leave | Check | Start
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,6 +73,7 @@ class Selection:
         self._itinerary = Itinerary(mission or MissionBeliefs(), areas)
         self._under_way: Decision | None = None  # of the call that goes on now
         self._changed = True  # whether anything has changed since the policy was last asked
+        self._herald = Herald()
         self._ended = False
 
     @property
@@ -292,7 +170,8 @@ class Selection:
         match happening:
             case Looked():
                 pass  # the first case, as it is by far the most frequent
-            case CheckAnswered(check, running) if self.is_checking(check):
+            case CheckAnswered(check, running, peers) if self.is_checking(check):
+                self._selected().peers = tuple(peer for peer in peers if peer in self.servers)
                 return self._answered(running, now_s)
             case ServicesStarted(check) if self.is_checking(check):
                 return [self._ready(Event.STARTED, now_s)]
@@ -300,6 +179,10 @@ class Selection:
                 return self._failed(Event.CHECK_FAILED, why, now_s)
             case NetworkLost(check, why) if check == self.check and self._current is not None:
                 return self._failed(Event.NETWORK_LOST, why, now_s)
+            case Prepared(server, by) if self.servers[server].state in (State.AVL, State.AVL_R):
+                change = self.servers[server].apply(Event.PREPARED, now_s=now_s, why=f"by {by}")
+                self._meet()
+                return [change]
             case RemoteCallFailed(server, check, why) if self._is_ready(server, check):
                 return self._call_failed(why, now_s)
             case RemoteCallCut(server, operation, waited_s):
@@ -315,7 +198,7 @@ class Selection:
     def _follow(self, happening: Happening, now_s: float, position: Position) -> None:
         """Follows the mission over its legs and calls."""
         match happening:
-            case Looked() | CheckAnswered() | ServicesStarted() | CheckFailed() | NetworkLost():
+            case Looked() | CheckAnswered() | ServicesStarted() | CheckFailed() | NetworkLost() | Prepared():
                 return  # what is under way concerns the mission only once it is over
             case LegBegun(target, ground_speed_m_s):
                 self._itinerary.leg_begun(position, target, ground_speed_m_s, now_s=now_s)
@@ -358,9 +241,11 @@ class Selection:
     def _ready(self, event: Event, now_s: float) -> Change:
         server = self._selected()
         change = server.apply(event, now_s=now_s)
-        self.estimates.observe_check(
-            server.name, now_s - server.checked_since_s, started=server.start_requested
-        )
+        announced = self._herald.has_announced(server.name, at_s=server.checked_since_s)
+        if not (announced and server.start_requested):  # which was the rest of a start
+            self.estimates.observe_check(
+                server.name, now_s - server.checked_since_s, started=server.start_requested
+            )
         return change
 
     def _failed(self, event: Event, why: str, now_s: float) -> list[Command]:
@@ -388,7 +273,8 @@ class Selection:
         if not (commands or self._is_due(now_s)):
             return
         self._changed = False
-        chosen, why = (None, "mission ended") if self._ended else self._choose(now_s, position)
+        choice = Choice(None, "mission ended") if self._ended else self._choose(now_s, position)
+        chosen, why = choice.server, choice.why
         current = self._current
         if current is not None and current.name != chosen:
             better = f"{chosen} {why}" if chosen else why
@@ -398,7 +284,11 @@ class Selection:
             self._current = self.servers[chosen]
             commands.append(self._current.apply(Event.SELECTED, now_s=now_s, why=why))
             commands.append(Check(chosen, self.check))
-            self._met = [server for server in self.servers.values() if server.state is not State.AVL]
+            self._meet()
+        commands += self._announce(choice.coming, now_s)
+
+    def _meet(self) -> None:
+        self._met = [server for server in self.servers.values() if server.state is not State.AVL]
 
     def _is_due(self, now_s: float) -> bool:
         """Whether the policy has to be asked: of what it is shown, time alone changes only what was forgotten."""
@@ -406,15 +296,19 @@ class Selection:
             retry_s = self._settings.retry_s
             if self.estimates.forget_slow_calls(server.name, now_s=now_s, retry_s=retry_s):
                 self._changed = True
-        return self._changed
+        return self._changed or self._herald.is_due(now_s)
 
-    def _choose(self, now_s: float, position: Position) -> tuple[str | None, str]:
+    def _announce(self, coming: Coming | None, now_s: float) -> list[Prepare]:
+        start_s = self.estimates.start_s(coming.server) if coming else 0.0
+        return self._herald.announce(self._current, coming, check=self.check, start_s=start_s, now_s=now_s)
+
+    def _choose(self, now_s: float, position: Position) -> Choice:
         options = [
             Option(server.name, self.estimates.mean_call_s(server.name), server.in_range_since_s)
             for server in self._in_range
             if server.in_range_since_s is not None and server.state is not State.BLACKLISTED
         ]
-        choice = self.policy.choose(
+        return self.policy.choose(
             Situation(
                 options,
                 self._current.name if self._current else None,
@@ -423,7 +317,6 @@ class Selection:
                 outlook=self._look_out(now_s, position),
             )
         )
-        return choice.server, choice.why
 
     def _look_out(self, now_s: float, position: Position) -> Outlook | None:
         if not self.policy.horizon:

@@ -46,6 +46,7 @@ class Event(StrEnum):
     NETWORK_LOST = "network_lost"  # in range, though: out of range is a de-selection
     BLACKLIST_EXPIRED = "blacklist_expired"
     IDLE_EXPIRED = "idle_expired"
+    PREPARED = "prepared"  # a peer of it says that its services are being started
 
 
 TRANSITIONS: dict[tuple[State, Event], State] = {
@@ -68,6 +69,8 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.READY, Event.NETWORK_LOST): State.BLACKLISTED,
     (State.BLACKLISTED, Event.BLACKLIST_EXPIRED): State.AVL,
     (State.AVL_R, Event.IDLE_EXPIRED): State.AVL,
+    (State.AVL, Event.PREPARED): State.AVL_R,
+    (State.AVL_R, Event.PREPARED): State.AVL_R,
 }
 
 
@@ -94,6 +97,7 @@ class Server:
     checked_since_s: float = 0.0  # t_check: when it was last selected
     start_requested: bool = False  # during the check that runs, or the last one
     in_range_since_s: float | None = None
+    peers: tuple[str, ...] = ()  # the servers that its daemon can have prepared, as it last said
     history: deque[Change] = field(default_factory=lambda: deque(maxlen=_HISTORY_LENGTH))
 
     @property

@@ -4,20 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 _MOST_REFUSALS = 20
 
 
+class Role(StrEnum):
+    """What a certificate is for."""
+
+    DRONE = "drone"
+    OPERATOR = "operator"
+    SERVER = "server"
+
+
 @dataclass(frozen=True, slots=True)
 class Visitor:
-    """A drone or an operator: the name in its certificate, and the certificate's fingerprint.
+    """A drone, an operator or another daemon: the name in its certificate, and the certificate's fingerprint.
 
     The fingerprint is empty where no certificates are used, which is on one machine only.
     """
 
     name: str
     certificate: str = ""
-    is_operator: bool = False
+    role: Role = Role.DRONE
 
     @property
     def key(self) -> str:
@@ -27,11 +36,12 @@ class Visitor:
 
 @dataclass(frozen=True, slots=True)
 class LeaseStatus:
-    """A drone that holds a slot."""
+    """A drone that holds a slot; `held_by` is the peer that asked for it, for a drone that is expected."""
 
     drone: str
     certificate: str
     ends_in_s: float
+    held_by: str = ""
 
 
 @dataclass(frozen=True, slots=True)

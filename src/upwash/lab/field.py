@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from upwash.config import DroneConfig, ServerConfig, ServerTruth, server_truth
 from upwash.core.instances import Host, ServerOffer
 from upwash.lab.witness import ServerWitness
-from upwash.ports import Journal, Program
+from upwash.ports import Dialer, Journal, Program
 from upwash.server import EdgeServer, Image
 from upwash.service import ServiceSpec
 from upwash.sim.chance import Chance
 from upwash.sim.faults import Faults, FaultyServer
-from upwash.sim.link import Switchboard
+from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.runtime import ModelRuntime
-from upwash.sim.world import ServerComputer
+from upwash.sim.world import ServerComputer, Wire
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +35,7 @@ async def serving(
 ) -> AsyncIterator[Switchboard]:
     """Runs the configured servers; drones reach them through the switchboard."""
     switchboard, chance, faults = Switchboard({}), Chance(config.seed), Faults(config.faults)
+    addresses = {server.name: server.address or server.name for server in config.servers}
     async with contextlib.AsyncExitStack() as stack:
         for server in config.servers:
             truth = server_truth(server, config.services)
@@ -44,7 +45,8 @@ async def serving(
             )
             edge = _edge_server(
                 server, truth, ModelRuntime(software.specs, computer, outside, objects=software.objects),
-                outside=outside, programs=software.programs,
+                outside=outside, programs=software.programs, addresses=addresses,
+                dialer=ModelDialer(server.name, switchboard, Wire()),
                 witness=ServerWitness(server.name, witness) if witness else None,
             )  # fmt: skip
             stack.push_async_callback(edge.close)
@@ -60,17 +62,22 @@ def _edge_server(
     *,
     outside: FaultyServer,
     programs: Mapping[str, Program],
+    addresses: Mapping[str, str],
+    dialer: Dialer,
     witness: ServerWitness | None,
 ) -> EdgeServer:
+    peers = {name: addresses[name] for name in truth.peers if name in addresses}
     edge = EdgeServer(
-        Host({server.name: ServerOffer(frozenset(truth.images), truth.slots)}),
+        Host({server.name: ServerOffer(frozenset(truth.images), truth.slots)}, peers=peers),
         images={name: Image(program) for name, program in programs.items()},
         runtime=witness.runtime(runtime) if witness else runtime,
+        dialer=dialer,
+        peers=peers,
         start_timeout_s=60.0,
         drain_s=10.0,
     )
     handle = witness.daemon(edge.handle) if witness else edge.handle
-    outside.plug_daemon(server.address or server.name, handle, crash=runtime.crash)
+    outside.plug_daemon(addresses[server.name], handle, crash=runtime.crash)
     return edge
 
 

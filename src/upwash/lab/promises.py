@@ -31,7 +31,7 @@ _SLACK_S = 0.1
 _ROUNDING_S = 2e-6  # of the times in a log
 _FAREWELL_S = 0.5  # a drone says goodbye to its last server
 _LOOK_S = 1.0  # a daemon looks no more often at what has come to its end
-_LEASE_S = HostSettings().lease_s
+_LEASE_S, _HOLD_S = HostSettings().lease_s, HostSettings().hold_s
 _KEEP_TRYING_S = 600.0  # a safe end is given up no earlier
 _REMOTE_LEAST_S, _REMOTE_FACTOR = 1.0, 4.0  # of the deadline of a remote call
 
@@ -399,7 +399,8 @@ def _hedged_too_much(history: History) -> Iterator[Breach]:
 
 
 def admission(history: History) -> Iterator[Breach]:
-    """Of each server: one instance of a service, no more drones than slots, and leases that end."""
+    """Of each server: one instance of a service, no more drones than slots, leases and held slots that end."""
+    yield from _holds(history)
     for server in history.config.servers:
         facts = [fact for fact in history.seen if fact.get("server") == server.name]
         yield from _instances(facts)
@@ -424,16 +425,33 @@ def _slots(facts: Sequence[Fact], slots: int) -> Iterator[Breach]:
             yield fact, f"{fact['server']} serves {', '.join(fact['drones'])}, and has {slots} slots"
 
 
+def _holds(history: History) -> Iterator[Breach]:
+    """Slots are held for servers that are peers, and for a drone one at a time by each server that it visits."""
+    peers = {server.name: server.truth.peers for server in history.config.servers}
+    holding: dict[tuple[str, str], tuple[str, float]] = {}  # by peer and drone: where, and until when
+    for fact in history.seen:
+        if fact["event"] != "held":
+            continue
+        by, drone, server = fact["by"], fact["drone"], fact["server"]
+        if by not in peers[server]:
+            yield fact, f"{server} holds a slot for {by}, which is no peer of it"
+        where, until_s = holding.get((by, drone), (server, 0.0))
+        if where != server and until_s > fact["t"] + _ROUNDING_S:
+            yield fact, f"{drone} has slots of {where} and of {server} held at the same time"
+        holding[by, drone] = (server, fact["t"] + min(fact["for_s"], _HOLD_S))
+
+
 def _leases(facts: Sequence[Fact], *, end_s: float) -> Iterator[Breach]:
-    """A drone that asks nothing any more is no longer admitted once its lease is over."""
+    """A drone that asks nothing, and for which nothing is held, is no longer admitted once its lease is over."""
     asked_s: dict[str, float] = {}
+    held_until_s: dict[str, float] = {}
     admitted: dict[str, Fact] = {}  # by service, as last told to its instance
     over: Fact = {"event": "over", "t": end_s}
     for fact in (*facts, over):
         for told in admitted.values():
             for drone in told["drones"]:
                 last_s: float = asked_s[drone] if drone in asked_s else told["t"]
-                ends_s = last_s + _LEASE_S + _LOOK_S + _SLACK_S
+                ends_s = max(last_s + _LEASE_S, held_until_s.get(drone, 0.0)) + _LOOK_S + _SLACK_S
                 if fact["t"] > ends_s:
                     yield (
                         told,
@@ -442,6 +460,8 @@ def _leases(facts: Sequence[Fact], *, end_s: float) -> Iterator[Breach]:
         match fact["event"]:
             case "asked" | "answered" | "served":
                 asked_s[fact["drone"]] = fact["t"]
+            case "held":
+                held_until_s[fact["drone"]] = fact["t"] + min(fact["for_s"], _HOLD_S)
             case "admitted":
                 admitted[fact["service"]] = fact
             case "instance_ended":

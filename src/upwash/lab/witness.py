@@ -8,6 +8,7 @@ A witness stands between a program and a port and lets everything through as it 
 | `joined`, `left` | a drone and a network |
 | `computed` | a drone's own service has done a call: the operation, and how long it took |
 | `asked`, `answered` | a drone's request reaches a daemon, and is answered: server, path |
+| `held` | a daemon holds a slot for a drone, for so long at most, as the peer `by` has asked it to |
 | `instance_started`, `instance_ended` | server, service, endpoint; from the first moment of its start |
 | `admitted` | the drones that an instance answers from now on |
 | `served` | an instance begins a drone's call |
@@ -27,6 +28,7 @@ from upwash.core.geo import Position
 from upwash.core.visitors import Visitor
 from upwash.errors import UpwashError
 from upwash.ports import Dialer, Instance, InstanceSpec, Journal, Link, Network, Runtime
+from upwash.protocol import HOLD, HoldReply, HoldRequest
 from upwash.sim.link import Handler
 from upwash.sim.runtime import Computer
 
@@ -70,6 +72,9 @@ class ServerWitness:
             self.record("asked", path=path, drone=visitor.name)
             reply = await handle(path, body, visitor)
             self.record("answered", path=path, drone=visitor.name)
+            if path == HOLD and msgspec.msgpack.decode(reply, type=HoldReply).held:
+                hold = msgspec.msgpack.decode(body, type=HoldRequest)
+                self.record("held", drone=hold.drone, by=visitor.name, for_s=hold.for_s)
             return reply
 
         return answer

@@ -23,6 +23,7 @@ SEEDS_PER_SCENARIO = 4  # so that most of the time goes into flights with faults
 _MOMENTS = (
     "selected", "found_stopped", "found_running", "started", "deselected", "decided", "call", "leg", "arrived",
     "joined", "left", "sent", "asked", "answered", "served", "instance_started", "instance_ended", "admitted",
+    "prepared", "held",
 )  # fmt: skip
 
 
@@ -32,7 +33,7 @@ class World:
     def __init__(self, seed: int) -> None:
         self._number = (seed - 1) // SEEDS_PER_SCENARIO
         chance = random.Random(f"world/{self._number}")  # noqa: S311 - not for secrets
-        self._documents = [_Draft(chance, self._number).document()]
+        self._documents = [_with_peers(_Draft(chance, self._number).document(), self._number)]
         for number in range(2, 2 + chance.choices((0, 1, 2), (75, 19, 6))[0]):
             self._documents.append(_companion(self._documents[0], chance, number))
 
@@ -193,6 +194,18 @@ class _Draft:
             }
             for service in self._services
         }
+
+
+def _with_peers(document: Document, number: int) -> Document:
+    """In every second world servers are peers of each other, some of which do not know it."""
+    chance = random.Random(f"peers/{number}")  # noqa: S311 - not for secrets
+    names = [server["name"] for server in document["server"]]
+    if chance.random() < 0.5 or len(names) == 1:
+        return document
+    for server in document["server"]:
+        others = [name for name in names if name != server["name"]]
+        server["truth"]["peers"] = [name for name in others if chance.random() < 0.9]
+    return document
 
 
 def _places(chance: random.Random) -> list[list[float]]:

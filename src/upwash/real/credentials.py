@@ -1,8 +1,8 @@
 """Certificates: who may talk to whom, under one authority that the operator keeps.
 
 The authority signs one certificate for each daemon, good for all servers that the daemon acts as, and one for
-each drone and each operator. Drones and operators hold only client certificates and daemons only server
-certificates, so a stolen drone cannot pose as a server; an operator's says in its subject that it is one.
+each drone and each operator. Drones and operators hold only client certificates, so a stolen drone cannot pose as a
+server. A daemon's is good at both ends, as daemons call their peers. Daemons' and operators' say so in their subject.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from upwash.config import KeysConfig
+from upwash.core.visitors import Role
 from upwash.errors import CredentialsError, UsageError
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ _REVOKED_FILE = "revoked.txt"
 _REVOKED_HEAD = (
     b"# SHA-256 fingerprints of certificates that daemons refuse; `upwash keys --revoke` adds to them.\n"
 )
-OPERATOR_UNIT = "operator"  # the organizational unit in an operator's subject
+_UNITS = {Role.OPERATOR: "operator", Role.SERVER: "server"}  # the organizational unit in the subject
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,19 @@ class Credentials:
         return tuple(names.get_values_for_type(x509.DNSName))
 
     @property
+    def is_good_for_calling(self) -> bool:
+        """Whether the certificate may be shown by the one who calls; daemons' once were not."""
+        from cryptography import x509
+        from cryptography.x509.oid import ExtendedKeyUsageOID
+
+        certificate = x509.load_pem_x509_certificate(self.certificate)
+        try:
+            usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+        except x509.ExtensionNotFound:
+            return True
+        return ExtendedKeyUsageOID.CLIENT_AUTH in usage
+
+    @property
     def expiries(self) -> dict[str, datetime]:
         """Until when the certificate, by its first name, and its authority are valid."""
         from cryptography import x509
@@ -72,6 +86,12 @@ class Credentials:
 def fingerprint(certificate: bytes) -> str:
     """The SHA-256 fingerprint of a PEM certificate, in lower-case hexadecimal digits."""
     return hashlib.sha256(ssl.PEM_cert_to_DER_cert(certificate.decode())).hexdigest()
+
+
+def role_of(subject: str) -> Role:
+    """What a certificate is for, by its subject: parts such as "OU=operator", with commas between them."""
+    parts = subject.split(",")
+    return next((role for role, unit in _UNITS.items() if f"OU={unit}" in parts), Role.DRONE)
 
 
 @dataclass(frozen=True)
@@ -114,11 +134,10 @@ def make_keys(
         raise UsageError(f"{folder}: cannot be made ({error.strerror}): name another folder") from None
     authority, files = _authority(folder)
     for names in servers:
-        files += _issue(folder, authority, names, is_server=True)
-    for name in drones:
-        files += _issue(folder, authority, [name], is_server=False)
-    for name in operators:
-        files += _issue(folder, authority, [name], is_server=False, unit=OPERATOR_UNIT)
+        files += _issue(folder, authority, names, Role.SERVER)
+    for role, names in ((Role.DRONE, drones), (Role.OPERATOR, operators)):
+        for name in names:
+            files += _issue(folder, authority, [name], role)
     return files
 
 
@@ -246,27 +265,25 @@ def _new_authority(folder: Path) -> tuple[_Authority, list[Path]]:
     return _Authority(certificate, key), files
 
 
-def _issue(
-    folder: Path, authority: _Authority, names: Sequence[str], *, is_server: bool, unit: str = ""
-) -> list[Path]:
+def _issue(folder: Path, authority: _Authority, names: Sequence[str], role: Role) -> list[Path]:
     from cryptography import x509
     from cryptography.x509.oid import ExtendedKeyUsageOID
 
     key = _new_key()
-    purpose = ExtendedKeyUsageOID.SERVER_AUTH if is_server else ExtendedKeyUsageOID.CLIENT_AUTH
+    answering = [ExtendedKeyUsageOID.SERVER_AUTH] if role is Role.SERVER else []
     certificate = _signed(
         names[0],
         key,
         [
             (x509.BasicConstraints(ca=False, path_length=None), True),
             (_key_usage(signs_certificates=False), True),
-            (x509.ExtendedKeyUsage([purpose]), True),
+            (x509.ExtendedKeyUsage([*answering, ExtendedKeyUsageOID.CLIENT_AUTH]), True),
             (x509.SubjectAlternativeName([x509.DNSName(name) for name in names]), False),
             (x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.key.public_key()), False),
         ],
         issuer=authority,
         lasts=_CERTIFICATE_LASTS,
-        unit=unit,
+        unit=_UNITS.get(role, ""),
     )
     return _write_pair(folder, names[0], certificate, key)
 

@@ -17,7 +17,7 @@ import grpc
 
 from upwash.core.visitors import Visitor
 from upwash.errors import Refused, UpwashError, UsageError
-from upwash.real.credentials import OPERATOR_UNIT, Credentials, fingerprint
+from upwash.real.credentials import Credentials, fingerprint, role_of
 from upwash.real.link import DRONE_METADATA
 
 _log = logging.getLogger("upwash.listener")
@@ -236,7 +236,7 @@ def _certified(name: bytes, subject: bytes, certificate: bytes) -> Visitor:
     return Visitor(
         name.decode(errors="replace"),
         fingerprint(certificate),
-        is_operator=f"OU={OPERATOR_UNIT}" in subject.decode(errors="replace").split(","),
+        role_of(subject.decode(errors="replace")),
     )
 
 

@@ -43,10 +43,13 @@ from upwash.core.visitors import Visitor
 from upwash.errors import Unreachable, UsageError
 from upwash.protocol import (
     AVAILABILITY,
+    HOLD,
     LEAVE,
+    PREPARE,
     START,
     AvailabilityReply,
     AvailabilityRequest,
+    HoldReply,
     LeaveRequest,
     StartReply,
 )
@@ -150,6 +153,8 @@ class FaultyServer:
                     return _lie(msgspec.msgpack.decode(body, type=AvailabilityRequest))
                 case "wrong" if path == START:
                     return msgspec.msgpack.encode(StartReply(endpoint=_NOBODY))
+                case "wrong" if path in (PREPARE, HOLD):
+                    return msgspec.msgpack.encode(HoldReply(held=True))
                 case "full" if path != LEAVE:
                     return await self._ask_among_strangers(daemon, path, body, visitor)
                 case "crash" if path == AVAILABILITY:

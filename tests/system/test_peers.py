@@ -1,0 +1,141 @@
+"""Two daemons as processes that are peers: what one gets from the other for a drone, and who else gets nothing."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+import pytest
+from tests.system.daemons import MAX_MESSAGE_BYTES, Daemon, config, daemon, eventually, guests
+
+from upwash.protocol import (
+    AVAILABILITY,
+    HOLD,
+    PREPARE,
+    START,
+    AvailabilityReply,
+    AvailabilityRequest,
+    HoldReply,
+    HoldRequest,
+    PrepareRequest,
+    StartReply,
+    StartRequest,
+    decode_reply,
+)
+from upwash.real.credentials import Credentials, fingerprint, keys_in, make_keys, read_credentials
+from upwash.real.link import GrpcDialer
+
+T = TypeVar("T")
+Who = tuple[str, Credentials | None]  # a name, and what is shown of it
+pytestmark = pytest.mark.system
+
+NOWHERE = "127.0.0.1:9"  # of a peer that is never asked
+
+
+@contextmanager
+def two_daemons(folder: Path, keys: Path | None) -> Iterator[tuple[Daemon, Daemon]]:
+    """s1, which can have s2 prepared, and s2."""
+    for name in ("s1", "s2"):
+        (folder / name).mkdir()
+    with (
+        daemon(folder / "s2", _config("s2", keys, peer="s1", address=NOWHERE), names="s2") as s2,
+        daemon(folder / "s1", _config("s1", keys, peer="s2", address=s2.address), names="s1") as s1,
+    ):
+        yield s1, s2
+
+
+def _config(name: str, keys: Path | None, *, peer: str, address: str) -> str:
+    text = config(keys).replace("/s1.", f"/{name}.")
+    other = {"s1": "s2", "s2": "s1"}[name]
+    return text.replace(
+        f'[[server]]\nname = "{other}"\n', f'[[peer]]\nname = "{peer}"\naddress = "{address}"\n'
+    )
+
+
+@pytest.fixture
+def keys(tmp_path: Path) -> Path:
+    """An authority, a daemon for each of s1, s2 and s3, and the drones heron and stork."""
+    make_keys(tmp_path / "keys", servers=[["s1"], ["s2"], ["s3"]], drones=["heron", "stork"])
+    return tmp_path / "keys"
+
+
+def shown(keys: Path, name: str) -> Credentials:
+    files = keys_in(keys, name)
+    return read_credentials(files.authority, files.certificate, files.key)
+
+
+def said(folder: Path, name: str) -> str:
+    return (folder / name / "stderr").read_text()
+
+
+async def ask(
+    at: Daemon, server: str, who: Who, path: str, message: msgspec.Struct, *, expected: type[T]
+) -> T:
+    dialer = GrpcDialer(*who, max_message_bytes=MAX_MESSAGE_BYTES)
+    link = dialer.dial(at.address, server=server)
+    try:
+        reply = await link.request(path, msgspec.msgpack.encode(message), timeout_s=10.0)
+    finally:
+        await link.close()
+    return decode_reply(reply, expected, sender=server)
+
+
+@pytest.mark.parametrize("certified", [True, False])
+def test_the_service_runs_and_a_slot_is_held_when_the_drone_arrives(
+    tmp_path: Path, services: Path, keys: Path, *, certified: bool
+) -> None:
+    heron, stork = ((name, shown(keys, name) if certified else None) for name in ("heron", "stork"))
+
+    async def visit(s1: Daemon, s2: Daemon) -> None:
+        async with (
+            guests(s1, services, (*heron, "s1")) as (leaving,),
+            guests(s2, services, (*heron, "s2"), (*stork, "s2")) as (arriving, other),
+        ):
+            assert (await leaving.availability("workbench")).peers == ["s2"]
+            request = PrepareRequest("s1", "s2", ["workbench"], arrives_in_s=8.0, hold_s=15.0)
+            assert await ask(s1, "s1", heron, PREPARE, request, expected=HoldReply) == HoldReply(held=True)
+            assert not (await other.availability("workbench")).available
+            await eventually(lambda: arriving.availability("workbench"), lambda answer: answer.endpoints)
+            endpoint = (await arriving.availability("workbench")).endpoints["workbench"]
+            assert await arriving.call(endpoint, "echo", b"photo") == b"photo"
+
+    with two_daemons(tmp_path, keys if certified else None) as (s1, s2):
+        asyncio.run(visit(s1, s2))
+        assert "a slot is held for heron, as s1 asked" in said(tmp_path, "s2")
+
+
+def test_who_is_no_peer_holds_nothing(tmp_path: Path, keys: Path) -> None:
+    hold = HoldRequest("s2", "heron", fingerprint(shown(keys, "heron").certificate), ["workbench"], 30.0)
+    prepare = PrepareRequest("s1", "s2", ["workbench"], arrives_in_s=8.0, hold_s=15.0)
+
+    async def visit(s1: Daemon, s2: Daemon) -> None:
+        for name in ("s3", "stork", "heron"):
+            reply = await ask(s2, "s2", (name, shown(keys, name)), HOLD, hold, expected=HoldReply)
+            assert reply == HoldReply(held=False, reason=f"{name} is no peer of this daemon")
+        heron = ("heron", shown(keys, "heron"))
+        reply = await ask(s1, "s1", heron, PREPARE, prepare, expected=HoldReply)
+        assert reply == HoldReply(held=False, reason="heron has no lease on s1")
+
+    with two_daemons(tmp_path, keys) as (s1, s2):
+        asyncio.run(visit(s1, s2))
+        assert s2.instances() == []
+
+
+def test_a_peers_certificate_is_good_for_nothing_else(tmp_path: Path, keys: Path) -> None:
+    peer = ("s1", shown(keys, "s1"))
+    why = "s1 is a server, and s2 serves drones"
+
+    async def visit(_: Daemon, s2: Daemon) -> None:
+        request = AvailabilityRequest("s2", [])
+        asked = await ask(s2, "s2", peer, AVAILABILITY, request, expected=AvailabilityReply)
+        assert (asked.available, asked.reason) == (False, why)
+        start = StartRequest("s2", "workbench")
+        assert (await ask(s2, "s2", peer, START, start, expected=StartReply)).reason == why
+
+    with two_daemons(tmp_path, keys) as (s1, s2):
+        asyncio.run(visit(s1, s2))
+        assert s2.instances() == []
