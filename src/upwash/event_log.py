@@ -17,12 +17,20 @@ def read(path: Path) -> list[dict[str, Any]]:
     except OSError as error:
         raise UsageError(f"cannot read the event log {path}: {error.strerror}") from error
     try:
-        events = msgspec.convert([msgspec.json.decode(line) for line in lines], list[dict[str, Any]])
-    except (ValueError, RecursionError) as error:  # msgspec's are ValueErrors, as is text that is not UTF-8
+        events = [decode(line) for line in lines]
+    except (ValueError, RecursionError) as error:
         raise UsageError(f"{path} is not an event log: {error}") from error
-    if not events or not all(map(_is_event, events)):
-        raise UsageError(f"{path} is not an event log: each line of one has an event and its time")
+    if not events:
+        raise UsageError(f"{path} is not an event log: it is empty")
     return events
+
+
+def decode(line: bytes) -> dict[str, Any]:
+    """The event of one line; raises ValueError or RecursionError where it is none."""
+    entry = msgspec.json.decode(line, type=dict[str, Any])  # its errors are ValueErrors
+    if not _is_event(entry):
+        raise ValueError("each line of one has an event and its time")
+    return entry
 
 
 def _is_event(entry: dict[str, Any]) -> bool:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from upwash.core.servers import State
+
 _SAFE_ENDS = {"return": "returning to land", "land": "landing where it is", "hold": "stopping to hover"}
 LEFT_HOVERING = "The vehicle hovers where it is, and nobody flies it now: take over with the remote control."
 
@@ -24,12 +26,24 @@ class Tone(StrEnum):
     ALARM = "alarm"  # a person should look
 
 
-_STATE_TONES = {
-    "READY": Tone.READY,
-    "CHECK": Tone.CHECKING,
-    "CHECK-R": Tone.CHECKING,
-    "BLACKLISTED": Tone.TROUBLE,
+MEANINGS = {  # CHECK-R means what CHECK does
+    State.AVL: "available",
+    State.AVL_R: "available, its services running",
+    State.CHECK: "being checked",
+    State.READY: "ready for calls",
+    State.BLACKLISTED: "blacklisted",
 }
+_STATE_TONES: dict[str, Tone] = {
+    State.READY: Tone.READY,
+    State.CHECK: Tone.CHECKING,
+    State.CHECK_R: Tone.CHECKING,
+    State.BLACKLISTED: Tone.TROUBLE,
+}
+
+
+def tone_of(state: str) -> Tone:
+    """How it is meant that a server is in that state."""
+    return _STATE_TONES.get(state, Tone.ASIDE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,14 +73,14 @@ class Narrator:
                 return _call(event, self.doing)
             case {"server": server, "before": before, "after": after, "why": why}:
                 because = f" ({why})" if why else ""
-                return Said(f"{server}: {before} → {after}{because}", _STATE_TONES.get(after, Tone.ASIDE))
+                return Said(f"{server}: {before} → {after}{because}", tone_of(after))
             case {"event": "leg" | "arrived" as leg, "waypoint": waypoint}:
                 place = "a place beside the plan" if waypoint is None else f"waypoint {waypoint}"
                 self.doing = f"flying to {place}" if leg == "leg" else f"at {place}"
                 self.reached += leg == "arrived" and waypoint is not None
                 return None
             case {"event": "notified", "message": message}:
-                return Said(f"told the user: {_describe(message)}", Tone.FOUND)
+                return Said(f"told the user: {in_one_line(message)}", Tone.FOUND)
             case _:
                 return self._course(event) or _ending(event) or _failure(event)
 
@@ -122,8 +136,8 @@ def _call(event: Mapping[str, Any], doing: str) -> Said:
     )
 
 
-def _describe(message: object) -> str:
-    """A message to the user in one line: detections by their number and labels, anything else as it is."""
+def in_one_line(message: object) -> str:
+    """A message to the user: detections by their number and labels, anything else as it is."""
     if isinstance(message, list) and all(isinstance(item, dict) and "label" in item for item in message):
         labels = [item["label"] for item in message]
         return ", ".join(f"{labels.count(label)} x {label}" for label in dict.fromkeys(labels))

@@ -23,23 +23,44 @@ class ExplainedCall:
     changes: Sequence[Mapping[str, Any]]
 
 
+class Reasons:
+    """Gathers, event by event, why each call of a run ran where it ran; times become seconds of the mission."""
+
+    def __init__(self) -> None:
+        self._began_s: float | None = None
+        self._waypoint: int | None = None
+        self._decisions: list[Mapping[str, Any]] = []
+        self._changes: list[Mapping[str, Any]] = []
+
+    def take(self, event: Mapping[str, Any]) -> ExplainedCall | None:
+        """Takes in the next event; the call, where it ends one."""
+        now_s = event["t"] - (self._began_s or 0.0)
+        match event["event"]:
+            case "mission_started" if self._began_s is None:
+                self._began_s = event["t"]
+            case "arrived":
+                self._waypoint = event["waypoint"]
+            case "decided":
+                self._decisions.append(event)
+            case "call":
+                return self._explain({**event, "t": now_s, "at_s": now_s - event["delay_s"]})
+            case name if name in _TOLD or name in _LEFT:
+                self._changes.append({**event, "t": now_s})
+        return None
+
+    def _explain(self, outcome: Mapping[str, Any]) -> ExplainedCall:
+        decisions, changes = self._decisions, self._changes
+        later = [change for change in changes if change["t"] >= outcome["t"]]
+        self._decisions, self._changes = [], later
+        return ExplainedCall(self._waypoint, outcome, decisions, changes[: len(changes) - len(later)])
+
+
 def explained_calls(events: Sequence[Mapping[str, Any]]) -> Iterator[ExplainedCall]:
     """The calls of a log in their order."""
-    waypoint: int | None = None
-    decisions: list[Mapping[str, Any]] = []
-    changes: list[Mapping[str, Any]] = []
+    reasons = Reasons()
     for event in last_run(events):
-        match event["event"]:
-            case "arrived":
-                waypoint = event["waypoint"]
-            case "decided":
-                decisions.append(event)
-            case "call":
-                later = [change for change in changes if change["t"] >= event["t"]]
-                yield ExplainedCall(waypoint, event, decisions, changes[: len(changes) - len(later)])
-                decisions, changes = [], later
-            case name if name in _TOLD or name in _LEFT:
-                changes.append(event)
+        if (call := reasons.take(event)) is not None:
+            yield call
 
 
 def told(call: ExplainedCall) -> Iterator[str]:
@@ -54,14 +75,19 @@ def told(call: ExplainedCall) -> Iterator[str]:
         verb = {Event.SELECTED: "selected"}.get(change["event"], change["event"].replace("_", " "))
         yield f"at {change['t']:.1f} s {change['server']} was {verb}: {change['why']}"
     for decision in call.decisions:
-        yield _beliefs(decision)
-        yield f"so it was to {_verdict(decision)}: {decision['why']}"
+        yield from told_decision(decision)
     if "hedged_s" in outcome:
         yield f"    no answer had come after {outcome['hedged_s']:.2f} s, so the drone began on it too"
     if outcome.get("queued_s"):
         yield f"    the drone was busy with an earlier call for {outcome['queued_s']:.2f} s"
     if outcome["fell_back"]:
         yield "no usable answer came, so the drone did it itself"
+
+
+def told_decision(decision: Mapping[str, Any]) -> Iterator[str]:
+    """What was believed when it was made, and what it came to."""
+    yield _beliefs(decision)
+    yield f"so it was to {_verdict(decision)}: {decision['why']}"
 
 
 def _beliefs(decision: Mapping[str, Any]) -> str:

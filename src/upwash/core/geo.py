@@ -66,19 +66,19 @@ class LocalFrame:
         """The position, relative to home, of a place on the Earth."""
         east_deg = math.remainder(geo.longitude_deg - self.home.longitude_deg, 360)
         north_deg = geo.latitude_deg - self.home.latitude_deg
-        east_m, north_m = self._metres_per_degree()
+        east_m, north_m = self.metres_per_degree()
         return Position(east_deg * east_m, north_deg * north_m, geo.altitude_m)
 
     def geo(self, position: Position) -> GeoPosition:
         """The place on the Earth of a position relative to home."""
-        east_m, north_m = self._metres_per_degree()
+        east_m, north_m = self.metres_per_degree()
         return GeoPosition(
             latitude_deg=self.home.latitude_deg + position.north_m / north_m,
             longitude_deg=math.remainder(self.home.longitude_deg + position.east_m / east_m, 360),
             altitude_m=position.altitude_m,
         )
 
-    def _metres_per_degree(self) -> tuple[float, float]:
+    def metres_per_degree(self) -> tuple[float, float]:
         """Lengths at home's latitude of a degree eastwards and of one northwards."""
         latitude = math.radians(self.home.latitude_deg)
         flattening = 1 - _ECCENTRICITY_SQUARED * math.sin(latitude) ** 2

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from importlib.resources import files
 
 from upwash.core.servers import CHECKING, State
+from upwash.narration import MEANINGS
 from upwash.report import tables
 from upwash.report.charts import draw_call_delays, draw_timeline, in_short, state_style
 from upwash.report.map import draw_map, view_of
@@ -17,19 +18,15 @@ _POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'"  # should a browser ever find a reference, it follows none
 )
 _WORST = 5
-_STATES = {
-    State.AVL: "available",
-    State.AVL_R: "available, its services running",
-    State.CHECK: "being checked",
-    State.READY: "ready for calls",
-    State.BLACKLISTED: "blacklisted",
-}
 
 
 def write_page(records: Sequence[Record]) -> str:
     """The page about these runs, side by side where there is room."""
     title = "Flight report: " + ", ".join(record.name for record in records)
-    style = Markup(files("upwash.report").joinpath("page.css").read_text(encoding="utf-8"))
+    folder = files("upwash.report") / "style"
+    style = Markup(
+        "".join((folder / f"{name}.css").read_text(encoding="utf-8") for name in ("colours", "page"))
+    )
     head = element(
         "head",
         element("meta", charset="utf-8"),
@@ -72,7 +69,7 @@ def _sections(records: Sequence[Record]) -> list[Markup]:
         )
 
     return [
-        *(element("p", _in_short(record, records), class_="lead") for record in records),
+        *(element("p", what_it_came_to(record, records), class_="lead") for record in records),
         tables.totals(records),
         _section(
             records,
@@ -124,7 +121,8 @@ def _note(text: str) -> Markup:
     return element("p", text, class_="note")
 
 
-def _in_short(record: Record, records: Sequence[Record]) -> str:
+def what_it_came_to(record: Record, records: Sequence[Record]) -> str:
+    """What the run came to, also against a run without offloading, where one is among the records."""
     result = record.result
     ended = "" if result.completed else " and was not completed"
     took = f"{record.name}: the mission took {result.mission_time_s:.1f} s under the policy {result.policy}{ended}."
@@ -160,7 +158,7 @@ def _against_reference(record: Record, records: Sequence[Record]) -> str:
 def _states_legend() -> Markup:
     heights = {State.AVL: 3, State.AVL_R: 8}
     entries = []
-    for state, meaning in _STATES.items():
+    for state, meaning in MEANINGS.items():
         height = heights.get(state, 14)
         bar = element(
             "rect", x=1, y=8 - height / 2, width=22, height=height, class_=f"state {state_style(state)}"

@@ -92,10 +92,10 @@ class Record:
 
 def read_records(logs: Sequence[Path]) -> list[Record]:
     """The last run of each log, named after its file; raises UsageError for what is no log of a mission."""
-    return [_read_record(log, name) for log, name in zip(logs, _names(logs), strict=True)]
+    return [_read_record(log, name) for log, name in zip(logs, names_of(logs), strict=True)]
 
 
-def _names(logs: Sequence[Path]) -> list[str]:
+def names_of(logs: Sequence[Path]) -> list[str]:
     """The shortest names that tell the logs apart: those of runs/TIME/events.jsonl are their folders'."""
     short = [log.resolve().parent.name if log.stem == "events" else log.stem for log in logs]
     return [name if short.count(name) == 1 else str(log) for name, log in zip(short, logs, strict=True)]
@@ -155,14 +155,19 @@ def _track(events: Sequence[Mapping[str, Any]], began_s: float) -> Iterator[Fix]
     """Every place that an event tells: simulated drones report none by the second."""
     last: Position | None = None
     for event in events:
-        place = event if event["event"] in {"position", "arrived"} else event.get("position")
-        if place is None or event["t"] < began_s:
-            continue
-        altitude_m = place.get("altitude_m", last.altitude_m if last else 0.0)
-        here = Position(float(place["east_m"]), float(place["north_m"]), float(altitude_m))
-        if here != last:
+        here = place_of(event, last) if event["t"] >= began_s else None
+        if here is not None and here != last:
             yield Fix(event["t"] - began_s, here)
-        last = here
+        last = here or last
+
+
+def place_of(event: Mapping[str, Any], last: Position | None) -> Position | None:
+    """Where an event tells that the drone was; as high as `last` where it tells a place without an altitude."""
+    place = event if event["event"] in {"position", "arrived"} else event.get("position")
+    if place is None:
+        return None
+    altitude_m = place.get("altitude_m", last.altitude_m if last else 0.0)
+    return Position(float(place["east_m"]), float(place["north_m"]), float(altitude_m))
 
 
 def _stretches(
