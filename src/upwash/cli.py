@@ -28,6 +28,7 @@ from upwash.commands import (
     simulate,
     status,
     vehicle,
+    view,
 )
 from upwash.errors import MissionFailed, MissionStopped, UpwashError, UsageError
 
@@ -44,6 +45,7 @@ _COMMANDS = (
     vehicle,
     demo,
     simulate,
+    view,
     report,
     reproduce,
     campaign,

@@ -29,10 +29,11 @@ class Score:
     false: int
 
 
-def fly_demonstration(folder: Path, *, runtime: str = "") -> None:
+def fly_demonstration(folder: Path, *, runtime: str = "", live_port: int | None = None) -> None:
     """Flies it with everything below `folder`; whatever it started is gone when it returns or raises.
 
-    `runtime` is what the daemons' configuration is to say besides, in TOML: a table [runtime].
+    `runtime` is what the daemons' configuration is to say besides, in TOML: a table [runtime]. With `live_port` it is
+    shown on a page meanwhile.
     """
     console = Console(markup=False)
     config = read_demonstration()
@@ -45,7 +46,7 @@ def fly_demonstration(folder: Path, *, runtime: str = "") -> None:
         console.print(
             f"the vehicle is at {vehicle}, the servers at {', '.join(daemons.values())}", soft_wrap=True
         )
-        fly_with_progress(here, log=folder / "events.jsonl")
+        fly_with_progress(here, log=folder / "events.jsonl", live_port=live_port)
     score = score_photos(folder / "events.jsonl")
     console.print(
         f"faulty modules: {score.found} of {score.true} found, {score.false} false alarms, in {score.photos} photos",

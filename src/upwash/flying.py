@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import sys
+from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from upwash.real.journal import read_events
 from upwash.report.exports import write_result
 from upwash.report.record import read_records
 from upwash.results import RunResult, read_result
+from upwash.running import ready_program
 from upwash.terminal import Progress, print_result
 
 
@@ -34,16 +36,19 @@ def fly_with_progress(
     log: Path,
     resumes: bool = False,
     show: Show = Show.PROGRESS,
+    live_port: int | None = None,
 ) -> None:
     """Flies the mission, shows how it goes and what it came to; raises what ended it early.
 
     With `resumes` it takes up the mission that the log is of, and shows what all of it came to. What the mission
-    itself prints goes to standard error where one object is shown.
+    itself prints goes to standard error where one object is shown. With `live_port` a page on that port of this
+    machine shows the flight while it lasts; 0 is any port.
     """
     console = Console(markup=False) if show is Show.PROGRESS else _silent_console()
     progress = Progress(config, len(waypoints(config.mission)), console)
     try:
         with (
+            _shown_live(log, live_port, config.camera.folder),
             progress,
             contextlib.redirect_stdout(sys.stderr) if show is Show.JSON else contextlib.nullcontext(),
         ):
@@ -66,6 +71,21 @@ def _show_result(config: DroneConfig, log: Path, show: Show, console: Console) -
         paced = any(service.local_pace_s for service in config.services)
         print_result(result, console, paced=paced)
         console.print(f"event log: {log}", soft_wrap=True)
+
+
+@contextlib.contextmanager
+def _shown_live(log: Path, port: int | None, photos: Path | None) -> Iterator[None]:
+    """Shows the log on a page until the end of the block, by a process of its own that the flight never waits for."""
+    if port is None:
+        yield
+        return
+    log.parent.mkdir(parents=True, exist_ok=True)
+    log.touch()  # a flight that has yet to begin
+    arguments = ["view", str(log), "--port", str(port)]
+    arguments += ["--photos", str(photos)] if photos else []
+    with ready_program(f"{log.stem}-view", log.parent, *arguments) as address:
+        Console(stderr=True, markup=False).print(f"live view: {address}", soft_wrap=True)
+        yield
 
 
 def read_log(log: Path) -> RunResult:

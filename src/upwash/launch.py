@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import tempfile
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +24,7 @@ from upwash.config import (
 from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.drone import Flight, World
 from upwash.errors import CredentialsError, UsageError
+from upwash.loading import extra
 from upwash.ports import Autopilot, Camera, InstanceSpec, Journal, Network
 from upwash.profiling import OnboardProfile, Sample, ServerProfile, Watch, profile_onboard, profile_server
 from upwash.protocol import STATUS, StatusReply, StatusRequest, decode_reply
@@ -174,7 +175,7 @@ async def _network(
     if config.network.kind == "wired":
         return NoNetwork()
     if config.network.kind == "networkmanager":
-        with _extra("network"):
+        with extra("network"):
             from upwash.real.network import ManagedNetwork
         network = ManagedNetwork(
             config.network.interfaces, [server.network for server in config.servers], journal
@@ -192,21 +193,11 @@ async def _network(
 
 async def survey_networks(config: DroneConfig) -> list[Finding]:
     """What NetworkManager has ready for the drone; raises NetworkError without one."""
-    with _extra("network"):
+    with extra("network"):
         from upwash.real.survey import survey_networks
     return await survey_networks(
         config.network.interfaces, {server.name: server.network for server in config.servers}
     )
-
-
-@contextlib.contextmanager
-def _extra(name: str) -> Iterator[None]:
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            f"{error.name} is not installed: `pip install 'upwash[{name}]'` installs it"
-        ) from error
 
 
 @contextlib.asynccontextmanager

@@ -1,10 +1,12 @@
-"""Missions and services named by the user: `package.module:Name`, or `path/to/file.py:Name`."""
+"""What is imported by name: missions and services (`package.module:Name`, `path/to/file.py:Name`), optional parts."""
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.util
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -55,3 +57,14 @@ def _load_file(path: Path) -> ModuleType:
         del sys.modules[name]
         raise
     return module
+
+
+@contextlib.contextmanager
+def extra(name: str) -> Iterator[None]:
+    """Imports what `pip install 'upwash[name]'` brings; raises UsageError where it was not done."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"{error.name} is not installed: `pip install 'upwash[{name}]'` installs it"
+        ) from error

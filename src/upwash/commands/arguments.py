@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     Commands = argparse._SubParsersAction[argparse.ArgumentParser]  # what `add` adds its command to
 
+LIVE_PORT = 8720
+
 
 def place(text: str) -> tuple[float, float]:
     """A latitude and a longitude in degrees, written LAT,LON."""
@@ -32,6 +34,27 @@ def count(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 on")
     return int(text)
+
+
+def port(text: str) -> int:
+    """A TCP port, or 0."""
+    if not text.isdecimal() or int(text) > 65_535:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no port: give a number up to 65535, or 0 for any that is free"
+        )
+    return int(text)
+
+
+def add_live(parser: argparse.ArgumentParser) -> None:
+    """Adds the option that shows a flight on a page while it lasts."""
+    parser.add_argument(
+        "--live",
+        type=port,
+        nargs="?",
+        const=LIVE_PORT,
+        metavar="PORT",
+        help=f"show it on a page on this machine meanwhile (default: {LIVE_PORT}; 0: any port)",
+    )
 
 
 def new_run_folder() -> Path:

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.commands.arguments import new_run_folder
+from upwash.commands.arguments import add_live, new_run_folder
 
 if TYPE_CHECKING:
     from upwash.commands.arguments import Commands
@@ -20,6 +20,7 @@ def add(commands: Commands) -> None:
     demo.add_argument(
         "--runtime", type=Path, metavar="FILE", help="a table [runtime] for both daemons, such as containers"
     )
+    add_live(demo)
     demo.set_defaults(run=run)
 
 
@@ -29,5 +30,5 @@ def run(options: argparse.Namespace) -> bool:
     from upwash.demo import fly_demonstration
 
     runtime = options.runtime.read_text() if options.runtime else ""
-    fly_demonstration(options.folder or new_run_folder(), runtime=runtime)
+    fly_demonstration(options.folder or new_run_folder(), runtime=runtime, live_port=options.live)
     return True

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.commands.arguments import new_run_folder
+from upwash.commands.arguments import add_live, new_run_folder
 
 if TYPE_CHECKING:
     from upwash.commands.arguments import Commands
@@ -34,6 +34,7 @@ def add(commands: Commands) -> None:
     shown.add_argument(
         "--json", action="store_true", help="print the result as one JSON object at the end, and nothing else"
     )
+    add_live(fly)
     fly.set_defaults(run=run)
 
 
@@ -56,5 +57,6 @@ def run(options: argparse.Namespace) -> bool:
         log=log,
         resumes=options.resume is not None,
         show=Show.JSON if options.json else Show.NOTHING if options.quiet else Show.PROGRESS,
+        live_port=options.live,
     )
     return True

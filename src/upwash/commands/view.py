@@ -1,0 +1,49 @@
+"""upwash view: shows a flight on a page, live or afterwards."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from upwash.commands.arguments import LIVE_PORT, announce, port
+
+if TYPE_CHECKING:
+    from upwash.commands.arguments import Commands
+
+_NICENESS = 19  # a flight that goes on beside it comes first
+
+
+def add(commands: Commands) -> None:
+    """Adds the command."""
+    view = commands.add_parser("view", help="show a flight on a page that moves: live, or played back")
+    view.add_argument("log", type=Path, metavar="LOG", help="an event log, of a flight under way or over")
+    view.add_argument("beside", type=Path, nargs="?", metavar="LOG2", help="another, shown beside it")
+    view.add_argument(
+        "--port", type=port, default=LIVE_PORT, help=f"on this machine (default: {LIVE_PORT}; 0: any)"
+    )
+    view.add_argument("--photos", type=Path, metavar="FOLDER", help="where the photos are that the log names")
+    view.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> bool:
+    """Serves the page until Ctrl-C."""
+    import asyncio
+
+    from upwash.loading import extra
+
+    with extra("view"):
+        from upwash.view.serve import serve_view
+
+    os.nice(_NICENESS)
+    logs = [options.log, options.beside] if options.beside else [options.log]
+    asyncio.run(
+        serve_view(
+            logs,
+            port=options.port,
+            photos=options.photos,
+            ready=lambda address: announce(f"view ready at {address}"),
+        )
+    )
+    return True

@@ -1,0 +1,84 @@
+"""The web application: the page, its feed and its photos, for browsers on this machine and for nothing else."""
+
+from __future__ import annotations
+
+import asyncio
+
+from starlette.applications import Starlette
+from starlette.datastructures import MutableHeaders
+from starlette.middleware import Middleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import Request
+from starlette.responses import Response, StreamingResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from upwash.view.feed import Feed
+from upwash.view.photos import PhotoShelf
+
+_HOSTS = ["127.0.0.1", "localhost"]  # a page elsewhere that got its name to mean this machine is turned away
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+_HEADERS = {
+    "Content-Security-Policy": _POLICY,
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+def application(feed: Feed, photos: PhotoShelf) -> Starlette:
+    """Serves the page of the feed; nothing in it can be changed from outside."""
+    rendering = asyncio.Semaphore(1)
+
+    async def events(request: Request) -> Response:
+        after = request.headers.get("last-event-id", "")
+        return StreamingResponse(
+            feed.messages(after), media_type="text/event-stream", headers={"Cache-Control": "no-store"}
+        )
+
+    async def photo(request: Request) -> Response:
+        log, run, number = (request.path_params[name] for name in ("log", "run", "number"))
+        recording = feed.recordings[log] if log < len(feed.recordings) else None
+        if recording is None or recording.run != run or number >= len(recording.story.shots):
+            return Response("no such photo", status_code=404)
+        async with rendering:
+            jpeg = await asyncio.to_thread(photos.find, recording.story.shots[number])
+        if jpeg is None:
+            return Response("this photo is not to be had", status_code=404)
+        return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+
+    return Starlette(
+        routes=[
+            Route("/events", events),
+            Route("/photos/{log:int}/{run:int}/{number:int}.jpg", photo),
+            Mount(
+                "/", StaticFiles(packages=[("upwash.view", "page"), ("upwash.report", "style")], html=True)
+            ),
+        ],
+        middleware=[
+            Middleware(_Guarded),
+            Middleware(TrustedHostMiddleware, allowed_hosts=_HOSTS, www_redirect=False),
+        ],
+    )
+
+
+class _Guarded:
+    """Adds to each answer what a browser is not to do with it."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def guarded(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                headers.update(_HEADERS)
+                headers.setdefault("Cache-Control", "no-cache")
+            await send(message)
+
+        await self._app(scope, receive, guarded)

@@ -1,0 +1,125 @@
+"""What the page is told of a flight: one fact at a time, each with its second of the log, as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+
+
+class Fact(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="fact", tag=str.lower):
+    """Something that the page shows from `at_s` on, until a later fact takes its place."""
+
+    at_s: float
+
+
+class Plan(Fact, frozen=True):
+    """What the drone set out to do; `ranges` has [east, north, radius] of each server, in metres.
+
+    `home` is its latitude and longitude, and `metres_per_degree` the lengths there, eastwards and northwards.
+    """
+
+    waypoints_m: Sequence[tuple[float, float]]
+    ranges: dict[str, tuple[float, float, float]]
+    home: tuple[float, float] | None
+    metres_per_degree: tuple[float, float] | None
+
+
+class Opened(Fact, frozen=True):
+    """The time of day at which the log began, in seconds since 1970; simulated logs have none."""
+
+    epoch_s: float
+
+
+class Began(Fact, frozen=True):
+    """The mission began, from which its time is counted."""
+
+    policy: str
+
+
+class Fix(Fact, frozen=True):
+    """Where the drone is."""
+
+    east_m: float
+    north_m: float
+    altitude_m: float
+
+
+class Doing(Fact, frozen=True):
+    """What the drone does from now on, and how many waypoints it has reached."""
+
+    words: str
+    reached: int
+
+
+class Step(Fact, frozen=True):
+    """A server came into a state."""
+
+    server: str
+    state: str
+    means: str
+    tone: str
+    why: str
+
+
+class Decision(Fact, frozen=True):
+    """Where a call is to run, with the estimates that say so, in sentences."""
+
+    operation: str
+    waypoint: int | None
+    words: Sequence[str]
+
+
+class Call(Fact, frozen=True):
+    """A call ended; `words` say why it ran where it ran, and `east_m`, `north_m` where the drone was."""
+
+    operation: str
+    waypoint: int | None
+    place: str
+    delay_s: float
+    waited_s: float
+    wait: str
+    words: Sequence[str]
+    east_m: float | None
+    north_m: float | None
+
+
+class Outline(msgspec.Struct, frozen=True):
+    """A box in a photo, in its pixels; without a score where it is the photo's truth."""
+
+    left_px: float
+    top_px: float
+    width_px: float
+    height_px: float
+    label: str
+    score: float | None = None
+
+
+class Shot(Fact, frozen=True):
+    """A photo was taken; `kept` says whether it can be had, by its `number`. `truth` is what a rendered one shows."""
+
+    number: int
+    waypoint: int | None
+    source: str
+    kept: bool
+    truth: Sequence[Outline] | None
+
+
+class Told(Fact, frozen=True):
+    """The drone's user was told something, of the last photo if it has boxes."""
+
+    words: str
+    boxes: Sequence[Outline]
+
+
+class Said(Fact, frozen=True):
+    """A line for the journal."""
+
+    words: str
+    tone: str
+
+
+class Ended(Fact, frozen=True):
+    """The mission is over."""
+
+    completed: bool

@@ -1,0 +1,152 @@
+"""What pages are sent: everything known when they connect, as server-sent events, and only what is new after that."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections.abc import AsyncIterator, Iterator, Sequence
+from dataclasses import dataclass
+
+import msgspec
+
+from upwash.errors import UsageError
+from upwash.report.page import what_it_came_to
+from upwash.report.record import names_of, read_records
+from upwash.view.recording import Recording
+
+_LOOK_S = 0.1
+_BATCH = 2000  # facts
+_RETRY_MS = 1000  # after which a page that lost its connection tries again
+
+
+class Batch(msgspec.Struct, frozen=True):
+    """Facts of one log; `start` counts those before them. Another `run` begins anew."""
+
+    log: int
+    run: int
+    start: int
+    caught_up: bool
+    trouble: str
+    facts: list[msgspec.Raw]
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What a page has of a log."""
+
+    run: int = 0
+    facts: int = 0
+    caught_up: bool = False
+    trouble: str = ""
+
+
+class Feed:
+    """Follows logs, and tells any number of pages what they have told; none of them holds up another."""
+
+    def __init__(self, recordings: Sequence[Recording]) -> None:
+        self.recordings = list(recordings)
+        self._names = names_of([recording.log for recording in recordings])
+        self._identity = secrets.token_hex(4)  # so that no page takes this feed for one before it
+        self._summaries: dict[int, str] = {}
+        self._summarized: dict[int, int] = {}
+        self._closing = self._closed = False
+        self._news = asyncio.Event()
+
+    async def follow(self) -> None:
+        """Looks at the logs several times a second, until the feed is closed; then says goodbye to all pages."""
+        while True:
+            last_look = self._closing
+            news = [recording.advance() for recording in self.recordings]
+            if any(news):
+                self._tell()
+                await self._summarize()
+            elif last_look:
+                break
+            await asyncio.sleep(0 if any(news) or self._closing else _LOOK_S)
+        self._closed = True
+        self._tell()
+
+    def close(self) -> None:
+        """Lets pages be told what is in the logs by now, and then the end."""
+        self._closing = True
+
+    def _tell(self) -> None:
+        self._news.set()
+        self._news = asyncio.Event()
+
+    async def _summarize(self) -> None:
+        """Says what the missions came to that are over."""
+        over = {
+            log: recording.run
+            for log, recording in enumerate(self.recordings)
+            if recording.caught_up and recording.story.ended and not recording.trouble
+        }
+        if over == self._summarized:
+            return
+        self._summarized = over
+        try:
+            records = await asyncio.to_thread(read_records, [self.recordings[log].log for log in over])
+        except UsageError:  # it was replaced just now
+            return
+        self._summaries = dict(
+            zip(over, (what_it_came_to(record, records) for record in records), strict=True)
+        )
+        self._tell()
+
+    async def messages(self, after: str = "") -> AsyncIterator[str]:
+        """The events for one page, until the feed is closed; `after` is the id of the last one that it has."""
+        yield f"retry: {_RETRY_MS}\n{_message('logs', self._names)}"
+        seen, summaries = self._seen(after), None
+        while True:
+            news, closed = self._news, self._closed
+            for log, recording in enumerate(self.recordings):
+                for batch in _batches(log, recording, seen[log]):
+                    seen[log] = _Seen(
+                        batch.run, batch.start + len(batch.facts), batch.caught_up, batch.trouble
+                    )
+                    yield self._identified(batch, seen)
+            if summaries != self._summaries:
+                summaries = self._summaries
+                yield _message("summaries", summaries)
+            if closed:
+                break
+            await news.wait()
+        yield _message("end", None)
+
+    def _identified(self, batch: Batch, seen: Sequence[_Seen]) -> str:
+        counts = ".".join(f"{each.run}-{each.facts}" for each in seen)
+        return f"id: {self._identity}.{counts}\n{_message('facts', batch)}"
+
+    def _seen(self, after: str) -> list[_Seen]:
+        identity, *counts = after.split(".")
+        if identity != self._identity or len(counts) != len(self.recordings):
+            return [_Seen()] * len(self.recordings)
+        try:
+            pairs = [[int(number) for number in each.split("-")] for each in counts]
+            return [_Seen(run, facts) for run, facts in pairs]
+        except ValueError:
+            return [_Seen()] * len(self.recordings)
+
+
+def _batches(log: int, recording: Recording, seen: _Seen) -> Iterator[Batch]:
+    """What a page lacks of a log now, in pieces."""
+    start = seen.facts if seen.run == recording.run else 0
+    facts = recording.facts[start:]
+    state = _Seen(recording.run, start + len(facts), recording.caught_up, recording.trouble)
+    if state == seen:
+        return
+    for first in range(0, max(1, len(facts)), _BATCH):
+        piece = facts[first : first + _BATCH]
+        last = first + len(piece) == len(facts)
+        yield Batch(
+            log=log,
+            run=state.run,
+            start=start + first,
+            caught_up=state.caught_up and last,
+            trouble=state.trouble if last else "",
+            facts=[msgspec.Raw(fact) for fact in piece],
+        )
+
+
+def _message(kind: str, data: object) -> str:
+    return f"event: {kind}\ndata: {msgspec.json.encode(data).decode()}\n\n"

@@ -1,0 +1,31 @@
+// The stories as they come from the server, and whether more can come.
+
+import { Story } from "./story.js";
+
+export class Feed {
+  constructor({ opened, grown, summarized, said }) {
+    this.stories = [];
+    this.open = true;
+    const source = new EventSource("events");
+    source.addEventListener("logs", (message) => {
+      if (this.stories.length === 0) {
+        this.stories = JSON.parse(message.data).map((name) => new Story(name));
+        opened(this.stories);
+      }
+      said("");
+    });
+    source.addEventListener("facts", (message) => {
+      const batch = JSON.parse(message.data);
+      this.stories[batch.log].take(batch);
+      grown();
+    });
+    source.addEventListener("summaries", (message) => summarized(JSON.parse(message.data)));
+    source.addEventListener("end", () => {
+      source.close();
+      this.open = false;
+      said("The program behind this page has ended. What it told is still here; upwash view shows the log again.");
+      grown();
+    });
+    source.addEventListener("error", () => said("The connection to the program behind this page is lost; trying again."));
+  }
+}

@@ -1,0 +1,37 @@
+// What happened, newest first.
+
+import { element } from "./element.js";
+
+const MOST = 100; // lines
+
+export class Journal {
+  #from = 0; // of the lines shown, the first and the one after the last
+  #to = 0;
+
+  constructor(name) {
+    this.list = element("ol", { class: "journal", reversed: "" });
+    const scroll = { class: "scroll lines", tabindex: "0", role: "region", "aria-label": `What happened, ${name}` };
+    this.element = element("section", { class: "card" }, element("h3", {}, "What happened"), element("div", scroll, this.list));
+  }
+
+  show(moment) {
+    const to = moment.count("said");
+    const from = Math.max(0, to - MOST);
+    if (to < this.#to || from > this.#to) {
+      this.list.replaceChildren();
+      this.#from = this.#to = from;
+    }
+    for (; this.#to < to; this.#to += 1) this.list.prepend(line(moment.story.said[this.#to], moment.story));
+    for (; this.#from < from; this.#from += 1) this.list.lastElementChild.remove();
+  }
+
+  clear() {
+    this.list.replaceChildren();
+    this.#from = this.#to = 0;
+  }
+}
+
+function line(said, story) {
+  const time = element("span", { class: "at" }, `${story.missionS(said.at_s).toFixed(1)} s`);
+  return element("li", { class: said.tone }, time, " ", said.words);
+}

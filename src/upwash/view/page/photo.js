@@ -1,0 +1,74 @@
+// The last photo, with what was found on it in boxes; and, where it was rendered, what is truly there.
+
+import { drawn, element, write } from "./element.js";
+
+const PATIENCE_MS = 150; // photos that fly past faster are not asked for
+
+export class PhotoCard {
+  #shot = null;
+  #boxes = "";
+  #timer = null;
+
+  constructor(log) {
+    this.log = log;
+    this.image = element("img", { alt: "", hidden: "" });
+    this.boxes = drawn("svg", { class: "boxes", "aria-hidden": "true" });
+    this.caption = element("p");
+    this.key = element("p", { class: "note", hidden: "" }, "Solid: found. Dashed: truly there, as the photo was rendered.");
+    this.frame = element("div", { class: "photo", hidden: "" }, this.image, this.boxes);
+    this.element = element("section", { class: "card" }, element("h3", {}, "Photo"), this.frame, this.caption, this.key);
+    this.image.addEventListener("load", () => this.#outline());
+    this.image.addEventListener("error", () => (this.image.hidden = true));
+  }
+
+  show(moment) {
+    const shot = moment.last("shot");
+    const told = moment.last("told");
+    const found = shot && told && told.at_s >= shot.at_s ? told : null;
+    if (shot !== this.#shot) this.#ask(shot, moment.story.run);
+    this.found = found;
+    write(this.caption, shot ? this.#words(shot, found) : "No photo was taken yet.");
+    this.#outline();
+  }
+
+  #ask(shot, run) {
+    this.#shot = shot;
+    clearTimeout(this.#timer);
+    this.frame.hidden = !shot?.kept;
+    this.key.hidden = !(shot?.kept && shot.truth);
+    if (!shot?.kept) return;
+    const source = `photos/${this.log}/${run}/${shot.number}.jpg`;
+    this.#timer = setTimeout(() => {
+      this.image.src = source;
+      this.image.hidden = false;
+    }, PATIENCE_MS);
+    this.image.hidden = this.image.getAttribute("src") !== source;
+  }
+
+  #words(shot, found) {
+    const where = shot.waypoint === null ? "before the first waypoint" : `at waypoint ${shot.waypoint}`;
+    const said = found ? ` The user was told: ${found.words}.` : "";
+    const missing = shot.kept ? "" : " It was not kept where this page can find it.";
+    return `Photo ${shot.number + 1}, ${where}, from ${shot.source}.${said}${missing}`;
+  }
+
+  #outline() {
+    const { naturalWidth: width, naturalHeight: height, complete, hidden } = this.image;
+    const shown = Boolean(this.#shot && width && complete && !hidden && this.image.getAttribute("src").endsWith(`/${this.#shot.number}.jpg`));
+    const boxes = shown ? [...(this.#shot.truth ?? []), ...(this.found?.boxes ?? [])] : [];
+    const key = JSON.stringify([width, height, boxes]);
+    if (key === this.#boxes) return;
+    this.#boxes = key;
+    this.boxes.setAttribute("viewBox", `0 0 ${width || 1} ${height || 1}`);
+    this.boxes.replaceChildren(...boxes.flatMap((box) => outline(box, width)));
+  }
+}
+
+function outline(box, width) {
+  const [x, y, size] = [box.left_px, box.top_px, width / 36];
+  const rectangle = { x, y, width: box.width_px, height: box.height_px };
+  if (box.score === undefined) return [drawn("rect", { ...rectangle, class: "truth" })];
+  const words = `${box.label} ${(100 * box.score).toFixed(0)} %`;
+  const label = drawn("text", { x, y: y > size * 1.3 ? y - size / 4 : y + box.height_px + size, "font-size": size }, words);
+  return [drawn("rect", { ...rectangle, class: "found" }), label];
+}

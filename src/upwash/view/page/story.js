@@ -1,0 +1,133 @@
+// What a log has told so far. Any moment of it is found by a search in lists that only grow.
+
+const SERIES = ["fix", "doing", "decision", "call", "shot", "told", "said"];
+
+export class Story {
+  constructor(name) {
+    this.name = name;
+    this.begin(0);
+  }
+
+  // Forgets everything: the log has begun another run.
+  begin(run) {
+    this.run = run;
+    this.facts = 0;
+    this.caughtUp = false;
+    this.trouble = "";
+    this.plan = null;
+    this.opened = null;
+    this.began = null;
+    this.ended = null;
+    this.lastS = 0;
+    this.longestS = 0; // of the calls
+    this.steps = new Map();
+    this.known = new Set(); // servers
+    for (const kind of SERIES) this[kind] = [];
+  }
+
+  take(batch) {
+    if (batch.run !== this.run) this.begin(batch.run);
+    this.caughtUp = batch.caught_up;
+    this.trouble = batch.trouble;
+    for (const fact of batch.facts.slice(this.facts - batch.start)) this.#takeFact(fact);
+  }
+
+  #takeFact(fact) {
+    this.facts += 1;
+    this.lastS = fact.at_s;
+    switch (fact.fact) {
+      case "plan":
+        this.plan = fact;
+        for (const server of Object.keys(fact.ranges)) this.known.add(server);
+        break;
+      case "opened":
+      case "began":
+        this[fact.fact] = fact;
+        if (fact.fact === "began") this.ended = null;
+        break;
+      case "ended":
+        this.ended = fact;
+        break;
+      case "step":
+        this.known.add(fact.server);
+        if (!this.steps.has(fact.server)) this.steps.set(fact.server, []);
+        this.steps.get(fact.server).push(fact);
+        break;
+      case "call":
+        this.longestS = Math.max(this.longestS, fact.delay_s);
+        if (fact.place !== "local") this.known.add(fact.place);
+        this.call.push(fact);
+        break;
+      default:
+        this[fact.fact].push(fact);
+    }
+  }
+
+  get servers() {
+    return [...this.known].sort();
+  }
+
+  get waypoints() {
+    return this.plan?.waypoints_m.length ?? 0;
+  }
+
+  // The second of the mission at which the story ends, as far as it is told.
+  get endS() {
+    return this.missionS(this.ended?.at_s ?? this.lastS);
+  }
+
+  missionS(atS) {
+    return atS - (this.began?.at_s ?? 0);
+  }
+
+  logS(missionS) {
+    return missionS + (this.began?.at_s ?? 0);
+  }
+
+  at(missionS) {
+    return new Moment(this, this.logS(missionS));
+  }
+}
+
+// A moment of a story: how much of each list lies behind it, and what holds then.
+export class Moment {
+  constructor(story, atS) {
+    this.story = story;
+    this.atS = atS;
+  }
+
+  count(kind) {
+    return countUntil(this.story[kind], this.atS);
+  }
+
+  last(kind) {
+    return this.story[kind][this.count(kind) - 1] ?? null;
+  }
+
+  step(server) {
+    const steps = this.story.steps.get(server) ?? [];
+    return steps[countUntil(steps, this.atS) - 1] ?? null;
+  }
+
+  // Where the drone is: on the straight way between two fixes.
+  get position() {
+    const fixes = this.story.fix;
+    const count = this.count("fix");
+    const [before, after] = [fixes[count - 1], fixes[count]];
+    if (!before || !after) return before ?? after ?? null;
+    const share = (this.atS - before.at_s) / (after.at_s - before.at_s);
+    const between = (name) => before[name] + share * (after[name] - before[name]);
+    return { east_m: between("east_m"), north_m: between("north_m"), altitude_m: between("altitude_m") };
+  }
+}
+
+// How many of the facts, which are in the order of their time, lie at or before the moment.
+export function countUntil(facts, atS) {
+  let [low, high] = [0, facts.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (facts[middle].at_s <= atS + 1e-6) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}

@@ -1,0 +1,76 @@
+"""Runs the page's server until it is told to stop."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import socket
+from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
+
+import uvicorn
+
+from upwash.errors import UsageError
+from upwash.real.signals import stopping_politely
+from upwash.view.app import application
+from upwash.view.feed import Feed
+from upwash.view.photos import PhotoShelf
+from upwash.view.recording import reading
+
+_CONNECTIONS = 64
+_GOODBYE_S = 2
+
+
+class _Server(uvicorn.Server):
+    """Leaves signals to the program."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Generator[None, None, None]:
+        yield
+
+
+async def serve_view(
+    logs: Sequence[Path], *, port: int, photos: Path | None, ready: Callable[[str], None]
+) -> None:
+    """Serves a page about the logs on this machine's loopback until SIGTERM or Ctrl-C.
+
+    `ready` is told its address. Port 0 is any that is free. Raises UsageError for what is no event log.
+    """
+    shelf = PhotoShelf(photos)
+    with reading(logs, shelf.keeps) as recordings, _listening(port) as listener:
+        feed = Feed(recordings)
+        server = _Server(
+            uvicorn.Config(
+                application(feed, shelf),
+                http="h11",
+                ws="none",
+                lifespan="off",
+                log_level="warning",
+                access_log=False,
+                server_header=False,
+                limit_concurrency=_CONNECTIONS,
+                timeout_graceful_shutdown=_GOODBYE_S,
+            )
+        )
+
+        following = asyncio.create_task(feed.follow())
+        following.add_done_callback(lambda _: server.handle_exit(signal.SIGTERM, None))
+        with stopping_politely(lambda _: feed.close()):
+            ready(f"http://127.0.0.1:{listener.getsockname()[1]}/")
+            await server.serve(sockets=[listener])
+            await following
+
+
+@contextlib.contextmanager
+def _listening(port: int) -> Generator[socket.socket, None, None]:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind(("127.0.0.1", port))
+        except OSError as error:
+            raise UsageError(
+                f"cannot serve on port {port}: {error.strerror}; give another, or 0 for any that is free"
+            ) from error
+        listener.listen()
+        yield listener

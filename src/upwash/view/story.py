@@ -1,0 +1,199 @@
+"""Turns the events of a log, one by one, into the facts that a page shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Any
+
+import msgspec
+
+from upwash.core.geo import GeoPosition, LocalFrame, Position
+from upwash.core.servers import CHECKING, State
+from upwash.narration import MEANINGS, Narrator, in_one_line, tone_of
+from upwash.reasons import ExplainedCall, Reasons, told, told_decision
+from upwash.report.record import Plan, place_of
+from upwash.view import facts
+from upwash.view.facts import Fact, Outline
+
+_STALE_S = (
+    1.5  # a flown log tells where the drone is every second, a simulated one when something happens there
+)
+_HOME = Position(0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """A photo that the log tells of, the `since_start`th since the program began, counted from 0."""
+
+    source: str
+    position: Position | None
+    since_start: int
+
+
+class Story:
+    """One run, as far as its log tells it; `shots` are its photos so far, and `ended` says whether it is over.
+
+    `keeps` says of a photo's source whether its photos can be had. What takes in an event that no version of upwash
+    wrote raises KeyError, TypeError or ValueError.
+    """
+
+    def __init__(self, keeps: Callable[[str], bool]) -> None:
+        self.shots: list[Shot] = []
+        self.ended = False
+        self._keeps = keeps
+        self._narrator = Narrator()
+        self._reasons = Reasons()
+        self._now_s = 0.0
+        self._began = False
+        self._waypoint: int | None = None
+        self._place: Position | None = None
+        self._placed_s = 0.0
+        self._doing = ("", 0)
+        self._servers: set[str] = set()
+        self._shots_since_start = 0
+
+    def take(self, event: Mapping[str, Any]) -> Iterator[Fact]:
+        """What the next event tells."""
+        self._now_s = max(self._now_s, float(event["t"]))
+        said = self._narrator.tell(event)
+        call = self._reasons.take(event)
+        yield from self._whereabouts(event)
+        yield from self._progress(event)
+        yield from self._photos(event)
+        if event["event"] == "decided":
+            yield facts.Decision(
+                at_s=self._now_s,
+                operation=event["operation"],
+                waypoint=self._waypoint,
+                words=list(told_decision(event)),
+            )
+        if call is not None:
+            yield self._call(call)
+        if "before" in event and "after" in event:
+            yield self._step(event["server"], State(event["after"]), event["why"])
+        if said is not None:
+            yield facts.Said(at_s=self._now_s, words=said.text, tone=said.tone)
+
+    # --- where the drone is, and what it does -----------------------------------------------------------------
+
+    def _whereabouts(self, event: Mapping[str, Any]) -> Iterator[Fact]:
+        here = place_of(event, self._place)
+        if here is None and (self._place is None or self._now_s - self._placed_s > _STALE_S):
+            here = self._inferred(event)
+        if here is not None and (here != self._place or self._now_s - self._placed_s > _STALE_S):
+            yield facts.Fix(
+                at_s=self._now_s,
+                east_m=here.east_m,
+                north_m=here.north_m,
+                altitude_m=here.altitude_m,
+            )
+            self._place, self._placed_s = here, self._now_s
+
+    def _inferred(self, event: Mapping[str, Any]) -> Position | None:
+        """Where the drone must be when it sets off, and when it has landed; simulated logs do not say."""
+        match event:
+            case {"event": "mission_started"} if self._place is None:
+                return _HOME
+            case {"event": "took_off", "altitude_m": altitude_m}:
+                return replace(self._place or _HOME, altitude_m=float(altitude_m))
+            case {"event": "leg" | "returning"}:
+                return self._place
+            case {"event": "landed"} if self._doing[0] == "returning":
+                return _HOME
+            case _:
+                return None
+
+    def _progress(self, event: Mapping[str, Any]) -> Iterator[Fact]:
+        match event:
+            case {"event": "log_opened", "time": time}:
+                yield facts.Opened(at_s=self._now_s, epoch_s=datetime.fromisoformat(time).timestamp())
+            case {"event": "planned"}:
+                yield self._plan(msgspec.convert(event, Plan))
+            case {"event": "log_resumed"}:
+                self._shots_since_start, self.ended = 0, False
+                for server in sorted(self._servers):  # a program that begins anew knows of no server's state
+                    yield self._step(server, State.AVL, "taken up again")
+            case {"event": "mission_started", "policy": policy} if not self._began:
+                self._began = True
+                yield facts.Began(at_s=self._now_s, policy=policy)
+            case {"event": "arrived", "waypoint": waypoint}:
+                self._waypoint = waypoint
+            case {"event": "mission_completed" | "mission_ended" as how}:
+                self.ended = True
+                yield facts.Ended(at_s=self._now_s, completed=how == "mission_completed")
+        doing = (self._narrator.doing, self._narrator.reached)
+        if doing != self._doing:
+            yield facts.Doing(at_s=self._now_s, words=doing[0], reached=doing[1])
+            self._doing = doing
+
+    def _plan(self, plan: Plan) -> facts.Plan:
+        self._servers |= set(plan.ranges)
+        home = plan.home
+        return facts.Plan(
+            at_s=self._now_s,
+            waypoints_m=plan.waypoints_m,
+            ranges={
+                name: (area.centre.east_m, area.centre.north_m, area.radius_m)
+                for name, area in sorted(plan.ranges.items())
+            },
+            home=(home.latitude_deg, home.longitude_deg) if home else None,
+            metres_per_degree=_metres_per_degree(home) if home else None,
+        )
+
+    # --- servers and calls ------------------------------------------------------------------------------------
+
+    def _step(self, server: str, state: State, why: str) -> facts.Step:
+        self._servers.add(server)
+        means = MEANINGS[State.CHECK if state in CHECKING else state]
+        return facts.Step(
+            at_s=self._now_s, server=server, state=state, means=means, tone=tone_of(state), why=why
+        )
+
+    def _call(self, call: ExplainedCall) -> facts.Call:
+        outcome = call.outcome
+        place = self._place
+        return facts.Call(
+            at_s=self._now_s,
+            operation=outcome["operation"],
+            waypoint=call.waypoint,
+            place=outcome["place"],
+            delay_s=outcome["delay_s"],
+            waited_s=outcome["waited_s"],
+            wait=outcome["wait"],
+            words=list(told(call))[1:],
+            east_m=place.east_m if place else None,
+            north_m=place.north_m if place else None,
+        )
+
+    # --- photos -----------------------------------------------------------------------------------------------
+
+    def _photos(self, event: Mapping[str, Any]) -> Iterator[Fact]:
+        match event:
+            case {"event": "photo", "source": str(source)}:
+                position = place_of(event, self._place)
+                self.shots.append(Shot(source, position, self._shots_since_start))
+                self._shots_since_start += 1
+                yield facts.Shot(
+                    at_s=self._now_s,
+                    number=len(self.shots) - 1,
+                    waypoint=self._waypoint,
+                    source=source,
+                    kept=self._keeps(source),
+                    truth=_outlines(event.get("truth")),
+                )
+            case {"event": "notified", "message": message}:
+                yield facts.Told(at_s=self._now_s, words=in_one_line(message), boxes=_outlines(message) or ())
+
+
+def _outlines(message: object) -> list[Outline] | None:
+    """The boxes of a message, None where it is no list of boxes."""
+    try:
+        return msgspec.convert(message, list[Outline])
+    except msgspec.ValidationError:
+        return None
+
+
+def _metres_per_degree(home: GeoPosition) -> tuple[float, float]:
+    return LocalFrame(home).metres_per_degree()

@@ -1,0 +1,235 @@
+"""What pages are sent while a log grows: everything once, in order, and nothing twice."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from upwash.errors import UsageError
+from upwash.view.feed import Feed
+from upwash.view.recording import reading
+
+OPENED = {"t": 0.0, "event": "log_opened", "time": "2026-01-01T00:00:00+00:00"}
+STARTED = {"t": 1.0, "event": "mission_started", "policy": "location-aware", "waypoints": 3}
+
+
+def arrival(waypoint: int) -> dict[str, Any]:
+    return {"t": 2.0 + waypoint, "event": "arrived", "waypoint": waypoint, "east_m": 0.0, "north_m": 0.0}
+
+
+def append(log: Path, *events: object) -> None:
+    with log.open("ab") as file:
+        file.writelines(msgspec.json.encode(event) + b"\n" for event in events)
+
+
+class Page:
+    """A browser's page, as far as it is told."""
+
+    def __init__(self, feed: Feed, after: str = "") -> None:
+        self.id = after
+        self.facts: dict[int, list[dict[str, Any]]] = {}
+        self.trouble = ""
+        self.received = 0
+        self.runs: dict[int, int] = {}
+        self.messages: AsyncIterator[str] = feed.messages(after)
+
+    async def hear(self, until: Callable[[Page], bool]) -> None:
+        """Takes in messages until that is so."""
+        async with asyncio.timeout(20):
+            while not until(self):
+                self._take(await anext(self.messages))
+
+    def _take(self, message: str) -> None:
+        fields = dict(line.split(": ", 1) for line in message.strip().splitlines())
+        self.id = fields.get("id", self.id)
+        if fields["event"] == "facts":
+            batch = json.loads(fields["data"])
+            facts = self.facts.setdefault(batch["log"], [])
+            if self.runs.get(batch["log"]) not in {None, batch["run"]}:
+                facts.clear()
+            self.runs[batch["log"]] = batch["run"]
+            self.received += len(batch["facts"])
+            self.trouble = batch["trouble"]
+            facts += batch["facts"]
+
+    def reached(self, log: int = 0) -> int:
+        counts = [fact["reached"] for fact in self.facts.get(log, ()) if fact["fact"] == "doing"]
+        return counts[-1] if counts else 0
+
+
+@contextlib.asynccontextmanager
+async def following(*logs: Path) -> AsyncIterator[Feed]:
+    with reading(logs, lambda _: False) as recordings:
+        feed = Feed(recordings)
+        task = asyncio.create_task(feed.follow())
+        try:
+            yield feed
+        finally:
+            feed.close()
+            await task
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    file = tmp_path / "flight.jsonl"
+    append(file, OPENED, STARTED, arrival(0))
+    return file
+
+
+def test_a_page_is_sent_what_is_new_and_only_that(log: Path) -> None:
+    async def run() -> None:
+        async with following(log) as feed:
+            page = Page(feed)
+            await page.hear(lambda page: page.reached() == 1)
+            before = page.received
+            append(log, arrival(1))
+            await page.hear(lambda page: page.reached() == 2)
+            assert page.received - before == len(page.facts[0]) - before <= 3
+
+    asyncio.run(run())
+
+
+def test_half_a_line_waits_for_its_other_half(log: Path) -> None:
+    line = msgspec.json.encode(arrival(1)) + b"\n"
+
+    async def run() -> None:
+        async with following(log) as feed:
+            page = Page(feed)
+            with log.open("ab", buffering=0) as file:
+                file.write(line[:20])
+                await page.hear(lambda page: page.reached() == 1)
+                file.write(line[20:])
+            await page.hear(lambda page: page.reached() == 2)
+            assert not page.trouble
+
+    asyncio.run(run())
+
+
+def test_a_page_that_was_away_is_sent_what_it_missed(log: Path) -> None:
+    async def run() -> None:
+        async with following(log) as feed:
+            page = Page(feed)
+            await page.hear(lambda page: page.reached() == 1)
+            append(log, arrival(1))
+            again = Page(feed, after=page.id)
+            await again.hear(lambda page: page.reached() == 2)
+            assert again.received <= 3
+            whole = Page(feed)
+            await whole.hear(lambda page: page.reached() == 2)
+            assert whole.facts[0] == page.facts[0] + again.facts[0]
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize("identity", ["", "another.1-3", "x.y.z", "\N{SNOWMAN}"])
+def test_a_page_of_another_program_begins_anew(log: Path, identity: str) -> None:
+    async def run() -> None:
+        async with following(log) as feed:
+            page = Page(feed, after=identity)
+            await page.hear(lambda page: page.reached() == 1)
+            assert page.facts[0][0]["fact"] == "opened"
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize("numbers", ["1-x", "1", "7-0", "1-99999"])
+def test_an_id_that_was_never_given_does_no_harm(log: Path, numbers: str) -> None:
+    async def run() -> None:
+        async with following(log) as feed:
+            page = Page(feed)
+            await page.hear(lambda page: page.reached() == 1)
+            odd = Page(feed, after=f"{page.id.partition('.')[0]}.{numbers}")
+            append(log, arrival(1))
+            await odd.hear(lambda page: bool(page.facts))
+
+    asyncio.run(run())
+
+
+def test_another_run_in_the_same_log_begins_anew(log: Path) -> None:
+    async def run() -> None:
+        async with following(log) as feed:
+            page = Page(feed)
+            await page.hear(lambda page: page.reached() == 1)
+            append(log, OPENED, STARTED, arrival(0), arrival(1))
+            await page.hear(lambda page: page.reached() == 2)
+            assert [fact["fact"] for fact in page.facts[0]].count("began") == 1
+
+    asyncio.run(run())
+
+
+def test_a_log_that_was_put_in_the_place_of_another_begins_anew(log: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.jsonl"
+    append(other, OPENED, STARTED, arrival(0), arrival(1), arrival(2))
+
+    async def run() -> None:
+        async with following(log) as feed:
+            page = Page(feed)
+            await page.hear(lambda page: page.reached() == 1)
+            other.rename(log)
+            await page.hear(lambda page: page.reached() == 3)
+
+    asyncio.run(run())
+
+
+def test_two_logs_are_told_apart(log: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.jsonl"
+    append(other, OPENED, STARTED, arrival(0), arrival(1))
+
+    async def run() -> None:
+        async with following(log, other) as feed:
+            page = Page(feed)
+            await page.hear(lambda page: (page.reached(0), page.reached(1)) == (1, 2))
+
+    asyncio.run(run())
+
+
+def test_what_is_no_event_ends_the_reading_and_is_said(log: Path) -> None:
+    async def run() -> None:
+        async with following(log) as feed:
+            page = Page(feed)
+            await page.hear(lambda page: page.reached() == 1)
+            append(log, {"t": 4.0, "event": "call", "place": "local"})
+            await page.hear(lambda page: bool(page.trouble))
+            assert "flight.jsonl" in page.trouble
+            assert "line 4" in page.trouble
+
+    asyncio.run(run())
+
+
+def test_the_last_that_is_said_is_what_the_mission_came_to_and_the_end(log: Path) -> None:
+    async def run() -> list[str]:
+        async with following(log) as feed:
+            page = Page(feed)
+            await page.hear(lambda page: page.reached() == 1)
+            append(log, {"t": 8.0, "event": "mission_completed"})
+            feed.close()
+            return [message async for message in page.messages]
+
+    *_, summaries, end = asyncio.run(run())
+    assert "the mission took 7.0 s" in summaries
+    assert end.startswith("event: end")
+
+
+@pytest.mark.parametrize("content", [b"\xff\n", b"photo\n", b"[1]\n", b'{"t": 1}\n', b"[" * 100_000 + b"\n"])
+def test_other_files_are_refused_at_once(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "photo.jpeg"
+    file.write_bytes(content)
+    with pytest.raises(UsageError, match=r"photo\.jpeg is not an event log"):
+        open_and_close(file)
+
+
+def test_a_log_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="cannot read the event log"):
+        open_and_close(tmp_path / "nowhere.jsonl")
+
+
+def open_and_close(log: Path) -> None:
+    with reading([log], lambda _: False):
+        pass

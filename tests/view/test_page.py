@@ -1,0 +1,160 @@
+"""`upwash view` as other programs of this machine meet it: what it serves, to whom, and how it ends."""
+
+from __future__ import annotations
+
+import http.client
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from importlib.resources import files
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+from upwash.cli import main
+from upwash.running import ready_program
+
+pytestmark = pytest.mark.system
+
+ROOT = Path(__file__).parents[2]
+PAGE = files("upwash.view") / "page"
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("logs") / "demonstration.jsonl"
+    assert main(["simulate", str(ROOT / "scenarios" / "demonstration.toml"), "--log", str(file)]) == 0
+    return file
+
+
+@pytest.fixture(scope="module")
+def address(log: Path) -> Iterator[str]:
+    with ready_program("view", log.parent, "view", str(log), "--port", "0") as address:
+        yield address
+
+
+def ask(
+    address: str, path: str, method: str = "GET", **headers: str
+) -> tuple[http.client.HTTPResponse, bytes]:
+    connection = http.client.HTTPConnection(urlsplit(address).netloc, timeout=20)
+    try:
+        connection.request(method, path, headers=headers)
+        response = connection.getresponse()
+        return response, response.read(200_000 if path != "/events" else 300)
+    finally:
+        connection.close()
+
+
+class References(HTMLParser):
+    """What a page refers to, and what it has inline."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.files: list[str] = []
+        self.inline: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.files += [value for name, value in attrs if name in {"src", "href"} and value]
+        self.inline += [name for name, _ in attrs if name.startswith("on") or name == "style"]
+        self.inline += [tag] if tag == "style" else []
+
+
+def test_everything_that_the_page_refers_to_comes_from_here(address: str) -> None:
+    references = References()
+    references.feed(ask(address, "/")[1].decode())
+    assert references.files
+    assert not references.inline
+    for file in references.files:
+        assert ask(address, f"/{file}")[0].status == 200, file
+    for module in PAGE.iterdir():
+        if module.name.endswith(".js"):
+            for imported in re.findall(r'from "(.+?)"', module.read_text()):
+                assert ask(address, f"/{imported}")[0].status == 200, imported
+
+
+@pytest.mark.parametrize("path", ["/", "/main.js", "/events", "/nothing", "/photos/0/1/0.jpg"])
+def test_a_browser_is_told_to_load_and_run_nothing_else(address: str, path: str) -> None:
+    response, _ = ask(address, path)
+    policy = response.headers["Content-Security-Policy"]
+    assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self'; ")
+    assert "unsafe" not in policy
+    assert "frame-ancestors 'none'" in policy
+    assert response.headers["X-Content-Type-Options"] == "nosniff"
+    assert response.headers["Cross-Origin-Resource-Policy"] == "same-origin"
+
+
+@pytest.mark.parametrize("host", ["upwash.example", "127.0.0.1.example:80", "", "192.0.2.7"])
+@pytest.mark.parametrize("path", ["/", "/events", "/photos/0/1/0.jpg"])
+def test_a_name_of_elsewhere_is_turned_away(address: str, host: str, path: str) -> None:
+    response, body = ask(address, path, Host=host)
+    assert response.status == 400
+    assert b"fact" not in body
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS"])
+@pytest.mark.parametrize("path", ["/", "/events", "/main.js", "/photos/0/1/0.jpg"])
+def test_nothing_can_be_written(address: str, method: str, path: str) -> None:
+    assert ask(address, path, method)[0].status == 405
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/../app.py", "/%2e%2e/app.py", "/..%2fapp.py", "//etc/passwd", "/page.py", "/photos/7/1/0.jpg",
+        "/photos/0/9/0.jpg", "/photos/0/1/9999.jpg", "/photos/0/1/-1.jpg", "/photos/0/1/../../../app.py",
+    ],
+)  # fmt: skip
+def test_nothing_else_is_served(address: str, path: str) -> None:
+    assert ask(address, path)[0].status == 404
+
+
+def test_it_listens_on_loopback_alone(address: str) -> None:
+    port = urlsplit(address).port
+    listening = [
+        line.split()[1]
+        for line in Path("/proc/net/tcp").read_text().splitlines()[1:]
+        if line.split()[3] == "0A"
+    ]
+    assert [each for each in listening if each.endswith(f":{port:04X}")] == [f"0100007F:{port:04X}"]
+    in_six = [line.split()[1] for line in Path("/proc/net/tcp6").read_text().splitlines()[1:]]
+    assert not any(each.endswith(f":{port:04X}") for each in in_six)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_says_goodbye_and_ends_while_a_page_is_open(log: Path, number: signal.Signals) -> None:
+    command = [sys.executable, "-m", "upwash", "view", str(log), "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip().removeprefix("view ready at ")
+        connection = http.client.HTTPConnection(urlsplit(address).netloc, timeout=20)
+        connection.request("GET", "/events")
+        page = connection.getresponse()
+        assert page.readline() == b"retry: 1000\n"
+        process.send_signal(number)
+        assert page.read().endswith(b"event: end\ndata: null\n\n")
+        connection.close()
+        assert process.wait(timeout=20) == 0
+        assert process.stderr is not None
+        assert process.stderr.read() == ""
+
+
+def test_a_port_in_use_is_told(address: str, log: Path) -> None:
+    command = [sys.executable, "-m", "upwash", "view", str(log), "--port", str(urlsplit(address).port)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert ended.returncode == 2
+    assert "give another, or 0" in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+@pytest.mark.parametrize("port", ["66000", "-1", "many"])
+def test_what_is_no_port_is_refused(log: Path, port: str) -> None:
+    with pytest.raises(SystemExit):
+        main(["view", str(log), f"--port={port}"])
+
+
+def test_the_vendored_library_has_its_licence_beside_it() -> None:
+    assert "BSD 2-Clause" in (PAGE / "leaflet" / "LICENSE").read_text()

@@ -1,0 +1,55 @@
+"""Photos are found by what the log says of them, and nothing else is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from upwash.core.geo import Position
+from upwash.services.solar_park import Park, View, photograph
+from upwash.view.photos import PhotoShelf
+from upwash.view.story import Shot
+
+JPEG = b"\xff\xd8\xff\xe0 a photo"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    (photos / "1.jpg").write_bytes(JPEG)
+    (photos / "2.jpg").write_bytes(b"no photo")
+    (tmp_path / "secret.jpg").write_bytes(JPEG)
+    return photos
+
+
+def test_photos_of_a_folder_are_found_by_name(folder: Path) -> None:
+    shelf = PhotoShelf(folder)
+    assert shelf.keeps("1.jpg")
+    assert shelf.find(Shot("1.jpg", None, 0)) == JPEG
+
+
+@pytest.mark.parametrize(
+    "source", ["2.jpg", "3.jpg", "../secret.jpg", "..", ".", "", "a\0b", "/etc/passwd", "x" * 5000]
+)
+def test_nothing_else_is_found(folder: Path, source: str) -> None:
+    assert PhotoShelf(folder).find(Shot(source, None, 0)) is None
+
+
+def test_without_a_folder_no_file_is_found() -> None:
+    shelf = PhotoShelf(None)
+    assert not shelf.keeps("1.jpg")
+    assert shelf.find(Shot("1.jpg", None, 0)) is None
+
+
+def test_photos_of_a_park_are_rendered_as_they_were() -> None:
+    shelf = PhotoShelf(None)
+    assert shelf.keeps("park 2")
+    taken = photograph(Park(2), View(20.0, 0.0, 10.0), shot=3).jpeg
+    assert shelf.find(Shot("park 2", Position(20.0, 0.0, 10.0), 3)) == taken
+
+
+@pytest.mark.parametrize("position", [None, Position(1e300, 0.0, 10.0)])
+def test_a_park_has_no_photo_from_nowhere(position: Position | None) -> None:
+    assert PhotoShelf(None).find(Shot("park 2", position, 0)) is None
