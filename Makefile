@@ -36,6 +36,7 @@ bench: $(READY)
 	$(BIN)/python bench/simulate.py
 	$(BIN)/python -m bench.detector
 	$(BIN)/python -m bench.decide
+	$(BIN)/python -m bench.metrics
 
 # Pins every dependency for Linux and macOS, x86-64 and aarch64, and every supported Python.
 lock: $(READY)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import tempfile
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
@@ -48,6 +49,7 @@ from upwash.visit import Contact
 if TYPE_CHECKING:
     from upwash.real.survey import Finding
 
+_log = logging.getLogger("upwash.launch")
 _MAX_MESSAGE_BYTES = 16 * 2**20
 _TRACK_PERIOD_S = 1.0
 _STATUS_S = 10.0
@@ -86,6 +88,7 @@ async def fly(
     dialer = _dialer(config)
     home = GeoPosition(config.mission.home.latitude_deg, config.mission.home.longitude_deg)
     async with contextlib.AsyncExitStack() as stack:
+        watchers += await _metrics(config, stack)
         camera = await _camera(config.camera, stack)
         journal = stack.enter_context(
             contextlib.closing(FileJournal(log, watchers=watchers, resumes=resumes))
@@ -121,6 +124,19 @@ async def fly(
         await stack.enter_async_context(_tracking(autopilot, journal))
         stack.enter_context(stopping_politely(flight.stop))
         await flight.run()
+
+
+async def _metrics(config: DroneConfig, stack: contextlib.AsyncExitStack) -> tuple[Watcher, ...]:
+    """What keeps the metrics up to date, where they are asked for; they are offered from now on."""
+    if config.metrics is None:
+        return ()
+    from upwash.metrics.drone import DroneMetrics
+    from upwash.metrics.exposition import exposed
+
+    metrics = DroneMetrics([server.name for server in config.servers])
+    address = await stack.enter_async_context(exposed(metrics.registry, config.metrics))
+    _log.info("metrics at http://%s/metrics", address)
+    return (metrics.follow,)
 
 
 async def _camera(config: CameraConfig, stack: contextlib.AsyncExitStack) -> Camera:

@@ -23,7 +23,7 @@ from upwash.core.instances import (
     StartInstance,
     StopInstance,
 )
-from upwash.core.visitors import Visitor
+from upwash.core.visitors import ServerStatus, Visitor
 from upwash.errors import InstanceError, LinkError, Refused
 from upwash.ports import Dialer, Instance, InstanceSpec, Program, Runtime
 from upwash.protocol import (
@@ -62,6 +62,15 @@ class Image:
     program: Program
     pace_s: Mapping[str, float] = field(default_factory=dict)
     start_pace_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """How a daemon stands: its servers, how often each has refused somebody, and the certificates it relies on."""
+
+    servers: Sequence[ServerStatus]
+    refused: Mapping[str, int]
+    certificates: Sequence[CertificateStatus]
 
 
 class EdgeServer:
@@ -124,6 +133,12 @@ class EdgeServer:
         self._images = images
         await self._perform(self._host.revoke(revoked))
         await self._perform(self._host.offer(offers, replaced=replaced))
+
+    def standing(self) -> Standing:
+        """How it stands now."""
+        return Standing(
+            self._host.servers(now_s=self._now_s()), dict(self._host.refused_times), self._certificates
+        )
 
     async def drain(self, why: str) -> None:
         """Refuses whatever is new for that reason; returns when the calls under way have ended, or had their time."""

@@ -7,10 +7,10 @@ import contextlib
 import logging
 import os
 import tempfile
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Coroutine
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import msgspec
 from grpc_health.v1 import health, health_pb2, health_pb2_grpc
@@ -18,6 +18,7 @@ from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 from upwash.bundled import load_services
 from upwash.config import DaemonConfig
 from upwash.core.instances import Host, HostSettings, ServerOffer
+from upwash.core.visitors import Visitor
 from upwash.errors import CredentialsError, Refused, UpwashError, UsageError
 from upwash.ports import InstanceSpec, Program, Runtime
 from upwash.protocol import CertificateStatus
@@ -30,7 +31,11 @@ from upwash.real.service_manager import ServiceManager
 from upwash.real.signals import on_hangup, stopping_politely
 from upwash.server import EdgeServer, Image
 
+if TYPE_CHECKING:
+    from upwash.metrics.daemon import DaemonMetrics
+
 _log = logging.getLogger("upwash.serving")
+Handle = Callable[[str, bytes, Visitor], Coroutine[Any, Any, bytes]]
 
 _CONCURRENT_REQUESTS = 64  # most take no time, a start as long as the service needs
 _REQUESTS_PER_DRONE = 8
@@ -56,6 +61,8 @@ async def serve(
     sandbox, weakness = await asyncio.to_thread(_sandbox, config)
     async with contextlib.AsyncExitStack() as stack:
         sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="upwash-")))
+        runtime = await stack.enter_async_context(_runtime(config, credentials, sockets, sandbox))
+        metrics = _metrics(config)
         edge = EdgeServer(
             Host(
                 _offers(config),
@@ -63,7 +70,7 @@ async def serve(
                 peers=[peer.name for peer in config.peers],
             ),
             images=images,
-            runtime=await stack.enter_async_context(_runtime(config, credentials, sockets, sandbox)),
+            runtime=metrics.runtime(runtime) if metrics else runtime,
             dialer=GrpcDialer(
                 config.identities[0].name, credentials, max_message_bytes=config.max_message_bytes
             ),
@@ -73,7 +80,8 @@ async def serve(
             certificates=_certificates(credentials),
         )
         await edge.reload(_offers(config), images=images, revoked=revoked)
-        listener = _listener(config, credentials, edge)
+        handle = metrics.daemon(edge.handle) if metrics else edge.handle
+        listener = _listener(config, credentials, handle)
         health = _health(config, listener)
         hung_up, stopped = asyncio.Event(), asyncio.Event()
         stack.enter_context(stopping_politely(lambda _: stopped.set()))
@@ -81,6 +89,9 @@ async def serve(
         listener.start()
         stack.push_async_callback(edge.close)
         stack.push_async_callback(asyncio.to_thread, listener.stop)
+        if metrics and config.metrics:
+            metrics.look_at(edge)
+            await stack.enter_async_context(_exposed(metrics, config.metrics))
         if weakness:
             _log.warning("%s", weakness)
         ready(listener.address)
@@ -161,11 +172,11 @@ def _beside(listen: str, sockets: Path) -> Callable[[InstanceSpec], str]:
 # --- requests -----------------------------------------------------------------------------------------------
 
 
-def _listener(config: DaemonConfig, credentials: Credentials | None, edge: EdgeServer) -> Listener:
+def _listener(config: DaemonConfig, credentials: Credentials | None, handle: Handle) -> Listener:
     loop = asyncio.get_running_loop()
 
-    def handle(path: str, body: bytes, caller: Caller) -> bytes:
-        answer = asyncio.run_coroutine_threadsafe(edge.handle(path, body, caller.visitor), loop)
+    def answer_in_time(path: str, body: bytes, caller: Caller) -> bytes:
+        answer = asyncio.run_coroutine_threadsafe(handle(path, body, caller.visitor), loop)
         try:
             return answer.result(timeout=caller.time_left_s())
         except TimeoutError:
@@ -174,7 +185,7 @@ def _listener(config: DaemonConfig, credentials: Credentials | None, edge: EdgeS
 
     return Listener(
         config.listen,
-        handle,
+        answer_in_time,
         credentials=credentials,
         max_message_bytes=config.max_message_bytes,
         concurrent_requests=_CONCURRENT_REQUESTS,
@@ -189,6 +200,26 @@ def _health(config: DaemonConfig, listener: Listener) -> health.HealthServicer:
     for name in ("", *(each.name for each in config.identities)):
         servicer.set(name, health_pb2.HealthCheckResponse.SERVING)
     return servicer
+
+
+# --- metrics -----------------------------------------------------------------------------------------------
+
+
+def _metrics(config: DaemonConfig) -> DaemonMetrics | None:
+    if config.metrics is None:
+        return None
+    from upwash.metrics.daemon import DaemonMetrics
+
+    return DaemonMetrics()
+
+
+@contextlib.asynccontextmanager
+async def _exposed(metrics: DaemonMetrics, listen: str) -> AsyncIterator[None]:
+    from upwash.metrics.exposition import exposed
+
+    async with exposed(metrics.registry, listen) as address:
+        _log.info("metrics at http://%s/metrics", address)
+        yield
 
 
 # --- certificates -------------------------------------------------------------------------------------------

@@ -59,6 +59,8 @@ def test_without_certificates_it_may_not_listen_to_others(tmp_path: Path, addres
         ("certificates = false", "certificates = true", "allow_without_certificates", "remove one"),
         ('key = "keys/s1.key"', "", "keys.key", "missing: add a file's path"),
         ("0.0.0.0:7070", "7070", "listen", "host:port"),
+        ("lease_s = 30.0", 'metrics = "9100"', "metrics", '"127.0.0.1:9100"'),
+        ("lease_s = 30.0", 'metrics = "unix:here"', "metrics", "host:port"),
         ("0.0.0.0:7070", "unix:", "listen", "unix:path"),
         ("16_777_216", "0", "max_message_bytes", "from 1024 to 2147483647"),
         ("lease_s = 30.0", "lease_s = 1.9", "lease_s", "at least 2"),

@@ -187,6 +187,7 @@ def test_listed_waypoints_are_flown_as_listed(tmp_path: Path) -> None:
 
 
 REFUSED = [
+    ('metrics = "127.0.0.1:9100"', 'metrics = "127.0.0.1"', "metrics", "host:port"),
     # old text, new text, key, what the message has to name
     ("range_m = 100.0", "range_m = 0", "server[0].range_m", "a number above 0, found 0"),
     ("range_m = 100.0", "range_m = -5.5", "server[0].range_m", "a number above 0, found -5.5"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import re
 import subprocess
 import sys
@@ -161,3 +162,38 @@ def test_a_flight_that_fails_leaves_its_object_and_says_why(capsys: pytest.Captu
     assert said.endswith("upwash: the mission program raised ValueError: no idea\n")
     assert 'brief.py", line 9, in stumble' in said
     assert "upwash/" not in said
+
+
+WATCHED = """
+import http.client, logging
+from pathlib import Path
+
+def look(drone):
+    drone.autopilot.arm()
+    (handler,) = logging.getLogger("upwash.launch").handlers
+    connection = http.client.HTTPConnection(handler.address, timeout=10.0)
+    connection.request("GET", "/metrics")
+    Path("metrics.txt").write_bytes(connection.getresponse().read())
+    drone.autopilot.disarm()
+"""
+
+
+class AddressHandler(logging.Handler):
+    """Remembers where metrics are."""
+
+    address = ""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.address = re.findall(r"http://(.*)/metrics", record.getMessage())[0]
+
+
+def test_prometheus_finds_a_flights_numbers_while_it_flies(fly: Fly, monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("watched.py").write_text(WATCHED)
+    Path("drone.toml").write_text('metrics = "127.0.0.1:0"\n' + CONFIG)
+    log = logging.getLogger("upwash.launch")
+    monkeypatch.setattr(log, "handlers", [AddressHandler()])
+    monkeypatch.setattr(log, "level", logging.INFO)
+    assert flown("watched.py:look", "--quiet") == 0
+    told = Path("metrics.txt").read_text().splitlines()
+    assert "upwash_mission_under_way 1.0" in told
+    assert "upwash_waypoints 2.0" in told

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import http.client
 import json
 import os
 import re
@@ -490,6 +491,25 @@ def test_its_status_shows_an_operator_leases_instances_refusals_and_certificates
 
     with daemon(tmp_path, config(own_keys)) as at:
         asyncio.run(visit(at))
+
+
+def test_prometheus_finds_what_drones_hold_and_what_runs(
+    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
+            await heron.start()
+
+    with daemon(tmp_path, config(keys, metrics='"127.0.0.1:0"')) as at:
+        asyncio.run(visit(at))
+        (address,) = re.findall(r"metrics at http://(\S+)/metrics", (tmp_path / "stderr").read_text())
+        connection = http.client.HTTPConnection(address, timeout=10.0)
+        connection.request("GET", "/metrics")
+        told = connection.getresponse().read().decode().splitlines()
+    assert 'upwash_leases{server="s1"} 1.0' in told
+    assert 'upwash_leases{server="s2"} 0.0' in told
+    assert 'upwash_instances{server="s1",service="workbench",state="running"} 1.0' in told
+    assert 'upwash_requests_total{outcome="answered",request="start"} 1.0' in told
 
 
 def test_a_service_manager_is_told_when_it_is_ready_reloads_and_stops(

@@ -21,7 +21,7 @@ from upwash.config.drone import (
     server_truth,
     waypoints,
 )
-from upwash.config.problems import Problem, listed, unknown
+from upwash.config.problems import Problem, listed, metrics_problems, unknown
 from upwash.config.values import is_address, repeated
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.geofence import breached_by_leg, breached_by_position
@@ -33,6 +33,7 @@ _HOME = Position(0.0, 0.0)
 
 def problems(config: DroneConfig) -> Iterator[Problem]:
     """Everything about the configuration that cannot be, though each value by itself could."""
+    yield from metrics_problems(config.metrics)
     yield from _mission_problems(config.mission, config.services)
     yield from _camera_problems(config.camera)
     for index, name in repeated([service.name for service in config.services]):

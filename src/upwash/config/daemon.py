@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from upwash.config.problems import Document, Problem, refuse_first, unknown
+from upwash.config.problems import Document, Problem, metrics_problems, refuse_first, unknown
 from upwash.config.reading import convert, read_document
 from upwash.config.runtime import RuntimeConfig, runtime_problems
 from upwash.config.shorthand import image_written_out
@@ -89,6 +89,7 @@ class DaemonConfig(
     drain_s: Positive = 10.0
     hold_s: Positive = 60.0
     allow_without_certificates: bool = False
+    metrics: Text | None = None
     keys: DaemonKeysConfig | None = None
     runtime: RuntimeConfig = RuntimeConfig()
     images: Annotated[
@@ -133,6 +134,7 @@ def _has_name(table: dict[str, Any]) -> bool:
 
 def _problems(config: DaemonConfig) -> Iterator[Problem]:
     yield from _access_problems(config)
+    yield from metrics_problems(config.metrics)
     yield from runtime_problems(config.runtime)
     if config.runtime.kind == "lxd" and (config.keys is None or config.listen.startswith("unix:")):
         yield (

@@ -257,6 +257,7 @@ class DroneConfig(
 
     name: Name = "drone"
     seed: int = 1
+    metrics: Text | None = None
     mission: MissionConfig
     vehicle: VehicleConfig = VehicleConfig()
     autopilot: AutopilotConfig = AutopilotConfig()

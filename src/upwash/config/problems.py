@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from upwash.config.values import is_address
 from upwash.errors import ConfigError
 
 Document = dict[str, Any]
@@ -31,3 +32,9 @@ def unknown(what: str, name: str, allowed: Iterable[str]) -> str:
     near = difflib.get_close_matches(name, choices, n=1)
     hint = f'did you mean "{near[0]}"? ' if near else ""
     return f'unknown {what} "{name}"; {hint}allowed: {listed(choices)}'
+
+
+def metrics_problems(metrics: str | None) -> Iterator[Problem]:
+    """What is wrong with the address that metrics are to be offered at."""
+    if metrics is not None and (metrics.startswith("unix:") or not is_address(metrics)):
+        yield "metrics", f'expected "host:port" such as "127.0.0.1:9100", found "{metrics}"'

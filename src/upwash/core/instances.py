@@ -31,6 +31,7 @@ from upwash.core.visitors import (
 )
 
 _ROLES = {Role.OPERATOR: "an operator", Role.SERVER: "a server"}
+_ELSEWHERE = ""  # where a request is counted that is for no server here
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +172,7 @@ class Host:
         self._closing = ""  # why nobody is served any more
         self._revoked: frozenset[str] = frozenset()
         self._refusals = Refusals()
+        self._refused = dict.fromkeys([*offers, _ELSEWHERE], 0)  # how often, by server
         self._servers = {
             name: _Server(offer, instances={service: _Instance() for service in sorted(offer.images)})
             for name, offer in offers.items()
@@ -340,7 +342,8 @@ class Host:
         ]
 
     def refused(self, server: str, visitor: str, why: str, *, now_s: float) -> None:
-        """A visitor was refused for a reason that the host does not know of."""
+        """A visitor was refused, for a reason that the host may not know of."""
+        self._refused[server if server in self._servers else _ELSEWHERE] += 1
         self._refusals.note(server, visitor, why, now_s=now_s)
 
     def show(
@@ -351,10 +354,18 @@ class Host:
         if not why and visitor.certificate and visitor.role is not Role.OPERATOR:
             why = f"{visitor.name} is no operator: show a certificate of `upwash keys --operator NAME`"
         if why:
-            self._refusals.note("", visitor.name, why, now_s=now_s)
+            self.refused(_ELSEWHERE, visitor.name, why, now_s=now_s)
             return Denied(why)
-        servers = [self._status(name, server, now_s) for name, server in self._servers.items()]
-        return servers, self._refusals.status(now_s=now_s)
+        return self.servers(now_s=now_s), self._refusals.status(now_s=now_s)
+
+    def servers(self, *, now_s: float) -> list[ServerStatus]:
+        """The servers as they are now."""
+        return [self._status(name, server, now_s) for name, server in self._servers.items()]
+
+    @property
+    def refused_times(self) -> Mapping[str, int]:
+        """How often each server has refused somebody; what asked for no server of this daemon is under ""."""
+        return self._refused
 
     def look(self, *, now_s: float) -> list[Command]:
         """Ends the leases whose time is over, and stops the instances that nobody uses."""
@@ -390,7 +401,7 @@ class Host:
         return self._denied(name, drone.name, why, now_s) if why else None
 
     def _denied(self, name: str, visitor: str, why: str, now_s: float) -> Denied:
-        self._refusals.note(name, visitor, why, now_s=now_s)
+        self.refused(name, visitor, why, now_s=now_s)
         return Denied(why)
 
     def _mistrust(self, visitor: Visitor) -> str:

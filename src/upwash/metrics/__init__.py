@@ -1,0 +1,1 @@
+"""What drones and daemons offer to Prometheus, where the configuration says so; the names are in docs/metrics.md."""

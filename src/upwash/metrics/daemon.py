@@ -1,0 +1,179 @@
+"""The metrics of an edge daemon: what it is asked and what starts, counted; how its servers stand, looked at."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from prometheus_client import CollectorRegistry, Counter, Histogram
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from upwash.core.instances import InstanceState
+from upwash.core.visitors import Visitor
+from upwash.errors import InstanceError, Refused
+from upwash.ports import Instance, InstanceSpec, Runtime
+from upwash.protocol import AVAILABILITY, HOLD, LEAVE, PREPARE, START, STATUS
+from upwash.server import EdgeServer, Standing
+
+_START_S = (0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 60.0)
+_LOOK_S = 5.0  # longer than a daemon is ever busy at a stretch
+_REQUESTS = {
+    AVAILABILITY: "availability",
+    START: "start",
+    LEAVE: "leave",
+    PREPARE: "prepare",
+    HOLD: "hold",
+    STATUS: "status",
+}
+
+Handle = Callable[[str, bytes, Visitor], Coroutine[Any, Any, bytes]]
+
+
+class DaemonMetrics:
+    """Stands between a daemon and what asks it and what it asks, and lets everything through as it is."""
+
+    def __init__(self) -> None:
+        self.registry = registry = CollectorRegistry()
+        self._requests = Counter(
+            "upwash_requests",
+            "Requests of drones, peers and operators",
+            ["request", "outcome"],
+            registry=registry,
+        )
+        self.starts = Histogram(
+            "upwash_instance_start_seconds",
+            "What the start of an instance took, of those that became ready",
+            ["server", "service"],
+            buckets=_START_S,
+            registry=registry,
+        )
+        self.failures = Counter(
+            "upwash_instance_failures",
+            "Instances that did not start, or ended by themselves",
+            ["server", "service"],
+            registry=registry,
+        )
+
+    def daemon(self, handle: Handle) -> Handle:
+        """Counts the requests that reach the daemon."""
+
+        async def answer(path: str, body: bytes, visitor: Visitor) -> bytes:
+            request, outcome = _REQUESTS.get(path, "unknown"), "failed"
+            try:
+                reply = await handle(path, body, visitor)
+                outcome = "answered"
+            except Refused:
+                outcome = "refused"
+                raise
+            finally:
+                self._requests.labels(request, outcome).inc()
+            return reply
+
+        return answer
+
+    def runtime(self, runtime: Runtime) -> Runtime:
+        """Counts how instances start and end."""
+        return _Runtime(runtime, self)
+
+    def look_at(self, edge: EdgeServer) -> None:
+        """From now on tells how the daemon stands whenever it is asked; to be called on its event loop."""
+        self.registry.register(_Standing(edge, asyncio.get_running_loop()))
+
+
+@dataclass(frozen=True, slots=True)
+class _Runtime:
+    runtime: Runtime
+    metrics: DaemonMetrics
+
+    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> Instance:
+        began_s = asyncio.get_running_loop().time()
+        try:
+            instance = await self.runtime.start(spec, called=called)
+        except (InstanceError, asyncio.CancelledError):
+            self.metrics.failures.labels(spec.server, spec.service).inc()
+            raise
+        took_s = asyncio.get_running_loop().time() - began_s
+        self.metrics.starts.labels(spec.server, spec.service).observe(took_s)
+        return _Instance(instance, spec, self.metrics)
+
+
+@dataclass(frozen=True, slots=True)
+class _Instance:
+    instance: Instance
+    spec: InstanceSpec
+    metrics: DaemonMetrics
+
+    @property
+    def endpoint(self) -> str:
+        return self.instance.endpoint
+
+    async def admit(self, drones: frozenset[str]) -> None:
+        await self.instance.admit(drones)
+
+    async def drain(self, why: str) -> None:
+        await self.instance.drain(why)
+
+    async def exited(self) -> str:
+        how = await self.instance.exited()
+        self.metrics.failures.labels(self.spec.server, self.spec.service).inc()
+        return how
+
+    async def stop(self) -> None:
+        await self.instance.stop()
+
+
+class _Standing(Collector):
+    """Looks at a daemon on its own event loop, when a thread that answers Prometheus asks."""
+
+    def __init__(self, edge: EdgeServer, loop: asyncio.AbstractEventLoop) -> None:
+        self._edge = edge
+        self._loop = loop
+
+    def collect(self) -> Iterator[Metric]:
+        """How the daemon stands now."""
+        standing = asyncio.run_coroutine_threadsafe(_look(self._edge), self._loop).result(_LOOK_S)
+        slots = GaugeMetricFamily("upwash_slots", "Drones that the server takes at once", labels=["server"])
+        leases = GaugeMetricFamily("upwash_leases", "Drones that have a slot", labels=["server"])
+        held = GaugeMetricFamily("upwash_slots_held", "Slots held for a drone on its way", labels=["server"])
+        instances = GaugeMetricFamily(
+            "upwash_instances",
+            "1 for the state that the instance is in",
+            labels=["server", "service", "state"],
+        )
+        for server in standing.servers:
+            slots.add_metric([server.name], server.slots)
+            coming = sum(bool(lease.held_by) for lease in server.leases)
+            leases.add_metric([server.name], len(server.leases) - coming)
+            held.add_metric([server.name], coming)
+            for instance in server.instances:
+                for state in InstanceState:
+                    labels = [server.name, instance.service, state]
+                    instances.add_metric(labels, float(instance.state == state))
+        yield from (slots, leases, held, instances, _refusals(standing), _expiries(standing))
+
+
+async def _look(edge: EdgeServer) -> Standing:
+    return edge.standing()
+
+
+def _refusals(standing: Standing) -> Metric:
+    refusals = CounterMetricFamily(
+        "upwash_refusals", "Visitors turned away, with a reason", labels=["server"]
+    )
+    for server, times in standing.refused.items():
+        refusals.add_metric([server], times)
+    return refusals
+
+
+def _expiries(standing: Standing) -> Metric:
+    expiries = GaugeMetricFamily(
+        "upwash_certificate_expiry_timestamp_seconds",
+        "When the certificate ends, since 1970",
+        labels=["holder"],
+    )
+    for certificate in standing.certificates:
+        expiries.add_metric([certificate.holder], certificate.expires.timestamp())
+    return expiries

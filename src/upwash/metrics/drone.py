@@ -1,0 +1,97 @@
+"""The metrics of a drone, counted from the events of its log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
+
+from upwash.core.servers import State
+
+_ON_DRONE = "drone"
+_CALL_S = (0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 60.0)
+
+
+class DroneMetrics:
+    """Follows the events of a flight and keeps its metrics up to date."""
+
+    def __init__(self, servers: Iterable[str]) -> None:
+        self.registry = registry = CollectorRegistry()
+        self._calls = Counter(
+            "upwash_calls",
+            "Service calls that were answered",
+            ["operation", "place", "outcome"],
+            registry=registry,
+        )
+        self._call_s = Histogram(
+            "upwash_call_seconds",
+            "What a service call took, waiting included",
+            ["operation", "place"],
+            buckets=_CALL_S,
+            registry=registry,
+        )
+        self._wait_s = Histogram(
+            "upwash_wait_seconds",
+            "How long calls waited for a server to be ready",
+            ["outcome"],
+            buckets=_CALL_S,
+            registry=registry,
+        )
+        self._failures = Counter(
+            "upwash_failures", "Attempts at a call that had no answer", ["place"], registry=registry
+        )
+        self._states = Gauge(
+            "upwash_server_state",
+            "1 for the state that the server is in",
+            ["server", "state"],
+            registry=registry,
+        )
+        self._steps = Counter(
+            "upwash_server_steps",
+            "Steps of servers through their states",
+            ["server", "step"],
+            registry=registry,
+        )
+        self._photos = Counter("upwash_photos", "Photos taken", registry=registry)
+        self._planned = Gauge("upwash_waypoints", "Waypoints of the mission", registry=registry)
+        self._reached = Gauge(
+            "upwash_waypoints_reached", "Waypoints that the mission has reached", registry=registry
+        )
+        self._under_way = Gauge("upwash_mission_under_way", "1 while the mission is flown", registry=registry)
+        for server in servers:
+            self._be_in(server, State.AVL)
+
+    def follow(self, event: Mapping[str, Any]) -> None:
+        """Takes in one event."""
+        match event:
+            case {"event": "call"}:
+                self._count_call(event)
+            case {"event": "remote_failed", "server": server}:
+                self._failures.labels(server).inc()
+            case {"event": "local_failed"}:
+                self._failures.labels(_ON_DRONE).inc()
+            case {"event": step, "server": server, "before": _, "after": after}:
+                self._steps.labels(server, step).inc()
+                self._be_in(server, State(after))
+            case {"event": "photo"}:
+                self._photos.inc()
+            case {"event": "mission_started", "waypoints": waypoints, "done": done}:
+                self._planned.set(waypoints)
+                self._reached.set(len(done))
+                self._under_way.set(1)
+            case {"event": "arrived", "waypoint": int()}:
+                self._reached.inc()
+            case {"event": "mission_completed" | "mission_ended"}:
+                self._under_way.set(0)
+
+    def _count_call(self, event: Mapping[str, Any]) -> None:
+        operation, place = event["operation"], _ON_DRONE if event["place"] == "local" else event["place"]
+        self._calls.labels(operation, place, "fell_back" if event["fell_back"] else "answered").inc()
+        self._call_s.labels(operation, place).observe(event["delay_s"])
+        if event["wait"]:
+            self._wait_s.labels(event["wait"].replace(" ", "_")).observe(event["waited_s"])
+
+    def _be_in(self, server: str, state: State) -> None:
+        for each in State:
+            self._states.labels(server, each).set(each is state)

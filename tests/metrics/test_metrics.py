@@ -1,0 +1,347 @@
+"""What drones and daemons offer to Prometheus: true numbers, under the names of the documentation."""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import itertools
+import json
+import re
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.parser import text_string_to_metric_families
+from tests.programs.test_edge_server import COLD_START_S, Runtime
+
+from upwash.core.instances import Host, ServerOffer
+from upwash.core.servers import State
+from upwash.core.visitors import Visitor
+from upwash.errors import InstanceError, Refused, UsageError
+from upwash.lab.run import Run, simulate
+from upwash.lab.simulation import read_scenario
+from upwash.metrics.daemon import DaemonMetrics
+from upwash.metrics.drone import DroneMetrics
+from upwash.metrics.exposition import exposed
+from upwash.ports import Instance, InstanceSpec, Program
+from upwash.protocol import AVAILABILITY, START, AvailabilityRequest, CertificateStatus, StartRequest
+from upwash.server import EdgeServer, Image
+from upwash.sim.link import ModelDialer, Switchboard
+from upwash.sim.loop import run_virtually
+from upwash.sim.world import Wire
+
+ROOT = Path(__file__).parents[2]
+EXPIRES = datetime(2030, 1, 1, tzinfo=UTC)
+
+# --- a drone's ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    """A mission with servers that fail: calls of every outcome, waits, every state."""
+    return simulate(read_scenario(ROOT / "scenarios/flapping-servers.toml"))
+
+
+@pytest.fixture(scope="module")
+def drone(run: Run) -> DroneMetrics:
+    servers = {event["server"] for event in run.events if event.get("server")}
+    metrics = DroneMetrics(sorted(servers))
+    for event in run.events:
+        metrics.follow(event)
+    return metrics
+
+
+def total(registry: CollectorRegistry, sample: str, **labels: str) -> float:
+    """The sum of the samples of that name that have these labels."""
+    found = [
+        each.value
+        for family in registry.collect()
+        for each in family.samples
+        if each.name == sample and labels.items() <= each.labels.items()
+    ]
+    return sum(found)
+
+
+def test_calls_are_counted_by_place_and_outcome(run: Run, drone: DroneMetrics) -> None:
+    totals = run.result.totals
+    calls = "upwash_calls_total"
+    assert total(drone.registry, calls) == totals.calls
+    assert total(drone.registry, calls, place="drone") == totals.local
+    for server, count in totals.remote.items():
+        assert total(drone.registry, calls, place=server) == count
+    assert total(drone.registry, calls, outcome="fell_back") == totals.fallbacks > 0
+
+
+def test_delays_and_waits_are_those_of_the_calls(run: Run, drone: DroneMetrics) -> None:
+    assert total(drone.registry, "upwash_call_seconds_sum") == pytest.approx(
+        run.result.totals.service_delay_s
+    )
+    slow = sum(call.delay_s > 1.0 for call in run.result.calls)
+    assert total(drone.registry, "upwash_call_seconds_count") - total(
+        drone.registry, "upwash_call_seconds_bucket", le="1.0"
+    ) == pytest.approx(slow)
+    assert total(drone.registry, "upwash_wait_seconds_count") == run.result.totals.waits
+    assert (
+        total(drone.registry, "upwash_wait_seconds_count", outcome="failed") == run.result.totals.waits_failed
+    )
+
+
+def test_each_server_is_in_the_one_state_that_the_log_left_it_in(run: Run, drone: DroneMetrics) -> None:
+    last: dict[str, str] = {}
+    for event in run.events:
+        if "after" in event:
+            last[event["server"]] = event["after"]
+    for server, state in last.items():
+        states = {
+            each: total(drone.registry, "upwash_server_state", server=server, state=each) for each in State
+        }
+        assert states == {each: float(each == state) for each in State}
+    failed = sum(event["event"] in {"remote_failed", "local_failed"} for event in run.events)
+    assert total(drone.registry, "upwash_failures_total") == failed > 0
+
+
+def test_the_mission_is_followed_from_its_start_to_its_end(run: Run) -> None:
+    metrics, under_way = DroneMetrics([]), set()
+    for event in run.events:
+        metrics.follow(event)
+        under_way.add(total(metrics.registry, "upwash_mission_under_way"))
+    assert under_way == {0.0, 1.0}
+    assert total(metrics.registry, "upwash_mission_under_way") == 0.0
+    assert total(metrics.registry, "upwash_waypoints_reached") == run.result.waypoints > 0
+    assert total(metrics.registry, "upwash_photos_total") == run.result.totals.calls
+
+
+# --- a daemon's -----------------------------------------------------------------------------------------------
+
+
+class Edge:
+    """A daemon with its metrics."""
+
+    def __init__(self, runtime: Any) -> None:
+        self.metrics = DaemonMetrics()
+        self.edge = EdgeServer(
+            Host({"s1": ServerOffer(frozenset({"detector"}), slots=1)}),
+            images={"detector": Image(Program("somewhere:Detector"))},
+            runtime=self.metrics.runtime(runtime),
+            dialer=ModelDialer("s1", Switchboard({}), Wire()),
+            start_timeout_s=60.0,
+            drain_s=10.0,
+            certificates=[CertificateStatus("s1", EXPIRES)],
+        )
+        self.handle = self.metrics.daemon(self.edge.handle)
+
+    async def ask(self, drone: str, server: str = "s1") -> None:
+        request = msgspec.msgpack.encode(AvailabilityRequest(server, ["detector"]))
+        await self.handle(AVAILABILITY, request, Visitor(drone))
+
+    async def start(self, drone: str) -> None:
+        await self.handle(START, msgspec.msgpack.encode(StartRequest("s1", "detector")), Visitor(drone))
+
+    def total(self, sample: str, **labels: str) -> float:
+        return total(self.metrics.registry, sample, **labels)
+
+
+def test_starts_are_timed_and_what_fails_is_counted() -> None:
+    async def story() -> None:
+        runtime = Runtime()
+        at = Edge(runtime)
+        await at.start("heron")
+        assert at.total("upwash_instance_start_seconds_sum", service="detector") == pytest.approx(
+            COLD_START_S
+        )
+        runtime.instances[0].ended.set_result("it crashed")
+        await asyncio.sleep(5.0)
+        assert at.total("upwash_instance_failures_total", server="s1") == 1
+        runtime.broken = "no memory"
+        await at.start("heron")
+        assert at.total("upwash_instance_failures_total") == 2
+        assert at.total("upwash_instance_start_seconds_count") == 1
+        await at.edge.close()
+        assert at.total("upwash_instance_failures_total") == 2, "an end that was asked for is no failure"
+
+    run_virtually(story())
+
+
+def test_requests_are_counted_by_their_outcome() -> None:
+    async def story() -> None:
+        at = Edge(Runtime())
+        await at.ask("heron")
+        with pytest.raises(Refused):
+            await at.handle(AVAILABILITY, b"garbage", Visitor("heron"))
+        with pytest.raises(Refused):
+            await at.handle("/upwash.Daemon/Nonsense", b"", Visitor("heron"))
+        requests = "upwash_requests_total"
+        assert at.total(requests, request="availability", outcome="answered") == 1
+        assert at.total(requests, request="availability", outcome="refused") == 1
+        assert at.total(requests, request="unknown", outcome="refused") == 1
+        assert at.total(requests) == 3
+
+    run_virtually(story())
+
+
+class Ready:
+    """A runtime whose instances are there at once."""
+
+    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> Instance:
+        return _Running()
+
+
+class _Running:
+    endpoint = ":1"
+
+    async def admit(self, drones: frozenset[str]) -> None: ...
+    async def drain(self, why: str) -> None: ...
+    async def stop(self) -> None: ...
+
+    async def exited(self) -> str:
+        await asyncio.get_running_loop().create_future()
+        raise InstanceError("never")
+
+
+def test_how_the_daemon_stands_is_looked_at_when_it_is_asked() -> None:
+    async def story() -> None:
+        at = Edge(Ready())
+        at.metrics.look_at(at.edge)
+        assert await offered(at) == {"slots": 1, "leases": 0, "absent": 1, "running": 0, "refused": 0}
+        await at.start("heron")
+        assert await offered(at) == {"slots": 1, "leases": 1, "absent": 0, "running": 1, "refused": 0}
+        await at.ask("stork")
+        await at.ask("stork", server="s7")
+        assert await offered(at) == {"slots": 1, "leases": 1, "absent": 0, "running": 1, "refused": 1}
+        elsewhere = await asyncio.to_thread(at.total, "upwash_refusals_total", server="")
+        assert elsewhere == 1, "whatever server strangers name, there is one number for it"
+        expiry = await asyncio.to_thread(at.total, "upwash_certificate_expiry_timestamp_seconds", holder="s1")
+        assert expiry == EXPIRES.timestamp()
+        await at.edge.close()
+
+    asyncio.run(story())
+
+
+async def offered(at: Edge) -> dict[str, float]:
+    def look() -> dict[str, float]:
+        return {
+            "slots": at.total("upwash_slots", server="s1"),
+            "leases": at.total("upwash_leases", server="s1"),
+            "absent": at.total("upwash_instances", service="detector", state="absent"),
+            "running": at.total("upwash_instances", service="detector", state="running"),
+            "refused": at.total("upwash_refusals_total", server="s1"),
+        }
+
+    return await asyncio.to_thread(look)
+
+
+# --- where they are offered -----------------------------------------------------------------------------------
+
+
+def fetch(address: str) -> str:
+    connection = http.client.HTTPConnection(address, timeout=10.0)
+    connection.request("GET", "/metrics")
+    return connection.getresponse().read().decode()
+
+
+def test_they_are_offered_until_the_end_and_no_longer(drone: DroneMetrics) -> None:
+    async def story() -> str:
+        async with exposed(drone.registry, "127.0.0.1:0") as address:
+            assert "upwash_calls_total{" in await asyncio.to_thread(fetch, address)
+        return address
+
+    with pytest.raises(ConnectionRefusedError):
+        fetch(asyncio.run(story()))
+
+
+def test_an_address_in_use_is_named() -> None:
+    async def story() -> None:
+        async with exposed(CollectorRegistry(), "127.0.0.1:0") as address:
+            with pytest.raises(UsageError, match=f"cannot be offered at {address}: .*choose another address"):
+                async with exposed(CollectorRegistry(), address):
+                    pass
+
+    asyncio.run(story())
+
+
+@pytest.mark.parametrize(("listen", "warned"), [("0.0.0.0:0", True), ("127.0.0.1:0", False)])
+def test_it_warns_where_strangers_may_look(
+    listen: str, warned: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def story() -> None:
+        async with exposed(CollectorRegistry(), listen):
+            pass
+
+    asyncio.run(story())
+    assert ("whoever reaches 0.0.0.0:0 can read the metrics" in caplog.text) is warned
+
+
+# --- their names ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def families(drone: DroneMetrics) -> dict[str, tuple[str, frozenset[str]]]:
+    """The kind and the labels of each metric, as Prometheus reads them."""
+
+    async def daemon() -> str:
+        at = Edge(Runtime())
+        at.metrics.look_at(at.edge)
+        at.metrics.starts.labels("s1", "detector").observe(1.0)
+        at.metrics.failures.labels("s1", "detector").inc()
+        await at.ask("heron")
+        return (await asyncio.to_thread(generate_latest, at.metrics.registry)).decode()
+
+    text = generate_latest(drone.registry).decode() + asyncio.run(daemon())
+    found = {}
+    for family in text_string_to_metric_families(text):
+        labels = {label for sample in family.samples for label in sample.labels} - {"le"}
+        if not family.name.endswith("_created"):
+            name = f"{family.name}_total" if family.type == "counter" else family.name
+            found[name] = (family.type, frozenset(labels))
+    return found
+
+
+def test_the_documentation_names_what_is_offered_and_nothing_else(
+    families: dict[str, tuple[str, frozenset[str]]],
+) -> None:
+    page = (ROOT / "docs/metrics.md").read_text()
+    rows = re.findall(r"^\| `(upwash_\w+)` \| (\w+) \|([^|]*)\|", page, flags=re.MULTILINE)
+    documented = {name: (kind, frozenset(re.findall(r"`(\w+)`", labels))) for name, kind, labels in rows}
+    assert documented == families
+
+
+def queries(dashboard: Any) -> Iterator[str]:
+    match dashboard:
+        case {"expr": str(query)}:
+            yield query
+        case {"query": {"query": str(query)}}:
+            yield query
+        case dict():
+            yield from itertools.chain.from_iterable(map(queries, dashboard.values()))
+        case list():
+            yield from itertools.chain.from_iterable(map(queries, dashboard))
+
+
+def test_the_dashboard_asks_for_nothing_that_is_not_offered(
+    families: dict[str, tuple[str, frozenset[str]]],
+) -> None:
+    asked = list(queries(json.loads((ROOT / "deploy/grafana-dashboard.json").read_text())))
+    samples = {
+        name if kind != "histogram" else f"{name}_{part}": labels
+        for name, (kind, labels) in families.items()
+        for part in (("bucket", "sum", "count") if kind == "histogram" else ("",))
+    }
+    used: set[str] = set()
+    for query in asked:
+        names = set(re.findall(r"\bupwash_\w+", query))
+        assert names, query
+        assert names <= set(samples), query
+        known = frozenset({"le", "instance"}).union(*(samples[name] for name in names))
+        for group in re.findall(r"by \(([^)]*)\)", query):
+            assert set(re.split(r",\s*", group)) <= known, query
+        for label in re.findall(r"[{,]\s*(\w+)=", query):
+            assert label in known | {"__name__"}, query
+        used |= {re.sub(r"_(bucket|sum|count)$", "", name) for name in names}
+    shown = {re.sub(r"_(bucket|sum|count)$", "", name) for name in samples}
+    assert shown - used == {"upwash_photos_total", "upwash_server_steps_total"}, (
+        "the others are worth a panel"
+    )
