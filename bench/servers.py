@@ -1,5 +1,6 @@
-"""The server ends that upwash is compared with: `python -m bench.servers raw|grpc HOST FOLDER`.
+"""The server ends that upwash is compared with: `python -m bench.servers raw|grpc HOST FOLDER [SECONDS]`.
 
+A request to gRPC's takes the seconds, none if not told.
 Each prints its address once it answers, and serves one client after the other until it is ended.
 """
 
@@ -8,6 +9,7 @@ from __future__ import annotations
 import socket
 import sys
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NoReturn
@@ -34,13 +36,18 @@ def serve_raw(host: str) -> NoReturn:
                     connection.sendall(answer(requests.read(int.from_bytes(length))))
 
 
-def serve_grpc(host: str, folder: Path) -> NoReturn:
+def serve_grpc(host: str, folder: Path, takes_s: float) -> NoReturn:
     """Serves unary requests of plain bytes over gRPC with mutual TLS, with the options that upwash uses."""
+
+    def measure(body: bytes, _: object) -> bytes:
+        time.sleep(takes_s)
+        return answer(body)
+
     credentials = read_credentials(folder / "authority.pem", folder / "s1.pem", folder / "s1.key")
     server = grpc.server(ThreadPoolExecutor(max_workers=1), options=SERVER_OPTIONS)
     service, _, method = GRPC_PATH[1:].partition("/")
-    measure = grpc.unary_unary_rpc_method_handler(lambda body, _: answer(body))
-    server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(service, {method: measure}),))
+    handler = grpc.unary_unary_rpc_method_handler(measure)
+    server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(service, {method: handler}),))
     port = server.add_secure_port(
         f"{host}:0",
         grpc.ssl_server_credentials(
@@ -60,7 +67,7 @@ def _announce(address: str) -> None:
 
 
 if __name__ == "__main__":
-    kind, host, folder = sys.argv[1:]
+    kind, host, folder, *takes_s = sys.argv[1:]
     if kind == "raw":
         serve_raw(host)
-    serve_grpc(host, Path(folder))
+    serve_grpc(host, Path(folder), float(takes_s[0]) if takes_s else 0.0)

@@ -10,13 +10,14 @@ import tomllib
 from datetime import UTC, datetime
 from pathlib import Path
 
+import msgspec
 import pytest
 from tests.sim.planted import deadline_ignored
 
 from upwash.cli import main
 from upwash.config import drone_config
 from upwash.lab import chaos
-from upwash.lab.chaos_display import judge_all
+from upwash.lab.chaos_display import Summary, judge_all
 from upwash.lab.worlds import SEEDS_PER_SCENARIO, World, as_toml, configs
 
 WORLDS, CHUNK = 1_000, 100  # of the same seeds every time, and as many of seeds of the day
@@ -87,10 +88,14 @@ def test_a_broken_promise_is_named_with_its_first_bad_event(capsys: pytest.Captu
     assert 'first bad event: {"t":' in printed
 
 
-def test_worlds_are_flown_on_several_cores(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["chaos", "--seeds", "1..42", "--workers", "2"]) == 0
+def test_worlds_are_flown_on_several_cores(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left = tmp_path / "results" / "chaos.json"
+    assert main(["chaos", "--seeds", "1..42", "--workers", "2", "--out", str(left)]) == 0
     printed = capsys.readouterr().out
     assert "42 worlds with " in printed and "no promise broken" in printed
+    summary = msgspec.json.decode(left.read_bytes(), type=Summary)
+    assert (summary.worlds, summary.replayed, summary.broken) == (42, 2, [])
+    assert f"with {summary.flights:,} flights and {summary.calls:,} calls" in printed
 
 
 @pytest.mark.parametrize(
@@ -109,6 +114,9 @@ def test_seeds_that_are_none_are_refused(options: list[str]) -> None:
         main(["chaos", *options])
 
 
-@pytest.mark.parametrize("options", [["--seed", "1", "--minutes", "3"], ["--seeds", "1..2", "--log", "x"]])
+@pytest.mark.parametrize(
+    "options",
+    [["--seed", "1", "--minutes", "3"], ["--seed", "1", "--out", "x"], ["--seeds", "1..2", "--log", "x"]],
+)
 def test_options_that_do_not_go_together_are_refused(options: list[str]) -> None:
     assert main(["chaos", *options]) == 2

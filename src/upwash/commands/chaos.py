@@ -26,6 +26,9 @@ def add(commands: Commands) -> None:
         "--workers", type=count, metavar="N", help="with --seeds: processes (default: one per core)"
     )
     chaos.add_argument(
+        "--out", type=Path, metavar="FILE", help="with --seeds: leave what they came to there, as JSON"
+    )
+    chaos.add_argument(
         "--log", type=Path, metavar="FILE",
         help="with --seed: the event log; the scenario is written beside it, as .toml",
     )  # fmt: skip
@@ -37,12 +40,12 @@ def run(options: argparse.Namespace) -> bool:
     from upwash.lab.chaos_display import replay, show_chaos
 
     if options.seed is not None:
-        if options.minutes is not None or options.workers is not None:
-            raise UsageError("--minutes and --workers go with --seeds")
+        if (options.minutes, options.workers, options.out) != (None, None, None):
+            raise UsageError("--minutes, --workers and --out go with --seeds")
         return replay(options.seed, options.log)
     if options.log is not None:
         raise UsageError("--log goes with --seed: one log holds one world")
-    return show_chaos(options.seeds, minutes=options.minutes, workers=options.workers)
+    return show_chaos(options.seeds, minutes=options.minutes, workers=options.workers, out=options.out)
 
 
 def seeds(text: str) -> range:

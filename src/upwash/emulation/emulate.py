@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 
 from upwash.config import DroneConfig
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.emulation.field import Field, Radio, drone_namespace
 from upwash.emulation.ghosts import GhostRadio
+from upwash.emulation.mover import Mover
 from upwash.emulation.namespaces import inside, make_namespace
 from upwash.emulation.order import Order, RadioKind
 from upwash.emulation.outcome import Outcome
@@ -20,8 +21,6 @@ from upwash.emulation.shaped import ShapedRadio
 from upwash.emulation.tracking import tracked
 from upwash.real.credentials import make_keys
 from upwash.running import ready_vehicle
-
-_MOVE_PERIOD_S = 0.1
 
 
 async def emulate(order: Order, stop: asyncio.Event) -> Outcome:
@@ -34,7 +33,7 @@ async def emulate(order: Order, stop: asyncio.Event) -> Outcome:
         for number, drone in enumerate(field.drones):
             vehicle, positions[drone.name] = stack.enter_context(_vehicle(drone, number, order))
             flights.append(Flight(drone, field, order.folder, vehicle=vehicle))
-        mover = _Mover(radio, positions)
+        mover = Mover(radio, positions)
         exit_codes = await _fly(flights, mover, stop)
         return Outcome(
             radio=order.radio,
@@ -82,7 +81,7 @@ def _vehicle(drone: DroneConfig, number: int, order: Order) -> Iterator[tuple[st
         yield connection, position
 
 
-async def _fly(flights: Iterable[Flight], mover: _Mover, stop: asyncio.Event) -> dict[str, int]:
+async def _fly(flights: Iterable[Flight], mover: Mover, stop: asyncio.Event) -> dict[str, int]:
     """Each flight's exit code, once all are over."""
     async with asyncio.TaskGroup() as group:
         moving = group.create_task(mover.run())
@@ -98,26 +97,6 @@ async def _stop_all(flights: Iterable[Flight], stop: asyncio.Event) -> None:
     await stop.wait()
     for flight in flights:
         flight.stop()
-
-
-class _Mover:
-    """Tells the radio ten times a second where the drones are."""
-
-    def __init__(self, radio: Radio, positions: Mapping[str, Callable[[], Position]]) -> None:
-        self.lag_s = 0.0
-        self._radio = radio
-        self._positions = positions
-
-    async def run(self) -> None:
-        """Moves them until cancelled; raises NetworkError where the radio has failed."""
-        loop = asyncio.get_running_loop()
-        due_s = loop.time()
-        while True:
-            for drone, position in self._positions.items():
-                self._radio.move(drone, position())
-            self.lag_s = max(self.lag_s, loop.time() - due_s)
-            due_s = max(due_s + _MOVE_PERIOD_S, loop.time())
-            await asyncio.sleep(due_s - loop.time())
 
 
 def _say(text: str) -> None:

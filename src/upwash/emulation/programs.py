@@ -26,6 +26,14 @@ _PARK_SEED = 1  # of the photos of a drone that has no camera
 @contextlib.contextmanager
 def ready_daemon(server: ServerConfig, field: Field, folder: Path) -> Iterator[None]:
     """Runs the server's daemon until the end of the block."""
+    file = daemon_file(server, field, folder)
+    through = inside(server_namespace(server.name))
+    with ready_program(server.name, folder, "serve", "--config", str(file), through=through):
+        yield
+
+
+def daemon_file(server: ServerConfig, field: Field, folder: Path) -> Path:
+    """Writes what the server's daemon is told, and returns the file."""
     file = folder / f"{server.name}.toml"
     write_daemon_file(
         file,
@@ -34,9 +42,25 @@ def ready_daemon(server: ServerConfig, field: Field, folder: Path) -> Iterator[N
         listen=field.daemon_address(server),
         keys=keys_in(folder / "keys", server.name),
     )
-    through = inside(server_namespace(server.name))
-    with ready_program(server.name, folder, "serve", "--config", str(file), through=through):
-        yield
+    return file
+
+
+def drone_file(drone: DroneConfig, field: Field, folder: Path, *, vehicle: str) -> Path:
+    """Writes what the drone is told, and returns the file; `vehicle` is how its vehicle is reached."""
+    file = folder / f"{drone.name}.toml"
+    replace = msgspec.structs.replace
+    servers = tuple(replace(server, address=field.daemon_address(server)) for server in drone.servers)
+    write_drone_file(
+        file,
+        replace(
+            drone,
+            autopilot=replace(drone.autopilot, connection=vehicle),
+            camera=_camera(drone.camera),
+            keys=keys_in(folder / "keys", drone.name),
+            servers=servers,
+        ),
+    )
+    return file
 
 
 class Flight:
@@ -45,21 +69,8 @@ class Flight:
     def __init__(self, drone: DroneConfig, field: Field, folder: Path, *, vehicle: str) -> None:
         self.drone = drone.name
         self._prefix = f"{drone.name}: " if len(field.drones) > 1 else ""
-        self._file = folder / f"{drone.name}.toml"
+        self._file = drone_file(drone, field, folder, vehicle=vehicle)
         self._log = folder / f"{drone.name}.jsonl"
-        replace = msgspec.structs.replace
-        write_drone_file(
-            self._file,
-            replace(
-                drone,
-                autopilot=replace(drone.autopilot, connection=vehicle),
-                camera=_camera(drone.camera),
-                keys=keys_in(folder / "keys", drone.name),
-                servers=tuple(
-                    replace(server, address=field.daemon_address(server)) for server in drone.servers
-                ),
-            ),
-        )
         self._process: asyncio.subprocess.Process | None = None
         self._stopped = False
 

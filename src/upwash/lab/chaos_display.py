@@ -34,6 +34,7 @@ class Summary(msgspec.Struct):
     longest_s: tuple[float, float] = (0.0, 0.0)  # the longest call, and its bound
     spare_s: float = math.inf  # the least that a call left of its bound
     broken: list[Broken] = msgspec.field(default_factory=list)
+    took_s: float = 0.0
 
     def add(self, verdict: Verdict) -> None:
         """Takes in one world."""
@@ -57,11 +58,15 @@ def judge_all(seeds: Sequence[int]) -> list[Verdict]:
         return [judge(seed, replay=is_replayed(seed)) for seed in seeds]
 
 
-def show_chaos(seeds: range, *, minutes: float | None = None, workers: int | None = None) -> bool:
+def show_chaos(
+    seeds: range, *, minutes: float | None = None, workers: int | None = None, out: Path | None = None
+) -> bool:
     """Flies the worlds, prints each broken promise and what all came to; returns whether none was broken.
 
-    With `minutes` it hands out no more worlds after that time.
+    With `minutes` it hands out no more worlds after that time. The summary is left in the file `out`, as JSON.
     """
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)  # before the hours of flying
     console, summary, began_s = Console(), Summary(), time.monotonic()
     chunks = [seeds[first : first + _CHUNK] for first in range(0, len(seeds), _CHUNK)]
     with _Bar(len(seeds), console) as bar, in_processes(judge_all, chunks, workers=workers) as done:
@@ -72,7 +77,10 @@ def show_chaos(seeds: range, *, minutes: float | None = None, workers: int | Non
             bar.advance(summary.worlds)
             if minutes is not None and time.monotonic() - began_s > 60 * minutes:
                 break
-    _show_summary(summary, time.monotonic() - began_s, console)
+    summary.took_s = time.monotonic() - began_s
+    _show_summary(summary, console)
+    if out is not None:
+        out.write_bytes(msgspec.json.format(msgspec.json.encode(summary)) + b"\n")
     return not summary.broken
 
 
@@ -152,11 +160,11 @@ def _show_broken(broken: Sequence[Broken], console: Console, *, shown: int, hint
             )
 
 
-def _show_summary(summary: Summary, took_s: float, console: Console) -> None:
+def _show_summary(summary: Summary, console: Console) -> None:
     worlds = {each.seed for each in summary.broken}
     console.print(
         f"{summary.worlds:,} worlds with {summary.flights:,} flights and {summary.calls:,} calls "
-        f"in {took_s / 60:.1f} min; {summary.replayed:,} worlds flown again",
+        f"in {summary.took_s / 60:.1f} min; {summary.replayed:,} worlds flown again",
         highlight=False, soft_wrap=True,
     )  # fmt: skip
     delay_s, bound_s = summary.longest_s

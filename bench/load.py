@@ -1,0 +1,383 @@
+"""What many drones get from one daemon: 430 KB photos, a service of 50 ms, slots for all of them and for a tenth.
+
+`python -m bench.load` (some minutes) compares each number of drones with the same drones at a bare gRPC server, in
+the same run; `python -m bench.load --soak 600` watches what the daemon holds over ten minutes. See
+docs/performance.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import os
+import random
+import shlex
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import quantiles
+
+import msgspec
+from bench.call import REQUEST_BYTES, running
+from bench.echo import REPLY_BYTES, Echo
+from bench.results import leave
+from bench.servers import GRPC_PATH
+from tests.system.daemons import children
+
+from upwash.errors import LinkError
+from upwash.protocol import (
+    AVAILABILITY,
+    LEAVE,
+    START,
+    AvailabilityReply,
+    AvailabilityRequest,
+    LeaveRequest,
+    StartReply,
+    StartRequest,
+    decode_reply,
+    resolve,
+    service_path,
+)
+from upwash.real.credentials import keys_in, make_keys, read_credentials
+from upwash.real.link import GrpcDialer
+from upwash.service import spec_of
+
+PERIOD_S = 1.0  # between a drone's calls: ten times as often as one that flies from photo to photo
+TAKES_S = 0.05
+VISIT_CALLS = 5  # then a drone leaves, and others may come
+TURNED_AWAY_S = 1.0  # until it asks again
+DEADLINE_S = 30.0  # far more than a drone would wait: what is late is to be seen
+WARM_UP_S = 10.0
+SOAK_DRONES = 15
+SOAK_LOOK_S = 10.0
+MAX_MESSAGE_BYTES = 16 * 2**20
+MEASURE = spec_of(Echo).methods["measure"]
+DAEMON = """\
+listen = "127.0.0.1:0"
+keys = {{ authority = "authority.pem", certificate = "s1.pem", key = "s1.key" }}
+service = [{{ name = "echo", program = "bench.echo:Echo", pace_s = {takes_s} }}]
+server = [{{ name = "s1", slots = {slots} }}]
+"""
+
+Tell = Callable[[str, bytes], Awaitable[bytes]]
+
+
+@dataclass
+class Seen:
+    """What the drones saw."""
+
+    from_s: float = 0.0  # calls that begin earlier do not count: connections are made, the service started
+    delays_s: list[float] = field(default_factory=list)
+    served: Counter[str] = field(default_factory=Counter)
+    turned_away: int = 0  # no free slot
+    failed: Counter[str] = field(default_factory=Counter)  # calls, by why
+    leases: set[str] = field(default_factory=set)
+    most_leases: int = 0
+
+    def answered(self, drone: str, began_s: float, ended_s: float) -> None:
+        """Takes note of a call."""
+        if began_s >= self.from_s:
+            self.delays_s.append(ended_s - began_s)
+            self.served[drone] += 1
+
+    def admitted(self, drone: str) -> None:
+        """Takes note that the drone holds a lease."""
+        self.leases.add(drone)
+        self.most_leases = max(self.most_leases, len(self.leases))
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True):
+    """One line of the table; `slots` are a daemon's, None stands for the bare server."""
+
+    drones: int
+    slots: int | None
+    throughput_per_s: float
+    p50_s: float
+    p99_s: float
+    failed: int  # calls, and questions to the daemon
+    turned_away: int
+    most_leases: int  # that drones held at the same time
+    least_calls: int  # of one drone, answered
+    most_calls: int
+
+
+HEAD = """\
+| drones | server | calls/s | p50, ms | p99, ms | failed | turned away | most at once | calls of a drone |
+|---|---|---|---|---|---|---|---|---|"""
+
+
+# --- drones -------------------------------------------------------------------------------------------------
+
+
+class Drone:
+    """A drone that visits one server again and again."""
+
+    def __init__(self, name: str, keys: Path, seen: Seen, *, seed: int) -> None:
+        files = keys_in(keys, name)
+        credentials = read_credentials(files.authority, files.certificate, files.key)
+        self.name = name
+        self._dialer = GrpcDialer(name, credentials, max_message_bytes=MAX_MESSAGE_BYTES)
+        self._seen = seen
+        self._chance = random.Random(seed)
+        self._photo = self._chance.randbytes(REQUEST_BYTES)
+
+    async def visit_daemon(self, address: str, until_s: float) -> None:
+        """Asks for a place, calls, leaves, and comes again."""
+        await self._arrive()
+        while time.perf_counter() < until_s:
+            try:
+                await self._visit(address, until_s)
+            except LinkError as error:
+                self._note(error)
+                await self._pause()
+
+    async def _visit(self, address: str, until_s: float) -> None:
+        async with self._linked(address) as tell:
+            request = AvailabilityRequest("s1", ["echo"])
+            answer = decode_reply(
+                await tell(AVAILABILITY, msgspec.msgpack.encode(request)), AvailabilityReply, sender="s1"
+            )
+            if not answer.available:
+                self._seen.turned_away += 1
+                await self._pause()
+                return
+            self._seen.admitted(self.name)
+            endpoint = answer.endpoints.get("echo") or await _started(tell)
+            async with self._linked(resolve(endpoint, address)) as call:
+                for _ in range(VISIT_CALLS):
+                    _, body = MEASURE.encode((self._photo,), {})
+                    await self._timed(call, service_path("echo", "measure"), body, until_s)
+            self._seen.leases.discard(self.name)  # before it says so, as the daemon knows before it hears so
+            await tell(LEAVE, msgspec.msgpack.encode(LeaveRequest("s1")))
+
+    async def visit_bare(self, address: str, until_s: float) -> None:
+        """Calls."""
+        await self._arrive()
+        while time.perf_counter() < until_s:
+            async with self._linked(address) as call:
+                for _ in range(VISIT_CALLS):
+                    await self._timed(call, GRPC_PATH, self._photo, until_s)
+
+    async def _arrive(self) -> None:
+        await asyncio.sleep(self._chance.uniform(0.0, PERIOD_S))
+
+    async def _pause(self) -> None:
+        await asyncio.sleep(TURNED_AWAY_S * self._chance.uniform(0.5, 1.5))
+
+    def _note(self, error: LinkError) -> None:
+        if time.perf_counter() >= self._seen.from_s:
+            self._seen.failed[str(error).partition(": ")[2]] += 1
+
+    @contextlib.asynccontextmanager
+    async def _linked(self, address: str) -> AsyncIterator[Tell]:
+        link = self._dialer.dial(address, server="s1")
+        try:
+            yield lambda path, body: link.request(path, body, timeout_s=DEADLINE_S)
+        finally:
+            await link.close()
+
+    async def _timed(self, call: Tell, path: str, body: bytes, until_s: float) -> None:
+        began_s = time.perf_counter()
+        if began_s >= until_s:
+            return
+        try:
+            reply = await call(path, body)
+        except LinkError as error:
+            self._note(error)
+        else:
+            assert len(reply) >= REPLY_BYTES
+            self._seen.answered(self.name, began_s, time.perf_counter())
+        await asyncio.sleep(PERIOD_S - (time.perf_counter() - began_s))
+
+
+async def _started(tell: Tell) -> str:
+    reply = decode_reply(
+        await tell(START, msgspec.msgpack.encode(StartRequest("s1", "echo"))), StartReply, sender="s1"
+    )
+    if not reply.endpoint:
+        raise LinkError(f"s1 cannot start the service: {reply.reason}")
+    return reply.endpoint
+
+
+# --- the table ----------------------------------------------------------------------------------------------
+
+
+def measure(drones: int, *, seconds: float, keys: Path) -> Iterator[Row]:
+    """The bare server, a daemon with a slot for each drone, and one with slots for a tenth."""
+    for slots in dict.fromkeys((None, drones, max(1, drones // 10))):
+        seen = Seen()
+        fleet = _fleet(drones, keys, seen)
+        with _server(slots, keys) as (_, address):
+            seen.from_s = time.perf_counter() + WARM_UP_S
+            asyncio.run(_all_at(address, fleet, WARM_UP_S + seconds, bare=slots is None))
+        cuts_s = quantiles(seen.delays_s, n=100)
+        calls = [seen.served[drone.name] for drone in fleet]
+        yield Row(
+            drones=drones,
+            slots=slots,
+            throughput_per_s=len(seen.delays_s) / seconds,
+            p50_s=cuts_s[49],
+            p99_s=cuts_s[98],
+            failed=seen.failed.total(),
+            turned_away=seen.turned_away,
+            most_leases=seen.most_leases,
+            least_calls=min(calls),
+            most_calls=max(calls),
+        )
+
+
+def _fleet(drones: int, keys: Path, seen: Seen) -> list[Drone]:
+    return [Drone(f"drone-{number}", keys, seen, seed=number) for number in range(drones)]
+
+
+async def _all_at(address: str, drones: Sequence[Drone], seconds: float, *, bare: bool) -> None:
+    until_s = time.perf_counter() + seconds
+    async with asyncio.TaskGroup() as group:
+        for drone in drones:
+            visit = drone.visit_bare if bare else drone.visit_daemon
+            group.create_task(visit(address, until_s))
+
+
+@contextlib.contextmanager
+def _server(slots: int | None, keys: Path) -> Iterator[tuple[int, str]]:
+    """The process and its address: a daemon with that many slots, or the bare server."""
+    if slots is None:
+        command: tuple[str, ...] = ("bench.servers", "grpc", "127.0.0.1", str(keys), str(TAKES_S))
+    else:
+        (keys / "daemon.toml").write_text(DAEMON.format(slots=slots, takes_s=TAKES_S))
+        command = ("upwash", "serve", "--config", str(keys / "daemon.toml"))
+    before = set(children(os.getpid()))
+    with running((sys.executable, "-m", *command), log=keys / "servers.log") as address:
+        (process,) = set(children(os.getpid())) - before
+        yield process, address
+
+
+def _printed(row: Row) -> str:
+    who = "bare gRPC" if row.slots is None else f"upwash, {row.slots} slots"
+    admitted = ("", "") if row.slots is None else (row.turned_away, row.most_leases)
+    cells = (
+        row.drones,
+        who,
+        f"{row.throughput_per_s:.1f}",
+        f"{row.p50_s * 1e3:.0f}",
+        f"{row.p99_s * 1e3:.0f}",
+        row.failed,
+        *admitted,
+        f"{row.least_calls} to {row.most_calls}",
+    )
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+# --- the soak -----------------------------------------------------------------------------------------------
+
+
+class Held(msgspec.Struct, frozen=True, kw_only=True):
+    """What the daemon and its instance held at a moment of the soak."""
+
+    at_s: float
+    memory_mb: float
+    descriptors: int
+
+
+class Soak(msgspec.Struct, frozen=True, kw_only=True):
+    """What came of it."""
+
+    seconds: float
+    drones: int
+    calls: int
+    failed: int
+    p50_s: float
+    p99_s: float
+    held: list[Held]
+
+
+def soak(seconds: float, *, keys: Path) -> Soak:
+    """Fifteen drones, three quarters of what the service can do, that come and go."""
+    seen = Seen()
+    with _server(SOAK_DRONES, keys) as (process, address):
+        held: list[Held] = []
+        over = threading.Event()
+        watching = threading.Thread(target=_watch, args=(process, held, over))
+        watching.start()
+        try:
+            asyncio.run(_all_at(address, _fleet(SOAK_DRONES, keys, seen), seconds, bare=False))
+        finally:
+            over.set()
+            watching.join()
+    cuts_s = quantiles(seen.delays_s, n=100)
+    return Soak(
+        seconds=seconds,
+        drones=SOAK_DRONES,
+        calls=len(seen.delays_s),
+        failed=seen.failed.total(),
+        p50_s=cuts_s[49],
+        p99_s=cuts_s[98],
+        held=held,
+    )
+
+
+def _watch(process: int, held: list[Held], over: threading.Event) -> None:
+    began_s = time.perf_counter()
+    while not over.wait(SOAK_LOOK_S):
+        everything = [process, *_below(process)]
+        now = Held(
+            at_s=time.perf_counter() - began_s,
+            memory_mb=sum(map(_memory_bytes, everything)) / 1e6,
+            descriptors=sum(len(list(Path(f"/proc/{each}/fd").iterdir())) for each in everything),
+        )
+        held.append(now)
+        print(f"{now.at_s:5.0f} s: {now.memory_mb:.1f} MB, {now.descriptors} descriptors", flush=True)
+
+
+def _below(process: int) -> list[int]:
+    return [each for child in children(process) for each in (child, *_below(child))]
+
+
+def _memory_bytes(process: int) -> int:
+    status = Path(f"/proc/{process}/status").read_text()
+    return next(int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith("VmRSS:"))
+
+
+# --- what is printed ----------------------------------------------------------------------------------------
+
+
+def main() -> None:
+    """Prints the table, or what the soak came to."""
+    parser = argparse.ArgumentParser(prog="python -m bench.load", description=__doc__)
+    parser.add_argument("--drones", type=int, nargs="+", default=[1, 10, 20, 50, 100, 200])
+    parser.add_argument("--seconds", type=float, default=20.0, help="for each line of the table")
+    parser.add_argument("--soak", type=float, metavar="SECONDS", help="watch one load for so long instead")
+    parser.add_argument("--out", type=Path, help="leave the figures there as JSON")
+    options = parser.parse_args()
+    load = ", ".join(f"{load:.2f}" for load in os.getloadavg())
+    print(f"{os.cpu_count()} cores, load {load}", flush=True)
+    most = SOAK_DRONES if options.soak else max(options.drones)
+    with tempfile.TemporaryDirectory(prefix="upwash-load-") as folder:
+        keys = Path(folder)
+        make_keys(keys, servers=[["s1"]], drones=[f"drone-{number}" for number in range(most)])
+        figures: Soak | list[Row]
+        if options.soak:
+            figures = soak(options.soak, keys=keys)
+            print(
+                f"{figures.calls} calls, {figures.failed} failed, p50 {figures.p50_s * 1e3:.0f} ms, "
+                f"p99 {figures.p99_s * 1e3:.0f} ms"
+            )
+        else:
+            figures = []
+            print(HEAD, flush=True)
+            for drones in options.drones:
+                for row in measure(drones, seconds=options.seconds, keys=keys):
+                    print(_printed(row), flush=True)
+                    figures.append(row)
+    if options.out:
+        leave(options.out, command=f"python -m bench.load {shlex.join(sys.argv[1:])}", figures=figures)
+
+
+if __name__ == "__main__":
+    main()

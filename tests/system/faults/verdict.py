@@ -1,0 +1,316 @@
+"""What broke in a flight under faults: the promises of docs/promises.md over the logs that it left."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from tests.system.faults.flight import RECORD, Record
+from tests.system.faults.mission import Spotter, heard, numbers_at
+from tests.system.faults.strikes import Strike
+
+from upwash.config import DroneConfig, read_drone_config, server_area, server_truth, waypoints
+from upwash.core.geo import Position
+from upwash.core.instances import HostSettings
+from upwash.lab import promises
+from upwash.lab.promises import Promise, calls_of
+from upwash.lab.run import Run
+from upwash.results import read_result
+
+Fact = Mapping[str, Any]
+_OF_CALLS = (Promise.BOUNDED_CALLS, Promise.ONE_ANSWER, Promise.TRUTHFUL_ERRORS)
+_OF_SERVERS = (Promise.ONE_SELECTION, Promise.RANGE, Promise.RESPECT)
+_EDGE_M = 1.0  # nearer to the border of a range, no call has to go there
+_SLOWEST_LOOK_S = 0.1  # of a time of day that two processes read
+
+
+@dataclass(frozen=True)
+class Flown:
+    """One drone's flight, by its log; the times of its events are by the time of day."""
+
+    config: DroneConfig
+    events: list[dict[str, Any]]
+    began_s: float
+
+    @property
+    def parts(self) -> list[list[dict[str, Any]]]:
+        """The events of each program that flew it, of which all but the last were killed."""
+        found: list[list[dict[str, Any]]] = []
+        for event in self.events:
+            if event["event"] in ("log_opened", "log_resumed"):
+                found.append([])
+            found[-1].append(event)
+        return found
+
+
+@dataclass(frozen=True)
+class Return:
+    """How long after a black-out a call was answered by the server again; None where none was made to tell."""
+
+    strike: Strike
+    after_s: float | None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What broke, and what was measured."""
+
+    record: Record
+    broken: list[str]
+    returns: list[Return]
+    calls: int
+    remote_calls: int
+    longest_s: tuple[float, float]  # the longest call, and its bound
+    spare_s: float  # the least that a call left of its bound
+
+
+class Returns(msgspec.Struct, frozen=True, kw_only=True):
+    """Black-outs of one length: how many, and after how long calls were back at the server."""
+
+    lasted_s: float
+    times: int
+    soonest_s: float
+    latest_s: float
+
+
+class Figures(msgspec.Struct, frozen=True, kw_only=True):
+    """What many flights came to; `strikes` counts faults by what they did to what."""
+
+    flights: int
+    broken: int
+    calls: int
+    remote_calls: int
+    strikes: dict[str, int]
+    longest_s: tuple[float, float]
+    spare_s: float
+    returns: list[Returns]
+
+
+def summed_up(verdicts: Sequence[Verdict]) -> Figures:
+    """The figures of the flights."""
+    strikes = Counter(
+        f"{strike.what} {strike.target}" for verdict in verdicts for strike in verdict.record.strikes
+    )
+    by_length: dict[float, list[float]] = {}
+    for each in (each for verdict in verdicts for each in verdict.returns):
+        if each.after_s is not None:
+            by_length.setdefault(round(each.strike.to_s - each.strike.from_s), []).append(each.after_s)
+    return Figures(
+        flights=len(verdicts),
+        broken=sum(bool(verdict.broken) for verdict in verdicts),
+        calls=sum(verdict.calls for verdict in verdicts),
+        remote_calls=sum(verdict.remote_calls for verdict in verdicts),
+        strikes=dict(sorted(strikes.items())),
+        longest_s=max(verdict.longest_s for verdict in verdicts),
+        spare_s=min(verdict.spare_s for verdict in verdicts),
+        returns=[
+            Returns(lasted_s=lasted_s, times=len(after_s), soonest_s=min(after_s), latest_s=max(after_s))
+            for lasted_s, after_s in sorted(by_length.items())
+        ],
+    )
+
+
+def judge(folder: Path) -> Verdict:
+    """Reads what a flight left in the folder; what is broken says which promise, and by what."""
+    record = msgspec.json.decode((folder / RECORD).read_bytes(), type=Record)
+    broken = [f"promise 1: {name} ended with {code}" for name, code in record.exit_codes.items() if code != 0]
+    flown = []
+    for name in record.exit_codes:
+        try:
+            flown.append(_read(folder, name))
+        except (ValueError, OSError) as error:
+            broken.append(f"promise 10: the log of {name}: {error}")
+    if len(flown) < len(record.exit_codes):  # nothing can be said of the rest
+        return Verdict(record, broken, [], 0, 0, (0.0, 0.0), math.inf)
+    struck = flown[0]
+    black_outs = [each for each in record.strikes if each.is_black_out]
+    bounds_s, places = [], []
+    for each in flown:
+        stops = _stops(each, record.strikes) if each is struck else []
+        broken += [f"{each.config.name}: {why}" for why in _broken(each, stops)]
+        for call in (call for part in each.parts for call in calls_of(_without(part, stops))):
+            bounds_s.append((call.ended["delay_s"], call.bound_s))
+            places.append(call.ended["place"])
+    for strike in black_outs:
+        broken += [f"{struck.config.name}: {why}" for why in _not_returned(struck, strike, record.strikes)]
+    return Verdict(
+        record=record,
+        broken=[*broken, *_admission(record, flown)],
+        returns=[Return(each, _returned_s(struck, each)) for each in black_outs],
+        calls=len(places),
+        remote_calls=len(places) - places.count("local"),
+        longest_s=max(bounds_s),
+        spare_s=min(bound_s - delay_s for delay_s, bound_s in bounds_s),
+    )
+
+
+def _read(folder: Path, name: str) -> Flown:
+    """Every line has to be whole, also those that a killed program wrote."""
+    lines = (folder / f"{name}.jsonl").read_bytes().split(b"\n")
+    if lines.pop():
+        raise ValueError("its last line is torn")
+    events = [msgspec.json.decode(line) for line in lines]
+    times = [event["t"] for event in events]
+    if times != sorted(times):
+        raise ValueError("its times go back")
+    began_s = datetime.fromisoformat(events[0]["time"]).timestamp()
+    return Flown(read_drone_config(folder / f"{name}.toml"), events, began_s)
+
+
+# --- promises of one flight ---------------------------------------------------------------------------------
+
+
+def _broken(flown: Flown, stops: Sequence[tuple[float, float]]) -> Iterator[str]:
+    yield from _unfinished(flown)
+    yield from _misheard(flown)
+    for part in flown.parts:
+        yield from _checked(flown.config, part, _OF_SERVERS)
+        yield from _checked(flown.config, _without(part, stops), _OF_CALLS)
+
+
+def _checked(config: DroneConfig, events: list[dict[str, Any]], checks: Iterable[Promise]) -> Iterator[str]:
+    history = promises.History(config, Run(events, read_result(events), []))
+    for promise in checks:
+        for event, why in promises.CHECKS[promise](history):
+            yield f"{promise}: {why}: {event}"
+
+
+def _unfinished(flown: Flown) -> Iterator[str]:
+    names = [event["event"] for event in flown.events]
+    if "mission_completed" not in names:
+        yield "promise 1: the mission was not completed"
+    if "offloading_failed" in names:
+        yield "promise 1: offloading ended for the rest of the flight"
+    arrived = {event["waypoint"] for event in flown.events if event["event"] == "arrived"}
+    if missing := {waypoint.index for waypoint in waypoints(flown.config.mission)} - arrived:
+        yield f"promise 1: never arrived at {sorted(missing)}"
+
+
+def _misheard(flown: Flown) -> Iterator[str]:
+    """Each call's own answer, once, but for those of a waypoint at which the program was killed."""
+    spotter = Spotter()
+    told = [[event["message"] for event in part if event["event"] == "notified"] for part in flown.parts]
+    for message in (each for part in told for each in part):
+        wanted = msgspec.to_builtins(heard(spotter, message["asked"]))
+        if message != wanted:
+            yield f"promises 3 and 4: heard {message} instead of {wanted}"
+    for part in told:
+        asked = [message["asked"] for message in part]
+        if asked != sorted(set(asked)):
+            yield f"promise 3: answered out of turn: {asked}"
+    wanted_numbers = {
+        number for waypoint in waypoints(flown.config.mission) for number in numbers_at(waypoint.index)
+    }
+    if missing := wanted_numbers - {message["asked"] for part in told for message in part}:
+        yield f"promise 1: no answer to {sorted(missing)}"
+
+
+# --- a program that was stopped -----------------------------------------------------------------------------
+
+
+def _stops(flown: Flown, strikes: Iterable[Strike]) -> list[tuple[float, float]]:
+    """When the drone's own program stood still: it can keep no time meanwhile, and no bound holds for it."""
+    return [
+        (strike.from_s - flown.began_s, strike.to_s - flown.began_s)
+        for strike in strikes
+        if (strike.what, strike.target) == ("freeze", "drone")
+    ]
+
+
+def _without(events: list[dict[str, Any]], stops: Sequence[tuple[float, float]]) -> list[dict[str, Any]]:
+    """The events as they would be if time had stood still too."""
+    return [event | _shifted(event, stops) for event in events]
+
+
+def _shifted(event: Fact, stops: Sequence[tuple[float, float]]) -> dict[str, float]:
+    def before(t_s: float) -> float:
+        return sum(max(0.0, min(t_s, to_s) - from_s) for from_s, to_s in stops)
+
+    shifted = {"t": event["t"] - before(event["t"])}
+    if event["event"] == "call":
+        shifted["delay_s"] = event["delay_s"] - (before(event["t"]) - before(event["t"] - event["delay_s"]))
+    return shifted
+
+
+# --- links that are there again -----------------------------------------------------------------------------
+
+
+def _decided_and_ended(flown: Flown) -> Iterator[tuple[float, Fact, Fact]]:
+    """When each call was first decided on, by the time of day, that decision, and the call."""
+    for part in flown.parts:
+        for call in calls_of(part):
+            first = call.decisions[0]
+            yield flown.began_s + first["t"], first, call.ended
+
+
+def _returned_s(flown: Flown, strike: Strike) -> float | None:
+    for decided_s, _, ended in _decided_and_ended(flown):
+        if decided_s >= strike.to_s and ended["place"] == strike.server:
+            return decided_s - strike.to_s
+    return None
+
+
+def _not_returned(flown: Flown, strike: Strike, strikes: Iterable[Strike]) -> Iterator[str]:
+    """Calls in range that the server did not answer although its link had been there again for long enough."""
+    area = next(
+        server_area(server, flown.config.mission.home)
+        for server in flown.config.servers
+        if server.name == strike.server
+    )
+    inner = type(area)(area.centre, area.radius_m - _EDGE_M)
+    until_s = min((each.from_s for each in strikes if each.from_s > strike.to_s), default=float("inf"))
+    for decided_s, decided, ended in _decided_and_ended(flown):
+        if not strike.back_s <= decided_s < until_s - ended["delay_s"]:
+            continue
+        if inner.contains(Position(**decided["position"])) and ended["place"] != strike.server:
+            yield (
+                f"{decided_s - strike.to_s:.2f} s after the end of a black-out of "
+                f"{strike.to_s - strike.from_s:.0f} s a call ran at {ended['place']}: {ended['decision']}"
+            )
+
+
+# --- promise 11 ---------------------------------------------------------------------------------------------
+
+
+def _admission(record: Record, flown: Sequence[Flown]) -> Iterator[str]:
+    for name in record.daemons_ended:
+        yield f"promise 11: the daemon of {name} ended"
+    for name, most in record.most_instances.items():
+        if most > 1:
+            yield f"promise 11: {name} ran {most} instances of one service"
+    for server in flown[0].config.servers:
+        if server_truth(server, flown[0].config.services).slots == 1:
+            yield from _served_two(server.name, record, flown)
+
+
+def _served_two(server: str, record: Record, flown: Sequence[Flown]) -> Iterator[str]:
+    """Between answers to two drones, the first has left, or its lease is over, or the daemon was another one."""
+    facts = sorted(
+        (each.began_s + event["t"], each.config.name, _what(event))
+        for each in flown
+        for event in each.events
+        if server in (event.get("place"), event.get("server"))
+    )
+    forgot_s = [each.from_s for each in record.strikes if (each.server, each.target) == (server, "daemon")]
+    holder, last_s = "", 0.0
+    for at_s, drone, what in facts:
+        if what == "left" and drone == holder:
+            holder = ""
+        elif what == "answered":
+            still_held = at_s - last_s < HostSettings().lease_s - _SLOWEST_LOOK_S
+            forgotten = any(last_s - _SLOWEST_LOOK_S <= each <= at_s for each in forgot_s)
+            if holder not in ("", drone) and still_held and not forgotten:
+                yield f"promise 11: {server} answered {drone} {at_s - last_s:.1f} s after {holder}, in its one slot"
+            holder, last_s = drone, at_s
+
+
+def _what(event: Fact) -> str:
+    if event["event"] == "call":
+        return "answered"
+    return "left" if "before" in event and event["after"] not in ("CHECK", "CHECK-R", "READY") else ""
