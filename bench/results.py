@@ -25,8 +25,9 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
 
 def leave(file: Path, *, command: str, figures: object) -> None:
     """Writes the figures down with the commit that is checked out."""
-    described = ("git", "-C", str(FOLDER.parent), "describe", "--always", "--dirty", "--exclude=*")
-    commit = subprocess.run(described, capture_output=True, text=True, check=True).stdout.strip()
+    commit = _git("rev-parse", "--short", "HEAD")
+    if _git("status", "--porcelain", "--", ":/src", ":/tests"):
+        commit += " and changes"
     result = Result(
         command=command,
         commit=commit,
@@ -36,6 +37,12 @@ def leave(file: Path, *, command: str, figures: object) -> None:
     )
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_bytes(msgspec.json.format(msgspec.json.encode(result)) + b"\n")
+
+
+def _git(*words: str) -> str:
+    return subprocess.run(
+        ("git", "-C", str(FOLDER.parent), *words), capture_output=True, text=True, check=True
+    ).stdout.strip()
 
 
 def read(name: str) -> Result | None:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from bench import promises
+from bench.results import FOLDER
 
 import upwash
 from upwash.cli import _parser
@@ -38,6 +40,18 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
 def test_pages_that_are_named_exist(page: Path) -> None:
     for name in re.findall(r"\bdocs/[\w./-]+\.md", page.read_text()):
         assert (ROOT / name).exists(), f"{page.name} names {name}"
+
+
+@pytest.mark.parametrize("name", promises.PAGES)
+def test_measured_parts_are_what_the_results_say(name: str) -> None:
+    page = (promises.DOCS / name).read_text()
+    assert promises.with_results(page) == page, "run python -m bench.promises"
+
+
+def test_every_result_that_is_kept_is_on_a_page() -> None:
+    pages = "".join((promises.DOCS / name).read_text() for name in promises.PAGES)
+    shown = set(re.findall(r"<!-- measured: (\w+) -->", pages))
+    assert shown == set(promises.PARTS) >= {file.stem for file in FOLDER.glob("*.json")}
 
 
 def test_the_page_on_containers_shows_a_runtime_that_is_understood(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ those before and after it, in the same run, and by how much the memory of the da
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import contextlib
 import os
@@ -20,6 +21,7 @@ from pathlib import Path
 from statistics import median
 
 import grpc
+from bench.results import leave
 from tests.system.daemons import Daemon, Guest, config, daemon, guests
 
 from upwash.protocol import AVAILABILITY, service_path
@@ -291,9 +293,20 @@ def _port(address: str) -> int:
     return int(address.rpartition(":")[2])
 
 
+@dataclass(frozen=True)
+class Attacked(Outcome):
+    """What came of the attack of that name."""
+
+    attack: str
+
+
 def main() -> None:
     """Prints the table."""
     services = Path(__file__).parents[1] / "services_for_tests.py"
+    parser = argparse.ArgumentParser(prog="python -m tests.system.hostile", description=__doc__)
+    parser.add_argument("--out", type=Path, help="leave the figures there as JSON")
+    options = parser.parse_args()
+    figures = []
     print("| attack | usual, ms | attacked, ms | ratio | memory, MB |\n|---|---|---|---|---|")
     for name, attack in ATTACKS.items():
         with tempfile.TemporaryDirectory() as folder:
@@ -307,6 +320,9 @@ def main() -> None:
             f"| {outcome.grown_bytes / 1e6:.1f} |",
             flush=True,
         )
+        figures.append(Attacked(outcome.usual_s, outcome.attacked_s, outcome.grown_bytes, attack=name))
+    if options.out:
+        leave(options.out, command="python -m tests.system.hostile", figures=figures)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,52 @@
+"""Whatever the bytes, each decoder gives a value or refuses them with its own error."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.fuzz.decoders import decoders
+
+ODD = (
+    b"",
+    b"\0",
+    b"\xff",
+    b"[" * 100_000,
+    b'{"a":' * 20_000,
+    b"\x91" * 50_000,
+    "\ud800".encode(errors="surrogatepass"),
+)
+
+
+@st.composite
+def spoiled(draw: st.DrawFn, understood: tuple[bytes, ...]) -> bytes:
+    """An input that is understood, but for some bytes of it; or any bytes."""
+    data = bytearray(draw(st.sampled_from(understood)))
+    for _ in range(draw(st.integers(1, 4))):
+        start = draw(st.integers(0, len(data)))
+        end = draw(st.integers(start, min(len(data), start + 8)))
+        data[start:end] = draw(
+            st.binary(max_size=8) | st.sampled_from([b"-1", b"1e999", b"nan", b'"', b"[", b"}"])
+        )
+    return draw(st.just(bytes(data)) | st.binary(max_size=100))
+
+
+@pytest.mark.parametrize("name", decoders())
+def test_inputs_that_are_understood_are(name: str) -> None:
+    decoder = decoders()[name]
+    for data in decoder.understood:
+        decoder.decode(data)
+
+
+@pytest.mark.parametrize("name", decoders())
+@pytest.mark.parametrize("odd", range(len(ODD)))
+def test_odd_inputs_are_refused_in_words(name: str, odd: int) -> None:
+    decoders()[name].feed(ODD[odd])
+
+
+@pytest.mark.parametrize("name", decoders())
+@settings(max_examples=40)
+@given(data=st.data())
+def test_spoiled_inputs_are_understood_or_refused(name: str, data: st.DataObject) -> None:
+    decoder = decoders()[name]
+    decoder.feed(data.draw(spoiled(decoder.understood)))
