@@ -155,6 +155,7 @@ class Drone:
                     await self._timed(call, service_path("echo", "measure"), body, until_s)
             self._seen.leases.discard(self.name)  # before it says so, as the daemon knows before it hears so
             await tell(LEAVE, msgspec.msgpack.encode(LeaveRequest("s1")))
+            await self._pause()
 
     async def visit_bare(self, address: str, until_s: float) -> None:
         """Calls."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.fuzz.decoders import decoders
+from tests.fuzz.decoders import decoders, model_with
+
+from upwash.errors import ModelError
 
 ODD = (
     b"",
@@ -50,3 +52,9 @@ def test_odd_inputs_are_refused_in_words(name: str, odd: int) -> None:
 def test_spoiled_inputs_are_understood_or_refused(name: str, data: st.DataObject) -> None:
     decoder = decoders()[name]
     decoder.feed(data.draw(spoiled(decoder.understood)))
+
+
+def test_an_onnx_model_whose_metadata_is_no_text_is_refused() -> None:
+    model = model_with("output").replace(b"output", b"out\xff\xfft")
+    with pytest.raises(ModelError, match="not text"):
+        decoders()["an ONNX model"].decode(model)

@@ -452,7 +452,9 @@ def _leases(facts: Sequence[Fact], *, end_s: float) -> Iterator[Breach]:
             for drone in told["drones"]:
                 last_s: float = asked_s[drone] if drone in asked_s else told["t"]
                 ends_s = max(last_s + _LEASE_S, held_until_s.get(drone, 0.0)) + _LOOK_S + _SLACK_S
-                if fact["t"] > max(ends_s, told["t"]):  # what it was told for may come after it, at one moment
+                if fact["t"] > max(
+                    ends_s, told["t"]
+                ):  # what it was told for may come after it, at one moment
                     yield (
                         told,
                         f"{drone} still has its lease at {fact['t']:.3f} s; it was over at {ends_s:.3f} s",

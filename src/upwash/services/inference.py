@@ -54,9 +54,12 @@ class Inference:
         self._file = files.onnx or files.weights or files.names
         self._session = self._open(files, threads, provider)
         self.labels = _read_labels(files.names)
-        self.heads = files.heads or self._heads_in_metadata()
-        self._input = self._checked_input()
-        outputs = [output.name for output in self._session.get_outputs()]
+        try:
+            self.heads = files.heads or self._heads_in_metadata()
+            self._input = self._checked_input()
+            outputs = [output.name for output in self._session.get_outputs()]
+        except UnicodeDecodeError as error:
+            raise self._error(f"its names or metadata are not text ({error})") from error
         for head in self.heads:
             if head.output not in outputs:
                 raise self._error(f"it has no output {head.output}; its outputs are {', '.join(outputs)}")
