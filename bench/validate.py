@@ -30,8 +30,10 @@ from upwash.flying import read_log
 from upwash.lab.reproduction import EXPERIMENTS, SETUPS, Cell, scenario
 from upwash.lab.run import simulate
 from upwash.results import RunResult
+from upwash.services.solar_park import Park, View, photograph
 
 A_WAIT_S = 0.05  # less is the clock's
+PHOTOS = 10
 WIFI = {"hitl": "disc54", "simulation": "disc12"}
 
 
@@ -47,9 +49,10 @@ def name_of(cell: Cell) -> str:
     return f"{cell.experiment.name}/{cell.setup}"
 
 
-def config_of(cell: Cell, radio: RadioKind) -> DroneConfig:
-    """The cell's scenario as it is emulated; by ns-3, over the WiFi of its set-up."""
+def config_of(cell: Cell, radio: RadioKind, photos: Path | None = None) -> DroneConfig:
+    """The cell's scenario as it is emulated, with photos from the folder; by ns-3, over the WiFi of its set-up."""
     config = emulated(scenario(cell, seed=1))
+    config = msgspec.structs.replace(config, camera=msgspec.structs.replace(config.camera, folder=photos))
     if radio == "table":
         return config
     servers = tuple(over_wifi(server, WIFI[cell.setup]) for server in config.servers)
@@ -70,7 +73,17 @@ def over_wifi(server: ServerConfig, radio: str) -> ServerConfig:
     return msgspec.structs.replace(server, truth=truth)
 
 
-def fly(cell: Cell, radio: RadioKind, folder: Path) -> None:
+def render_photos(folder: Path) -> None:
+    """Renders what all cells photograph, unless it is there: rendered in flight, a photo would take its own time."""
+    folder.mkdir(parents=True, exist_ok=True)
+    park = Park(1)
+    for number in range(PHOTOS):
+        file = folder / f"{number:02}.jpg"
+        if not file.exists():
+            file.write_bytes(photograph(park, View(20.0 * number, 0.0, 20.0), shot=number).jpeg)
+
+
+def fly(cell: Cell, radio: RadioKind, folder: Path, photos: Path) -> None:
     """Emulates the cell unless that was done; what was not valid is done again."""
     outcome = read_outcome(folder)
     if outcome is not None and outcome.valid and outcome.completed:
@@ -78,7 +91,7 @@ def fly(cell: Cell, radio: RadioKind, folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     file = folder / "scenario.toml"
-    write_drone_file(file, config_of(cell, radio))
+    write_drone_file(file, config_of(cell, radio, photos))
     run_emulation(Order(scenarios=(file,), radio=radio, folder=folder))
 
 
@@ -136,9 +149,12 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs/validation"), help="where the runs are kept")
     parser.add_argument("--report", action="store_true", help="fly nothing")
     options = parser.parse_args()
+    runs = options.runs.absolute()
+    if not options.report:
+        render_photos(runs / "photos")
     for cell in cells():
         if not options.report and name_of(cell) in (options.only or names):
-            fly(cell, options.radio, (options.runs / options.radio / name_of(cell)).absolute())
+            fly(cell, options.radio, runs / options.radio / name_of(cell), runs / "photos")
     report(options.runs, options.radio)
 
 
