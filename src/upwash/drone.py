@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import traceback
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, TypeVar
 
@@ -24,6 +22,7 @@ from upwash.errors import (
     UpwashError,
     UsageError,
 )
+from upwash.failsafe import FailSafeOffloading
 from upwash.mission import MissionThread, mission_failed
 from upwash.offloading import Offloading
 from upwash.onboard import OnboardServices
@@ -344,7 +343,7 @@ class Flight:
             journal=world.journal,
         )
         selection: Selection = make_selection(config, specs, self._plan)
-        self._offloading = Offloading(
+        offloading = Offloading(
             selection,
             contacts(config, selection.estimates),
             period_s=config.policy.period_s,
@@ -355,6 +354,7 @@ class Flight:
             journal=world.journal,
             hedging=make_hedging(config, selection.estimates),
         )
+        self._offloading = FailSafeOffloading(offloading, world.journal)
         self._pilot = Pilot(
             world.autopilot,
             self._thread,
@@ -377,7 +377,7 @@ class Flight:
                 waypoints=len(self._waypoints),
                 done=sorted(self._done or ()),
             )
-            async with self._offloading_in_background():
+            async with self._offloading.running():
                 await self._fly()
             journal.record("mission_completed")
         except (Exception, asyncio.CancelledError) as error:
@@ -468,28 +468,6 @@ class Flight:
         if not self._pilot.coming_down:
             self.stop(
                 f"{left_percent:.0f} % is left in the battery, less than the reserve of {reserve_percent:g} %"
-            )
-
-    @contextlib.asynccontextmanager
-    async def _offloading_in_background(self) -> AsyncIterator[None]:
-        """A failure of the background ends offloading, not the mission."""
-        background = asyncio.create_task(self._offloading.run())
-        background.add_done_callback(self._note_failure)
-        try:
-            yield
-        finally:
-            if not background.done():
-                await self._offloading.end()
-            background.cancel()
-            with contextlib.suppress(Exception, asyncio.CancelledError):
-                await background
-
-    def _note_failure(self, background: asyncio.Task[Any]) -> None:
-        if not background.cancelled() and (error := background.exception()) is not None:
-            first = error.exceptions[0] if isinstance(error, BaseExceptionGroup) else error
-            trace = "".join(traceback.format_exception(error))
-            self._world.journal.record(
-                "offloading_failed", why=f"{type(first).__name__}: {first}", trace=trace
             )
 
     def _drone(self) -> Drone:

@@ -170,6 +170,15 @@ class Offloading:
         )
         return answer.reply
 
+    async def invoke_alone(self, operation: Operation, method: Method, request: bytes) -> Any:
+        """Runs one call on the drone and decides nothing: what is left to do where deciding has failed."""
+        began_s = self._now_s()
+        reply = await self._call_onboard(operation, method, request)
+        delay_s = self._now_s() - began_s
+        why = "offloading has failed"
+        self._report(Outcome(operation, PLACE, why, began_s, delay_s, 0.0, delay_s, "", fell_back=False))
+        return reply
+
     def _report(self, outcome: Outcome) -> None:
         facts = msgspec.to_builtins(outcome)
         self._journal.record("call", **{**facts, "operation": str(outcome.operation)})

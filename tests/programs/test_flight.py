@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import pytest
 
 from upwash import Drone
 from upwash.config import read_drone_config
+from upwash.core.selection import Selection
 from upwash.errors import MissionFailed
 from upwash.lab.run import Run, simulate
 from upwash.services import Detector
@@ -192,3 +194,25 @@ def test_a_mission_that_ends_in_the_air_is_landed(tmp_path: Path) -> None:
 
 def test_a_wrong_argument_is_the_missions_own_error(tmp_path: Path) -> None:
     assert fly(tmp_path, here(look_at_a_broken_photo)).failure == ""
+
+
+@pytest.mark.parametrize(
+    ("defective", "after"), [("decide", 0), ("decide", 3), ("handle", 0), ("handle", 5), ("handle", 9)]
+)
+def test_a_defect_in_deciding_ends_offloading_and_not_the_mission(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, defective: str, after: int
+) -> None:
+    sound, asked = getattr(Selection, defective), itertools.count()
+
+    def fail_after_a_while(*about: Any, **known: Any) -> Any:
+        if next(asked) >= after:
+            raise ZeroDivisionError("a defect")
+        return sound(*about, **known)
+
+    monkeypatch.setattr(Selection, defective, fail_after_a_while)
+    run = fly(tmp_path, truth="join_s = 1.0\nstart_s = 1.0")
+    assert run.failure == "" and run.result.completed
+    assert len(run.result.calls) == 6, "each is answered"
+    (failure,) = events(run, "offloading_failed")
+    assert failure["why"] == "ZeroDivisionError: a defect"
+    assert {call.place for call in run.result.calls if call.at_s > failure["t"]} <= {"local"}
