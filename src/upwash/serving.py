@@ -236,10 +236,10 @@ def _credentials(config: DaemonConfig) -> Credentials | None:
                 f"{identity.name}: make one with `upwash keys DIR --server "
                 f"{','.join(each.name for each in config.identities)}`"
             )
-    if config.peers and not credentials.is_good_for_calling:
+    if not credentials.is_for("serving") or (config.peers and not credentials.is_for("calling")):
         raise CredentialsError(
-            "this daemon has peers, and its certificate is from a release that had none: "
-            "make another one with `upwash keys`"
+            f"{config.keys.certificate}: not a certificate for a daemon: make one with `upwash keys DIR --server "
+            f"{','.join(each.name for each in config.identities)}`"
         )
     return None if config.listen.startswith("unix:") else credentials
 

@@ -288,24 +288,14 @@ def test_a_server_that_shows_a_drones_certificate_is_not_believed(keys: Path) ->
 
 def test_a_daemon_may_call_another_with_its_own_certificate(keys: Path) -> None:
     make_keys(keys, servers=[["s3"]])
-    assert read(keys, "s3").is_good_for_calling
     with echo_server(read(keys, "s1")) as port:
         assert answer(port, client(read(keys, "s3")), "s1") == b"hello"
 
 
-def test_a_daemons_certificate_from_before_there_were_peers_is_good_for_answering_alone(
-    keys: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(x509, "ExtendedKeyUsage", lambda usages: _usage(usages[:1]))
-    make_keys(keys, servers=[["s3"]])
-    monkeypatch.undo()
-    assert not read(keys, "s3").is_good_for_calling
-    with echo_server(read(keys, "s3")) as port:
-        assert answer(port, client(read(keys, "s3")), "s3") is grpc.StatusCode.UNAVAILABLE
-        assert answer(port, client(read(keys, "heron")), "s3") == b"hello"
-
-
-_usage = x509.ExtendedKeyUsage
+def test_a_certificate_says_what_it_is_for(keys: Path) -> None:
+    make_keys(keys, servers=[["s3"]], drones=["stork"])
+    assert read(keys, "s3").is_for("serving") and read(keys, "s3").is_for("calling")
+    assert not read(keys, "stork").is_for("serving") and read(keys, "stork").is_for("calling")
 
 
 def test_a_server_is_not_believed_under_another_servers_name(keys: Path) -> None:

@@ -638,6 +638,12 @@ def test_a_certificate_for_another_server_is_refused(tmp_path: Path, keys: Path)
     assert "the certificate is for s1, s2, but this daemon acts as s3" in said
 
 
+def test_a_drones_certificate_is_refused(tmp_path: Path, keys: Path) -> None:
+    text, _, _ = config(keys).replace(f"{keys}/s1.", f"{keys}/heron.").partition("[[server]]")
+    text += '[[server]]\nname = "heron"\n'
+    assert "heron.pem: not a certificate for a daemon" in refused(tmp_path, text)
+
+
 def test_a_foreign_certificate_is_refused(tmp_path: Path, keys: Path) -> None:
     text = config(keys).replace(f"{keys}/authority.pem", f"{keys}/other/authority.pem")
     assert "s1.pem: not issued by" in refused(tmp_path, text)

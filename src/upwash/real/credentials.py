@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from upwash.config import KeysConfig
 from upwash.core.visitors import Role
@@ -59,9 +59,8 @@ class Credentials:
             return tuple(str(name.value) for name in common)
         return tuple(names.get_values_for_type(x509.DNSName))
 
-    @property
-    def is_good_for_calling(self) -> bool:
-        """Whether the certificate may be shown by the one who calls; daemons' once were not."""
+    def is_for(self, purpose: Literal["serving", "calling"]) -> bool:
+        """Whether the certificate may be shown by the one who answers, or by the one who calls."""
         from cryptography import x509
         from cryptography.x509.oid import ExtendedKeyUsageOID
 
@@ -70,7 +69,8 @@ class Credentials:
             usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
         except x509.ExtensionNotFound:
             return True
-        return ExtendedKeyUsageOID.CLIENT_AUTH in usage
+        needed = {"serving": ExtendedKeyUsageOID.SERVER_AUTH, "calling": ExtendedKeyUsageOID.CLIENT_AUTH}
+        return needed[purpose] in usage
 
     @property
     def expiries(self) -> dict[str, datetime]:
