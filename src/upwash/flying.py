@@ -13,6 +13,7 @@ from rich.console import Console
 
 from upwash.config import DroneConfig, waypoints
 from upwash.launch import fly
+from upwash.loading import extra
 from upwash.real.journal import read_events
 from upwash.report.exports import write_result
 from upwash.report.record import read_records
@@ -79,6 +80,8 @@ def _shown_live(log: Path, port: int | None, photos: Path | None) -> Iterator[No
     if port is None:
         yield
         return
+    with extra("view"):
+        import uvicorn  # noqa: F401 - asked here, as the page is another process's
     log.parent.mkdir(parents=True, exist_ok=True)
     log.touch()  # a flight that has yet to begin
     arguments = ["view", str(log), "--port", str(port)]

@@ -130,9 +130,9 @@ async def _metrics(config: DroneConfig, stack: contextlib.AsyncExitStack) -> tup
     """What keeps the metrics up to date, where they are asked for; they are offered from now on."""
     if config.metrics is None:
         return ()
-    from upwash.metrics.drone import DroneMetrics
-    from upwash.metrics.exposition import exposed
-
+    with extra("metrics"):
+        from upwash.metrics.drone import DroneMetrics
+        from upwash.metrics.exposition import exposed
     metrics = DroneMetrics([server.name for server in config.servers])
     address = await stack.enter_async_context(exposed(metrics.registry, config.metrics))
     _log.info("metrics at http://%s/metrics", address)

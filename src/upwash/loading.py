@@ -68,3 +68,7 @@ def extra(name: str) -> Iterator[None]:
         raise UsageError(
             f"{error.name} is not installed: `pip install 'upwash[{name}]'` installs it"
         ) from error
+    except ImportError as error:  # it is there, and broken
+        raise UsageError(
+            f"what `pip install 'upwash[{name}]'` installs cannot be imported: {error}"
+        ) from error

@@ -63,7 +63,8 @@ def find_server(config: DroneConfig, wanted: str) -> ServerConfig:
 
 def _watched(found: Sequence[Sample], calls: int, profile: Callable[[Watch], Coroutine[Any, Any, T]]) -> T:
     columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as progress:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         bar = progress.add_task("starting", total=calls_to_make(found, calls))
 
         def watch(what: str) -> None:

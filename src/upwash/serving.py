@@ -20,6 +20,7 @@ from upwash.config import DaemonConfig
 from upwash.core.instances import Host, HostSettings, ServerOffer
 from upwash.core.visitors import Visitor
 from upwash.errors import CredentialsError, Refused, UpwashError, UsageError
+from upwash.loading import extra
 from upwash.ports import InstanceSpec, Program, Runtime
 from upwash.protocol import CertificateStatus
 from upwash.real.credentials import Credentials, read_credentials, read_revoked
@@ -208,8 +209,8 @@ def _health(config: DaemonConfig, listener: Listener) -> health.HealthServicer:
 def _metrics(config: DaemonConfig) -> DaemonMetrics | None:
     if config.metrics is None:
         return None
-    from upwash.metrics.daemon import DaemonMetrics
-
+    with extra("metrics"):
+        from upwash.metrics.daemon import DaemonMetrics
     return DaemonMetrics()
 
 

@@ -457,7 +457,7 @@ def test_a_dask_cluster_writes_the_same_file_as_one_process(
     sweep = read_sweep(scenario, ["policy.gain_wait=0.1,0.25"], seeds=20)
     run_here(sweep, tmp_path / "here.csv")
     with Client(cluster, set_as_default=False) as client:  # type: ignore[no-untyped-call]
-        client.wait_for_workers(2, timeout=30)
+        client.wait_for_workers(2, timeout=120)
         run_campaign(CampaignFile.open(tmp_path / "cluster.csv", sweep), fly=on_cluster(cluster))
         served = client.run(lambda dask_worker: dask_worker.state.executed_count)
     assert (tmp_path / "cluster.csv").read_bytes() == (tmp_path / "here.csv").read_bytes()

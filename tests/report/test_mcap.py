@@ -21,6 +21,7 @@ from mcap.reader import make_reader
 from upwash.cli import main
 from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.report.record import Record, read_records
+from upwash.services.solar_park import Park, View, photograph
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 DEFINED = {
@@ -39,8 +40,9 @@ FLOWN = [
     {"t": 3.0, "event": "position", "east_m": 3.0, "north_m": 4.0, "altitude_m": 20.0},
     {"t": 3.0, "event": "selected", "server": "s1", "before": "AVL", "after": "CHECK", "why": "in range"},
     {"t": 3.5, "event": "check_failed", "server": "s1", "before": "CHECK", "after": "BLACKLISTED", "why": "off"},
-    {"t": 4.0, "event": "photo", "source": "../1.jpg", "bytes": len(JPEG), "age_s": 0.5},
+    {"t": 4.0, "event": "photo", "source": "1.jpg", "bytes": len(JPEG), "age_s": 0.5},
     {"t": 5.0, "event": "photo", "source": "gone.jpg", "bytes": 7, "age_s": 0.5},
+    {"t": 6.0, "event": "photo", "source": "../2.jpg", "bytes": 7, "age_s": 0.5},
     {"t": 7.0, "event": "safe_end", "action": "land", "why": "the radio is silent"},
 ]  # fmt: skip
 
@@ -196,11 +198,19 @@ def test_the_log_says_in_words_what_went_wrong(flown: Path) -> None:
 
 
 def test_photos_are_those_of_the_folder_and_of_no_other(flown: Path) -> None:
-    (flown.parent / "1.jpg").write_bytes(b"not this one, though the log points at it")
+    (flown.parent / "2.jpg").write_bytes(JPEG)  # the log may be anybody's
     (photo,) = kind(recorded(flown, photos=flown.parent / "photos"), "CompressedImage")
     image = ParseDict(in_protobufs_json(photo.fields), CompressedImage())
     assert (image.data, image.format) == (JPEG, "jpeg")
     assert photo.time_s == pytest.approx(OPENED.timestamp() + 3.5)
+
+
+def test_rendered_photos_are_rendered_again(flown: Path) -> None:
+    rendered = [{**event, "source": "park 1"} if event["event"] == "photo" else event for event in FLOWN]
+    first, *others = kind(recorded(write(flown, rendered)), "CompressedImage")
+    image = ParseDict(in_protobufs_json(first.fields), CompressedImage())
+    assert image.data == photograph(Park(1), View(3.0, 4.0, 20.0), shot=0).jpeg
+    assert len(others) == 2
 
 
 def test_a_folder_without_the_photos_is_refused(flown: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -27,8 +27,10 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> bool:
     """Flies it."""
     os.environ.setdefault("GRPC_VERBOSITY", "ERROR")
-    from upwash.demo import fly_demonstration
+    from upwash.loading import extra
 
+    with extra("detector"):
+        from upwash.demo import fly_demonstration
     runtime = options.runtime.read_text() if options.runtime else ""
     fly_demonstration(options.folder or new_run_folder(), runtime=runtime, live_port=options.live)
     return True

@@ -45,8 +45,12 @@ def run(options: argparse.Namespace) -> bool:
     os.environ.setdefault("GRPC_VERBOSITY", "ERROR")
     from upwash.emulation.enclosure import clean, require_root_and_tools
     from upwash.emulation.order import Order
-    from upwash.emulation.run import run_emulation
     from upwash.errors import UsageError
+    from upwash.loading import extra
+
+    with extra("emulation"):
+        import tomli_w  # noqa: F401 - asked here, as the emulation itself is another process
+    from upwash.emulation.run import run_emulation
 
     require_root_and_tools()
     killed = clean()

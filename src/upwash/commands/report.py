@@ -69,8 +69,10 @@ def _in_utf8(write: Callable[[Sequence[Record]], str]) -> Writer:
 
 def _recorder(photos: Path | None) -> Writer:
     def write(records: Sequence[Record]) -> bytes:
-        from upwash.report.recording import write_mcap
+        from upwash.loading import extra
 
+        with extra("mcap"):
+            from upwash.report.recording import write_mcap
         return write_mcap(records, photos=photos)
 
     return write

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import tomli_w
 
 from upwash.config import (
     DaemonConfig,
@@ -51,8 +52,6 @@ def write_daemon_file(
 
 
 def _write(file: Path, config: DroneConfig | DaemonConfig) -> None:
-    import tomli_w
-
     tables = _without_nothing(msgspec.to_builtins(config, enc_hook=_as_text))
     file.write_bytes(tomli_w.dumps(tables).encode())
 

@@ -19,6 +19,7 @@ from upwash.lab.campaign_file import CampaignFile, Row
 from upwash.lab.confidence import Mean, mean_of
 from upwash.lab.run import simulate
 from upwash.lab.sweep import Combination, Sweep
+from upwash.loading import extra
 
 _CHUNK_RUNS = (
     5  # so few that little is lost by an interruption, and enough that handing them out costs nothing
@@ -88,10 +89,8 @@ def here_first(workers: int | None = None) -> Fly:
 
 def on_cluster(address: str, *, answer_s: float = 10.0) -> Fly:
     """Flies on the workers of a Dask cluster; raises UsageError where none answers in time."""
-    try:
+    with extra("campaign"):
         import distributed
-    except ImportError:
-        raise UsageError("--cluster needs Dask: pip install 'upwash[campaign]'") from None
 
     @contextlib.contextmanager
     def fly(chunks: Sequence[Chunk]) -> Generator[Iterator[list[Row]]]:

@@ -16,6 +16,7 @@ import msgspec
 
 from upwash.errors import UsageError
 from upwash.lab.sweep import Sweep
+from upwash.loading import extra
 
 
 class Row(msgspec.Struct, frozen=True):
@@ -175,12 +176,8 @@ def _drop_torn_row(csv_file: Path) -> None:
 
 
 def _check_parquet() -> None:
-    try:
+    with extra("parquet"):
         import pyarrow  # noqa: F401
-    except ImportError:
-        raise UsageError(
-            "a Parquet file needs pyarrow: pip install 'upwash[parquet]', or name a .csv file"
-        ) from None
 
 
 def _write_parquet(csv_file: Path, parquet_file: Path) -> None:

@@ -13,14 +13,12 @@ from typing import Any
 from upwash.config import DroneConfig, server_area, waypoints
 from upwash.core.geo import Circle, Position
 from upwash.core.servers import CHECKING
-from upwash.errors import UsageError
 from upwash.lab.run import Run
+from upwash.loading import extra
 
-try:
+with extra("figures"):
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-except ImportError as error:
-    raise UsageError("figures need matplotlib: install it with pip install 'upwash[figures]'") from error
 
 _OFFLOADING, _LOCAL_ONLY, _INK = "#1f5fc4", "#9b9b9b", "#222222"
 _SERVERS = ("#e09f1f", "#8a63c7", "#2a9d8f", "#c65d7b", "#5b7f95", "#7f8c2f")

@@ -14,7 +14,7 @@ from upwash.bundled import load_mission, load_services
 from upwash.config import CameraConfig, DroneConfig, server_area, server_truth, waypoints
 from upwash.core.geo import Position
 from upwash.drone import Flight, World
-from upwash.errors import MissionFailed, UpwashError
+from upwash.errors import MissionFailed, UpwashError, UsageError
 from upwash.lab.field import Software, serving
 from upwash.lab.stays import Stay, observe
 from upwash.lab.witness import DroneWitness
@@ -58,7 +58,8 @@ class Run:
 def simulate(config: DroneConfig) -> Run:
     """Flies the scenario's mission on virtual time; the same scenario and seed give the same run.
 
-    Raises MissionFailed for a mission program with a bug; whatever else ends a mission early is the run's `failure`.
+    Raises MissionFailed for a mission program with a bug, and UsageError for what cannot be simulated; whatever else
+    ends a mission early is the run's `failure`.
     """
     (run,) = simulate_fleet([config])
     return run
@@ -78,7 +79,7 @@ def simulate_fleet(
     try:
         with sleeps_reported():
             failures = run_virtually(_fly(fleet, journals, stays, computing=computing, witness=witness))
-    except MissionFailed:
+    except (MissionFailed, UsageError):
         raise
     except UpwashError as error:
         failures = [str(error)] * len(fleet)

@@ -11,6 +11,7 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 from upwash.errors import UsageError
+from upwash.loading import extra
 
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
@@ -65,8 +66,8 @@ def copy_distributions(requirements: Iterable[str], root: Path) -> list[str]:
 
 def extra_of(service: str) -> list[str]:
     """What the extra of upwash with the service's name requires; nothing where there is no such extra."""
-    from packaging.requirements import Requirement
-
+    with extra("lxd"):
+        from packaging.requirements import Requirement
     own = map(Requirement, distribution("upwash").requires or ())
     return [
         _without_marker(each)

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from upwash.core.geo import Position
-from upwash.errors import CameraError, UsageError
+from upwash.errors import CameraError
+from upwash.loading import extra
 from upwash.ports import Photo
 
 _JPEG_QUALITY = 95
@@ -48,12 +49,8 @@ class VideoCamera:
     @classmethod
     async def open(cls, source: int | str) -> VideoCamera:
         """The camera, once it has shown a frame; raises CameraError if it does not, UsageError without OpenCV."""
-        try:
+        with extra("detector"):
             await asyncio.to_thread(_silence_opencv)
-        except ImportError as missing:
-            raise UsageError(
-                f"camera: a video device needs OpenCV ({missing}); pip install 'upwash[detector]'"
-            ) from missing
         camera = cls(source)
         camera._thread.start()
         try:

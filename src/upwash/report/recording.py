@@ -24,7 +24,8 @@ from upwash.report.foxglove import (
     Time,
     json_schema,
 )
-from upwash.report.record import Record
+from upwash.report.photos import PhotoShelf, Shot
+from upwash.report.record import Record, place_of
 from upwash.report.scene import FRAME, scene
 
 _NS = 1_000_000_000
@@ -41,13 +42,14 @@ _TOPICS: dict[type[Message], str] = {
 def write_mcap(records: Sequence[Record], *, photos: Path | None = None) -> bytes:
     """The file; of several runs each has its name before its topics.
 
-    Photos are those of the folder that the logs name. Raises UsageError where it has none of them.
+    With `photos` it has those of that folder that the logs name. Raises UsageError where there are none of them.
     """
+    shelf = PhotoShelf(photos)
     found: list[tuple[int, str, Message]] = []
     for record in records:
         prefix = f"/{record.name}" if len(records) > 1 else ""
         try:
-            found += [(time_ns, prefix, message) for time_ns, message in _messages(record, photos)]
+            found += [(time_ns, prefix, message) for time_ns, message in _messages(record, shelf)]
         except (KeyError, TypeError, ValueError) as error:
             raise UsageError(
                 f"{record.name} is not an event log that this version reads: {error!r}"
@@ -89,14 +91,13 @@ class _Clock:
         return Time(*divmod(self.ns(at_s), _NS))
 
 
-def _messages(record: Record, photos: Path | None) -> Iterator[tuple[int, Message]]:
+def _messages(record: Record, shelf: PhotoShelf) -> Iterator[tuple[int, Message]]:
     clock = _Clock(record)
     for at_s, update in scene(record, clock.time):
         yield clock.ns(at_s), update
     yield from _fixes(record, clock)
     yield from _lines(record, clock)
-    if photos is not None:
-        yield from _photos(record, clock, photos)
+    yield from _photos(record, clock, shelf)
 
 
 def _fixes(record: Record, clock: _Clock) -> Iterator[tuple[int, Message]]:
@@ -127,11 +128,15 @@ def _lines(record: Record, clock: _Clock) -> Iterator[tuple[int, Message]]:
             yield clock.ns(at_s), Log(clock.time(at_s), level, said.text, record.name)
 
 
-def _photos(record: Record, clock: _Clock, folder: Path) -> Iterator[tuple[int, Message]]:
+def _photos(record: Record, clock: _Clock, shelf: PhotoShelf) -> Iterator[tuple[int, Message]]:
+    since_start, last = 0, None
     for event in record.events:
-        if event["event"] != "photo":
-            continue
-        file = folder / Path(event["source"]).name  # what a log says leads nowhere but into the folder
-        if file.is_file():
+        last = place_of(event, last) or last
+        if event["event"] == "log_resumed":
+            since_start = 0
+        elif event["event"] == "photo":
+            jpeg = shelf.find(Shot(event["source"], last, since_start))
+            since_start += 1
             taken_s = event["t"] - event["age_s"] - record.began_s
-            yield clock.ns(taken_s), CompressedImage(clock.time(taken_s), "camera", file.read_bytes())
+            if jpeg is not None:
+                yield clock.ns(taken_s), CompressedImage(clock.time(taken_s), "camera", jpeg)

@@ -11,7 +11,7 @@ from typing import Annotated
 from msgspec import Meta
 from msgspec.structs import asdict
 
-from upwash.errors import UsageError
+from upwash.loading import extra
 from upwash.service import service
 from upwash.services.detection import Detection, Mode
 from upwash.services.heads import best_of_each, read_heads
@@ -74,6 +74,12 @@ def _cores() -> int:
 
 
 def _require_packages() -> None:
-    missing = [name for name in ("cv2", "numpy", "onnx", "onnxruntime") if find_spec(name) is None]
-    if missing:
-        raise UsageError(f"the detector needs {', '.join(missing)}: pip install 'upwash[detector]'")
+    with extra("detector"):
+        for name in (
+            "cv2",
+            "numpy",
+            "onnx",
+            "onnxruntime",
+        ):  # found, not imported: not every model needs each
+            if find_spec(name) is None:
+                raise ModuleNotFoundError(f"No module named {name!r}", name=name)

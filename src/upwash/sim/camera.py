@@ -8,7 +8,7 @@ import itertools
 from typing import TYPE_CHECKING
 
 from upwash.core.geo import Position
-from upwash.errors import UsageError
+from upwash.loading import extra
 from upwash.ports import Photo
 
 if TYPE_CHECKING:
@@ -35,12 +35,8 @@ class RenderedCamera:
     """
 
     def __init__(self, park_seed: int, *, photo_s: float, in_thread: bool) -> None:
-        try:
+        with extra("detector"):
             from upwash.services import solar_park
-        except ImportError as missing:
-            raise UsageError(
-                f"camera: rendered photos need OpenCV and numpy ({missing}); pip install 'upwash[detector]'"
-            ) from missing
         self._source = f"park {park_seed}"
         self._render = functools.partial(solar_park.photograph, solar_park.Park(park_seed))
         self._view = solar_park.View

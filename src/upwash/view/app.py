@@ -14,8 +14,8 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from upwash.report.photos import PhotoShelf
 from upwash.view.feed import Feed
-from upwash.view.photos import PhotoShelf
 
 _HOSTS = ["127.0.0.1", "localhost"]  # a page elsewhere that got its name to mean this machine is turned away
 _POLICY = (

@@ -13,9 +13,9 @@ import uvicorn
 
 from upwash.errors import UsageError
 from upwash.real.signals import stopping_politely
+from upwash.report.photos import PhotoShelf
 from upwash.view.app import application
 from upwash.view.feed import Feed
-from upwash.view.photos import PhotoShelf
 from upwash.view.recording import reading
 
 _CONNECTIONS = 64

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
@@ -13,6 +13,7 @@ from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.core.servers import CHECKING, State
 from upwash.narration import MEANINGS, Narrator, in_one_line, tone_of
 from upwash.reasons import ExplainedCall, Reasons, told, told_decision
+from upwash.report.photos import Shot
 from upwash.report.record import Plan, place_of
 from upwash.view import facts
 from upwash.view.facts import Fact, Outline
@@ -21,15 +22,6 @@ _STALE_S = (
     1.5  # a flown log tells where the drone is every second, a simulated one when something happens there
 )
 _HOME = Position(0.0, 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Shot:
-    """A photo that the log tells of, the `since_start`th since the program began, counted from 0."""
-
-    source: str
-    position: Position | None
-    since_start: int
 
 
 class Story:

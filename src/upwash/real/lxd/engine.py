@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 from urllib.parse import quote
 
 from upwash.errors import EngineError, UsageError
+from upwash.loading import extra
 
 _log = logging.getLogger("upwash.lxd")
 
@@ -75,10 +76,8 @@ class Engine:
 
     async def connect(self) -> None:
         """Returns when an engine answers that trusts this program; raises UsageError with the remedy."""
-        try:
+        with extra("lxd"):
             import pylxd  # noqa: F401 - asked here once, for a clear answer
-        except ImportError as error:
-            raise UsageError(f"containers need pylxd: pip install 'upwash[lxd]' ({error})") from error
         try:
             info = await self._ask(lambda api: api.get().json()["metadata"])
         except EngineError as error:

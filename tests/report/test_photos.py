@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from upwash.core.geo import Position
+from upwash.report.photos import PhotoShelf, Shot
 from upwash.services.solar_park import Park, View, photograph
-from upwash.view.photos import PhotoShelf
-from upwash.view.story import Shot
 
 JPEG = b"\xff\xd8\xff\xe0 a photo"
 

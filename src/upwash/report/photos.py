@@ -5,15 +5,25 @@ from __future__ import annotations
 import functools
 import importlib.util
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
-from upwash.view.story import Shot
+from upwash.core.geo import Position
 
 _PARK = re.compile(r"park (\d{1,18})")
 _FARTHEST_M = 100_000.0
 _LARGEST_BYTES = 2**25
 _JPEG = b"\xff\xd8\xff"
 _KEPT = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """A photo that the log tells of, the `since_start`th since the program began, counted from 0."""
+
+    source: str
+    position: Position | None
+    since_start: int
 
 
 class PhotoShelf:
