@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import socket
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources import as_file, files
@@ -29,19 +30,25 @@ class Score:
     false: int
 
 
-def fly_demonstration(folder: Path, *, runtime: str = "", live_port: int | None = None) -> None:
+def fly_demonstration(
+    folder: Path, *, runtime: str = "", policy: str = "", live_port: int | None = None
+) -> None:
     """Flies it with everything below `folder`; whatever it started is gone when it returns or raises.
 
-    `runtime` is what the daemons' configuration is to say besides, in TOML: a table [runtime]. With `live_port` it is
-    shown on a page meanwhile.
+    `runtime` is what the daemons' configuration is to say besides, in TOML: a table [runtime]. `policy` is another
+    than the configured one. With `live_port` it is shown on a page meanwhile.
     """
     console = Console(markup=False)
     config = read_demonstration()
+    if policy:
+        config = msgspec.structs.replace(config, policy=msgspec.structs.replace(config.policy, name=policy))
     names = [server.name for server in config.servers]
     make_keys(folder / "keys", servers=[[name] for name in names], drones=[config.name])
     with contextlib.ExitStack() as processes:
         vehicle = processes.enter_context(ready_vehicle("vehicle", folder, config))
-        daemons = {name: processes.enter_context(_daemon(name, folder, runtime)) for name in names}
+        daemons = dict(zip(names, _free_addresses(len(names)), strict=True))
+        for name in names:
+            processes.enter_context(_daemon(name, folder, runtime, daemons))
         here = _fill_in(config, folder, vehicle=vehicle, daemons=daemons)
         console.print(
             f"the vehicle is at {vehicle}, the servers at {', '.join(daemons.values())}", soft_wrap=True
@@ -96,15 +103,27 @@ def _fill_in(config: DroneConfig, folder: Path, *, vehicle: str, daemons: Mappin
     )
 
 
+def _free_addresses(count: int) -> list[str]:
+    """Addresses of this machine that nobody listens at now; peers have to know each other's before they start."""
+    with contextlib.ExitStack() as stack:
+        sockets = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
+        return [f"127.0.0.1:{each.getsockname()[1]}" for each in sockets]
+
+
 @contextlib.contextmanager
-def _daemon(name: str, folder: Path, runtime: str) -> Iterator[str]:
+def _daemon(name: str, folder: Path, runtime: str, daemons: Mapping[str, str]) -> Iterator[None]:
     config = folder / f"{name}.toml"
+    peers = "".join(
+        f'[[peer]]\nname = "{peer}"\naddress = "{address}"\n\n'
+        for peer, address in daemons.items()
+        if peer != name
+    )
     config.write_text(
-        f'listen = "127.0.0.1:0"\n\n'
+        f'listen = "{daemons[name]}"\n\n'
         f"[keys]\n"
         f'authority = "keys/authority.pem"\ncertificate = "keys/{name}.pem"\nkey = "keys/{name}.key"\n\n'
         f'[[service]]\nname = "detector"\n\n'
-        f'[[server]]\nname = "{name}"\n\n{runtime}'
+        f'[[server]]\nname = "{name}"\n\n{peers}{runtime}'
     )
-    with ready_program(name, folder, "serve", "--config", str(config)) as address:
-        yield address
+    with ready_program(name, folder, "serve", "--config", str(config)):
+        yield

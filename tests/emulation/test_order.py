@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from upwash.config import DroneConfig, read_daemon_config, read_drone_config
+from upwash.config import DroneConfig, PeerConfig, read_daemon_config, read_drone_config
 from upwash.emulation.files import write_daemon_file, write_drone_file
 from upwash.emulation.native import WIFI, wifi_of
 from upwash.emulation.order import Order, Paces, emulated, left_out, server_paces
@@ -64,10 +64,12 @@ def test_a_daemon_is_told_its_paces_slots_and_images(tmp_path: Path) -> None:
     config = read_drone_config(ROOT / "scenarios" / "two-services.toml")
     for server in config.servers:
         file = tmp_path / f"{server.name}.toml"
-        write_daemon_file(file, server, config, listen="10.83.0.1:7070", keys=keys_in(tmp_path, server.name))
+        keys, peers = keys_in(tmp_path, server.name), {"s9": "10.83.8.1:7070"}
+        write_daemon_file(file, server, config, listen="10.83.0.1:7070", peers=peers, keys=keys)
         daemon = read_daemon_config(file)
         (identity,) = daemon.identities
         paces = server_paces(server, config)
+        assert daemon.peers == (PeerConfig(name="s9", address="10.83.8.1:7070"),)
         assert (identity.name, identity.slots) == (server.name, server.truth.slots)
         assert {image.name: Paces(dict(image.pace_s), image.start_pace_s) for image in daemon.images} == paces
 

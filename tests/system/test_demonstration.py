@@ -9,6 +9,7 @@ import sys
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -100,9 +101,15 @@ class Demonstration:
 
 @pytest.fixture
 def demonstration(tmp_path: Path) -> Iterator[Demonstration]:
+    with started(tmp_path) as running:
+        yield running
+
+
+@contextmanager
+def started(tmp_path: Path, *options: str) -> Iterator[Demonstration]:
     mark = uuid.uuid4().hex
     process = subprocess.Popen(
-        [sys.executable, "-m", "upwash", "demo", "--folder", str(tmp_path / "run")],
+        [sys.executable, "-m", "upwash", "demo", "--folder", str(tmp_path / "run"), *options],
         env={**os.environ, MARK: mark},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
@@ -143,6 +150,17 @@ def check_against_simulation(flown: RunResult) -> None:
         if not waited_in_vain and call.waypoint not in waits_at_their_threshold(run, within=0.1):
             assert call.place == simulated[call.waypoint].place, f"at waypoint {call.waypoint}"
     assert flown.mission_time_s == pytest.approx(run.result.mission_time_s, rel=0.1)
+
+
+def test_who_looks_ahead_finds_the_second_server_warm_on_arrival(tmp_path: Path) -> None:
+    with started(tmp_path, "--policy", "look-ahead") as demonstration:
+        result = demonstration.finish()
+    steps = [event for event in demonstration.events() if event.get("server") == "s2" and "before" in event]
+    first = [(event["event"], event["after"]) for event in steps[:3]]
+    assert first == [("prepared", "AVL-R"), ("selected", "CHECK-R"), ("found_running", "READY")]
+    assert steps[0]["why"] == "by s1"
+    assert "started" not in {event["event"] for event in steps}
+    assert set(result.totals.remote) == {"s1", "s2"}
 
 
 def test_the_mission_survives_the_kill_of_both_daemons(demonstration: Demonstration) -> None:

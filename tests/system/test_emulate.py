@@ -34,6 +34,7 @@ pytestmark = [
 ]
 
 DIES_WITHIN_S = 10.0
+PEERS = 'start_s = 3.0\npeers = ["{}"]'
 ROOT = Path(__file__).parents[2]
 EMULATED = Path(__file__).parent / "emulated"
 DEMONSTRATION = ROOT / "scenarios" / "demonstration.toml"
@@ -135,6 +136,22 @@ def test_links_are_as_fast_as_the_settings_say_and_end_at_their_range(radio: str
     assert seen["50"]["answers"] and 8 < seen["50"]["goodput_mbit_s"] < 13, seen
     assert not seen["110"]["answers"], seen
     assert seen["99"]["answers"], "the link is there again"
+
+
+@pytest.mark.flight
+def test_servers_that_are_peers_have_a_wire_between_them(
+    emulate: Callable[..., Emulation], tmp_path: Path
+) -> None:
+    scenario = tmp_path / "peers.toml"
+    first, second = DEMONSTRATION.read_text().split('name = "s2"')
+    scenario.write_text(
+        f'{first.replace("start_s = 3.0", PEERS.format("s2"))}name = "s2"'
+        f'{second.replace("start_s = 3.0", PEERS.format("s1"))}\n[policy]\nname = "look-ahead"\n'
+    )
+    emulation = emulate(str(scenario), "--radio", "table")
+    emulation.finish_in_time()
+    steps = [event for event in emulation.events() if event.get("server") == "s2" and "before" in event]
+    assert [event["event"] for event in steps[:3]] == ["prepared", "selected", "found_running"]
 
 
 @pytest.mark.flight

@@ -20,6 +20,12 @@ def add(commands: Commands) -> None:
     demo.add_argument(
         "--runtime", type=Path, metavar="FILE", help="a table [runtime] for both daemons, such as containers"
     )
+    demo.add_argument(
+        "--policy",
+        choices=("local-only", "opportunistic", "location-aware", "look-ahead"),
+        default="",
+        help="instead of the demonstration's",
+    )
     add_live(demo)
     demo.set_defaults(run=run)
 
@@ -32,5 +38,7 @@ def run(options: argparse.Namespace) -> bool:
     with extra("detector"):
         from upwash.demo import fly_demonstration
     runtime = options.runtime.read_text() if options.runtime else ""
-    fly_demonstration(options.folder or new_run_folder(), runtime=runtime, live_port=options.live)
+    fly_demonstration(
+        options.folder or new_run_folder(), runtime=runtime, policy=options.policy, live_port=options.live
+    )
     return True

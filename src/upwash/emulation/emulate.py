@@ -12,7 +12,7 @@ from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.emulation.field import Field, Radio, drone_namespace
 from upwash.emulation.ghosts import GhostRadio
 from upwash.emulation.mover import Mover
-from upwash.emulation.namespaces import inside, make_namespace
+from upwash.emulation.namespaces import inside, join_by_cable, make_namespace
 from upwash.emulation.order import Order, RadioKind
 from upwash.emulation.outcome import Outcome
 from upwash.emulation.programs import Flight, ready_daemon
@@ -50,6 +50,8 @@ def _field_set_up(field: Field, order: Order) -> Iterator[Radio]:
     _say(f"setting up {len(field.drones)} drone(s) and {len(field.servers)} server(s)")
     for namespace in field.namespaces():
         make_namespace(namespace)
+    for one, other in field.wires():
+        join_by_cable(one, other)
     make_keys(
         folder / "keys",
         servers=[[server.name] for server in field.servers],

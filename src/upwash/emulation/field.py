@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -46,6 +47,23 @@ class Field:
                     drone_end=End(drone_namespace(drone.name), f"to{index}", f"10.83.{index}.{number + 2}"),
                     server_end=End(server_namespace(server.name), f"to{number}", self._address(index)),
                 )
+
+    def wires(self) -> Iterator[tuple[End, End]]:
+        """A wire for every two servers that are peers, between the addresses that their daemons listen at."""
+        for (index, server), (other_index, other) in itertools.combinations(enumerate(self.servers), 2):
+            if other.name in server.truth.peers or server.name in other.truth.peers:
+                yield (
+                    End(server_namespace(server.name), f"wire{other_index}", self._address(index)),
+                    End(server_namespace(other.name), f"wire{index}", self._address(other_index)),
+                )
+
+    def peers(self, server: ServerConfig) -> dict[str, str]:
+        """The server's peers, and where their daemons listen."""
+        return {
+            other.name: self.daemon_address(other)
+            for other in self.servers
+            if other.name in server.truth.peers
+        }
 
     def daemon_address(self, server: ServerConfig) -> str:
         """Where the server's daemon listens, on the server's own network."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from upwash.config import (
     IdentityConfig,
     ImageConfig,
     KeysConfig,
+    PeerConfig,
     ServerConfig,
     server_truth,
 )
@@ -28,7 +30,13 @@ def write_drone_file(file: Path, config: DroneConfig) -> None:
 
 
 def write_daemon_file(
-    file: Path, server: ServerConfig, config: DroneConfig, *, listen: str, keys: KeysConfig
+    file: Path,
+    server: ServerConfig,
+    config: DroneConfig,
+    *,
+    listen: str,
+    peers: Mapping[str, str],
+    keys: KeysConfig,
 ) -> None:
     """Writes the configuration of the daemon that acts as one of the drone's servers."""
     truth = server_truth(server, config.services)
@@ -47,6 +55,7 @@ def write_daemon_file(
             if service.name in paces
         ),
         identities=(IdentityConfig(name=server.name, slots=truth.slots, images=tuple(paces)),),
+        peers=tuple(PeerConfig(name=name, address=address) for name, address in peers.items()),
     )
     _write(file, daemon)
 

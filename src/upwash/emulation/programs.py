@@ -40,6 +40,7 @@ def daemon_file(server: ServerConfig, field: Field, folder: Path) -> Path:
         server,
         field.drones[0],
         listen=field.daemon_address(server),
+        peers=field.peers(server),
         keys=keys_in(folder / "keys", server.name),
     )
     return file

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from upwash.config import DroneConfig, NoiseConfig
+from upwash.config import DroneConfig, HedgeConfig, NoiseConfig, ServerConfig
 from upwash.core.policies import POLICIES
 from upwash.errors import UpwashError
 from upwash.lab import processes
@@ -33,11 +33,35 @@ class World(NamedTuple):
     config: DroneConfig
 
 
+class Entrant(NamedTuple):
+    """A policy that is compared, by its name in the comparison, and what it is given besides."""
+
+    name: str
+    policy: str
+    hedge: HedgeConfig | None = None
+    among_peers: bool = False  # every server is a peer of every other
+
+    def enters(self, config: DroneConfig) -> DroneConfig:
+        """The scenario as it flies there."""
+        replace = msgspec.structs.replace
+        config = with_policy(config, self.policy)
+        if self.among_peers:
+            config = replace(config, servers=_all_peers(config.servers))
+        return replace(config, policy=replace(config.policy, hedge=self.hedge or config.policy.hedge))
+
+
+ENTRANTS = (
+    *(Entrant(policy, policy) for policy in POLICIES),
+    Entrant("look-ahead, prepare", "look-ahead", among_peers=True),
+    Entrant("look-ahead, hedging", "look-ahead", hedge=HedgeConfig()),
+)
+
+
 class Flight(NamedTuple):
     """One mission to be flown."""
 
     world: World
-    policy: str
+    entrant: Entrant
     seed: int
 
 
@@ -45,14 +69,14 @@ class Flown(NamedTuple):
     """What one mission came to."""
 
     world: str
-    policy: str
+    entrant: str
     mission_time_s: float
     bound_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The mean mission times of one world by policy, and the bound."""
+    """The mean mission times of one world by entrant, and the bound."""
 
     world: str
     bound_s: float
@@ -87,8 +111,8 @@ def compare(
     workers: int | None = None,
     flown: Callable[[], None] = lambda: None,
 ) -> list[Comparison]:
-    """Flies every policy in every world with the seeds 1 to `seeds`, and tells `flown` of each mission."""
-    flights = [Flight(*each) for each in product(worlds, POLICIES, range(1, seeds + 1))]
+    """Flies every entrant in every world with the seeds 1 to `seeds`, and tells `flown` of each mission."""
+    flights = [Flight(*each) for each in product(worlds, ENTRANTS, range(1, seeds + 1))]
     missions: list[Flown] = []
     with processes.in_processes(_fly, flights, workers=workers) as results:
         for mission in results:
@@ -104,34 +128,47 @@ def show_comparison(files: Sequence[Path], *, thesis: bool, seeds: int, workers:
 
     worlds = [*(thesis_worlds() if thesis else []), *scenario_worlds(files)]
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("missions", total=len(worlds) * len(POLICIES) * seeds)
+        task = bar.add_task("missions", total=len(worlds) * len(ENTRANTS) * seeds)
         comparisons = compare(worlds, seeds=seeds, workers=workers, flown=lambda: bar.advance(task))
     Console(markup=False).print("\n".join(_lines(comparisons)), soft_wrap=True, highlight=False)
 
 
 def _fly(flight: Flight) -> Flown:
-    config = msgspec.structs.replace(with_policy(flight.world.config, flight.policy), seed=flight.seed)
+    config = msgspec.structs.replace(flight.entrant.enters(flight.world.config), seed=flight.seed)
     run = simulate(config)
     bound = bound_of(run, config)
     if bound is None:
-        raise UpwashError(f"{flight.world.name}, {flight.policy}, seed {flight.seed}: {run.failure}")
-    return Flown(flight.world.name, flight.policy, run.result.mission_time_s, bound.free_s)
+        raise UpwashError(f"{flight.world.name}, {flight.entrant.name}, seed {flight.seed}: {run.failure}")
+    return Flown(flight.world.name, flight.entrant.name, run.result.mission_time_s, bound.free_s)
+
+
+def _all_peers(servers: Sequence[ServerConfig]) -> tuple[ServerConfig, ...]:
+    replace = msgspec.structs.replace
+    return tuple(
+        replace(
+            server,
+            truth=replace(
+                server.truth, peers=tuple(other.name for other in servers if other.name != server.name)
+            ),
+        )
+        for server in servers
+    )
 
 
 def _comparison(world: str, missions: Sequence[Flown]) -> Comparison:
     own = [mission for mission in missions if mission.world == world]
     times_s = {
-        policy: mean_of(sorted(each.mission_time_s for each in own if each.policy == policy))
-        for policy in POLICIES
+        entrant.name: mean_of(sorted(each.mission_time_s for each in own if each.entrant == entrant.name))
+        for entrant in ENTRANTS
     }
     return Comparison(world, fmean(sorted(mission.bound_s for mission in own)), times_s)
 
 
 def _lines(comparisons: Sequence[Comparison]) -> Iterator[str]:
-    yield f"| minutes | bound | {' | '.join(POLICIES)} |"
-    yield f"|---|---|{'---|' * len(POLICIES)}"
+    yield f"| minutes | bound | {' | '.join(entrant.name for entrant in ENTRANTS)} |"
+    yield f"|---|---|{'---|' * len(ENTRANTS)}"
     for each in comparisons:
-        cells = [_cell(each.mission_time_s[policy], each.bound_s) for policy in POLICIES]
+        cells = [_cell(each.mission_time_s[entrant.name], each.bound_s) for entrant in ENTRANTS]
         yield f"| {each.world} | {each.bound_s / 60:.2f} | {' | '.join(cells)} |"
 
 
