@@ -6,6 +6,8 @@ import { Feed } from "./feed.js";
 import { Flight } from "./flight.js";
 import { Colours, Places } from "./places.js";
 
+const KEY_S = 5; // that an arrow key moves
+
 const on = (id) => document.getElementById(id);
 const clock = new Clock();
 const colours = new Colours(() => flights.forEach((flight) => flight.restyle(clock.nowS)));
@@ -84,6 +86,12 @@ on("play").addEventListener("click", () => {
   refresh();
 });
 on("time").addEventListener("input", () => seek(Number(on("time").value)));
+on("time").addEventListener("keydown", (event) => {
+  const direction = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1 }[event.key];
+  if (!direction) return;
+  event.preventDefault();
+  seek(clock.nowS + direction * KEY_S);
+});
 on("speed").addEventListener("change", () => (clock.speed = Number(on("speed").value)));
 on("speed").value = String(clock.speed);
 on("previous").addEventListener("click", () => step(-1));

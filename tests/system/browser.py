@@ -1,0 +1,124 @@
+"""A headless Chromium that tests look at pages with, as Debian has it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from selenium import webdriver
+from selenium.webdriver.chrome.options import Options
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.remote.webelement import WebElement
+
+AXE = Path(__file__).parent / "axe" / "axe.min.js"
+_PROGRAMS = ("chromium", "chromedriver")
+_OPTIONS = (
+    "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-dev-shm-usage", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+_PATIENCE_S = 30.0
+Seen = TypeVar("Seen")
+
+
+def why_not() -> str:
+    """Why there is no browser here, empty if there is."""
+    missing = [program for program in _PROGRAMS if shutil.which(program) is None]
+    return f"{' and '.join(missing)} not installed" if missing else ""
+
+
+class Browser:
+    """A page in a window of some size; what goes wrong in it is kept by the browser until it is asked for."""
+
+    def __init__(self, driver: webdriver.Chrome) -> None:
+        self.driver = driver
+
+    def open(self, address: str, *, width: int = 1280, height: int = 900, scheme: str = "light") -> None:
+        """Opens the address in a window of that size, for somebody who prefers that colour scheme."""
+        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        self.prefer(scheme)
+        self.errors()  # of the page before
+        self.driver.get(address)
+
+    def prefer(self, scheme: str) -> None:
+        """What the system prefers from now on: light or dark."""
+        feature = {"name": "prefers-color-scheme", "value": scheme}
+        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
+
+    def run(self, script: str, *arguments: object) -> Any:
+        """What the script returns."""
+        return self.driver.execute_script(script, *arguments)
+
+    def find(self, selector: str, within: WebElement | None = None) -> WebElement:
+        """The first element of that selector."""
+        return (within or self.driver).find_element(By.CSS_SELECTOR, selector)
+
+    def all(self, selector: str) -> list[WebElement]:
+        """All elements of that selector."""
+        return self.driver.find_elements(By.CSS_SELECTOR, selector)
+
+    def click(self, selector: str) -> None:
+        """Clicks each element of that selector, in the middle of the window, where nothing lies above it."""
+        for each in self.all(selector):
+            self.run("arguments[0].scrollIntoView({block: 'center'})", each)
+            each.click()
+
+    def text(self, selector: str) -> str:
+        """What the first element of that selector says, seen or not."""
+        return str(self.run("return document.querySelector(arguments[0])?.textContent ?? ''", selector))
+
+    def wait_until(self, seen: Callable[[], Seen], *, within_s: float = _PATIENCE_S) -> Seen:
+        """Waits until that is true, and returns it."""
+        by = time.monotonic() + within_s
+        while not (found := seen()):
+            assert time.monotonic() < by, f"never seen: {self.text('main')[:500]}"
+            time.sleep(0.05)
+        return found
+
+    def errors(self) -> list[str]:
+        """What the console complained about since it was asked last."""
+        entries: list[dict[str, str]] = self.driver.get_log("browser")  # type: ignore[no-untyped-call]
+        return [entry["message"] for entry in entries]
+
+    def violations(self) -> list[str]:
+        """What axe-core finds wrong with the page for people who do not see, hear or point."""
+        self.driver.execute_cdp_cmd(
+            "Runtime.evaluate", {"expression": AXE.read_text(encoding="utf-8")}
+        )  # past the page's own policy, which lets nothing in
+        found = self.driver.execute_async_script(
+            "const done = arguments[arguments.length - 1];"
+            "axe.run(document, {resultTypes: ['violations', 'incomplete']})"
+            ".then((found) => done(JSON.stringify(found.violations)), (error) => done(String(error)))"
+        )
+        return [
+            f"{violation['id']}: {node['html'][:200]}: {node['failureSummary']}"
+            for violation in json.loads(found)
+            for node in violation["nodes"]
+        ]
+
+    def elsewhere(self, address: str) -> Sequence[str]:
+        """What the page loaded that is not of that address."""
+        loaded = self.run("return performance.getEntriesByType('resource').map((entry) => entry.name)")
+        return [name for name in loaded if not name.startswith(address)]
+
+
+@contextlib.contextmanager
+def browser(profile: Path) -> Iterator[Browser]:
+    """A browser that keeps what it has to in a folder of its own."""
+    options = Options()
+    options.binary_location = shutil.which("chromium") or ""
+    for option in (*_OPTIONS, f"--user-data-dir={profile}"):
+        options.add_argument(option)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
+    try:
+        driver.set_script_timeout(_PATIENCE_S)
+        yield Browser(driver)
+    finally:
+        driver.quit()

@@ -1,0 +1,328 @@
+"""The page of `upwash view` and `--live`, in a browser: live, played back, side by side, on a phone, in the dark."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from selenium.webdriver.common.keys import Keys
+from tests.system.browser import Browser, browser, why_not
+
+from upwash.cli import main
+from upwash.flying import read_log
+from upwash.report.record import Record, read_records
+from upwash.running import ready_program
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.root,
+    pytest.mark.xdist_group("browser"),
+    pytest.mark.skipif(bool(why_not()), reason=why_not()),
+]
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+HOSTILE = "</title><img src=x onerror=alert(1)><script>alert(1)</script>"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("chromium")) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The log of the thesis's mission, and of the same without offloading."""
+    folder = tmp_path_factory.mktemp("logs")
+    thesis = str(SCENARIOS / "thesis.toml")
+    assert main(["simulate", thesis, "--log", str(folder / "with.jsonl")]) == 0
+    assert main(["simulate", thesis, "--policy", "local-only", "--log", str(folder / "without.jsonl")]) == 0
+    return folder / "with.jsonl", folder / "without.jsonl"
+
+
+@pytest.fixture(scope="module")
+def one(logs: tuple[Path, Path]) -> Iterator[str]:
+    """The address of a page about one flight."""
+    with ready_program("one", logs[0].parent, "view", str(logs[0]), "--port", "0") as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def two(logs: tuple[Path, Path]) -> Iterator[str]:
+    """The address of a page about two flights."""
+    with ready_program("two", logs[0].parent, "view", *map(str, logs), "--port", "0") as address:
+        yield address
+
+
+def opened(page: Browser, address: str, *, width: int = 1280, scheme: str = "light") -> None:
+    """Opens the page, and waits until all of the flights is there."""
+    page.open(address, width=width, scheme=scheme)
+    page.wait_until(lambda: page.text(".summary"))
+
+
+def seek(page: Browser, at_s: float) -> None:
+    """Moves the slider."""
+    page.run(
+        "const slider = document.getElementById('time'); slider.value = arguments[0];"
+        "slider.dispatchEvent(new Event('input'));",
+        at_s,
+    )
+    page.wait_until(lambda: moment(page) == at_s)
+    page.run("return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
+def moment(page: Browser) -> float:
+    """The second of the mission that is shown."""
+    return float(page.run("return document.getElementById('time').value"))
+
+
+def calls_until(record: Record, at_s: float) -> int:
+    return sum(call.result.at_s + call.result.delay_s <= at_s + 1e-6 for call in record.calls)
+
+
+def rows(page: Browser, selector: str) -> list[list[str]]:
+    return list(
+        page.run(
+            "return [...document.querySelectorAll(arguments[0])]"
+            ".map((row) => [...row.cells].map((cell) => cell.textContent.trim()))",
+            f"{selector} tbody tr",
+        )
+    )
+
+
+# --- played back ----------------------------------------------------------------------------------------------
+
+
+def test_any_moment_of_a_flight_is_shown_as_the_log_has_it(
+    page: Browser, one: str, logs: tuple[Path, Path]
+) -> None:
+    (record,) = read_records(logs[:1])
+    opened(page, one)
+    page.click(".delays summary")
+    for at_s in (900.0, 100.0, 1300.0, 0.0, record.result.mission_time_s):
+        seek(page, round(at_s, 1))
+        calls = calls_until(record, round(at_s, 1))
+        table = rows(page, ".delays")
+        assert [row[4] for row in table] == [f"{call.result.delay_s:.2f} s" for call in record.calls[:calls]]
+        label = page.find(".chart canvas").get_attribute("aria-label") or ""
+        assert f"{calls} calls" in label
+        for server, state, *_ in rows(page, ".servers"):
+            (now,) = [
+                stretch.state for stretch in record.stretches[server]
+                if stretch.from_s <= round(at_s, 1) + 1e-6 and (
+                    round(at_s, 1) + 1e-6 < stretch.to_s or stretch is record.stretches[server][-1]
+                )
+            ]  # fmt: skip
+            assert state.split()[0] == now
+    assert page.errors() == []
+    assert page.elsewhere(one) == []
+
+
+def test_a_flight_plays_on_its_own_from_the_beginning_to_the_end(page: Browser, one: str) -> None:
+    opened(page, one)
+    page.find("#speed").send_keys("100")
+    page.click("#play")
+    page.wait_until(lambda: 0 < moment(page) < 1400)
+    assert page.text("#play") == "Pause"
+    page.wait_until(lambda: page.text("#play") == "Play")
+    assert page.text("#clock") == "24:30 / 24:30"
+    assert "mission completed" in page.text(".doing")
+
+
+def test_the_buttons_go_from_call_to_call(page: Browser, one: str, logs: tuple[Path, Path]) -> None:
+    (record,) = read_records(logs[:1])
+    ends = [call.result.at_s + call.result.delay_s for call in record.calls]
+    opened(page, one)
+    seek(page, 0.0)
+    for end in ends[:3]:
+        page.click("#next")
+        page.wait_until(lambda: moment(page) == round(end, 1))  # noqa: B023 - it is called before the next
+    assert f"waypoint {record.calls[2].result.waypoint}" in page.text(".now h3")
+    page.click("#previous")
+    page.wait_until(lambda: moment(page) == round(ends[1], 1))
+
+
+def test_the_estimates_and_the_decision_are_told_in_words(
+    page: Browser, one: str, logs: tuple[Path, Path]
+) -> None:
+    (record,) = read_records(logs[:1])
+    waited = next(call for call in record.calls if call.wait)
+    opened(page, one)
+    seek(page, round(waited.result.at_s + waited.result.waited_s / 2, 1))
+    assert "Call under way" in page.text(".now h3")
+    assert "it was believed" in page.text(".reasons")
+    assert "so it was to wait for" in page.text(".reasons")
+    seek(page, round(waited.result.at_s + waited.result.delay_s + 0.1, 1))
+    assert all(reason in page.text(".reasons") for reason in waited.reasons)
+
+
+def test_two_flights_are_shown_at_the_same_second_side_by_side(
+    page: Browser, two: str, logs: tuple[Path, Path]
+) -> None:
+    records = read_records(logs)
+    opened(page, two)
+    seek(page, 1000.0)
+    heads = [each.text for each in page.all(".totals")]
+    assert [f"{calls_until(record, 1000.0)} calls" in head for record, head in zip(records, heads, strict=True)] == [
+        True, True,
+    ]  # fmt: skip
+    left, right = page.all(".flight")
+    assert left.rect["x"] + left.rect["width"] <= right.rect["x"]
+    assert left.rect["y"] == right.rect["y"]
+    assert page.errors() == []
+    seek(page, 2000.0)
+    assert "mission completed" in page.text(".doing"), "the shorter one is over"
+
+
+# --- for everybody ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("width", [390, 800])
+def test_on_a_narrow_screen_nothing_is_cut_off(page: Browser, two: str, width: int) -> None:
+    opened(page, two, width=width)
+    assert page.run("return document.documentElement.scrollWidth") <= width
+    wider = page.run(
+        "return [...document.querySelectorAll('main *')].filter((each) => !each.closest('.scroll, .map')"
+        " && each.getBoundingClientRect().right > innerWidth + 0.5).map((each) => each.outerHTML.slice(0, 80))"
+    )
+    assert wider == []
+    small = page.run(
+        "return [...document.querySelectorAll('button, select, summary, input')].filter((each) => each.offsetParent"
+        " && each.getBoundingClientRect().height < 24).map((each) => each.outerHTML.slice(0, 80))"
+    )
+    assert small == [], "fingers are broad"
+
+
+def test_the_colours_follow_the_system_while_the_page_is_open(page: Browser, one: str) -> None:
+    opened(page, one)
+
+    def darkness() -> list[int]:
+        """Of the page, and the lightest pixel's channel sum of the chart's text and marks."""
+        return list(
+            page.run(
+                "const canvas = document.querySelector('.chart canvas');"
+                "const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;"
+                "let most = 0, least = 765;"
+                "for (let i = 0; i < data.length; i += 4) if (data[i + 3] > 250) {"
+                "  const sum = data[i] + data[i + 1] + data[i + 2];"
+                "  most = Math.max(most, sum); least = Math.min(least, sum); }"
+                "const paper = getComputedStyle(document.body).backgroundColor;"
+                "return [Number(paper === 'rgb(255, 255, 255)'), least, most]"
+            )
+        )
+
+    assert darkness()[0] == 1
+    light_least = darkness()[1]
+    page.prefer("dark")
+    page.wait_until(lambda: darkness()[0] == 0 and darkness()[1] > light_least)
+    assert darkness()[2] > 600, "light ink on dark paper"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1280])
+def test_axe_finds_nothing_wrong(page: Browser, two: str, width: int, scheme: str) -> None:
+    opened(page, two, width=width, scheme=scheme)
+    page.click("summary")
+    for at_s in (1000.0, 2800.0):
+        seek(page, at_s)
+        assert page.violations() == []
+
+
+def test_the_keyboard_reaches_and_moves_everything(page: Browser, one: str) -> None:
+    opened(page, one)
+    page.run("document.querySelector('.delays details').open = true")
+    reached = set()
+    for _ in range(20):
+        page.driver.switch_to.active_element.send_keys(Keys.TAB)
+        reached.add(
+            page.run(
+                "const a = document.activeElement; return a.id || a.className || a.tagName.toLowerCase()"
+            )
+        )
+    controls = {"previous", "play", "next", "time", "speed"}
+    regions = {"leaflet-control-zoom-in", "fit leaflet-control", "summary", "scroll", "scroll lines"}
+    assert controls | regions <= reached
+    assert any("leaflet-container" in each for each in reached)
+    seek(page, 100.0)
+    page.find("#time").send_keys(Keys.ARROW_LEFT)
+    page.wait_until(lambda: moment(page) == 95.0)
+    page.find("#play").send_keys(Keys.SPACE)
+    page.wait_until(lambda: page.text("#play") == "Pause")
+
+
+def test_what_a_log_says_is_never_markup(page: Browser, tmp_path: Path) -> None:
+    here = {"east_m": 3.0, "north_m": 4.0, "altitude_m": 20.0}
+    box = {"left_px": 1.0, "top_px": 1.0, "width_px": 9.0, "height_px": 9.0, "label": HOSTILE, "score": 0.5}
+    ranges = {HOSTILE: {"centre": here, "radius_m": 5}}
+    events: list[dict[str, object]] = [
+        {"event": "planned", "home": None, "waypoints_m": [[0, 0]], "ranges": ranges},
+        {"event": "mission_started", "policy": HOSTILE, "waypoints": 1},
+        {"event": "selected", "server": HOSTILE, "before": "AVL", "after": "CHECK", "why": HOSTILE},
+        {"event": "photo", "source": HOSTILE, "position": here},
+        {"event": "call", "operation": HOSTILE, "place": HOSTILE, "decision": HOSTILE, "delay_s": 1.0,
+         "waited_s": 0.0, "wait": HOSTILE, "fell_back": False},
+        {"event": "notified", "message": [box], "at": here},
+        {"event": "mission_ended", "why": HOSTILE},
+    ]  # fmt: skip
+    log = tmp_path / "hostile.jsonl"
+    log.write_text(
+        "".join(json.dumps({"t": float(at_s), **event}) + "\n" for at_s, event in enumerate(events))
+    )
+    with ready_program("hostile", tmp_path, "view", str(log), "--port", "0") as address:
+        opened(page, address)
+        page.click(".delays summary")
+        assert HOSTILE in page.text(".servers")
+        assert HOSTILE in page.text(".delays table")
+        assert (
+            page.run("return document.querySelectorAll('main img:not(.photo img), main script').length") == 0
+        )
+        assert page.errors() == []
+
+
+# --- live -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.flight
+@pytest.mark.timeout(300)
+def test_a_demonstration_is_shown_while_it_flies(page: Browser, tmp_path: Path) -> None:
+    log = tmp_path / "run" / "events.jsonl"
+    demonstration = subprocess.Popen(
+        [sys.executable, "-m", "upwash", "demo", "--live", "0", "--folder", str(log.parent)],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
+    )  # fmt: skip
+    assert demonstration.stdout is not None
+    try:
+        lines = iter(demonstration.stdout.readline, "")
+        address = next(line.split()[-1] for line in lines if line.startswith("live view: "))
+        page.open(address)
+        page.wait_until(lambda: page.text("#mode") == "live")
+        first = page.wait_until(lambda: page.text(".where"))
+        page.wait_until(lambda: page.text(".where") != first)
+        page.wait_until(lambda: any(not row[1].startswith("AVL ") for row in rows(page, ".servers")))
+        page.wait_until(lambda: page.run("return document.querySelector('.photo img').naturalWidth") == 1440)
+        page.wait_until(lambda: page.all(".boxes .found"), within_s=100)
+        assert page.violations() == []
+        page.click("#previous")  # what was may be looked at while it goes on
+        assert page.find("#latest").get_attribute("aria-pressed") == "false"
+        page.click("#latest")
+        page.wait_until(lambda: "mission completed" in page.text(".doing"), within_s=200)
+        output = demonstration.communicate(timeout=60)[0]
+        assert demonstration.returncode == 0, output
+        page.wait_until(lambda: "has ended" in page.text("#connection"))
+        page.click(".delays summary")
+        result = read_log(log)
+        assert [row[4] for row in rows(page, ".delays")] == [f"{call.delay_s:.2f} s" for call in result.calls]
+        assert f"the mission took {result.mission_time_s:.1f} s" in page.text(".summary")
+        assert page.errors() == []
+        assert page.elsewhere(address) == []
+    finally:
+        if demonstration.poll() is None:
+            os.killpg(demonstration.pid, signal.SIGINT)
+            demonstration.communicate(timeout=100)
+        demonstration.stdout.close()
