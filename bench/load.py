@@ -50,10 +50,11 @@ from upwash.service import spec_of
 
 PERIOD_S = 1.0  # between a drone's calls: ten times as often as one that flies from photo to photo
 TAKES_S = 0.05
-VISIT_CALLS = 5  # then a drone leaves, and others may come
+VISIT_CALLS = 3  # then a drone leaves, and others may come
 TURNED_AWAY_S = 1.0  # until it asks again
 DEADLINE_S = 30.0  # far more than a drone would wait: what is late is to be seen
 WARM_UP_S = 10.0
+IN_TURN = 4  # times as long where drones take turns
 SOAK_DRONES = 15
 SOAK_LOOK_S = 10.0
 MAX_MESSAGE_BYTES = 16 * 2**20
@@ -210,19 +211,20 @@ async def _started(tell: Tell) -> str:
 
 
 def measure(drones: int, *, seconds: float, keys: Path) -> Iterator[Row]:
-    """The bare server, a daemon with a slot for each drone, and one with slots for a tenth."""
+    """The bare server, a daemon with a slot for each drone, and for longer one with slots for a tenth."""
     for slots in dict.fromkeys((None, drones, max(1, drones // 10))):
+        lasts_s = seconds if slots in (None, drones) else IN_TURN * seconds
         seen = Seen()
         fleet = _fleet(drones, keys, seen)
         with _server(slots, keys) as (_, address):
             seen.from_s = time.perf_counter() + WARM_UP_S
-            asyncio.run(_all_at(address, fleet, WARM_UP_S + seconds, bare=slots is None))
+            asyncio.run(_all_at(address, fleet, WARM_UP_S + lasts_s, bare=slots is None))
         cuts_s = quantiles(seen.delays_s, n=100)
         calls = [seen.served[drone.name] for drone in fleet]
         yield Row(
             drones=drones,
             slots=slots,
-            throughput_per_s=len(seen.delays_s) / seconds,
+            throughput_per_s=len(seen.delays_s) / lasts_s,
             p50_s=cuts_s[49],
             p99_s=cuts_s[98],
             failed=seen.failed.total(),
@@ -352,7 +354,12 @@ def main() -> None:
     """Prints the table, or what the soak came to."""
     parser = argparse.ArgumentParser(prog="python -m bench.load", description=__doc__)
     parser.add_argument("--drones", type=int, nargs="+", default=[1, 10, 20, 50, 100, 200])
-    parser.add_argument("--seconds", type=float, default=20.0, help="for each line of the table")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=20.0,
+        help="for each line of the table, four times as long where drones take turns",
+    )
     parser.add_argument("--soak", type=float, metavar="SECONDS", help="watch one load for so long instead")
     parser.add_argument("--out", type=Path, help="leave the figures there as JSON")
     options = parser.parse_args()

@@ -375,6 +375,26 @@ def test_no_drone_has_more_requests_under_way_than_its_share(caplog: pytest.LogC
     assert "refused /upwash.test/echo to heron: this drone has 1" in caplog.text
 
 
+def test_requests_beyond_what_the_server_takes_are_refused_in_the_log(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    handler = Stuck()
+
+    async def crowd(address: str) -> None:
+        async with linked(address) as heron, linked(address, drone="stork") as stork:
+            waiting = asyncio.create_task(heron.request(PATH, b"photo", timeout_s=10.0))
+            assert await entering(handler)
+            with pytest.raises(Refused, match="1 requests are under way already"):
+                await stork.request(PATH, b"quick", timeout_s=5.0)
+            handler.let_go.set()
+            assert await waiting == b"photo"
+            assert await stork.request(PATH, b"quick", timeout_s=5.0) == b"quick"
+
+    with listening(handler, concurrently=1) as listener:
+        asyncio.run(crowd(listener.address))
+    assert "refused /upwash.test/echo to stork: 1 requests are under way already" in caplog.text
+
+
 def test_a_request_that_is_too_large_is_refused_in_the_log_too(caplog: pytest.LogCaptureFixture) -> None:
     with listening(echo) as listener:
         with pytest.raises(Refused, match="larger than max"):

@@ -38,8 +38,10 @@ from upwash.real.listener import AlwaysServing, Caller, Listener
 from upwash.service import Method, load_service, spec_of
 from upwash.settings import construct
 
-_CONCURRENT_CALLS = 32  # one runs, the others arrive or queue until their deadlines
-_CALLS_PER_DRONE = 8
+_CONCURRENT_CALLS = (
+    256  # one runs, the others arrive or queue until their deadlines: of drones with a lease alone
+)
+_CALLS_PER_DRONE = 4  # one, and others that it has given up
 _LONGEST_REASON = 10_000  # characters
 _REPORT_PERIOD_S = 1.0  # leases last far longer than this
 _LAST_REPLY_S = 1.0  # to get on its way, when the last call has ended

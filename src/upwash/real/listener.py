@@ -33,6 +33,9 @@ SERVER_OPTIONS: tuple[tuple[str, int], ...] = (
 )
 
 
+_REFUSING = (
+    16  # requests that may be told, and logged, why they are refused; gRPC refuses more without a word
+)
 HEALTH_CHECK = "/grpc.health.v1.Health/Check"  # gRPC's standard question
 SERVING = b"\x08\x01"  # and its answer, a HealthCheckResponse of one byte that says so
 
@@ -55,8 +58,8 @@ class Listener:
 
     A handler refuses by raising `Refused`; any other error is a bug of the handler, logged, and answered as an
     internal error without its text. `gate` may refuse in the same way before the request's body is received, so
-    that whoever is not served takes no memory. Whoever takes long to send its body keeps none but itself waiting,
-    and no drone has more than `requests_per_drone` under way.
+    that whoever is not served takes no memory. Whoever takes long to send its body keeps none but itself waiting.
+    Beyond `concurrent_requests` under way, and `requests_per_drone` of one drone, each is refused.
     """
 
     def __init__(
@@ -73,8 +76,10 @@ class Listener:
         if _is_in_use(listen):
             raise _cannot_listen(listen)
         self._server = grpc.server(
-            ThreadPoolExecutor(max_workers=concurrent_requests, thread_name_prefix="upwash-request"),
-            maximum_concurrent_rpcs=concurrent_requests,
+            ThreadPoolExecutor(
+                max_workers=concurrent_requests + _REFUSING, thread_name_prefix="upwash-request"
+            ),
+            maximum_concurrent_rpcs=concurrent_requests + _REFUSING,
             options=[
                 *SERVER_OPTIONS,
                 ("grpc.max_receive_message_length", max_message_bytes),
@@ -86,6 +91,7 @@ class Listener:
             gate,
             certified=credentials is not None,
             max_message_bytes=max_message_bytes,
+            concurrent_requests=concurrent_requests,
             requests_per_drone=requests_per_drone,
         )
         self._server.add_generic_rpc_handlers((requests,))
@@ -171,12 +177,14 @@ class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
         *,
         certified: bool,
         max_message_bytes: int,
+        concurrent_requests: int,
         requests_per_drone: int,
     ) -> None:
         self._handler = handler
         self._gate = gate
         self._certified = certified
         self._max_message_bytes = max_message_bytes
+        self._concurrent_requests = concurrent_requests
         self._requests_per_drone = requests_per_drone
         self._counting = threading.Lock()
         self._under_way: Counter[str] = Counter()
@@ -209,6 +217,8 @@ class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
     @contextlib.contextmanager
     def _counted(self, drone: str) -> Iterator[None]:
         with self._counting:
+            if self._under_way.total() >= self._concurrent_requests:
+                raise Refused(f"{self._concurrent_requests} requests are under way already")
             if self._under_way[drone] >= self._requests_per_drone:
                 raise Refused(f"this drone has {self._requests_per_drone} requests under way already")
             self._under_way[drone] += 1
