@@ -40,6 +40,7 @@ Handle = Callable[[str, bytes, Visitor], Coroutine[Any, Any, bytes]]
 
 _CONCURRENT_REQUESTS = 256  # most take no time, a start as long as the service needs
 _REQUESTS_PER_DRONE = 8
+_LONGEST_REQUEST_BYTES = 2**20  # photos go to instances
 _EXPIRY_WARNING = timedelta(days=30)
 _EXPIRY_LOOK_S = 86_400.0
 _CLOSING = "this edge server is shutting down"
@@ -188,7 +189,7 @@ def _listener(config: DaemonConfig, credentials: Credentials | None, handle: Han
         config.listen,
         answer_in_time,
         credentials=credentials,
-        max_message_bytes=config.max_message_bytes,
+        max_message_bytes=min(config.max_message_bytes, _LONGEST_REQUEST_BYTES),
         concurrent_requests=_CONCURRENT_REQUESTS,
         requests_per_drone=_REQUESTS_PER_DRONE,
     )
