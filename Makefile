@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: run test test-system native lint format bench lock clean
+.PHONY: run test test-system native lint format docs bench lock clean
 
 run: $(READY)
 	$(BIN)/upwash demo
@@ -29,6 +29,11 @@ lint: $(READY)
 format: $(READY)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+# The pages of docs/ as a site in dist/docs, with pictures that upwash draws meanwhile.
+docs: $(READY)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict -f site/mkdocs.yml
+	@echo "open dist/docs/index.html, or: $(BIN)/python -m http.server --directory dist/docs"
 
 bench: $(READY)
 	$(BIN)/python bench/call.py

@@ -1,0 +1,67 @@
+"""Draws the site's pictures with the project's own commands, at build time.
+
+A page asks for one in a comment, which whoever reads the page elsewhere does not see:
+
+    <!-- picture map.png: what it shows -->
+
+An HTML page among them is linked to.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from posixpath import relpath
+from tempfile import TemporaryDirectory
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).parents[1]
+THESIS = str(ROOT / "scenarios" / "thesis.toml")
+COMMANDS = (
+    ("simulate", THESIS, "--figures", ".", "--log", "with.jsonl"),
+    ("simulate", THESIS, "--policy", "local-only", "--log", "without.jsonl"),
+    ("check", THESIS, "--figures", "."),
+    ("report", "with.jsonl", "without.jsonl", "-o", "report.html"),
+)
+MADE = ("*.png", "report.html")
+
+_ASKED_FOR = re.compile(r"<!-- picture ([\w.]+): (.+?) -->", re.DOTALL)
+_LINK = re.compile(r"\[([^\]]+)\]\(((?:\.\./)+[^)#]+)(?:#[^)]*)?\)")
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Adds the pictures, and the report that one of the pages shows."""
+    with TemporaryDirectory(prefix="upwash-docs-") as folder:
+        for command in COMMANDS:
+            subprocess.run(
+                [sys.executable, "-m", "upwash", *command], cwd=folder, check=True, capture_output=True
+            )
+        for pattern in MADE:
+            for file in sorted(Path(folder).glob(pattern)):
+                files.append(File.generated(config, f"pictures/{file.name}", content=file.read_bytes()))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Puts pictures where they are asked for; names what lies outside the site instead of linking to it."""
+    here = Path(page.file.src_uri).parent.as_posix()
+
+    def show(asked: re.Match[str]) -> str:
+        name, what = asked[1], " ".join(asked[2].split())
+        if files.get_file_from_path(f"pictures/{name}") is None:
+            raise PluginError(f"{page.file.src_uri} asks for the picture {name}, which no command draws")
+        path = relpath(f"pictures/{name}", here)
+        return f"![{what}]({path})\n*{what}*" if name.endswith(".png") else f"[{what}]({path})"
+
+    def name(link: re.Match[str]) -> str:
+        target = (Path(config.docs_dir) / here / link[2]).resolve()
+        outside = not target.is_relative_to(Path(config.docs_dir).resolve())
+        return f"{link[1]} (`{target.relative_to(ROOT)}`)" if outside else link[0]
+
+    return _ASKED_FOR.sub(show, _LINK.sub(name, markdown))

@@ -1,0 +1,103 @@
+"""`make docs`: the pages become a site that needs nothing but itself, and what they show a newcomer works."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from upwash.cli import main
+from upwash.config import read_drone_config
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+
+
+def blocks(page: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", (DOCS / page).read_text(), flags=re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site; a link that leads nowhere, or a page that nothing leads to, fails the build."""
+    folder = tmp_path_factory.mktemp("site")
+    built = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "mkdocs",
+            "build",
+            "--quiet",
+            "--strict",
+            "-f",
+            "site/mkdocs.yml",
+            "-d",
+            str(folder),
+        ],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert built.returncode == 0, built.stdout + built.stderr
+    return folder
+
+
+def test_every_page_is_on_the_site(site: Path) -> None:
+    pages = {page.relative_to(DOCS).with_suffix(".html") for page in DOCS.glob("**/*.md")}
+    assert pages <= {page.relative_to(site) for page in site.glob("**/*.html")}
+
+
+def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+    for page in site.glob("**/*.html"):
+        text = page.read_text()
+        loaded = re.findall(r"<(?:script|img|link|iframe|source)\b[^>]*?(?:src|href)=\"?([^\"\s>]+)", text)
+        assert loaded or page.name == "report.html"
+        for target in loaded:
+            assert not re.match(r"(https?:)?//", target), f"{page.name} loads {target}"
+    for style in site.glob("**/*.css"):
+        assert not re.search(r"(url\(|@import)\s*[\"']?(https?:)?//", style.read_text()), style.name
+
+
+def test_every_picture_that_a_page_asks_for_is_shown(site: Path) -> None:
+    asked = 0
+    for page in DOCS.glob("**/*.md"):
+        built = site / page.relative_to(DOCS).with_suffix(".html")
+        for name in re.findall(r"<!-- picture ([\w.]+):", page.read_text()):
+            (target,) = set(
+                re.findall(rf'(?:src|href)="([^"]*pictures/{re.escape(name)})"', built.read_text())
+            )
+            assert (built.parent / target).stat().st_size > 10_000
+            asked += 1
+    assert asked > 3
+    assert "<!-- picture" not in "".join(page.read_text() for page in site.glob("**/*.html"))
+
+
+def test_the_first_mission_of_a_newcomer_flies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (program,), (scenario,) = blocks("start.md", "python"), blocks("start.md", "toml")
+    (tmp_path / "patrol.py").write_text(program)
+    (tmp_path / "patrol.toml").write_text(scenario)
+    assert main(["simulate", str(tmp_path / "patrol.toml")]) == 0
+    assert "1 on the drone, 3 on s1" in capsys.readouterr().out
+    assert main(["check", str(tmp_path / "patrol.toml"), "--workers", "1"]) == 0
+
+
+def test_what_a_newcomer_is_told_to_expect_is_what_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", str(ROOT / "scenarios" / "thesis.toml")]) == 0
+    printed = capsys.readouterr().out
+    (shown,) = blocks("start.md", "")[:1]
+    for line in shown.splitlines():
+        for part in line.split("..."):
+            assert part.strip() in printed
+
+
+def test_the_drone_of_the_raspberry_pi_is_understood(tmp_path: Path) -> None:
+    (text,) = blocks("raspberry-pi.md", "toml")
+    (tmp_path / "drone.toml").write_text(text)
+    (tmp_path / "field.plan").write_text((ROOT / "tests/plans/field.plan").read_text())
+    config = read_drone_config(tmp_path / "drone.toml")
+    assert config.servers[0].network == "s1-net"
+    assert config.network.interfaces == ("wlan1",)
