@@ -24,7 +24,12 @@ def make_selection(
     return Selection(
         {server.name: server_area(server, config.mission.home) for server in config.servers},
         estimates=estimates,
-        policy=make_policy(policy.name, gain_switch=policy.gain_switch, gain_wait=policy.gain_wait),
+        policy=make_policy(
+            policy.name,
+            gain_switch=policy.gain_switch,
+            gain_wait=policy.gain_wait,
+            patient_first_call=policy.patient_first_call,
+        ),
         settings=SelectionSettings(
             blacklist_s=policy.blacklist_s, idle_s=policy.idle_s, retry_s=policy.retry_s
         ),

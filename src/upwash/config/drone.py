@@ -152,6 +152,7 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     blacklist_s: AtLeastOneSecond = 60.0
     idle_s: NotNegative = 180.0
     retry_s: NotNegative = 300.0
+    patient_first_call: bool = False
     hedge: HedgeConfig | None = None
 
 
@@ -179,6 +180,7 @@ class TruthConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     start_s: NotNegative | None = None
     processing_s: SecondsByService = {}
     remote_call_s: SecondsByService = {}
+    first_extra_s: NotNegative = 0.0
     radio: Text = "fixed"
     slots: Count = 1
     images: Names | None = None
@@ -215,6 +217,7 @@ class ServerTruth(Struct, frozen=True, kw_only=True):
     start_s: float
     processing_s: Mapping[str, Mapping[str, float]]
     remote_call_s: Mapping[str, Mapping[str, float]]
+    first_extra_s: float
     bandwidth_bit_s: float | None
     radio: str
     slots: int
@@ -329,6 +332,7 @@ def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> Ser
         start_s=start_s,
         processing_s=_merged(server.processing_s, truth.processing_s),
         remote_call_s=_merged(_remote_calls_still_believed(server), truth.remote_call_s),
+        first_extra_s=truth.first_extra_s,
         bandwidth_bit_s=server.bandwidth_bit_s,
         radio=truth.radio,
         slots=truth.slots,

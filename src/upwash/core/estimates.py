@@ -91,6 +91,9 @@ class Estimates:
         self._calls = dict.fromkeys(self._local, 0)
         self._weights = self._weigh()
         self._last_remote_call_s: dict[str, dict[Operation, float]] = {server: {} for server in servers}
+        self._warm: dict[str, set[str]] = {
+            server: set() for server in servers
+        }  # services called since a start
         self._mean_call_s: dict[str | None, float] = {}  # asked for since a window or a weight last changed
 
     @property
@@ -107,6 +110,10 @@ class Estimates:
         """Delay of a remote call, transfer included (`Call_s`); None where the server does not host it."""
         window = self._remote[server].get(operation)
         return window.mean_s if window else None
+
+    def is_first_call(self, server: str, operation: Operation) -> bool:
+        """Whether no call of the service is known to have been computed there since the service was started."""
+        return operation.service not in self._warm[server]
 
     def check_s(self, server: str, *, running: bool) -> float:
         """Delay from selection to READY: `CheckR_s` when the services run there already, else `Check_s`."""
@@ -149,12 +156,15 @@ class Estimates:
         Without this a server that is slower than its deadline allows would never be seen as slow, as its calls never
         end (docs/decisions/calls-cut-short.md). What is no longer than the estimate says nothing.
         """
+        self._warm[server].add(operation.service)
         estimate_s = self.remote_s(server, operation)
         if estimate_s is not None and waited_s > estimate_s:
             self._learn_remote(server, operation, waited_s, now_s=now_s)
 
     def observe_check(self, server: str, delay_s: float, *, started: bool) -> None:
         """Learns from a check that ended READY: from one that had to start the services, or from one that had not."""
+        if started:
+            self._warm[server].clear()
         windows = self._check if started else self._check_running
         windows[server] = windows[server].observe(delay_s)
 
@@ -181,6 +191,7 @@ class Estimates:
     def _learn_remote(self, server: str, operation: Operation, delay_s: float, *, now_s: float) -> None:
         windows = self._remote[server]
         windows[operation] = windows[operation].observe(delay_s)
+        self._warm[server].add(operation.service)
         self._last_remote_call_s[server][operation] = now_s
         self._mean_call_s.clear()
 

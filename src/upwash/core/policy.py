@@ -61,7 +61,8 @@ class Call:
     """What an invocation is decided on, while a server is selected and in range.
 
     `local_s` and `remote_s` are the operation's estimates; `check_expected_s` is the estimate of the check under
-    way and `check_elapsed_s` how long it has run (`Check_cur` or `CheckR_cur`, and now - t_check).
+    way and `check_elapsed_s` how long it has run (`Check_cur` or `CheckR_cur`, and now - t_check). `is_first` where the
+    service has computed no call there since it was started, as far as is known.
     """
 
     server: str
@@ -70,6 +71,7 @@ class Call:
     remote_s: float
     check_expected_s: float
     check_elapsed_s: float
+    is_first: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,14 +124,18 @@ class Policy(Protocol):
 class Deadline:
     """How long a remote call may take.
 
-    Past the time that a local call takes, giving up costs at most as much again: the ski-rental bound.
+    Past the time that a local call takes, giving up costs at most as much again: the ski-rental bound. A deadline that
+    is `patient_first` gives a service's first call all that time, as its estimate says little of it.
     """
 
     least_s: float = 1.0
     factor: float = 4.0
+    patient_first: bool = False
 
-    def seconds(self, *, local_s: float, remote_s: float) -> float:
+    def seconds(self, *, local_s: float, remote_s: float, is_first: bool = False) -> float:
         """The deadline of a call with these estimates."""
+        if is_first and self.patient_first:
+            return max(self.least_s, local_s)
         return max(self.least_s, min(self.factor * remote_s, local_s))
 
 
@@ -147,7 +153,9 @@ class WaitRule:
     def decide(self, call: Call) -> Decision:
         """Remote if the server is ready; while it is checked, a bounded wait or local."""
         if call.state is State.READY:
-            deadline_s = self.deadline.seconds(local_s=call.local_s, remote_s=call.remote_s)
+            deadline_s = self.deadline.seconds(
+                local_s=call.local_s, remote_s=call.remote_s, is_first=call.is_first
+            )
             return Remote(call.server, deadline_s, "server ready")
         if call.state not in CHECKING:
             return Local(f"{call.server} is {call.state}")

@@ -124,6 +124,7 @@ class Selection:
             remote_s=remote_s,
             check_expected_s=self.estimates.check_s(current.name, running=current.state is State.CHECK_R),
             check_elapsed_s=now_s - current.checked_since_s,
+            is_first=self.estimates.is_first_call(current.name, operation),
         )
         return self.policy.decide(call), []
 

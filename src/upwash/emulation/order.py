@@ -71,6 +71,9 @@ def emulated(config: DroneConfig) -> DroneConfig:
             replace(service, local_pace_s=service.local_call_s, local_first_extra_s=0.0)
             for service in config.services
         ),
+        servers=tuple(
+            replace(server, truth=replace(server.truth, first_extra_s=0.0)) for server in config.servers
+        ),
         heat=None,
         noise=type(config.noise)(),
         faults=(),
@@ -84,6 +87,7 @@ def left_out(config: DroneConfig) -> list[str]:
         "noise": config.noise != type(config.noise)(),
         "fault": bool(config.faults),
         "local_first_extra_s": any(service.local_first_extra_s for service in config.services),
+        "first_extra_s": any(server.truth.first_extra_s for server in config.servers),
     }
     return [name for name, there in found.items() if there]
 

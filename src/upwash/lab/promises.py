@@ -6,8 +6,9 @@ witness saw of drones and servers (`witness.py`), and by the same mission flown 
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -182,7 +183,7 @@ def may_be_cut_short(config: DroneConfig) -> bool:
 
 def bounded_calls(history: History) -> Iterator[Breach]:
     """The longest worthwhile wait, the remote deadline and one local call, each as the rules say."""
-    gain_wait = history.config.policy.gain_wait
+    policy, first = history.config.policy, set(map(id, _first_calls(history.run.events)))
     computed: dict[str, deque[Fact]] = {}  # by service, as a hedged call may outlast one of another
     for fact in history.own("computed"):
         computed.setdefault(_service(fact), deque()).append(fact)
@@ -192,7 +193,8 @@ def bounded_calls(history: History) -> Iterator[Breach]:
         if ended["delay_s"] > call.bound_s:
             yield ended, f"took {ended['delay_s']:.3f} s of at most {call.bound_s:.3f} s"
         for decided in call.decisions:
-            yield from _allowed_too_much(decided, gain_wait)
+            patient = policy.patient_first_call and id(decided) in first
+            yield from _allowed_too_much(decided, policy.gain_wait, patient=patient)
         yield from _hedged_too_late(call)
         service = _service(ended)
         if call.queued_s > (most_s := before_s.get(service, 0.0)) + _SLACK_S:
@@ -206,13 +208,28 @@ def bounded_calls(history: History) -> Iterator[Breach]:
                 )
 
 
-def _allowed_too_much(decided: Fact, gain_wait: float) -> Iterator[Breach]:
+def _first_calls(events: Iterable[Fact]) -> Iterator[Fact]:
+    """The decisions for a server whose service has answered no call since the server last had to start services."""
+    warm: dict[str, set[str]] = {}  # services by server
+    for event in events:
+        match event:
+            case {"event": "started", "server": server}:
+                warm[server] = set()
+            case {"event": "call", "place": place}:
+                warm.setdefault(place, set()).add(_service(event))
+            case {"event": "decided", "decision": "remote", "server": server}:
+                if _service(event) not in warm.get(server, set()):
+                    yield event
+
+
+def _allowed_too_much(decided: Fact, gain_wait: float, *, patient: bool) -> Iterator[Breach]:
     if decided["decision"] == "wait":
         longest_s = decided["local_s"] * (1 - gain_wait) - decided["remote_s"]
         if decided["at_most_s"] > longest_s + _ROUNDING_S:
             yield decided, f"may wait {decided['at_most_s']:.3f} s, worthwhile are {longest_s:.3f} s"
     elif decided["decision"] == "remote":
-        longest_s = max(_REMOTE_LEAST_S, min(_REMOTE_FACTOR * decided["remote_s"], decided["local_s"]))
+        expected_s = math.inf if patient else _REMOTE_FACTOR * decided["remote_s"]
+        longest_s = max(_REMOTE_LEAST_S, min(expected_s, decided["local_s"]))
         if decided["deadline_s"] > longest_s + _ROUNDING_S:
             yield decided, f"has a deadline of {decided['deadline_s']:.3f} s, allowed are {longest_s:.3f} s"
 

@@ -33,7 +33,8 @@ class World:
     def __init__(self, seed: int) -> None:
         self._number = (seed - 1) // SEEDS_PER_SCENARIO
         chance = random.Random(f"world/{self._number}")  # noqa: S311 - not for secrets
-        self._documents = [_with_peers(_Draft(chance, self._number).document(), self._number)]
+        document = _with_peers(_Draft(chance, self._number).document(), self._number)
+        self._documents = [_with_slow_first_calls(document, self._number)]
         for number in range(2, 2 + chance.choices((0, 1, 2), (75, 19, 6))[0]):
             self._documents.append(_companion(self._documents[0], chance, number))
 
@@ -205,6 +206,17 @@ def _with_peers(document: Document, number: int) -> Document:
     for server in document["server"]:
         others = [name for name in names if name != server["name"]]
         server["truth"]["peers"] = [name for name in others if chance.random() < 0.9]
+    return document
+
+
+def _with_slow_first_calls(document: Document, number: int) -> Document:
+    """In some worlds the drone is patient with first calls, and some of them take their time."""
+    chance = random.Random(f"first calls/{number}")  # noqa: S311 - not for secrets
+    if chance.random() < 0.7:
+        return document
+    document["policy"]["patient_first_call"] = True
+    for server in document["server"]:
+        server["truth"]["first_extra_s"] = chance.choice((0.0, 1.0, 4.0))
     return document
 
 

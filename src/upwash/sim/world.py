@@ -112,6 +112,7 @@ class ServerComputer:
     ) -> None:
         self._name = name
         self._truth = truth
+        self._cold: set[str] = set()  # services that have not been called since their start
         self._faults = faults
         self._noise = noise
         self._chance = chance
@@ -119,11 +120,18 @@ class ServerComputer:
     async def start(self, spec: InstanceSpec) -> None:
         """The cold start."""
         await self._take(self._truth.start_s, f"{spec.name} crashed while it started")
+        self._cold.add(spec.service)
 
     async def compute(self, spec: InstanceSpec, operation: Operation) -> None:
-        """The true delay of a call: end to end where the scenario says it so, else the processing alone."""
+        """The true delay of a call, end to end where the scenario says it so, else the processing alone.
+
+        The first call after a start takes longer by the extra.
+        """
         call_s = computing_s(operation, self._truth)
         call_s *= self._chance.factor(f"call/{self._name}/{operation}", self._noise)
+        if spec.service in self._cold:
+            self._cold.remove(spec.service)
+            call_s += self._truth.first_extra_s
         await self._take(call_s, f"{spec.name} crashed in a call")
 
     async def _take(self, time_s: float, crash: str) -> None:
