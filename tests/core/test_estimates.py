@@ -196,3 +196,20 @@ def test_a_call_cut_short_sooner_than_expected_says_nothing() -> None:
     estimates = two_operations()
     estimates.observe_remote_cut("s1", HEAVY, 1.9, now_s=10.0)
     assert estimates.remote_s("s1", HEAVY) == 2.0
+
+
+def test_a_call_is_the_first_of_its_service_until_one_was_computed_since_the_start() -> None:
+    estimates = two_operations()
+    assert estimates.is_first_call("s1", HEAVY)
+    estimates.observe_remote("s1", LIGHT, 1.0, now_s=5.0)
+    assert not estimates.is_first_call("s1", HEAVY)  # the same service, in the same instance
+    assert estimates.is_first_call("s2", LIGHT)
+    estimates.services_started("s1")
+    assert estimates.is_first_call("s1", HEAVY)
+
+
+@pytest.mark.parametrize("waited_s", [0.5, 4.0])
+def test_a_call_that_was_cut_short_was_a_call(waited_s: float) -> None:
+    estimates = two_operations()
+    estimates.observe_remote_cut("s1", LIGHT, waited_s, now_s=5.0)
+    assert not estimates.is_first_call("s1", LIGHT)

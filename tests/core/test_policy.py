@@ -113,6 +113,25 @@ def test_the_deadline_can_be_set() -> None:
     assert Deadline(least_s=0.5, factor=2.0).seconds(local_s=9.0, remote_s=1.0) == 2.0
 
 
+@pytest.mark.parametrize(
+    ("is_first", "local_s", "deadline_s"),
+    [(True, 10.0, 10.0), (True, 0.5, 1.0), (False, 10.0, 3.0)],
+)
+def test_a_patient_drone_gives_a_first_call_the_time_of_a_local_one(
+    is_first: bool, local_s: float, deadline_s: float
+) -> None:
+    policy = make_policy("location-aware", gain_switch=0.25, gain_wait=0.25, patient_first_call=True)
+    call = replace(READY, local_s=local_s, remote_s=min(0.75, local_s / 2), is_first=is_first)
+    decision = policy.decide(call)
+    assert isinstance(decision, Remote)
+    assert decision.deadline_s == deadline_s
+
+
+@pytest.mark.parametrize("policy", OFFLOADING)
+def test_unless_it_is_told_to_be_patient_the_first_call_is_as_any(policy: Policy) -> None:
+    assert policy.decide(replace(READY, is_first=True)) == policy.decide(READY)
+
+
 @pytest.mark.parametrize("state", [State.CHECK, State.CHECK_R])
 @pytest.mark.parametrize(
     ("remote_s", "elapsed_s", "at_most_s"),

@@ -13,12 +13,23 @@ from upwash.core.happenings import (
     Looked,
     MissionEnded,
     NetworkLost,
+    Prepared,
     RemoteCallEnded,
     RemoteCallFailed,
     ServicesStarted,
 )
 from upwash.core.orders import Check, Command, Leave, Start
-from upwash.core.policy import Local, LocalOnly, LocationAware, Opportunistic, Policy, Remote, Wait
+from upwash.core.policy import (
+    Deadline,
+    Local,
+    LocalOnly,
+    LocationAware,
+    Opportunistic,
+    Policy,
+    Remote,
+    Wait,
+    WaitRule,
+)
 from upwash.core.selection import Selection
 from upwash.core.servers import Change, State
 from upwash.errors import TransitionError
@@ -416,6 +427,28 @@ def test_a_ready_server_in_range_gets_the_call() -> None:
     assert isinstance(decision, Remote)
     assert (decision.server, decision.deadline_s) == ("s1", 3.0)
     assert commands == []
+
+
+def test_the_first_call_after_a_start_is_told_from_the_others() -> None:
+    def deadline_s(now_s: float) -> float:
+        decision, _ = machine.decide(HEAVY, now_s=now_s, position=UNDER_S1)
+        assert isinstance(decision, Remote)
+        return decision.deadline_s
+
+    patient = WaitRule(deadline=Deadline(patient_first=True))
+    machine = with_s1_ready(selection(LocationAware(wait=patient)))
+    assert deadline_s(20.0) == 8.0
+    machine.handle(RemoteCallEnded("s1", HEAVY, 0.75), now_s=20.75, position=UNDER_S1)
+    assert deadline_s(30.0) == 3.0
+    machine.handle(Looked(), now_s=40.0, position=NOWHERE)
+    machine.handle(Looked(), now_s=50.0, position=UNDER_S1)
+    machine.handle(CheckAnswered(2, running=True), now_s=52.0, position=UNDER_S1)
+    assert deadline_s(53.0) == 3.0  # the same instance
+    machine.handle(Looked(), now_s=60.0, position=NOWHERE)
+    machine.handle(Prepared("s1", "s2"), now_s=70.0, position=NOWHERE)
+    machine.handle(Looked(), now_s=80.0, position=UNDER_S1)
+    machine.handle(CheckAnswered(3, running=True), now_s=82.0, position=UNDER_S1)
+    assert deadline_s(83.0) == 8.0
 
 
 def test_a_ready_server_out_of_range_is_given_up_and_the_call_runs_here() -> None:

@@ -8,6 +8,7 @@ import msgspec
 import pytest
 
 from upwash.config import DroneConfig, PeerConfig, read_daemon_config, read_drone_config
+from upwash.config.drone import TruthConfig
 from upwash.emulation.files import write_daemon_file, write_drone_file
 from upwash.emulation.native import WIFI, wifi_of
 from upwash.emulation.order import Order, Paces, emulated, left_out, server_paces
@@ -79,6 +80,10 @@ def test_what_cannot_be_emulated_is_named_and_left_out() -> None:
     assert left_out(thesis) == ["heat", "local_first_extra_s"]
     assert left_out(emulated(thesis)) == []
     assert emulated(thesis).services[0].local_pace_s == {"light": 3.0, "heavy": 10.0}
+    server = msgspec.structs.replace(thesis.servers[0], truth=TruthConfig(first_extra_s=2.0))
+    slow_at_first = msgspec.structs.replace(emulated(thesis), servers=(server,))
+    assert left_out(slow_at_first) == ["first_extra_s"]
+    assert left_out(emulated(slow_at_first)) == []
 
 
 def test_several_drones_are_told_apart_and_a_single_one_keeps_its_name(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import functools
 import re
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from upwash.lab.bounds import bound_of
@@ -121,6 +122,30 @@ def test_a_loaded_server_is_found_out_and_avoided() -> None:
     )
     assert aware.remote["s2"] < 0.6 * naive.remote["s2"]
     assert 1.06 < time_s("loaded-server", "opportunistic") / time_s("loaded-server") < 1.13
+
+
+def slow_at_first(scenario: str, *, patient_first_call: bool) -> Run:
+    """The scenario with servers on which a service's first call takes 2 s longer."""
+    replace, config = msgspec.structs.replace, read_scenario(FILES[scenario], policy="look-ahead")
+    servers = tuple(replace(each, truth=replace(each.truth, first_extra_s=2.0)) for each in config.servers)
+    policy = replace(config.policy, patient_first_call=patient_first_call)
+    return simulate(replace(config, servers=servers, policy=policy))
+
+
+def test_a_slow_first_call_is_cut_short_at_each_server_or_awaited_with_patience() -> None:
+    hurried, patient = (
+        slow_at_first("power-line-light", patient_first_call=patience) for patience in (False, True)
+    )
+    assert (hurried.result.totals.fallbacks, patient.result.totals.fallbacks) == (15, 0)
+    assert patient.result.mission_time_s < 0.9 * hurried.result.mission_time_s
+
+
+def test_the_first_call_after_each_start_takes_its_extra() -> None:
+    calls = slow_at_first("power-line-heavy", patient_first_call=True).result.calls
+    remote_s = [call.delay_s - call.waited_s for call in calls if call.place != "local"]
+    slow = [delay_s for delay_s in remote_s if delay_s == pytest.approx(2.7)]
+    assert len(slow) == 20  # one for each pole
+    assert all(delay_s == pytest.approx(0.7) for delay_s in remote_s if delay_s not in slow)
 
 
 def test_flapping_servers_cost_fallbacks_and_not_the_mission() -> None:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 from unittest.mock import patch
 
+from upwash.core.estimates import Estimates
 from upwash.core.geo import Position
 from upwash.core.hedging import Hedging
 from upwash.core.instances import Command as HostCommand
@@ -98,10 +99,15 @@ def deadline_ignored() -> contextlib.AbstractContextManager[object]:
 
 
 def deadline_of_the_wrong_estimate() -> contextlib.AbstractContextManager[object]:
-    def seconds(self: Deadline, *, local_s: float, remote_s: float) -> float:
+    def seconds(self: Deadline, *, local_s: float, remote_s: float, is_first: bool) -> float:
         return max(self.least_s, self.factor * remote_s)
 
     return patch.object(Deadline, "seconds", seconds)
+
+
+def every_call_the_first() -> contextlib.AbstractContextManager[object]:
+    """The drone is patient with each call."""
+    return patch.object(Estimates, "is_first_call", lambda *_: True)
 
 
 def late_reply_delivered() -> contextlib.AbstractContextManager[object]:
@@ -354,6 +360,7 @@ DEFECTS = (
     Defect("the program waits longer than was decided", wait_not_watched),
     Defect("a remote call's deadline is ignored", deadline_ignored),
     Defect("a remote call's deadline may exceed a local call", deadline_of_the_wrong_estimate),
+    Defect("every call has the patience of a first one", every_call_the_first),
     Defect("an earlier reply answers a later call", late_reply_delivered),
     Defect("a call that fell back has two results", duplicate_result),
     Defect("the service's own exception is replaced", own_exception_swallowed),

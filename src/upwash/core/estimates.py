@@ -163,10 +163,12 @@ class Estimates:
 
     def observe_check(self, server: str, delay_s: float, *, started: bool) -> None:
         """Learns from a check that ended READY: from one that had to start the services, or from one that had not."""
-        if started:
-            self._warm[server].clear()
         windows = self._check if started else self._check_running
         windows[server] = windows[server].observe(delay_s)
+
+    def services_started(self, server: str) -> None:
+        """Takes the next call of each service there for its first."""
+        self._warm[server].clear()
 
     def forget_slow_calls(self, server: str, *, now_s: float, retry_s: float) -> bool:
         """Gives a server whose calls became slower than local another chance, `retry_s` after the last of them.

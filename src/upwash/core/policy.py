@@ -61,8 +61,8 @@ class Call:
     """What an invocation is decided on, while a server is selected and in range.
 
     `local_s` and `remote_s` are the operation's estimates; `check_expected_s` is the estimate of the check under
-    way and `check_elapsed_s` how long it has run (`Check_cur` or `CheckR_cur`, and now - t_check). `is_first` where the
-    service has computed no call there since it was started, as far as is known.
+    way and `check_elapsed_s` how long it has run (`Check_cur` or `CheckR_cur`, and now - t_check). `is_first` where
+    the service has computed no call there since it was started, as far as is known.
     """
 
     server: str
@@ -124,8 +124,8 @@ class Policy(Protocol):
 class Deadline:
     """How long a remote call may take.
 
-    Past the time that a local call takes, giving up costs at most as much again: the ski-rental bound. A deadline that
-    is `patient_first` gives a service's first call all that time, as its estimate says little of it.
+    Past the time that a local call takes, giving up costs at most as much again: the ski-rental bound. A deadline
+    that is `patient_first` gives a service's first call all that time, as its estimate says little of it.
     """
 
     least_s: float = 1.0

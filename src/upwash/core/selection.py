@@ -182,6 +182,7 @@ class Selection:
                 return self._failed(Event.NETWORK_LOST, why, now_s)
             case Prepared(server, by) if self.servers[server].state in (State.AVL, State.AVL_R):
                 change = self.servers[server].apply(Event.PREPARED, now_s=now_s, why=f"by {by}")
+                self.estimates.services_started(server)
                 self._meet()
                 return [change]
             case RemoteCallFailed(server, check, why) if self._is_ready(server, check):
@@ -242,6 +243,8 @@ class Selection:
     def _ready(self, event: Event, now_s: float) -> Change:
         server = self._selected()
         change = server.apply(event, now_s=now_s)
+        if server.start_requested:
+            self.estimates.services_started(server.name)
         announced = self._herald.has_announced(server.name, at_s=server.checked_since_s)
         if not (announced and server.start_requested):  # which was the rest of a start
             self.estimates.observe_check(

@@ -209,11 +209,11 @@ def bounded_calls(history: History) -> Iterator[Breach]:
 
 
 def _first_calls(events: Iterable[Fact]) -> Iterator[Fact]:
-    """The decisions for a server whose service has answered no call since the server last had to start services."""
+    """The decisions for a server whose service has answered no call since services were last started there."""
     warm: dict[str, set[str]] = {}  # services by server
     for event in events:
         match event:
-            case {"event": "started", "server": server}:
+            case {"event": "started" | "prepared", "server": server}:
                 warm[server] = set()
             case {"event": "call", "place": place}:
                 warm.setdefault(place, set()).add(_service(event))
