@@ -9,7 +9,7 @@ import pytest
 
 from upwash.config import DroneConfig, PeerConfig, read_daemon_config, read_drone_config
 from upwash.config.drone import TruthConfig
-from upwash.emulation.files import write_daemon_file, write_drone_file
+from upwash.emulation.files import daemon_config, write_daemon_file, write_drone_file
 from upwash.emulation.native import WIFI, wifi_of
 from upwash.emulation.order import Order, Paces, emulated, left_out, server_paces
 from upwash.errors import UsageError
@@ -66,7 +66,8 @@ def test_a_daemon_is_told_its_paces_slots_and_images(tmp_path: Path) -> None:
     for server in config.servers:
         file = tmp_path / f"{server.name}.toml"
         keys, peers = keys_in(tmp_path, server.name), {"s9": "10.83.8.1:7070"}
-        write_daemon_file(file, server, config, listen="10.83.0.1:7070", peers=peers, keys=keys)
+        daemon = daemon_config(server, config, listen="10.83.0.1:7070", peers=peers, keys=keys)
+        write_daemon_file(file, daemon)
         daemon = read_daemon_config(file)
         (identity,) = daemon.identities
         paces = server_paces(server, config)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tests.engines import OwnEngine
 
-from upwash.packaging.archive import write_archive
+from upwash.emulation.computer_image import IS_UP, write_computer_image
 from upwash.real.credentials import make_keys
 
 MEMBERS = {"m1": "10.147.80.11", "m2": "10.147.80.12", "m3": "10.147.80.13"}
@@ -21,32 +21,6 @@ SERVICES = "10.147.84.0/24"
 _BRIDGE, _BRIDGE_ADDRESS = "upwash-c0", "10.147.80.1/21"
 _PORT = 8443
 
-_INIT = """\
-#!/bin/sh
-ip link set lo up
-ip address add "$ADDRESS" dev eth0
-ip link set eth0 up
-echo 1 > /proc/sys/net/ipv4/conf/eth0/forwarding
-if [ ! -e /sys/fs/cgroup/cgroup.controllers ]; then  # a host with the first version of control groups
-    mount -t tmpfs cgroup /sys/fs/cgroup
-    for controller in cpu cpuacct cpuset memory devices freezer blkio pids; do
-        mkdir "/sys/fs/cgroup/$controller"
-        mount -t cgroup -o "$controller" cgroup "/sys/fs/cgroup/$controller" || rmdir "/sys/fs/cgroup/$controller"
-    done
-    mkdir /sys/fs/cgroup/systemd
-    mount -t cgroup -o none,name=systemd cgroup /sys/fs/cgroup/systemd
-fi
-exec python3 -c '
-import os, signal
-signal.signal(signal.SIGPWR, lambda *_: os._exit(0))
-signal.signal(signal.SIGCHLD, lambda *_: None)
-while True:
-    try:
-        os.wait()
-    except ChildProcessError:
-        signal.pause()
-'
-"""
 _FIRST = """\
 config: {{core.https_address: "{address}:{port}"}}
 cluster: {{enabled: true, server_name: {name}}}
@@ -90,7 +64,7 @@ def own_cluster(engine: OwnEngine) -> Iterator[OwnCluster]:
     """Three members of a fresh cluster, until the end of the block."""
     with _bridge(), tempfile.TemporaryDirectory(prefix="upwash-cluster-") as name:
         folder = Path(name)
-        engine.command("image", "import", str(_image(folder)), "--alias", "member")
+        engine.command("image", "import", str(write_computer_image(folder)), "--alias", "member")
         try:
             for member, address in MEMBERS.items():
                 _launch(engine, member, address)
@@ -115,50 +89,9 @@ def _bridge() -> Iterator[None]:
         subprocess.run(("ip", "link", "delete", _BRIDGE), check=False)
 
 
-def _image(folder: Path) -> Path:
-    """A machine that has the host's /usr, and can run an engine of its own."""
-    root = folder / "tree" / "rootfs"
-    for name in (
-        "usr",
-        "etc",
-        "dev",
-        "proc",
-        "sys",
-        "run",
-        "tmp",
-        "root",
-        "mnt",
-        "sbin",
-        "etc/lxc",
-        "var/cache",
-        "var/log/lxd",
-        "var/lib/lxd",
-        "var/lib/lxcfs",
-        "var/tmp",
-    ):
-        (root / name).mkdir(parents=True)
-    for name in ("bin", "lib", "lib64"):
-        (root / name).symlink_to(f"usr/{name}")
-    (root / "sbin" / "init").write_text(_INIT)
-    (root / "sbin" / "init").chmod(0o755)
-    files = {
-        "passwd": "root:x:0:0::/root:/bin/sh\nnobody:x:65534:65534::/:/bin/false\n",
-        "group": "root:x:0:\nnogroup:x:65534:\n",
-        "hosts": "127.0.0.1 localhost\n",
-        "subuid": "root:1000000:65536\n",
-        "subgid": "root:1000000:65536\n",
-    }
-    for name, text in files.items():
-        (root / "etc" / name).write_text(text)
-    metadata = {"architecture": "x86_64", "creation_date": 1, "properties": {}}
-    (folder / "tree" / "metadata.yaml").write_text(json.dumps(metadata))
-    write_archive(folder / "tree", folder / "member.tar.gz")
-    return folder / "member.tar.gz"
-
-
 def _launch(engine: OwnEngine, member: str, address: str) -> None:
     engine.command("init", "member", member, "-s", "default")
-    engine.command("config", "set", member, "security.nesting=true", f"environment.ADDRESS={address}/21")
+    engine.command("config", "set", member, "security.nesting=true")
     engine.command(
         "config", "device", "add", member, "usr", "disk", "source=/usr", "path=/usr", "readonly=true"
     )
@@ -167,6 +100,13 @@ def _launch(engine: OwnEngine, member: str, address: str) -> None:
         *("nictype=bridged", f"parent={_BRIDGE}", "name=eth0"),
     )
     engine.command("start", member)
+    engine.command("exec", member, "--", *IS_UP)
+    _inside(
+        engine,
+        member,
+        f"ip address add {address}/21 dev eth0; ip link set eth0 up; "
+        "echo 1 >/proc/sys/net/ipv4/conf/eth0/forwarding",
+    )
 
 
 def _start_engine(engine: OwnEngine, member: str) -> None:

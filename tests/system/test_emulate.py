@@ -1,4 +1,4 @@
-"""Emulations for real: radios, flights, kills; as root, in namespaces of their own."""
+"""Emulations for real: radios, flights, kills; as root, in namespaces and in containers of their own."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ from tests.system.ns3 import require_ns3
 from tests.system.thresholds import waits_at_their_threshold
 
 from upwash.config import read_drone_config
+from upwash.emulation.containers import require_containers
 from upwash.emulation.enclosure import clean, run_enclosed
 from upwash.emulation.order import emulated
+from upwash.errors import UsageError
 from upwash.flying import read_log
 from upwash.lab.run import simulate
 from upwash.results import CallResult
@@ -46,6 +48,21 @@ def radio(request: pytest.FixtureRequest) -> str:
     if request.param == "ns3":
         require_ns3()
     return str(request.param)
+
+
+@pytest.fixture(params=["namespaces", "containers"])
+def computers(request: pytest.FixtureRequest) -> str:
+    """Each kind of computers."""
+    if request.param == "containers":
+        require_engine()
+    return str(request.param)
+
+
+def require_engine() -> None:
+    try:
+        require_containers()
+    except UsageError as why:
+        pytest.skip(str(why))
 
 
 class Emulation:
@@ -74,6 +91,15 @@ class Emulation:
                 continue
         return found
 
+    def groups(self) -> list[Path]:
+        """The control groups of its containers."""
+        return [
+            group
+            for depth in ("*", "*/*")  # by the version of control groups
+            for group in Path("/sys/fs/cgroup").glob(f"{depth}/lxc.*")
+            if group.parent.name.startswith(f"upwash-emulation-{self.process.pid}:")
+        ]
+
     def events(self, drone: str = "drone") -> list[dict[str, Any]]:
         log = self.folder / f"{drone}.jsonl"
         return [msgspec.json.decode(line) for line in log.read_bytes().splitlines()] if log.exists() else []
@@ -86,7 +112,7 @@ class Emulation:
     def finish(self) -> str:
         """Waits for its end and returns what it printed; nothing of it may be left."""
         output = self.process.communicate()[0]
-        assert self.processes() == {}
+        assert self.processes() == {} and self.groups() == []
         assert "Traceback" not in output
         return output
 
@@ -156,7 +182,23 @@ def test_servers_that_are_peers_have_a_wire_between_them(
 
 @pytest.mark.flight
 def test_the_demonstration_goes_as_it_is_simulated(radio: str, emulate: Callable[..., Emulation]) -> None:
-    emulation = emulate(str(DEMONSTRATION), "--radio", radio)
+    expect_as_simulated(emulate(str(DEMONSTRATION), "--radio", radio))
+
+
+@pytest.mark.flight
+def test_it_goes_so_in_containers_too_with_services_in_containers_of_the_servers_own(
+    emulate: Callable[..., Emulation],
+) -> None:
+    require_engine()
+    emulation = emulate(str(DEMONSTRATION), "--in", "containers")
+    expect_as_simulated(emulation)
+    for server in ("s1", "s2"):
+        assert 'kind = "lxd"' in (emulation.folder / f"{server}.toml").read_text()
+        assert "detector@" in (emulation.folder / f"{server}.log").read_text()
+
+
+def expect_as_simulated(emulation: Emulation) -> None:
+    """The flight goes as its simulation, call by call."""
     emulation.finish_in_time()
     flown = read_log(emulation.folder / "drone.jsonl")
     run = simulate(emulated(read_drone_config(DEMONSTRATION)))
@@ -174,9 +216,9 @@ def computing_s(call: CallResult) -> float:
 
 @pytest.mark.flight
 def test_a_call_is_cut_when_the_drone_leaves_the_range_and_answered_on_the_drone(
-    radio: str, emulate: Callable[..., Emulation]
+    radio: str, computers: str, emulate: Callable[..., Emulation]
 ) -> None:
-    emulation = emulate(str(EMULATED / "leaving.toml"), "--radio", radio)
+    emulation = emulate(str(EMULATED / "leaving.toml"), "--radio", radio, "--in", computers)
     emulation.finish_in_time()
     _, cut = read_log(emulation.folder / "drone.jsonl").calls
     assert cut.place == "local" and cut.decision != "no server selected"
@@ -214,8 +256,10 @@ def test_a_vehicle_of_the_machine_itself_is_flown_from_inside(emulate: Callable[
             vehicle.terminate()
 
 
-def test_ctrl_c_lands_the_drones_and_leaves_nothing(emulate: Callable[..., Emulation]) -> None:
-    emulation = emulate(str(DEMONSTRATION))
+def test_ctrl_c_lands_the_drones_and_leaves_nothing(
+    computers: str, emulate: Callable[..., Emulation]
+) -> None:
+    emulation = emulate(str(DEMONSTRATION), "--in", computers)
     emulation.wait_until(lambda: any(event["event"] == "took_off" for event in emulation.events()))
     os.killpg(emulation.process.pid, signal.SIGINT)
     output = emulation.finish()
@@ -259,6 +303,22 @@ def test_whenever_the_command_is_killed_nothing_is_left(
     expect_clean(emulation)
 
 
+@pytest.mark.parametrize("victim", ["the command", "an engine"])
+def test_whatever_of_a_field_of_containers_is_killed_nothing_is_left(
+    victim: str, emulate: Callable[..., Emulation]
+) -> None:
+    require_engine()
+    emulation = emulate(str(EMULATED / "leaving.toml"), "--in", "containers")
+    if victim == "the command":
+        emulation.wait_until(lambda: bool(emulation.groups()))
+        emulation.process.kill()
+    else:
+        emulation.wait_until(lambda: any(event["event"] == "took_off" for event in emulation.events()))
+        kill(emulation, "lxd --group root")
+    emulation.process.wait()
+    expect_clean(emulation)
+
+
 def kill(emulation: Emulation, victim: str) -> None:
     pids = [pid for pid, command in emulation.processes().items() if victim in command]
     assert pids
@@ -272,7 +332,7 @@ def expect_clean(emulation: Emulation) -> None:
         time.sleep(0.05)
     assert emulation.processes() == {}
     subprocess.run([sys.executable, "-m", "upwash", "emulate", "--clean"], capture_output=True, check=True)
-    assert seen_outside() == []
+    assert emulation.groups() == [] and seen_outside() == []
 
 
 def test_what_outlives_its_command_all_the_same_is_cleaned() -> None:

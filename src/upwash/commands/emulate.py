@@ -30,6 +30,11 @@ def add(commands: Commands) -> None:
         help="cables shaped by tables of goodput (default), or ns-3 in real time (make native)",
     )  # fmt: skip
     emulate.add_argument(
+        "--in", choices=("namespaces", "containers"), default="namespaces", dest="computers",
+        help="what the drones' and the servers' computers are: namespaces (default), or containers of LXD, where "
+        "servers run their services in containers, too",
+    )  # fmt: skip
+    emulate.add_argument(
         "--autopilot", action="append", default=[], dest="autopilots", metavar="CONNECTION",
         help="fly this vehicle instead of a stand-in, such as an ArduPilot's SITL; one for each drone",
     )  # fmt: skip
@@ -63,6 +68,7 @@ def run(options: argparse.Namespace) -> bool:
         scenarios=tuple(file.absolute() for file in options.scenarios),
         drones=options.drones,
         radio=options.radio,
+        computers=options.computers,
         autopilots=tuple(options.autopilots),
         folder=(options.folder or new_run_folder()).absolute(),
     )

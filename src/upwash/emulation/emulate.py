@@ -6,14 +6,17 @@ import asyncio
 import contextlib
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 
 from upwash.config import DroneConfig
 from upwash.core.geo import GeoPosition, LocalFrame, Position
+from upwash.emulation.computers import Computers, NamespaceComputers
+from upwash.emulation.containers import ContainerComputers
 from upwash.emulation.field import Field, Radio, drone_namespace
 from upwash.emulation.ghosts import GhostRadio
 from upwash.emulation.mover import Mover
-from upwash.emulation.namespaces import inside, join_by_cable, make_namespace
-from upwash.emulation.order import Order, RadioKind
+from upwash.emulation.namespaces import add_route, join_by_cable
+from upwash.emulation.order import ComputerKind, Order, RadioKind
 from upwash.emulation.outcome import Outcome
 from upwash.emulation.programs import Flight, ready_daemon
 from upwash.emulation.relay import relayed
@@ -27,12 +30,13 @@ async def emulate(order: Order, stop: asyncio.Event) -> Outcome:
     """Flies every drone of the order at once; `stop` has them end their missions and land."""
     field = Field(order.read())
     with contextlib.ExitStack() as stack:
-        radio = stack.enter_context(_field_set_up(field, order))
+        computers = stack.enter_context(_made_computers(order.computers, order.folder))
+        radio = stack.enter_context(_field_set_up(field, computers, order))
         flights: list[Flight] = []
         positions: dict[str, Callable[[], Position]] = {}
         for number, drone in enumerate(field.drones):
-            vehicle, positions[drone.name] = stack.enter_context(_vehicle(drone, number, order))
-            flights.append(Flight(drone, field, order.folder, vehicle=vehicle))
+            vehicle, positions[drone.name] = stack.enter_context(_vehicle(drone, number, computers, order))
+            flights.append(Flight(drone, field, computers, order.folder, vehicle=vehicle))
         mover = Mover(radio, positions)
         exit_codes = await _fly(flights, mover, stop)
         return Outcome(
@@ -44,12 +48,23 @@ async def emulate(order: Order, stop: asyncio.Event) -> Outcome:
 
 
 @contextlib.contextmanager
-def _field_set_up(field: Field, order: Order) -> Iterator[Radio]:
-    """The namespaces, the radio and the daemons, until the end of the block."""
+def _made_computers(kind: ComputerKind, folder: Path) -> Iterator[Computers]:
+    """What makes computers of that kind, until the end of the block."""
+    if kind == "namespaces":
+        yield NamespaceComputers()
+        return
+    _say("starting a container engine")
+    with contextlib.closing(ContainerComputers(folder)) as computers:
+        yield computers
+
+
+@contextlib.contextmanager
+def _field_set_up(field: Field, computers: Computers, order: Order) -> Iterator[Radio]:
+    """The computers, the radio and the daemons, until the end of the block."""
     folder = order.folder
     _say(f"setting up {len(field.drones)} drone(s) and {len(field.servers)} server(s)")
     for namespace in field.namespaces():
-        make_namespace(namespace)
+        computers.make(namespace)
     for one, other in field.wires():
         join_by_cable(one, other)
     make_keys(
@@ -59,8 +74,11 @@ def _field_set_up(field: Field, order: Order) -> Iterator[Radio]:
     )
     with contextlib.ExitStack() as stack:
         radio = stack.enter_context(contextlib.closing(make_radio(order.radio, field)))
+        for link in field.links():
+            add_route(link.drone_end, field.subnet(link.server), via=link.server_end.address)
         for server in field.servers:
-            stack.enter_context(ready_daemon(server, field, folder))
+            _say(f"starting {server.name}")
+            stack.enter_context(ready_daemon(server, field, computers, folder))
         yield radio
 
 
@@ -70,7 +88,9 @@ def make_radio(kind: RadioKind, field: Field) -> Radio:
 
 
 @contextlib.contextmanager
-def _vehicle(drone: DroneConfig, number: int, order: Order) -> Iterator[tuple[str, Callable[[], Position]]]:
+def _vehicle(
+    drone: DroneConfig, number: int, computers: Computers, order: Order
+) -> Iterator[tuple[str, Callable[[], Position]]]:
     """How to connect to the drone's vehicle, and where it is, until the end of the block."""
     namespace, home = drone_namespace(drone.name), drone.mission.home
     assert home is not None  # noqa: S101 - Order.read gives it one
@@ -78,7 +98,9 @@ def _vehicle(drone: DroneConfig, number: int, order: Order) -> Iterator[tuple[st
     if order.autopilots:
         reached = relayed(order.autopilots[number], namespace=namespace, outside=order.outside)
     else:
-        reached = ready_vehicle(f"{drone.name}-vehicle", order.folder, drone, through=inside(namespace))
+        reached = ready_vehicle(
+            f"{drone.name}-vehicle", order.folder, drone, through=computers.inside(namespace)
+        )
     with reached as connection, tracked(connection, namespace=namespace, frame=frame) as position:
         yield connection, position
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -18,11 +17,14 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from upwash.emulation.groups import remove_groups
+from upwash.emulation.tools import command, require_tools
 from upwash.errors import UsageError
 
-_MARK = "UPWASH_EMULATION"  # in the environment: the process, and when it started, of the command that owns this one
+MARK = "UPWASH_EMULATION"  # in the environment: the process, and when it started, of the command that owns this one
 _TOOLS = {"unshare": "util-linux", "ip": "iproute2", "tc": "iproute2"}
 _GONE_WITHIN_S = 5.0
+_RETRY_S = 0.02
 _STOP = b"stop\n"
 _AHEAD_OF_OTHERS = -10  # the nice value: what is measured in real time should not wait for what is not
 
@@ -31,10 +33,7 @@ def require_root_and_tools() -> None:
     """UsageError where emulations are not possible."""
     if os.geteuid() != 0:
         raise UsageError("an emulation makes network namespaces: run it as root")
-    missing = [tool for tool in _TOOLS if shutil.which(tool) is None]
-    if missing:
-        packages = ", ".join(dict.fromkeys(_TOOLS[tool] for tool in missing))
-        raise UsageError(f"{', '.join(missing)} not found: install Debian's {packages}")
+    require_tools(_TOOLS)
 
 
 def run_enclosed(*arguments: str, handles: Sequence[int] = ()) -> int:
@@ -42,6 +41,7 @@ def run_enclosed(*arguments: str, handles: Sequence[int] = ()) -> int:
 
     The first SIGINT or SIGTERM asks the program to stop, the second kills it. It inherits the handles.
     """
+    owner = _owner(os.getpid())
     process = subprocess.Popen(  # noqa: S603 - this very program
         [
             *("unshare", "--net", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc", "--"),
@@ -49,7 +49,7 @@ def run_enclosed(*arguments: str, handles: Sequence[int] = ()) -> int:
         ],
         stdin=subprocess.PIPE,
         pass_fds=handles,
-        env=os.environ | {_MARK: _owner(os.getpid())},
+        env=os.environ | {MARK: owner},
         start_new_session=True,  # a Ctrl-C at the terminal is for this process alone, which passes it on
     )
     with _passed_on(process):
@@ -60,6 +60,7 @@ def run_enclosed(*arguments: str, handles: Sequence[int] = ()) -> int:
             process.wait()
             assert process.stdin is not None  # noqa: S101
             process.stdin.close()
+            _remove_groups(owner.__eq__)
 
 
 @contextlib.contextmanager
@@ -90,11 +91,11 @@ def settle_in(stop: Callable[[], object]) -> None:
     `stop` is called from a thread when the owner asks for it.
     """
     os.nice(_AHEAD_OF_OTHERS)
-    _run("mount", "-t", "tmpfs", "-o", "mode=755", "tmpfs", "/run")
+    command("mount", "-t", "tmpfs", "-o", "mode=755", "tmpfs", "/run")
     Path("/run/netns").mkdir()
     Path("/run/tmp").mkdir(mode=0o1777)
     os.environ["TMPDIR"] = "/run/tmp"
-    _run("ip", "link", "set", "lo", "up")
+    command("ip", "link", "set", "lo", "up")
     threading.Thread(target=_listen, args=(stop,), name="leash", daemon=True).start()
 
 
@@ -119,22 +120,34 @@ def clean() -> int:
             killed.add(process)
         if time.monotonic() > deadline_s:
             raise UsageError(f"these processes of a former emulation cannot be killed: {sorted(left)}")
-        time.sleep(0.02)
+        time.sleep(_RETRY_S)
+    if busy := _remove_groups(_is_gone):
+        raise UsageError(f"these control groups of a former emulation cannot be removed: {busy}")
     return len(killed)
+
+
+def _remove_groups(is_gone: Callable[[str], bool]) -> list[Path]:
+    """Removes the groups of such owners as soon as what was killed in them is gone; returns those that are left."""
+    deadline_s = time.monotonic() + _GONE_WITHIN_S
+    while (busy := remove_groups(is_gone)) and time.monotonic() < deadline_s:
+        time.sleep(_RETRY_S)
+    return busy
 
 
 def _orphans() -> Iterator[int]:
     for entry in Path("/proc").iterdir():
-        if entry.name.isdecimal() and (owner := _owner_of(entry)) is not None:
-            pid = int(owner.partition(":")[0])
-            if owner != _owner(pid):
-                yield int(entry.name)
+        if entry.name.isdecimal() and (owner := _owner_of(entry)) is not None and _is_gone(owner):
+            yield int(entry.name)
+
+
+def _is_gone(owner: str) -> bool:
+    return owner != _owner(int(owner.partition(":")[0]))
 
 
 def _owner_of(process: Path) -> str | None:
     """Who owns the process, if it is one of an emulation and not dead."""
     with contextlib.suppress(OSError):
-        prefix = f"{_MARK}=".encode()
+        prefix = f"{MARK}=".encode()
         for variable in (process / "environ").read_bytes().split(b"\0"):
             if variable.startswith(prefix):
                 return variable.removeprefix(prefix).decode(errors="replace")
@@ -148,7 +161,3 @@ def _owner(pid: int) -> str:
     except OSError:
         return ""
     return f"{pid}:{started}"
-
-
-def _run(*command: str) -> None:
-    subprocess.run(command, check=True)  # noqa: S603

@@ -69,6 +69,10 @@ class Field:
         """Where the server's daemon listens, on the server's own network."""
         return f"{self._address(self.servers.index(server))}:{_DAEMON_PORT}"
 
+    def subnet(self, server: ServerConfig) -> str:
+        """Where the server's services have addresses, if they have their own; its computer is the way there."""
+        return f"10.84.{self.servers.index(server)}.0/24"
+
     def _address(self, index: int) -> str:
         return f"10.83.{index}.1"
 
@@ -98,7 +102,7 @@ class Radio(Protocol):
         """How far it was ever behind the real time."""
 
     def move(self, drone: str, position: Position) -> None:
-        """The drone is there now. Raises NetworkError where the radio has failed."""
+        """The drone is there now. Raises UpwashError where the radio has failed."""
 
     def close(self) -> None:
         """Ends it."""

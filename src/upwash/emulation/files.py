@@ -29,19 +29,18 @@ def write_drone_file(file: Path, config: DroneConfig) -> None:
     _write(file, config)
 
 
-def write_daemon_file(
-    file: Path,
-    server: ServerConfig,
-    config: DroneConfig,
-    *,
-    listen: str,
-    peers: Mapping[str, str],
-    keys: KeysConfig,
-) -> None:
-    """Writes the configuration of the daemon that acts as one of the drone's servers."""
+def write_daemon_file(file: Path, config: DaemonConfig) -> None:
+    """Writes the configuration so that reading the file gives it back."""
+    _write(file, config)
+
+
+def daemon_config(
+    server: ServerConfig, config: DroneConfig, *, listen: str, peers: Mapping[str, str], keys: KeysConfig
+) -> DaemonConfig:
+    """The configuration of the daemon that acts as one of the drone's servers."""
     truth = server_truth(server, config.services)
     paces = server_paces(server, config)
-    daemon = DaemonConfig(
+    return DaemonConfig(
         listen=listen,
         keys=DaemonKeysConfig(authority=keys.authority, certificate=keys.certificate, key=keys.key),
         images=tuple(
@@ -57,7 +56,6 @@ def write_daemon_file(
         identities=(IdentityConfig(name=server.name, slots=truth.slots, images=tuple(paces)),),
         peers=tuple(PeerConfig(name=name, address=address) for name, address in peers.items()),
     )
-    _write(file, daemon)
 
 
 def _write(file: Path, config: DroneConfig | DaemonConfig) -> None:

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import ctypes
 import os
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-from upwash.errors import NetworkError
+from upwash.emulation.tools import command
 
 _CLONE_NEWNET = 0x40000000
 _QUIET = (
@@ -31,8 +30,13 @@ class End:
 def make_namespace(name: str) -> None:
     """Makes a network namespace with nothing but its loopback, which no frame leaves by itself."""
     command("ip", "netns", "add", name)
-    command(*inside(name), "sh", "-c", _QUIET)  # no router solicitations, no duplicate address detection
+    make_quiet(name)
     command("ip", "-n", name, "link", "set", "lo", "up")
+
+
+def make_quiet(name: str) -> None:
+    """Has the namespace send nothing of its own: no router solicitations, no duplicate address detection."""
+    command(*inside(name), "sh", "-c", _QUIET)
 
 
 def inside(namespace: str) -> tuple[str, ...]:
@@ -71,11 +75,9 @@ def give_address(end: End, *, prefix_bits: int) -> None:
     command(*_ip(end), "link", "set", end.device, "up")
 
 
-def command(*words: str) -> None:
-    """Runs a command; NetworkError with what it said where it failed."""
-    done = subprocess.run(words, capture_output=True, text=True, check=False)  # noqa: S603
-    if done.returncode != 0:
-        raise NetworkError(f"{' '.join(words)}: {done.stderr.strip() or f'ended with {done.returncode}'}")
+def add_route(end: End, subnet: str, *, via: str) -> None:
+    """Has what the end's namespace sends to the subnet leave by the end, for whoever has the address `via`."""
+    command(*_ip(end), "route", "add", subnet, "via", via, "dev", end.device)
 
 
 def _ip(end: End) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ from upwash.config import (
 from upwash.errors import UsageError
 
 RadioKind = Literal["table", "ns3"]
+ComputerKind = Literal["namespaces", "containers"]
 _SOMEWHERE = HomeConfig(latitude_deg=39.3666, longitude_deg=22.9507)  # for scenarios of the plane alone
 _MOST_STATIONS = 250  # on one server's network, by their addresses
 
@@ -31,6 +32,7 @@ class Order(msgspec.Struct, frozen=True, kw_only=True):
     scenarios: tuple[Path, ...]
     drones: int = 1  # of each scenario
     radio: RadioKind = "table"
+    computers: ComputerKind = "namespaces"
     autopilots: tuple[str, ...] = ()  # how each drone's vehicle is reached; without any, stand-ins fly
     outside: int = -1  # a handle of the network namespace in which they are reached
     folder: Path

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -13,9 +12,9 @@ from pathlib import Path
 import msgspec
 
 from upwash.config import CameraConfig, DroneConfig, ServerConfig
+from upwash.emulation.computers import Computers
 from upwash.emulation.field import Field, drone_namespace, server_namespace
-from upwash.emulation.files import write_daemon_file, write_drone_file
-from upwash.emulation.namespaces import inside
+from upwash.emulation.files import daemon_config, write_daemon_file, write_drone_file
 from upwash.emulation.outcome import INTERRUPTED
 from upwash.real.credentials import keys_in
 from upwash.running import ready_program
@@ -24,25 +23,26 @@ _PARK_SEED = 1  # of the photos of a drone that has no camera
 
 
 @contextlib.contextmanager
-def ready_daemon(server: ServerConfig, field: Field, folder: Path) -> Iterator[None]:
+def ready_daemon(server: ServerConfig, field: Field, computers: Computers, folder: Path) -> Iterator[None]:
     """Runs the server's daemon until the end of the block."""
-    file = daemon_file(server, field, folder)
-    through = inside(server_namespace(server.name))
+    file = daemon_file(server, field, computers, folder)
+    through = computers.inside(server_namespace(server.name))
     with ready_program(server.name, folder, "serve", "--config", str(file), through=through):
         yield
 
 
-def daemon_file(server: ServerConfig, field: Field, folder: Path) -> Path:
-    """Writes what the server's daemon is told, and returns the file."""
-    file = folder / f"{server.name}.toml"
-    write_daemon_file(
-        file,
+def daemon_file(server: ServerConfig, field: Field, computers: Computers, folder: Path) -> Path:
+    """Writes what the server's daemon is told, once its computer can run the services, and returns the file."""
+    daemon = daemon_config(
         server,
         field.drones[0],
         listen=field.daemon_address(server),
         peers=field.peers(server),
         keys=keys_in(folder / "keys", server.name),
     )
+    runtime = computers.equip(server_namespace(server.name), daemon, subnet=field.subnet(server))
+    file = folder / f"{server.name}.toml"
+    write_daemon_file(file, msgspec.structs.replace(daemon, runtime=runtime))
     return file
 
 
@@ -67,8 +67,11 @@ def drone_file(drone: DroneConfig, field: Field, folder: Path, *, vehicle: str) 
 class Flight:
     """One drone's `upwash fly`, from its configuration to its exit code."""
 
-    def __init__(self, drone: DroneConfig, field: Field, folder: Path, *, vehicle: str) -> None:
+    def __init__(
+        self, drone: DroneConfig, field: Field, computers: Computers, folder: Path, *, vehicle: str
+    ) -> None:
         self.drone = drone.name
+        self._through = computers.inside(drone_namespace(drone.name))
         self._prefix = f"{drone.name}: " if len(field.drones) > 1 else ""
         self._file = drone_file(drone, field, folder, vehicle=vehicle)
         self._log = folder / f"{drone.name}.jsonl"
@@ -80,12 +83,12 @@ class Flight:
         if self._stopped:
             return INTERRUPTED
         self._process = process = await asyncio.create_subprocess_exec(
-            *inside(drone_namespace(self.drone)),
-            *(sys.executable, "-m", "upwash", "fly", "--config", str(self._file), "--log", str(self._log)),
+            *self._through,
+            *(sys.executable, "-u", "-m", "upwash"),  # unbuffered, as someone may be watching
+            *("fly", "--config", str(self._file), "--log", str(self._log)),
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.STDOUT,
-            env=os.environ | {"PYTHONUNBUFFERED": "1"},
         )
         assert process.stdout is not None  # noqa: S101
         async for line in process.stdout:

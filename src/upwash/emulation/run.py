@@ -8,6 +8,7 @@ import msgspec
 from rich.console import Console
 
 from upwash.config import read_drone_config
+from upwash.emulation.containers import require_containers
 from upwash.emulation.enclosure import run_enclosed
 from upwash.emulation.native import native_program, wifi_of
 from upwash.emulation.order import Order, left_out
@@ -25,6 +26,8 @@ def run_emulation(order: Order) -> bool:
         native_program("ghosts")
         for server in configs[0].servers:
             wifi_of(server)
+    if order.computers == "containers":
+        require_containers()
     for file in order.scenarios:
         if missing := left_out(read_drone_config(file)):
             console.print(f"{file.name}: not emulated: {', '.join(missing)}", soft_wrap=True)

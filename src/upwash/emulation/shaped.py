@@ -6,7 +6,8 @@ from collections.abc import Iterable
 
 from upwash.core.geo import Position, ground_distance_m
 from upwash.emulation.field import Link
-from upwash.emulation.namespaces import End, command, join_by_cable
+from upwash.emulation.namespaces import End, join_by_cable
+from upwash.emulation.tools import command
 from upwash.sim.radio import read_goodput
 
 _FRAME_PER_PAYLOAD = 1514 / 1448  # bytes of a full TCP segment on the cable by those that goodput counts

@@ -19,10 +19,11 @@ from tests.system.faults.strikes import Strike, Striker
 
 from upwash.config import DroneConfig
 from upwash.core.geo import GeoPosition, LocalFrame, Position
+from upwash.emulation.computers import NamespaceComputers
 from upwash.emulation.enclosure import settle_in
 from upwash.emulation.field import Field, drone_namespace, server_namespace
 from upwash.emulation.mover import Mover
-from upwash.emulation.namespaces import inside, make_namespace
+from upwash.emulation.namespaces import inside
 from upwash.emulation.order import Order
 from upwash.emulation.programs import daemon_file, drone_file
 from upwash.emulation.shaped import ShapedRadio
@@ -51,14 +52,15 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
 async def main(seed: int, folder: Path) -> None:
     settle_in(asyncio.get_running_loop().stop)
     field = Field(Order(scenarios=(SCENARIO,), drones=2, folder=folder).read())
-    for namespace in field.namespaces():
-        make_namespace(namespace)
+    computers = NamespaceComputers()
+    for name in field.namespaces():
+        computers.make(name)
     names = [drone.name for drone in field.drones]
     make_keys(folder / "keys", servers=[[server.name] for server in field.servers], drones=names)
     radio = ShapedRadio(field.links())
     daemons = {
         server.name: Daemon(
-            daemon_file(server, field, folder),
+            daemon_file(server, field, computers, folder),
             namespace=server_namespace(server.name),
             address=field.daemon_address(server),
             keys=folder / "keys",

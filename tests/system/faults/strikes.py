@@ -17,7 +17,8 @@ from tests.system.faults.crew import Daemon, DroneProgram
 from tests.system.faults.plan import Fault, Moment
 
 from upwash.emulation.field import Link
-from upwash.emulation.namespaces import End, command, inside
+from upwash.emulation.namespaces import End, inside
+from upwash.emulation.tools import command
 
 _LOOK_S = 0.005
 _MOMENT_WITHIN_S = 8.0  # or it happens between two moments

@@ -1,0 +1,145 @@
+"""Computers that are containers, on which servers run their services in containers of their own.
+
+The engine of the former is started inside the emulation's enclosure and keeps everything in its memory, so that it
+and its containers end with the enclosure, however that ends.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from upwash.config import DaemonConfig, RuntimeConfig
+from upwash.config.runtime import ContainerNetworkConfig
+from upwash.emulation.computer_image import IS_UP, write_computer_image
+from upwash.emulation.enclosure import MARK
+from upwash.emulation.groups import enter_groups
+from upwash.emulation.namespaces import make_quiet
+from upwash.emulation.tools import command, require_tools
+from upwash.errors import EngineError, UpwashError, UsageError
+from upwash.packaging.contents import extra_of
+from upwash.packaging.image import Recipe, package
+from upwash.packaging.shipping import find_service
+
+_TOOLS = {
+    "lxd": "lxd",
+    "lxc": "lxd-client",
+    "newuidmap": "uidmap",
+    "nft": "nftables",
+}
+_OWN_FOLDERS = ("boot", "dev", "etc", "lost+found", "proc", "run", "sys", "var")  # not lent by this machine
+_POOL = "default"
+_IMAGE = "computer"
+_ENGINE_FOLDER = "/run/lxd"
+# The same users inside as outside: programs read the files that they would read outside, and no file changes hands.
+_USERS = "root:0:1065536\n"
+_READY_S = 30
+_START_ENGINE = (
+    f'setsid lxd --group root --logfile "$1" >/dev/null 2>&1 </dev/null & lxd waitready --timeout={_READY_S}'
+)
+_ENVIRONMENT = {
+    "TMPDIR": "/var/tmp",  # noqa: S108 - the container's own
+    "LXD_CONF": "/run/lxc",
+    "LXD_SECURITY_APPARMOR": "false",  # no profiles in this machine's kernel, where they would stay
+}
+
+
+def require_containers() -> None:
+    """UsageError where containers are not possible."""
+    require_tools(_TOOLS)
+    if importlib.util.find_spec("pylxd") is None:
+        raise UsageError("containers need pylxd: pip install 'upwash[lxd]'")
+
+
+class ContainerComputers:
+    """Computers that see this machine's files, but for the system's own, and may change the run's folder only."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._images = tempfile.TemporaryDirectory(prefix="images-", dir=folder)
+        self._packaged: dict[str, Path] = {}
+        enter_groups(os.environ[MARK])
+        _lend_all_users()
+        os.environ |= _ENVIRONMENT | {"LXD_DIR": _ENGINE_FOLDER, "TMPDIR": os.environ["TMPDIR"]}
+        _start_engine(log=folder / "containers.log")
+        self._describe_computers()
+
+    def make(self, name: str) -> None:
+        """Starts a container, and makes its network namespace known."""
+        command("lxc", "launch", _IMAGE, name)
+        command(*self.inside(name), *IS_UP)
+        command("ip", "netns", "attach", name, _first_process(name))
+        make_quiet(name)
+
+    def inside(self, name: str) -> tuple[str, ...]:
+        """The words that run a command in the container."""
+        return ("lxc", "exec", name, "--")
+
+    def equip(self, name: str, daemon: DaemonConfig, *, subnet: str) -> RuntimeConfig:
+        """Starts an engine in the container, which gets the services' images."""
+        inside = self.inside(name)
+        command(*inside, "sh", "-c", "echo 1 >/proc/sys/net/ipv4/ip_forward")
+        _start_engine(inside, log=self._folder / f"{name}-containers.log")
+        for image in daemon.images:
+            command(*inside, "lxc", "image", "import", str(self._image(image.name, daemon)))
+        return RuntimeConfig(kind="lxd", network=ContainerNetworkConfig(subnet=subnet))
+
+    def close(self) -> None:
+        """Deletes the images; the containers go with the enclosure."""
+        self._images.cleanup()
+
+    def _image(self, service: str, daemon: DaemonConfig) -> Path:
+        if service not in self._packaged:
+            recipe = Recipe(find_service(service, daemon), tuple(extra_of(service)))
+            self._packaged[service] = package(recipe, Path(self._images.name), report=lambda _: None)
+        return self._packaged[service]
+
+    def _describe_computers(self) -> None:
+        """Makes the image and the profile of every computer."""
+        with tempfile.TemporaryDirectory() as scratch:
+            image = write_computer_image(Path(scratch))
+            command("lxc", "image", "import", str(image), "--alias", _IMAGE)
+        profile = ("lxc", "profile")
+        command(*profile, "set", "default", "security.nesting=true", *_environment())
+        device = (*profile, "device", "add", "default")
+        command(*device, "root", "disk", "path=/", f"pool={_POOL}")
+        for folder in _lent_folders():
+            command(
+                *device, f"lent-{folder.name}", "disk", f"source={folder}", f"path={folder}", "readonly=true"
+            )
+        command(*device, "run-folder", "disk", f"source={self._folder}", f"path={self._folder}")
+
+
+def _start_engine(through: Sequence[str] = (), *, log: Path) -> None:
+    """Starts an engine with a pool for containers; returns when it can be used."""
+    try:
+        command(*through, "sh", "-c", _START_ENGINE, "sh", str(log))
+    except UpwashError as error:
+        raise EngineError(f"LXD did not start; {log} says why") from error
+    command(*through, "lxc", "storage", "create", _POOL, "dir")
+
+
+def _lend_all_users() -> None:
+    users = Path("/run/users")
+    users.write_text(_USERS)
+    for file in ("/etc/subuid", "/etc/subgid"):
+        command("mount", "--bind", str(users), file)
+
+
+def _environment() -> Iterator[str]:
+    for name, value in (_ENVIRONMENT | {MARK: os.environ[MARK]}).items():
+        yield f"environment.{name}={value}"
+
+
+def _lent_folders() -> Iterator[Path]:
+    for folder in sorted(Path("/").iterdir()):
+        if folder.is_dir() and not folder.is_symlink() and folder.name not in _OWN_FOLDERS:
+            yield folder
+
+
+def _first_process(container: str) -> str:
+    return str(json.loads(command("lxc", "query", f"/1.0/instances/{container}/state"))["pid"])
