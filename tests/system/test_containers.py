@@ -226,6 +226,18 @@ def test_a_frozen_instance_thaws_as_it_was_and_forgets_whom_it_admitted(
     assert lxd.running() == []
 
 
+def test_a_paced_start_takes_its_time_and_a_thaw_does_not(open_site: OpenSite) -> None:
+    async def use(site: Site) -> None:
+        slow = InstanceSpec("s1", "workbench", Program(""), start_pace_s=5.0)
+        for at_least_s, at_most_s in ((5.0, 60.0), (0.0, 4.0)):
+            began_s = time.monotonic()
+            instance = await site.runtime.start(slow, called=lambda _: None)
+            assert at_least_s <= time.monotonic() - began_s < at_most_s
+            await instance.stop()
+
+    at(open_site, use, freezes=True)
+
+
 def test_what_a_killed_daemon_left_ends_by_itself_or_at_the_next_start(
     open_site: OpenSite, lxd: OwnEngine, tmp_path: Path, keys: Path, services: Path
 ) -> None:

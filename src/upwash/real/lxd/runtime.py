@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections.abc import Callable, Collection, Sequence
 from importlib.metadata import version
@@ -182,6 +183,8 @@ class ContainerRuntime:
     async def _run(
         self, container: Container, spec: InstanceSpec, image: ServiceImage, called: Callable[[str], None]
     ) -> ContainerInstance:
+        loop = asyncio.get_running_loop()
+        paced_until_s = loop.time() + spec.start_pace_s
         instance = ContainerInstance(
             container,
             name=spec.name,
@@ -193,6 +196,7 @@ class ContainerRuntime:
             await instance.begin(
                 self._begin(spec, image, container), called=called, max_message_bytes=self._max_message_bytes
             )
+            await asyncio.sleep(paced_until_s - loop.time())
         except BaseException:
             await instance.end()
             raise
