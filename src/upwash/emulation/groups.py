@@ -15,6 +15,8 @@ _PREFIX = "upwash-emulation-"
 _OF_PROCESS_1 = "init.scope"  # where systemd keeps its own: engines make containers' groups beside it
 # In the first version of control groups nothing is inherited: neither processors, nor memory, nor real-time priority.
 _HANDED_DOWN = ("cpuset.cpus", "cpuset.mems", "cpu.rt_runtime_us")
+# Outside of the group its processes' nice values count for nothing: it gets what four of nice value -10 would.
+_AHEAD_OF_OTHERS = {"cpu.shares": 40 * 1024, "cpu.weight": 40 * 100}
 
 
 def enter_groups(owner: str) -> None:
@@ -28,6 +30,9 @@ def enter_groups(owner: str) -> None:
                 if (parent / setting).exists():
                     (group / setting).write_text((parent / setting).read_text())
         (group / "cgroup.procs").write_text("0")  # itself
+        for setting, weight in _AHEAD_OF_OTHERS.items():
+            if (group.parent / setting).exists():
+                (group.parent / setting).write_text(str(weight))
 
 
 def remove_groups(is_gone: Callable[[str], bool]) -> list[Path]:
