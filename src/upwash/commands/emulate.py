@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> bool:
     require_root_and_tools()
     killed = clean()
     if options.clean:
-        print(f"killed {killed} processes of former emulations" if killed else "nothing was left")
+        print(f"killed {killed} processes of former emulations" if killed else "no process was left")
         return True
     if not options.scenarios:
         raise UsageError("name a scenario, such as scenarios/demonstration.toml")

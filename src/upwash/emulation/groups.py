@@ -13,8 +13,7 @@ from pathlib import Path
 _ROOT = Path("/sys/fs/cgroup")
 _PREFIX = "upwash-emulation-"
 _OF_PROCESS_1 = "init.scope"  # where systemd keeps its own: engines make containers' groups beside it
-# In the first version of control groups nothing is inherited: neither processors, nor memory, nor real-time priority.
-_HANDED_DOWN = ("cpuset.cpus", "cpuset.mems", "cpu.rt_runtime_us")
+_HANDED_DOWN = ("cpuset.cpus", "cpuset.mems")  # by nobody but us, in the first version of control groups
 # Outside of the group its processes' nice values count for nothing: it gets what four of nice value -10 would.
 _AHEAD_OF_OTHERS = {"cpu.shares": 40 * 1024, "cpu.weight": 40 * 100}
 
