@@ -449,6 +449,12 @@ def test_the_first_call_after_a_start_is_told_from_the_others() -> None:
     machine.handle(Looked(), now_s=80.0, position=UNDER_S1)
     machine.handle(CheckAnswered(3, running=True), now_s=82.0, position=UNDER_S1)
     assert deadline_s(83.0) == 8.0
+    machine.handle(RemoteCallEnded("s1", HEAVY, 0.75), now_s=84.0, position=UNDER_S1)
+    machine.handle(Looked(), now_s=90.0, position=NOWHERE)
+    machine.handle(Looked(), now_s=100.0, position=UNDER_S1)
+    machine.handle(CheckAnswered(4, running=False), now_s=102.0, position=UNDER_S1)
+    machine.handle(ServicesStarted(4), now_s=110.0, position=UNDER_S1)
+    assert deadline_s(111.0) == 8.0
 
 
 def test_a_ready_server_out_of_range_is_given_up_and_the_call_runs_here() -> None:

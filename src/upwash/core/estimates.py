@@ -91,9 +91,7 @@ class Estimates:
         self._calls = dict.fromkeys(self._local, 0)
         self._weights = self._weigh()
         self._last_remote_call_s: dict[str, dict[Operation, float]] = {server: {} for server in servers}
-        self._warm: dict[str, set[str]] = {
-            server: set() for server in servers
-        }  # services called since a start
+        self._warm: dict[str, set[str]] = {server: set() for server in servers}  # called since their start
         self._mean_call_s: dict[str | None, float] = {}  # asked for since a window or a weight last changed
 
     @property
