@@ -86,14 +86,20 @@ class Progress:
         return Group(head, servers, *self._recent)
 
 
+def counted(number: int, what: str) -> str:
+    """So many of them: 1 call, 2 calls."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
 def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
     """Prints a table of the calls, the totals, and the mission time against what local calls would have made it."""
     _print_calls(result, console)
     totals = result.totals
     servers = ", ".join(f"{count} on {server}" for server, count in totals.remote.items())
     console.print(
-        f"{totals.calls} calls: {totals.local} on the drone{', ' + servers if servers else ''}; "
-        f"{totals.switches} selections, {totals.waits} waits of which {totals.waits_failed} in vain, "
+        f"{counted(totals.calls, 'call')}: {totals.local} on the drone{', ' + servers if servers else ''}; "
+        f"{counted(totals.switches, 'selection')}, {counted(totals.waits, 'wait')} of which "
+        f"{totals.waits_failed} in vain, "
         f"{totals.fallbacks} fell back to the drone; {totals.service_delay_s:.1f} s spent in calls",
         soft_wrap=True,
     )

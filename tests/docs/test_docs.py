@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import shlex
 from pathlib import Path
 
 import msgspec
@@ -78,6 +79,20 @@ def test_every_command_is_documented_and_every_documented_command_exists() -> No
     written = "".join(page.read_text() for page in PAGES)
     documented = set(re.findall(r"(?:^ +|`)upwash ([a-z]+)", written, flags=re.MULTILINE))
     assert documented == set(choices)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_a_command_line_that_is_shown_is_understood(page: Path) -> None:
+    text = re.sub(r"\\\n\s*", " ", page.read_text())
+    fenced = "".join(re.findall(r"^```(?:sh)?\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL))
+    code = [*fenced.splitlines(), *re.findall(r"^ {4}(\S.*)$", text, flags=re.MULTILINE)]
+    for line in code:
+        command = re.split(r"\s{2,}|\s#|\s&", line)[0]  # what follows explains it, or is another command
+        if re.match(r"(\S*/bin/)?upwash [a-z]", command):
+            try:
+                _parser().parse_args(shlex.split(command)[1:])
+            except SystemExit:
+                pytest.fail(f"{page.name} shows {command!r}")
 
 
 def test_the_readme_shows_the_example_that_is_tested() -> None:

@@ -20,6 +20,7 @@ from upwash.preflight.concerns import is_for_flight
 from upwash.preflight.coverage import Coverage, spans
 from upwash.preflight.placement import Place, missions_to_place, place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, is_noisy
+from upwash.terminal import counted
 
 
 def show_check(
@@ -70,8 +71,8 @@ def _draw(config: DroneConfig, folder: Path) -> None:
 
 def _print(found: Check, config: DroneConfig, servers_to_place: int, console: Console) -> None:
     console.print(
-        f"{found.config} is understood: {found.waypoints} waypoints, {len(config.services)} services, "
-        f"{len(config.servers)} servers",
+        f"{found.config} is understood: {counted(found.waypoints, 'waypoint')}, "
+        f"{counted(len(config.services), 'service')}, {counted(len(config.servers), 'server')}",
         soft_wrap=True,
     )
     if not is_for_flight(config):
