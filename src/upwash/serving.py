@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger("upwash.serving")
 Handle = Callable[[str, bytes, Visitor], Coroutine[Any, Any, bytes]]
 
-_CONCURRENT_REQUESTS = 256  # most take no time, a start as long as the service needs
+_CONCURRENT_REQUESTS = 128  # most take no time, a start as long as the service needs
 _REQUESTS_PER_DRONE = 8
 _LONGEST_REQUEST_BYTES = 2**20  # photos go to instances
 _EXPIRY_WARNING = timedelta(days=30)

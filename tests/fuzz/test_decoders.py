@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import ssl
+from pathlib import Path
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.fuzz.decoders import decoders, model_with
 
-from upwash.errors import ModelError
+from upwash.errors import CredentialsError, ModelError
+from upwash.real.credentials import make_keys, read_credentials
 
 ODD = (
     b"",
@@ -58,3 +62,13 @@ def test_an_onnx_model_whose_metadata_is_no_text_is_refused() -> None:
     model = model_with("output").replace(b"output", b"out\xff\xfft")
     with pytest.raises(ModelError, match="not text"):
         decoders()["an ONNX model"].decode(model)
+
+
+def test_a_certificate_whose_key_is_none_is_refused(tmp_path: Path) -> None:
+    make_keys(tmp_path, servers=[["s1"]], drones=["drone"])
+    content = ssl.PEM_cert_to_DER_cert((tmp_path / "drone.pem").read_text())
+    key = content.index(b"\x03\x42\x00\x04")  # a point on a curve, of 64 bytes
+    spoiled = content[: key + 4] + bytes(64) + content[key + 68 :]
+    (tmp_path / "drone.pem").write_text(ssl.DER_cert_to_PEM_cert(spoiled))
+    with pytest.raises(CredentialsError, match="a key that is understood"):
+        read_credentials(tmp_path / "authority.pem", tmp_path / "drone.pem", tmp_path / "drone.key")

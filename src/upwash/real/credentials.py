@@ -368,11 +368,16 @@ def _write_new(file: Path, content: bytes, *, mode: int) -> None:
 
 def _parsed_certificate(file: Path, pem: bytes) -> Certificate:
     from cryptography import x509
+    from cryptography.exceptions import UnsupportedAlgorithm
 
     try:
-        return x509.load_pem_x509_certificate(pem)
-    except ValueError:
-        raise CredentialsError(f"{file}: not a PEM certificate: give the .pem file") from None
+        certificate = x509.load_pem_x509_certificate(pem)
+        certificate.public_key()  # which is looked at no earlier
+    except (ValueError, UnsupportedAlgorithm):
+        raise CredentialsError(
+            f"{file}: not a PEM certificate with a key that is understood: give the .pem file"
+        ) from None
+    return certificate
 
 
 def _parsed_key(file: Path, pem: bytes) -> PrivateKeyTypes:
