@@ -116,7 +116,7 @@ async def fly(folder: Path, rounds: int, addresses: Addresses) -> dict[str, list
     with contextlib.closing(FileJournal(folder / "events.jsonl", watchers=(watch,))) as journal:
         world = World(
             autopilot=cast(Autopilot, ParkedAutopilot()),
-            network=NoNetwork(),
+            networks=[NoNetwork()],
             dialer=GrpcDialer("drone", credentials, max_message_bytes=MAX_MESSAGE_BYTES),
             onboard_dialer=GrpcDialer("drone", None, max_message_bytes=MAX_MESSAGE_BYTES),
             onboard_runtime=ProcessRuntime(

@@ -53,8 +53,9 @@ def fly(least_m: float, most_m: float) -> Iterator[float]:
         yield timed(selection.handle, begun, now_s=now_s, position=start.position)
         now_s += LEG_S
         yield timed(selection.handle, Arrived(), now_s=now_s, position=end.position)
-        if selection.current is not None and selection.is_checking(selection.check):
-            answered = CheckAnswered(selection.check, running=True)
+        current = selection.current
+        if current is not None and selection.is_checking(current.check):
+            answered = CheckAnswered(current.check, running=True)
             yield timed(selection.handle, answered, now_s=now_s, position=end.position)
         now_s += PHOTO_S
         yield timed(selection.decide, HEAVY, now_s=now_s, position=end.position)

@@ -42,10 +42,10 @@ _FARTHEST_START_M = (
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """Everything that a flight needs from outside: things, or models of them."""
+    """Everything that a flight needs from outside: things, or models of them; a network for each radio."""
 
     autopilot: Autopilot
-    network: Network
+    networks: Sequence[Network]
     dialer: Dialer
     onboard_dialer: Dialer
     onboard_runtime: Runtime
@@ -348,7 +348,7 @@ class Flight:
             contacts(config, selection.estimates),
             period_s=config.policy.period_s,
             autopilot=world.autopilot,
-            network=world.network,
+            networks=world.networks,
             dialer=world.dialer,
             onboard=self._onboard,
             journal=world.journal,

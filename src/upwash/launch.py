@@ -110,7 +110,7 @@ async def fly(
             services={name: service.cls for name, service in services.items()},
             world=World(
                 autopilot=autopilot,
-                network=await _network(config, autopilot, journal, stack),
+                networks=await _networks(config, autopilot, journal, stack),
                 dialer=dialer,
                 onboard_dialer=_onboard_dialer(config.name),
                 onboard_runtime=_onboard_runtime(sockets),
@@ -185,26 +185,39 @@ def drone_credentials(config: DroneConfig) -> Credentials | None:
     return credentials
 
 
-async def _network(
+async def _networks(
     config: DroneConfig, autopilot: Autopilot, journal: Journal, stack: contextlib.AsyncExitStack
-) -> Network:
+) -> list[Network]:
+    radios = range(config.network.radios)
     if config.network.kind == "wired":
-        return NoNetwork()
+        return [NoNetwork() for _ in radios]
     if config.network.kind == "networkmanager":
-        with extra("network"):
-            from upwash.real.network import ManagedNetwork
-        network = ManagedNetwork(
-            config.network.interfaces, [server.network for server in config.servers], journal
-        )
-        stack.push_async_callback(network.close)
-        await network.open()
-        return network
+        return [
+            await _managed_network(interfaces, config, journal, stack) for interfaces in _per_radio(config)
+        ]
     cells: dict[str, list[Cell]] = {}
     for server in config.servers:
         area = server_area(server, config.mission.home)
         join_s = server_truth(server, config.services).join_s
         cells.setdefault(server.network, []).append(Cell(area, join_s))
-    return ModelNetwork(cells, lambda: autopilot.position)
+    return [ModelNetwork(cells, lambda: autopilot.position) for _ in radios]
+
+
+def _per_radio(config: DroneConfig) -> list[tuple[str, ...]]:
+    """The interfaces of each radio: a single one joins networks on whichever fits, of several each has its own."""
+    interfaces = config.network.interfaces
+    return [interfaces] if config.network.radios == 1 else [(each,) for each in interfaces]
+
+
+async def _managed_network(
+    interfaces: Sequence[str], config: DroneConfig, journal: Journal, stack: contextlib.AsyncExitStack
+) -> Network:
+    with extra("network"):
+        from upwash.real.network import ManagedNetwork
+    network = ManagedNetwork(interfaces, [server.network for server in config.servers], journal)
+    stack.push_async_callback(network.close)
+    await network.open()
+    return network
 
 
 async def survey_networks(config: DroneConfig) -> list[Finding]:
@@ -212,7 +225,9 @@ async def survey_networks(config: DroneConfig) -> list[Finding]:
     with extra("network"):
         from upwash.real.survey import survey_networks
     return await survey_networks(
-        config.network.interfaces, {server.name: server.network for server in config.servers}
+        config.network.interfaces,
+        {server.name: server.network for server in config.servers},
+        radios=config.network.radios,
     )
 
 

@@ -24,7 +24,7 @@ from upwash.core.happenings import (
     RemoteCallFailed,
 )
 from upwash.core.hedging import Hedge, Hedging
-from upwash.core.orders import Command
+from upwash.core.orders import Check, Command, Leave, Order
 from upwash.core.policy import Decision, Remote, Wait
 from upwash.core.selection import Selection
 from upwash.core.servers import Change, State
@@ -71,6 +71,7 @@ class _Answer:
 class _Attempt:
     """A call to a server, bound to the check that made it READY, and the drone's own service at the same call."""
 
+    envoy: Envoy
     visit: Visit
     check: int
     deadline_s: float
@@ -100,7 +101,7 @@ class Offloading:
         *,
         period_s: float,
         autopilot: Autopilot,
-        network: Network,
+        networks: Sequence[Network],
         dialer: Dialer,
         onboard: OnboardServices,
         journal: Journal,
@@ -113,9 +114,12 @@ class Offloading:
         self._journal = journal
         self._hedging = hedging
         self._loser: _Loser | None = None  # of the last hedged call, at most one at a time
-        self._envoy = Envoy(
-            selection, contacts, network=network, dialer=dialer, journal=journal, tell=self.tell
-        )
+        self._envoys = [
+            Envoy(selection, contacts, network=network, dialer=dialer, journal=journal, tell=self.tell)
+            for network in networks
+        ]
+        self._sent: dict[str, Envoy] = {}  # by the server that they visit, or visited last
+        self._visited: list[str] = []
         self._look_now = asyncio.Event()
         self._changed = asyncio.Event()
 
@@ -125,7 +129,8 @@ class Offloading:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._look())
                 tasks.create_task(self._watch_borders())
-                tasks.create_task(self._envoy.run())
+                for envoy in self._envoys:
+                    tasks.create_task(envoy.run())
         finally:
             await self._stop_loser()
         raise AssertionError("these tasks never end by themselves")
@@ -134,7 +139,8 @@ class Offloading:
         """Leaves whatever server is selected; to be called while `run` runs, after the last call."""
         await self._stop_loser()
         self.tell(MissionEnded())
-        await self._envoy.done()
+        for envoy in self._envoys:
+            await envoy.done()
 
     async def invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
         """Runs one call where it is decided to run, and on the drone when that fails; returns its decoded reply.
@@ -193,7 +199,7 @@ class Offloading:
         return decision
 
     async def _wait(self, operation: Operation, wait: Wait) -> Decision:
-        check = self._selection.check
+        check = self._selection.servers[wait.server].check
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(wait.at_most_s):
                 while self._selection.is_checking(check):
@@ -236,10 +242,25 @@ class Offloading:
             if isinstance(command, Change):
                 self._record_change(command)
             else:
-                self._envoy.send(command)
+                self._send(command)
         if commands:
             self._changed.set()
             self._changed = asyncio.Event()
+
+    def _send(self, order: Order) -> None:
+        """Gives the order to the envoy that visits the server, or to one that is free.
+
+        Best to the one that was there last: it says goodbye, if it still has to, before it comes again.
+        """
+        if isinstance(order, Check):
+            busy = [self._sent[server] for server in self._visited]
+            free = [envoy for envoy in self._envoys if envoy not in busy]
+            last = self._sent.get(order.server)
+            self._sent[order.server] = last if last in free else free[0]
+            self._visited.append(order.server)
+        self._sent[order.server].send(order)
+        if isinstance(order, Leave):
+            self._visited.remove(order.server)
 
     def _record_change(self, change: Change) -> None:
         estimates = self._selection.estimates
@@ -269,16 +290,16 @@ class Offloading:
         if (hedge := self._plan_hedge(decision, operation)) is not None:
             return await self._answer_hedged(decision, hedge, operation, method, request)
         reply = await self._call_server(
-            decision, operation, method, request, self._attempt(decision.deadline_s)
+            decision, operation, method, request, self._attempt(decision.server, decision.deadline_s)
         )
         if reply is not None:
             return _Answer(reply, decision.server)
         return await self._answer_onboard(operation, method, request, fell_back=True)
 
-    def _attempt(self, deadline_s: float) -> _Attempt:
-        visit = self._envoy.visit
-        assert visit is not None  # noqa: S101 - a server is READY only by its visit
-        return _Attempt(visit, self._selection.check, deadline_s)
+    def _attempt(self, server: str, deadline_s: float) -> _Attempt:
+        envoy = self._sent[server]
+        assert envoy.visit is not None  # noqa: S101 - a server is READY only by its visit
+        return _Attempt(envoy, envoy.visit, self._selection.servers[server].check, deadline_s)
 
     async def _call_server(
         self, decision: Remote, operation: Operation, method: Method, request: bytes, attempt: _Attempt
@@ -294,7 +315,7 @@ class Offloading:
         except LinkError as error:
             self._journal.record("remote_failed", server=decision.server, why=str(error))
             if isinstance(error, DeadlineExceeded):
-                self._envoy.cut = RemoteCallCut(decision.server, operation, self._now_s() - began_s)
+                attempt.envoy.cut = RemoteCallCut(decision.server, operation, self._now_s() - began_s)
             self.tell(RemoteCallFailed(decision.server, attempt.check, str(error), attempt.late))
             return None
         delay_s = self._now_s() - began_s
@@ -338,7 +359,7 @@ class Offloading:
     async def _answer_hedged(
         self, decision: Remote, hedge: Hedge, operation: Operation, method: Method, request: bytes
     ) -> _Answer:
-        attempt = self._attempt(hedge.deadline_s)
+        attempt = self._attempt(decision.server, hedge.deadline_s)
         remote = asyncio.create_task(self._call_server(decision, operation, method, request, attempt))
         try:
             with contextlib.suppress(TimeoutError):

@@ -60,7 +60,7 @@ class Autopilot(Protocol):
 
 
 class Network(Protocol):
-    """The radio: one network joined at a time."""
+    """A radio: one network joined at a time."""
 
     async def join(self, network: str, *, timeout_s: float) -> None:
         """Joins the pre-loaded network of that name; raises NetworkError, with the reason, by the timeout."""

@@ -31,7 +31,10 @@ def make_selection(
             patient_first_call=policy.patient_first_call,
         ),
         settings=SelectionSettings(
-            blacklist_s=policy.blacklist_s, idle_s=policy.idle_s, retry_s=policy.retry_s
+            blacklist_s=policy.blacklist_s,
+            idle_s=policy.idle_s,
+            retry_s=policy.retry_s,
+            radios=config.network.radios,
         ),
         mission=_mission_beliefs(config, estimates, plan),
     )

@@ -244,6 +244,13 @@ REFUSED = [
         "network.interfaces[0]",
         "the name of a network interface",
     ),
+    ('kind = "wired"', 'kind = "wired"\nradios = 3', "network.radios", "1 or 2"),
+    (
+        'kind = "wired"',
+        'kind = "networkmanager"\ninterfaces = ["wlan1"]\nradios = 2',
+        "network.radios",
+        "2 radios on 1 interfaces",
+    ),
     ('authority = "keys/authority.pem"', "authority = 3", "keys.authority", "a file's path"),
     ('authority = "keys/authority.pem"', 'authority = ""', "keys.authority", "a file's path"),
     ("photo_s = 1.0", "photo_s = -1.0", "camera.photo_s", "at least 0"),

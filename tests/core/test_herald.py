@@ -13,6 +13,7 @@ START_S = 8.0
 
 def server(*peers: str, ready: bool = True) -> Server:
     found = Server("a", Circle(Position(0.0, 0.0), 50.0), peers=peers)
+    found.check = 1
     for event in (Event.SELECTED, Event.STARTED) if ready else (Event.SELECTED,):
         found.apply(event, now_s=0.0)
     return found
@@ -21,7 +22,7 @@ def server(*peers: str, ready: bool = True) -> Server:
 def announce(
     herald: Herald, current: Server | None, coming: Coming | None, now_s: float = 0.0
 ) -> list[Prepare]:
-    return herald.announce(current, coming, check=1, start_s=START_S, now_s=now_s)
+    return herald.announce(current, coming, start_s=START_S, now_s=now_s)
 
 
 def test_the_coming_server_is_prepared_by_the_one_that_is_ready() -> None:

@@ -30,7 +30,7 @@ from upwash.core.policy import (
     Wait,
     WaitRule,
 )
-from upwash.core.selection import Selection
+from upwash.core.selection import Selection, SelectionSettings
 from upwash.core.servers import Change, State
 from upwash.errors import TransitionError
 
@@ -584,3 +584,63 @@ def test_a_server_that_fails_late_is_left_alone_like_any_other() -> None:
         "s1 READY BLACKLISTED",
         "leave s1",
     ]
+
+
+# ---- two radios
+
+
+def with_two_radios(*, s2_s: float) -> Selection:
+    """The machine with s1 READY, under both, where s2 is much faster."""
+    beliefs = {"s1": Beliefs(11.5, 3.5, {HEAVY: 4.0}), "s2": Beliefs(11.5, 3.5, {HEAVY: s2_s})}
+    machine = Selection(
+        AREAS,
+        estimates=Estimates(local_s={HEAVY: 8.0}, servers=beliefs),
+        policy=LocationAware(),
+        settings=SelectionSettings(radios=2),
+    )
+    return with_s1_ready(machine)
+
+
+def test_a_better_server_is_checked_while_the_one_before_is_still_used() -> None:
+    machine = with_two_radios(s2_s=0.5)
+    commands = machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH)
+    assert written(commands) == ["s2 AVL CHECK", "check s2 2"]
+    decision, _ = machine.decide(HEAVY, now_s=21.0, position=UNDER_BOTH)
+    assert isinstance(decision, Remote)
+    assert decision.server == "s1"
+    assert written(machine.handle(CheckAnswered(2, running=False), now_s=22.0, position=UNDER_BOTH)) == [
+        "start s2 2"
+    ]
+    ready = machine.handle(ServicesStarted(2), now_s=30.0, position=UNDER_BOTH)
+    assert written(ready) == ["s2 CHECK READY", "s1 READY AVL-R", "leave s1"]
+    decision, _ = machine.decide(HEAVY, now_s=31.0, position=UNDER_BOTH)
+    assert isinstance(decision, Remote)
+    assert decision.server == "s2"
+
+
+def test_the_server_in_preparation_takes_the_place_of_one_that_is_lost() -> None:
+    machine = with_two_radios(s2_s=0.5)
+    machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH)
+    failed = machine.handle(RemoteCallFailed("s1", 1, "no answer"), now_s=22.0, position=UNDER_BOTH)
+    assert written(failed) == ["s1 READY BLACKLISTED", "leave s1"]
+    assert machine.current is machine.servers["s2"]
+    assert machine.is_checking(2)
+    machine = with_two_radios(s2_s=0.5)
+    machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH)
+    assert written(machine.handle(Looked(), now_s=23.0, position=UNDER_S2)) == ["s1 READY AVL-R", "leave s1"]
+    assert machine.current is machine.servers["s2"]
+
+
+def test_a_failed_preparation_leaves_the_server_in_use_alone() -> None:
+    machine = with_two_radios(s2_s=0.5)
+    machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH)
+    failed = machine.handle(CheckFailed(2, "no carrier"), now_s=22.0, position=UNDER_BOTH)
+    assert written(failed) == ["s2 CHECK BLACKLISTED", "leave s2"]
+    assert machine.current is machine.servers["s1"]
+
+
+def test_both_are_left_at_the_end() -> None:
+    machine = with_two_radios(s2_s=0.5)
+    machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH)
+    ended = machine.handle(MissionEnded(), now_s=22.0, position=UNDER_BOTH)
+    assert written(ended) == ["s1 READY AVL-R", "leave s1", "s2 CHECK AVL", "leave s2"]

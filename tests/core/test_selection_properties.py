@@ -1,13 +1,13 @@
 """Promises 5, 6 and 7 and the bounds of waits and calls, under random flights, servers, failures and late answers.
 
 Beside the machine under test flies a model of the drone program: it carries out the commands one after the other,
-with one radio, and objects where they make no sense.
+with one radio or two, and objects where they make no sense.
 """
 
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
@@ -91,6 +91,7 @@ class Flights(RuleBasedStateMachine):
         position=positions,
         plan=st.lists(positions, max_size=6),
         connected=st.booleans(),
+        radios=st.sampled_from([1, 1, 2]),
     )
     def take_off(
         self,
@@ -101,6 +102,7 @@ class Flights(RuleBasedStateMachine):
         plan: list[Position],
         *,
         connected: bool,
+        radios: int,
     ) -> None:
         self.areas = {f"s{number}": area for number, (area, _) in enumerate(servers, start=1)}
         believed = {f"s{number}": belief for number, (_, belief) in enumerate(servers, start=1)}
@@ -108,7 +110,7 @@ class Flights(RuleBasedStateMachine):
             self.areas,
             estimates=Estimates(local_s=local_s, servers=believed),
             policy=policy,
-            settings=SETTINGS,
+            settings=replace(SETTINGS, radios=radios),
             mission=MissionBeliefs(
                 [Waypoint(number, place) for number, place in enumerate(plan)],
                 stop=[Step(operation, 1.0) for operation in sorted(local_s)],
@@ -119,7 +121,8 @@ class Flights(RuleBasedStateMachine):
         self.position = position
         self.ended = False
         self.states = dict.fromkeys(self.areas, State.AVL)
-        self.joined: str | None = None
+        self.radios = radios
+        self.joined: list[str] = []  # in use, and in preparation
         self.entered_s = dict.fromkeys(self.areas, 0.0)
         self.blacklisted_at_s: dict[str, float] = {}
         self.checks: list[int] = []
@@ -164,10 +167,10 @@ class Flights(RuleBasedStateMachine):
     def look(self) -> None:
         self.happens(Looked())
 
-    @precondition(lambda self: self.checks and self.selection.is_checking(self.checks[-1]))
+    @precondition(lambda self: any(map(self.selection.is_checking, self.checks)))
     @rule(running=st.booleans())
     def check_goes_on(self, *, running: bool) -> None:
-        check = self.checks[-1]
+        check = next(check for check in reversed(self.checks) if self.selection.is_checking(check))
         self.happens(ServicesStarted(check) if check in self.starts else self.answer(check, running=running))
 
     @precondition(lambda self: self.checks)
@@ -202,7 +205,7 @@ class Flights(RuleBasedStateMachine):
     @rule(back=BACK)
     def network_is_lost(self, back: int) -> None:
         check = self.checks[-1 - back % len(self.checks)]
-        is_joined = self.joined is not None and check == self.checks[-1]
+        is_joined = self.asked[check] in self.joined and check == self.latest(self.asked[check])
         self.happens(NetworkLost(check, "no carrier"), check=None if is_joined else check)
 
     @rule(operation=operations, delay_s=delays_s)
@@ -230,9 +233,9 @@ class Flights(RuleBasedStateMachine):
         self.carry_out(commands)
         self.judge(decision, operation)
         if isinstance(decision, Remote):
-            self.calls.append(CallUnderWay(decision.server, self.selection.check, operation))
+            self.calls.append(CallUnderWay(decision.server, self.latest(decision.server), operation))
         if isinstance(decision, Wait):
-            self.waits.append((operation, self.selection.check))
+            self.waits.append((operation, self.latest(decision.server)))
 
     @precondition(lambda self: self.waits)
     @rule(back=BACK)
@@ -245,7 +248,7 @@ class Flights(RuleBasedStateMachine):
         assert not isinstance(decision, Wait), "waits twice"
         self.judge(decision, operation)
         if isinstance(decision, Remote):
-            assert check == self.checks[-1], "the server became ready by another check"
+            assert check == self.latest(decision.server), "the server became ready by another check"
             self.calls.append(CallUnderWay(decision.server, check, operation))
 
     # ---- the drone program
@@ -276,30 +279,35 @@ class Flights(RuleBasedStateMachine):
                     if after is State.BLACKLISTED:
                         self.blacklisted_at_s[server] = at_s
                 case Leave(server):
-                    assert self.joined == server, "left what was not joined"
+                    assert server in self.joined, "left what was not joined"
                     assert self.states[server] not in SELECTED
-                    self.joined = None
+                    self.joined.remove(server)
                 case Check(server, check):
-                    assert self.joined is None, "joined a second network"
+                    assert len(self.joined) < self.radios, "joined one network too many"
+                    assert all(self.states[other] is State.READY for other in self.joined)
                     assert self.states[server] in {State.CHECK, State.CHECK_R}
                     assert self.areas[server].contains(self.position)
                     assert check not in self.checks
                     self.contact(server)
-                    self.joined = server
+                    self.joined.append(server)
                     self.checks.append(check)
                     self.asked[check] = server
                 case Start(server, check):
-                    assert self.joined == server
-                    assert check == self.checks[-1]
+                    assert server in self.joined
+                    assert check == self.latest(server)
                     assert check not in self.starts, "started twice"
                     self.starts.append(check)
                 case Prepare(server, check, peer, arrives_in_s, hold_s):
-                    assert self.joined == server
-                    assert check == self.checks[-1]
+                    assert self.joined[:1] == [server]
+                    assert check == self.latest(server)
                     assert self.states[server] is State.READY
                     assert peer in self.peers[server] - {server}
                     assert min(arrives_in_s, hold_s) >= 0
                     self.announced.append((server, peer))
+
+    def latest(self, server: str) -> int:
+        """The number of the latest check of the server."""
+        return max(check for check, asked in self.asked.items() if asked == server)
 
     def contact(self, server: str) -> None:
         """Promise 7: a blacklisted server is not contacted before its time."""
@@ -313,7 +321,7 @@ class Flights(RuleBasedStateMachine):
         remote_s = self.selection.estimates.remote_s(decision.server, operation)
         assert local_s is not None
         assert remote_s is not None
-        assert self.joined == decision.server
+        assert self.joined[:1] == [decision.server]
         assert self.areas[decision.server].contains(self.position)
         if isinstance(decision, Remote):
             self.contact(decision.server)
@@ -346,21 +354,21 @@ class Flights(RuleBasedStateMachine):
             assert (current is None) == (not reachable)
         if current is not None:
             assert current.name in reachable
-            if isinstance(policy, LocationAware):
+            if isinstance(policy, LocationAware) and len(self.joined) == 1:
                 best_s = min(estimates.mean_call_s(name) for name in reachable)
                 assert (estimates.mean_call_s(current.name) - best_s) / local_s <= GAIN_SWITCH
 
     # ---- what always holds
 
     @invariant()
-    def at_most_one_server_is_selected(self) -> None:
-        selected = [name for name, state in self.states.items() if state in SELECTED]
-        current = self.selection.current
-        assert selected == ([current.name] if current else [])
+    def the_selected_servers_are_those_that_are_joined(self) -> None:
+        assert sorted(self.joined) == sorted(name for name, state in self.states.items() if state in SELECTED)
+        assert len(self.joined) <= self.radios
 
     @invariant()
-    def the_drone_is_joined_to_the_selected_server_alone(self) -> None:
-        assert self.joined == (self.selection.current.name if self.selection.current else None)
+    def the_one_in_use_was_joined_first(self) -> None:
+        current = self.selection.current
+        assert self.joined[:1] == ([current.name] if current else [])
 
     @invariant()
     def every_change_was_told(self) -> None:

@@ -90,7 +90,7 @@ def fly(
         computer = DroneComputer(config.services, heat=None, noise=0.0, chance=Chance(1))
         world = World(
             autopilot=vehicle,
-            network=NoNetwork(),
+            networks=[NoNetwork()],
             dialer=dialer,
             onboard_dialer=dialer,
             onboard_runtime=runtime({"detector": spec_of(Detector)}, computer, onboard),

@@ -129,7 +129,7 @@ def make_scene(config: DroneConfig, mission: Callable[[Drone], None], kind: type
     dialer = ModelDialer(config.name, onboard, wire)
     world = World(
         autopilot=autopilot,
-        network=NoNetwork(),
+        networks=[NoNetwork()],
         dialer=dialer,
         onboard_dialer=dialer,
         onboard_runtime=ModelRuntime(SPECS, computer, onboard),

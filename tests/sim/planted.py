@@ -201,11 +201,20 @@ def range_not_checked() -> contextlib.AbstractContextManager[object]:
 def two_servers_selected() -> contextlib.AbstractContextManager[object]:
     """A better server is selected without leaving the one before."""
 
-    def forget(self: Selection, why: str, now_s: float) -> list[Any]:
-        self._current = None
+    def forget(self: Selection, server: Server, why: str, now_s: float) -> list[Any]:
+        self._selected.remove(server)
         return []
 
     return patch.object(Selection, "_deselect", forget)
+
+
+def used_before_its_turn() -> contextlib.AbstractContextManager[object]:
+    """Calls go to the server in preparation."""
+
+    def last(self: Selection) -> Server | None:
+        return self._selected[-1] if self._selected else None
+
+    return patch.object(Selection, "current", property(last))
 
 
 def transition_skipped() -> contextlib.AbstractContextManager[object]:
@@ -369,6 +378,7 @@ DEFECTS = (
     Defect("a blacklisted server is asked once more", blacklisted_is_asked),
     Defect("the range is not checked after it was entered", range_not_checked),
     Defect("two servers are selected", two_servers_selected),
+    Defect("calls go to the server in preparation", used_before_its_turn),
     Defect("a transition of the server table is skipped", transition_skipped),
     Defect("leases do not end", lease_leaked),
     Defect("more drones are admitted than there are slots", slots_over_admitted),

@@ -151,7 +151,8 @@ def test_two_radios_are_used_at_once_and_do_not_disturb_each_other(field: Field)
     async def scene() -> None:
         journal = MemoryJournal()
         journal.begin()
-        first, second = (ManagedNetwork([f"radio{number}"], [f"s{number}-net"], journal) for number in (1, 2))
+        networks = ["s1-net", "s2-net"]
+        first, second = (ManagedNetwork([f"radio{number}"], networks, journal) for number in (1, 2))
         try:
             for number, network in enumerate((first, second), start=1):
                 await network.open()
@@ -213,6 +214,18 @@ def test_check_prints_what_is_ready_and_the_remedy_for_the_rest(
     assert (
         "s2: joins itself whenever it can: `nmcli connection modify s2-net connection.autoconnect no`" in said
     )
+
+
+def test_the_survey_finds_what_one_of_two_radios_could_not_join(field: Field) -> None:
+    def surveyed() -> list[str]:
+        findings = asyncio.run(survey_networks(["radio1", "radio2"], {"s1": "s1-net"}, radios=2))
+        return [each.trouble for each in findings if each.trouble]
+
+    field.run("nmcli", "connection", "modify", "s1-net", "connection.interface-name", "radio1")
+    (trouble,) = surveyed()
+    assert trouble.startswith("is for radio1 alone, and either radio may have to join it: ")
+    field.run("sh", "-c", trouble.partition("`")[2].rstrip("`"))
+    assert surveyed() == []
 
 
 def test_the_survey_finds_them_ready(field: Field) -> None:

@@ -78,6 +78,11 @@ def _network_problems(network: NetworkConfig) -> Iterator[Problem]:
             "network.interfaces",
             f'kind = "{network.kind}" uses none: leave them out, or set "networkmanager"',
         )
+    if network.kind == "networkmanager" and network.radios > 1 and len(network.interfaces) != network.radios:
+        yield (
+            "network.radios",
+            f"{network.radios} radios on {len(network.interfaces)} interfaces: name one interface for each",
+        )
     for index, name in repeated(list(network.interfaces)):
         yield f"network.interfaces[{index}]", f'"{name}" a second time: name each interface once'
 

@@ -41,6 +41,7 @@ from upwash.plans import Ending, Plan
 
 AtLeastOneSecond = Annotated[float, Meta(ge=1, description="a number of at least 1, in seconds")]
 PairInMetres = Annotated[tuple[float, float], Meta(description="a pair [east, north] in metres")]
+Radios = Annotated[int, Meta(ge=1, le=2, description="1 or 2")]
 SafeEnd = Literal["return", "hold", "land"]
 Corner = Literal["top-left", "top-right", "bottom-left", "bottom-right"]
 RADIOS = ("fixed", "disc54", "disc12")  # or a csv file of goodput by distance
@@ -111,11 +112,13 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How servers' networks are joined: by NetworkManager, modelled by the drone's position, or not at all.
 
-    NetworkManager joins them on these interfaces, and on no other.
+    NetworkManager joins them on these interfaces, and on no other. With two radios, which have an interface each, the
+    next server is checked while the one before is still used.
     """
 
     kind: Literal["stand-in", "wired", "networkmanager"] = "stand-in"
     interfaces: Annotated[tuple[InterfaceName, ...], Meta(description="an array of interfaces")] = ()
+    radios: Radios = 1
 
 
 class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -28,9 +28,9 @@ class Herald:
         return self._held_until_s.get(server, -math.inf) > at_s
 
     def announce(
-        self, current: Server | None, coming: Coming | None, *, check: int, start_s: float, now_s: float
+        self, current: Server | None, coming: Coming | None, *, start_s: float, now_s: float
     ) -> list[Prepare]:
-        """What the selected server, ready by that check, is to be asked now: once for as long as a slot is held.
+        """What the server in use is to be asked now, if it is ready: once for as long as a slot is held.
 
         `start_s` is how long the coming server needs to start its services.
         """
@@ -46,4 +46,4 @@ class Herald:
             self._due_s = due_s
             return []
         self._held_until_s[coming.server] = now_s + coming.in_s + _HOLD_S
-        return [Prepare(current.name, check, coming.server, coming.in_s, _HOLD_S)]
+        return [Prepare(current.name, current.check, coming.server, coming.in_s, _HOLD_S)]

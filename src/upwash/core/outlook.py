@@ -29,13 +29,16 @@ def look_out(
     expected: Sequence[ExpectedCall],
     servers: Mapping[str, Server],
     estimates: Estimates,
-    current: Server | None,
+    selected: Sequence[Server],
     *,
     now_s: float,
     blacklist_s: float,
     idle_s: float,
 ) -> Outlook:
-    """The outlook on the expected calls; servers that gain nothing, or are blacklisted by then, are left out."""
+    """The outlook on the expected calls; servers that gain nothing, or are blacklisted by then, are left out.
+
+    The first of the selected servers is in use; the check of another goes on, or is over, whatever the drone uses.
+    """
     local_s = estimates.mean_call_s()
     seen = dict.fromkeys(name for call in expected for name in call.in_range_s)
     gaining = {name: servers[name] for name in seen if estimates.mean_call_s(name) < local_s}
@@ -43,16 +46,26 @@ def look_out(
         name: server.since_s + blacklist_s - now_s if server.state is State.BLACKLISTED else -math.inf
         for name, server in gaining.items()
     }
-    ready_in_s = 0.0
-    if current is not None and current.state in CHECKING:
-        check_s = estimates.check_s(current.name, running=current.state is State.CHECK_R)
-        ready_in_s = max(0.0, check_s - (now_s - current.checked_since_s))
+    rests_s = {server.name: _rest_s(server, estimates, now_s) for server in selected}
+    checks = {name: _check_times(server, estimates, now_s, idle_s) for name, server in gaining.items()}
+    for server in selected[1:]:
+        if server.name in checks:
+            rest_s = rests_s[server.name]
+            checks[server.name] = CheckTimes(stopped_s=rest_s, running_s=rest_s)
     return Outlook(
         list(_calls(expected, estimates, banned_s)),
-        {name: _check_times(server, estimates, now_s, idle_s) for name, server in gaining.items()},
-        ready_in_s,
+        checks,
+        rests_s[selected[0].name] if selected else 0.0,
         {name: server.peers for name, server in gaining.items() if server.peers},
     )
+
+
+def _rest_s(server: Server, estimates: Estimates, now_s: float) -> float:
+    """What is left of the check of a selected server."""
+    if server.state not in CHECKING:
+        return 0.0
+    check_s = estimates.check_s(server.name, running=server.state is State.CHECK_R)
+    return max(0.0, check_s - (now_s - server.checked_since_s))
 
 
 def _calls(

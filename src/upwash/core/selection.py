@@ -1,15 +1,16 @@
 """The drone-side machine: events in, commands out (thesis sections 3.2 to 3.4).
 
 Laws:
-- at most one server is selected, and every change of a state is one of `servers.TRANSITIONS`;
-- a check is known by its number, and what arrives for another check than the current one changes nothing;
+- every change of a state is one of `servers.TRANSITIONS`; no more servers are selected than there are radios;
+- the first of them is in use: calls go there alone; a second one is in preparation, and follows when that one goes;
+- a check is known by its number, and what arrives for a check that is over changes nothing;
 - after whatever it is told, the selection is looked at again at once; a decision only leaves, it selects nothing;
-- commands are to be carried out in their order; selecting a new server comes after leaving the old one.
+- commands are to be carried out in their order; without a spare radio a server is selected after the old one is left.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from upwash.core.estimates import Estimates, Operation
@@ -42,11 +43,12 @@ from upwash.core.servers import CHECKING, SELECTED, Change, Event, Server, State
 
 @dataclass(frozen=True, slots=True)
 class SelectionSettings:
-    """How long the machine remembers."""
+    """How long the machine remembers, and how many servers it may have selected at a time."""
 
     blacklist_s: float = 60.0
     idle_s: float = 180.0
     retry_s: float = 300.0
+    radios: int = 1
 
 
 class Selection:
@@ -64,9 +66,9 @@ class Selection:
         self.servers = {name: Server(name, area) for name, area in areas.items()}
         self.estimates = estimates
         self.policy = policy
-        self.check = 0  # the number of the latest check
+        self._checks = 0
         self._settings = settings or SelectionSettings()
-        self._current: Server | None = None
+        self._selected: list[Server] = []  # in use, and in preparation
         self._ranges = Ranges(areas)
         self._in_range: Sequence[Server] = ()  # this and the next in the order of the table
         self._met: Sequence[Server] = ()  # those whose state may change by time alone, or as the selected one
@@ -78,8 +80,8 @@ class Selection:
 
     @property
     def current(self) -> Server | None:
-        """The selected server, if any."""
-        return self._current
+        """The server in use, if any is selected."""
+        return self._selected[0] if self._selected else None
 
     @property
     def in_range(self) -> Sequence[Server]:
@@ -108,11 +110,11 @@ class Selection:
         self, operation: Operation, *, now_s: float, position: Position
     ) -> tuple[Decision, list[Command]]:
         self._locate(position, now_s)
-        current = self._current
+        current = self.current
         if current is None:
             return Local("no server selected"), []
         if not current.in_range:
-            return Local(f"{current.name} is out of range"), self._deselect("out of range", now_s)
+            return Local(f"{current.name} is out of range"), self._deselect(current, "out of range", now_s)
         local_s = self.estimates.local_s(operation)
         remote_s = self.estimates.remote_s(current.name, operation)
         if local_s is None or remote_s is None:
@@ -133,7 +135,7 @@ class Selection:
     ) -> tuple[Decision, list[Command]]:
         """Where a call shall run whose wait for that check is over; it does not wait again."""
         decision, commands = self._decide(operation, now_s=now_s, position=position)
-        if check != self.check or self._current is None:
+        if self.current is None or self.current.check != check:
             decision = Local("the check failed or was given up")
         elif isinstance(decision, Remote):
             decision = Remote(decision.server, decision.deadline_s, "server became ready")
@@ -155,8 +157,12 @@ class Selection:
         self._itinerary.call_ends(now_s + (expected_s or 0.0))
 
     def is_checking(self, check: int) -> bool:
-        """Whether that check is the current one and still under way."""
-        return check == self.check and self._current is not None and self._current.state in CHECKING
+        """Whether that check is still under way."""
+        return self._checked(check, CHECKING) is not None
+
+    def _checked(self, check: int, states: Collection[State] = SELECTED) -> Server | None:
+        """The server that was selected by that check and still is, if it is in one of the states."""
+        return next((each for each in self._selected if each.check == check and each.state in states), None)
 
     def _locate(self, position: Position, now_s: float) -> None:
         crossed = self._ranges.crossed(position)
@@ -171,28 +177,30 @@ class Selection:
         match happening:
             case Looked():
                 pass  # the first case, as it is by far the most frequent
-            case CheckAnswered(check, running, peers) if self.is_checking(check):
-                self._selected().peers = tuple(peer for peer in peers if peer in self.servers)
-                return self._answered(running, now_s)
-            case ServicesStarted(check) if self.is_checking(check):
-                return [self._ready(Event.STARTED, now_s)]
-            case CheckFailed(check, why) if self.is_checking(check):
-                return self._failed(Event.CHECK_FAILED, why, now_s)
-            case NetworkLost(check, why) if check == self.check and self._current is not None:
-                return self._failed(Event.NETWORK_LOST, why, now_s)
-            case Prepared(server, by) if self.servers[server].state in (State.AVL, State.AVL_R):
-                change = self.servers[server].apply(Event.PREPARED, now_s=now_s, why=f"by {by}")
-                self.estimates.services_started(server)
+            case CheckAnswered(check, running, peers) if server := self._checked(check, CHECKING):
+                server.peers = tuple(peer for peer in peers if peer in self.servers)
+                return self._answered(server, running, now_s)
+            case ServicesStarted(check) if server := self._checked(check, CHECKING):
+                return [self._ready(server, Event.STARTED, now_s)]
+            case CheckFailed(check, why) if server := self._checked(check, CHECKING):
+                return self._failed(server, Event.CHECK_FAILED, why, now_s)
+            case NetworkLost(check, why) if server := self._checked(check):
+                return self._failed(server, Event.NETWORK_LOST, why, now_s)
+            case Prepared(name, by) if self.servers[name].state in (State.AVL, State.AVL_R):
+                change = self.servers[name].apply(Event.PREPARED, now_s=now_s, why=f"by {by}")
+                self.estimates.services_started(name)
                 self._meet()
                 return [change]
-            case RemoteCallFailed(server, check, why) if self._is_ready(server, check):
-                return self._call_failed(why, now_s)
-            case RemoteCallCut(server, operation, waited_s):
-                self.estimates.observe_remote_cut(server, operation, waited_s, now_s=now_s)
+            case RemoteCallFailed(name, check, why) if (
+                server := self._checked(check, (State.READY,))
+            ) and server.name == name:
+                return self._call_failed(server, why, now_s)
+            case RemoteCallCut(name, operation, waited_s):
+                self.estimates.observe_remote_cut(name, operation, waited_s, now_s=now_s)
             case LocalCallEnded(operation, delay_s):
                 self.estimates.observe_local(operation, delay_s)
-            case RemoteCallEnded(server, operation, delay_s, late):
-                self.estimates.observe_remote(server, operation, delay_s, now_s=now_s, late=late)
+            case RemoteCallEnded(name, operation, delay_s, late):
+                self.estimates.observe_remote(name, operation, delay_s, now_s=now_s, late=late)
             case MissionEnded():
                 self._ended = True
         return []
@@ -217,19 +225,9 @@ class Selection:
                 self._under_way = Local(why)
         self._changed = True
 
-    def _is_ready(self, server: str, check: int) -> bool:
-        current = self._current
-        return (
-            current is not None
-            and current.name == server
-            and current.state is State.READY
-            and check == self.check
-        )
-
-    def _answered(self, running: bool, now_s: float) -> list[Command]:
-        server = self._selected()
+    def _answered(self, server: Server, running: bool, now_s: float) -> list[Command]:
         if running:
-            return [self._ready(Event.FOUND_RUNNING, now_s)]
+            return [self._ready(server, Event.FOUND_RUNNING, now_s)]
         if not server.in_range:
             return []  # about to be de-selected: nothing is started for a drone that is gone
         commands: list[Command] = []
@@ -237,11 +235,10 @@ class Selection:
             commands.append(server.apply(Event.FOUND_STOPPED, now_s=now_s))
         if not server.start_requested:
             server.start_requested = True
-            commands.append(Start(server.name, self.check))
+            commands.append(Start(server.name, server.check))
         return commands
 
-    def _ready(self, event: Event, now_s: float) -> Change:
-        server = self._selected()
+    def _ready(self, server: Server, event: Event, now_s: float) -> Change:
         change = server.apply(event, now_s=now_s)
         if server.start_requested:
             self.estimates.services_started(server.name)
@@ -252,17 +249,15 @@ class Selection:
             )
         return change
 
-    def _failed(self, event: Event, why: str, now_s: float) -> list[Command]:
-        server = self._selected()
+    def _failed(self, server: Server, event: Event, why: str, now_s: float) -> list[Command]:
         if not server.in_range:
-            return self._deselect("out of range", now_s)  # the server did nothing wrong
-        self._current = None
+            return self._deselect(server, "out of range", now_s)  # the server did nothing wrong
+        self._selected.remove(server)
         return [server.apply(event, now_s=now_s, why=why), Leave(server.name)]
 
-    def _call_failed(self, why: str, now_s: float) -> list[Command]:
-        server = self._selected()
+    def _call_failed(self, server: Server, why: str, now_s: float) -> list[Command]:
         event = Event.CALL_FAILED_IN_RANGE if server.in_range else Event.CALL_FAILED_OUT_OF_RANGE
-        self._current = None
+        self._selected.remove(server)
         return [server.apply(event, now_s=now_s, why=why), Leave(server.name)]
 
     def _expire(self, commands: list[Command], now_s: float) -> None:
@@ -278,18 +273,46 @@ class Selection:
             return
         self._changed = False
         choice = Choice(None, "mission ended") if self._ended else self._choose(now_s, position)
-        chosen, why = choice.server, choice.why
-        current = self._current
-        if current is not None and current.name != chosen:
-            better = f"{chosen} {why}" if chosen else why
-            commands += self._deselect(better if current.in_range else "out of range", now_s)
-        if chosen is not None and self._current is None:
-            self.check += 1
-            self._current = self.servers[chosen]
-            commands.append(self._current.apply(Event.SELECTED, now_s=now_s, why=why))
-            commands.append(Check(chosen, self.check))
-            self._meet()
+        for server in [each for each in self._selected if not each.in_range]:
+            commands += self._deselect(server, "out of range", now_s)
+        if choice.server is None:
+            for server in list(self._selected):
+                commands += self._deselect(server, choice.why, now_s)
+        elif self.current is None or choice.server != self.current.name:
+            commands += self._turn_to(self.servers[choice.server], choice.why, now_s)
+        elif choice.coming is not None and self.servers[choice.coming.server] in self._in_range:
+            commands += self._prepare(self.servers[choice.coming.server], "comes next", now_s)
         commands += self._announce(choice.coming, now_s)
+
+    def _turn_to(self, server: Server, why: str, now_s: float) -> list[Command]:
+        """Uses the server from now on; with a spare radio from when it is ready, and the one before until then."""
+        current = self.current
+        if current is None:
+            return self._check(server, why, now_s)
+        is_ready = server in self._selected and server.state is State.READY
+        if not is_ready and self._settings.radios > 1 and current.state is State.READY:
+            return self._prepare(server, why, now_s)
+        commands = self._deselect(current, f"{server.name} {why}", now_s)
+        return commands if server in self._selected else commands + self._check(server, why, now_s)
+
+    def _prepare(self, server: Server, why: str, now_s: float) -> list[Command]:
+        """Checks the server with a spare radio, while another one is in use; whatever that radio did is given up."""
+        current = self.current
+        is_spare = self._settings.radios > 1 and current is not None and current.state is State.READY
+        if not is_spare or server in self._selected or server.state is State.BLACKLISTED:
+            return []
+        commands: list[Command] = []
+        for other in self._selected[1:]:
+            commands += self._deselect(other, f"{server.name} {why}", now_s)
+        return commands + self._check(server, why, now_s)
+
+    def _check(self, server: Server, why: str, now_s: float) -> list[Command]:
+        self._checks += 1
+        server.check = self._checks
+        self._selected.append(server)
+        change = server.apply(Event.SELECTED, now_s=now_s, why=why)
+        self._meet()
+        return [change, Check(server.name, server.check)]
 
     def _meet(self) -> None:
         self._met = [server for server in self.servers.values() if server.state is not State.AVL]
@@ -303,8 +326,10 @@ class Selection:
         return self._changed or self._herald.is_due(now_s)
 
     def _announce(self, coming: Coming | None, now_s: float) -> list[Prepare]:
+        if coming is not None and self.servers[coming.server] in self._selected:
+            coming = None  # it is being asked itself
         start_s = self.estimates.start_s(coming.server) if coming else 0.0
-        return self._herald.announce(self._current, coming, check=self.check, start_s=start_s, now_s=now_s)
+        return self._herald.announce(self.current, coming, start_s=start_s, now_s=now_s)
 
     def _choose(self, now_s: float, position: Position) -> Choice:
         options = [
@@ -315,7 +340,7 @@ class Selection:
         return self.policy.choose(
             Situation(
                 options,
-                self._current.name if self._current else None,
+                self.current.name if self.current else None,
                 self.estimates.mean_call_s(),
                 under_way=self._under_way,
                 outlook=self._look_out(now_s, position),
@@ -329,17 +354,12 @@ class Selection:
             self._itinerary.coming(position, now_s=now_s, count=self.policy.horizon),
             self.servers,
             self.estimates,
-            self._current,
+            self._selected,
             now_s=now_s,
             blacklist_s=self._settings.blacklist_s,
             idle_s=self._settings.idle_s,
         )
 
-    def _deselect(self, why: str, now_s: float) -> list[Command]:
-        server = self._selected()
-        self._current = None
+    def _deselect(self, server: Server, why: str, now_s: float) -> list[Command]:
+        self._selected.remove(server)
         return [server.deselect(now_s=now_s, why=why), Leave(server.name)]
-
-    def _selected(self) -> Server:
-        assert self._current is not None and self._current.state in SELECTED  # noqa: S101
-        return self._current

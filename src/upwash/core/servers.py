@@ -94,6 +94,7 @@ class Server:
     area: Circle
     state: State = State.AVL
     since_s: float = 0.0  # when the state was entered
+    check: int = 0  # the number of the latest check of it
     checked_since_s: float = 0.0  # t_check: when it was last selected
     start_requested: bool = False  # during the check that runs, or the last one
     in_range_since_s: float | None = None

@@ -67,7 +67,7 @@ def emulated(config: DroneConfig) -> DroneConfig:
     return replace(
         config,
         mission=replace(config.mission, home=config.mission.home or _SOMEWHERE),
-        network=type(config.network)(),
+        network=type(config.network)(radios=config.network.radios),
         keys=None,
         services=tuple(
             replace(service, local_pace_s=service.local_call_s, local_first_extra_s=0.0)

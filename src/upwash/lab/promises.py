@@ -318,7 +318,11 @@ def _expected(config: DroneConfig, number: int) -> probing.Heard:
 
 
 def one_selection(history: History) -> Iterator[Breach]:
-    """Each change starts where the last one ended and is the table's; one server selected, one network joined."""
+    """Each change starts where the last one ended and is the table's; one server and one network for each radio.
+
+    Of two servers that are selected the one in use was there first: calls go there.
+    """
+    radios = history.config.network.radios
     states: dict[str, State] = {}
     for event in history.run.events:
         if event["event"] not in _CHANGES:
@@ -330,13 +334,29 @@ def one_selection(history: History) -> Iterator[Breach]:
             yield event, f"{event['event']} does not lead from {before} to {after}"
         states[name] = after
         selected = [each for each, state in states.items() if state in SELECTED]
-        if len(selected) > 1:
+        if len(selected) > radios:
             yield event, f"{' and '.join(selected)} are selected at the same time"
-    joined = ""
+    yield from _used_out_of_turn(history)
+    joined: dict[int, str] = {}  # by radio
     for fact in history.own("joined", "left"):
-        if fact["event"] == "joined" and joined:
-            yield fact, f"{joined} is still joined"
-        joined = fact["network"] if fact["event"] == "joined" else ""
+        if fact["event"] == "joined" and joined.get(fact["radio"]):
+            yield fact, f"{joined[fact['radio']]} is still joined"
+        joined[fact["radio"]] = fact["network"] if fact["event"] == "joined" else ""
+
+
+def _used_out_of_turn(history: History) -> Iterator[Breach]:
+    """A call goes to the server that was selected first of those that are."""
+    selected: list[str] = []
+    for event in history.run.events:
+        if event["event"] in _CHANGES:
+            if event["server"] in selected and event["after"] not in SELECTED:
+                selected.remove(event["server"])
+            elif event["server"] not in selected and event["after"] in SELECTED:
+                selected.append(event["server"])
+        elif (
+            event["event"] == "decided" and event["decision"] != "local" and [event["server"]] != selected[:1]
+        ):
+            yield event, f"{event['server']} is not the one in use of {' and '.join(selected)}"
 
 
 def in_range(history: History) -> Iterator[Breach]:

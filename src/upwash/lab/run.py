@@ -144,7 +144,7 @@ async def _fly_one(
     chance, faults = Chance(config.seed), Faults(config.faults)
     autopilot = _autopilot(config, chance, faults)
     witness = DroneWitness(config.name, seen_by, lambda: autopilot.position) if seen_by else None
-    network, dialer = _radio(config, autopilot, switchboard, faults)
+    networks, dialer = _radios(config, autopilot, switchboard, faults)
     heat = Heat(config.heat.ambient_c, config.heat.load_w) if config.heat else None
     computer: Computer = DroneComputer(config.services, heat=heat, noise=config.noise.call, chance=chance)
     onboard = Switchboard({})
@@ -155,7 +155,7 @@ async def _fly_one(
         programs=software.programs,
         world=World(
             autopilot=autopilot,
-            network=witness.network(network) if witness else network,
+            networks=witness.networks(networks) if witness else networks,
             dialer=witness.dialer(dialer) if witness else dialer,
             onboard_dialer=ModelDialer(config.name, onboard, Wire()),
             onboard_runtime=ModelRuntime(
@@ -184,10 +184,10 @@ async def _fly_one(
     return ""
 
 
-def _radio(
+def _radios(
     config: DroneConfig, autopilot: ModelAutopilot, switchboard: Switchboard, faults: Faults
-) -> tuple[Network, Dialer]:
-    """The networks in the drone's reach, and the way to whoever is there."""
+) -> tuple[list[Network], Dialer]:
+    """The networks in the drone's reach, for each of its radios, and the way to whoever is there."""
     areas = {server.name: server_area(server, config.mission.home) for server in config.servers}
     truths = {server.name: server_truth(server, config.services) for server in config.servers}
     radio = Radio(
@@ -207,8 +207,10 @@ def _radio(
                 goes_down=functools.partial(radio.goes_down, server.name),
             )
         )
-    network = ModelNetwork(cells, lambda: autopilot.position)
-    return network, ModelDialer(config.name, switchboard, radio)
+    networks: list[Network] = [
+        ModelNetwork(cells, lambda: autopilot.position) for _ in range(config.network.radios)
+    ]
+    return networks, ModelDialer(config.name, switchboard, radio)
 
 
 def _camera(config: CameraConfig) -> Camera:

@@ -5,7 +5,7 @@ A witness stands between a program and a port and lets everything through as it 
 | event | with |
 |---|---|
 | `sent` | a drone sends a request: server, path, and where the drone is |
-| `joined`, `left` | a drone and a network |
+| `joined`, `left` | a drone, a network, and by which radio |
 | `computed` | a drone's own service has done a call: the operation, and how long it took |
 | `asked`, `answered` | a drone's request reaches a daemon, and is answered: server, path |
 | `held` | a daemon holds a slot for a drone, for so long at most, as the peer `by` has asked it to |
@@ -18,7 +18,7 @@ A witness stands between a program and a port and lets everything through as it 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -45,9 +45,9 @@ class DroneWitness:
         """Sees the requests that are sent over links of the dialer."""
         return _Dialer(dialer, self)
 
-    def network(self, network: Network) -> Network:
-        """Sees networks being joined and left."""
-        return _Network(network, self)
+    def networks(self, networks: Sequence[Network]) -> list[Network]:
+        """Sees networks being joined and left, by each radio."""
+        return [_Network(network, radio, self) for radio, network in enumerate(networks)]
 
     def computer(self, computer: Computer) -> Computer:
         """Sees how long the drone's own services take."""
@@ -115,18 +115,19 @@ class _Link:
 @dataclass(frozen=True, slots=True)
 class _Network:
     seen: Network
+    radio: int
     witness: DroneWitness
 
     async def join(self, network: str, *, timeout_s: float) -> None:
         await self.seen.join(network, timeout_s=timeout_s)
-        self.witness.record("joined", network=network)
+        self.witness.record("joined", network=network, radio=self.radio)
 
     async def lost(self) -> str:
         return await self.seen.lost()
 
     async def leave(self) -> None:
         await self.seen.leave()
-        self.witness.record("left")
+        self.witness.record("left", radio=self.radio)
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,8 @@ class World:
         self._number = (seed - 1) // SEEDS_PER_SCENARIO
         chance = random.Random(f"world/{self._number}")  # noqa: S311 - not for secrets
         document = _with_peers(_Draft(chance, self._number).document(), self._number)
-        self._documents = [_with_slow_first_calls(document, self._number)]
+        document = _with_slow_first_calls(document, self._number)
+        self._documents = [_with_radios(document, self._number)]
         for number in range(2, 2 + chance.choices((0, 1, 2), (75, 19, 6))[0]):
             self._documents.append(_companion(self._documents[0], chance, number))
 
@@ -218,6 +219,12 @@ def _with_slow_first_calls(document: Document, number: int) -> Document:
     for server in document["server"]:
         server["truth"]["first_extra_s"] = chance.choice((0.0, 1.0, 4.0))
     return document
+
+
+def _with_radios(document: Document, number: int) -> Document:
+    """In every third world the drones have two radios."""
+    chance = random.Random(f"radios/{number}")  # noqa: S311 - not for secrets
+    return {**document, "network": {"radios": 2}} if chance.random() < 1 / 3 else document
 
 
 def _places(chance: random.Random) -> list[list[float]]:

@@ -9,6 +9,8 @@ from upwash.errors import NetworkError
 from upwash.real.networkmanager import Connection, Device, Profile, connect_networkmanager
 from upwash.real.profiles import find_device, find_profile, interface_trouble, kind_name, profile_troubles
 
+_ANY_RADIO = "connection.interface-name ''"
+
 
 @dataclass(frozen=True, slots=True)
 class Finding:
@@ -19,7 +21,9 @@ class Finding:
     trouble: str = ""
 
 
-async def survey_networks(interfaces: Sequence[str], servers: Mapping[str, str]) -> list[Finding]:
+async def survey_networks(
+    interfaces: Sequence[str], servers: Mapping[str, str], *, radios: int = 1
+) -> list[Finding]:
     """The manager, each interface, and the network of each server; raises NetworkError without a manager."""
     manager = await connect_networkmanager(lambda _: None)
     try:
@@ -37,7 +41,7 @@ async def survey_networks(interfaces: Sequence[str], servers: Mapping[str, str])
         )
         findings.append(Finding(interface, _interface_found(interface, devices, connections), trouble))
     for server, network in servers.items():
-        findings.append(_network_finding(server, network, interfaces, profiles, devices))
+        findings.append(_network_finding(server, network, interfaces, profiles, devices, radios=radios))
     return findings
 
 
@@ -56,6 +60,8 @@ def _network_finding(
     interfaces: Sequence[str],
     profiles: Sequence[Profile],
     devices: Sequence[Device],
+    *,
+    radios: int,
 ) -> Finding:
     try:
         profile = find_profile(network, profiles)
@@ -68,6 +74,10 @@ def _network_finding(
     place = f"on {device.interface}" if device else "makes its own interface"
     found = f"{profile.name}, {profile.kind}, {place}"
     troubles = list(profile_troubles(profile))
+    if radios > 1 and profile.interface:
+        troubles.append(
+            (f"is for {profile.interface} alone, and either radio may have to join it", _ANY_RADIO)
+        )
     if not troubles:
         return Finding(server, found)
     settings = " ".join(setting for _, setting in troubles)
