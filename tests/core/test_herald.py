@@ -12,7 +12,7 @@ START_S = 8.0
 
 
 def server(*peers: str, ready: bool = True) -> Server:
-    found = Server("a", Circle(Position(0.0, 0.0), 50.0), peers=peers)
+    found = Server("a", Circle(Position(0.0, 0.0), 50.0), peers=frozenset(peers))
     found.check = 1
     for event in (Event.SELECTED, Event.STARTED) if ready else (Event.SELECTED,):
         found.apply(event, now_s=0.0)

@@ -57,10 +57,10 @@ def test_a_server_that_was_started_before_is_ready_sooner() -> None:
 def test_a_peer_starts_its_services_while_the_server_before_is_ready() -> None:
     calls = [call(6.0, a=6.0), call(8.0, b=4.0), call(8.0, b=8.0)]
     alone = quickest(calls, SAME, server="a")
-    prepared = quickest(calls, SAME, server="a", peers={"a": ["b"]})
+    prepared = quickest(calls, SAME, server="a", peers={"a": frozenset("b")})
     assert alone.total_s == REMOTE_S + (12.0 - 4.0) + REMOTE_S + REMOTE_S
     assert prepared.total_s == 3 * REMOTE_S, "b has had 11 s by the time that its range is entered"
-    late = quickest(calls, SAME, server="a", ready_in_s=5.0, peers={"a": ["b"]})
+    late = quickest(calls, SAME, server="a", ready_in_s=5.0, peers={"a": frozenset("b")})
     assert late.total_s == REMOTE_S + (12.0 - 6.0 - 4.0) + REMOTE_S + REMOTE_S, (
         "and 6 s, where a is ready later"
     )
@@ -69,8 +69,8 @@ def test_a_peer_starts_its_services_while_the_server_before_is_ready() -> None:
 def test_a_server_is_kept_that_has_peers_or_is_prepared() -> None:
     both = [call(30.0, a=30.0, b=30.0), call(4.0, c=4.0), call(4.0, c=4.0)]
     checks = {**SAME, "c": CheckTimes(12.0, 4.0)}
-    assert quickest(both, checks, peers={"b": ["c"]}).servers == ["b", "c", "c"]
-    assert quickest(both, checks, peers={"a": ["c"]}).servers == ["a", "c", "c"]
+    assert quickest(both, checks, peers={"b": frozenset("c")}).servers == ["b", "c", "c"]
+    assert quickest(both, checks, peers={"a": frozenset("c")}).servers == ["a", "c", "c"]
 
 
 def test_a_wait_has_to_gain_what_is_asked() -> None:

@@ -22,7 +22,7 @@ class Outlook:
     calls: Sequence[ComingCall]
     checks: Mapping[str, CheckTimes]
     ready_in_s: float
-    peers: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    peers: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
 
 def look_out(

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 from types import MappingProxyType
@@ -84,7 +84,7 @@ def quickest(
     ready_in_s: float = 0.0,
     gain_wait: float = 0.0,
     stays: bool = False,
-    peers: Mapping[str, Collection[str]] = MappingProxyType({}),
+    peers: Mapping[str, frozenset[str]] = MappingProxyType({}),
 ) -> Schedule:
     """The schedule of least total delay from now on, with `server` selected and its check over in `ready_in_s`.
 
@@ -109,7 +109,7 @@ def _useful(
     calls: Sequence[ComingCall],
     checks: Mapping[str, CheckTimes],
     server: str | None,
-    peers: Mapping[str, Collection[str]],
+    peers: Mapping[str, frozenset[str]],
 ) -> dict[str, CheckTimes]:
     """The servers that are better than each other one at some call, and the one that is selected."""
     offers: dict[str, dict[int, Offer]] = {}
@@ -123,13 +123,13 @@ def _useful(
     for name in best_first:
         beaten = any(
             _is_no_worse(checks[other], checks[name])
-            and _is_no_lonelier(other, name, peers)
             and all(
                 (its := offers[other].get(number)) is not None
                 and its.call_s <= offer.call_s
                 and its.head_start_s >= offer.head_start_s
                 for number, offer in offers[name].items()
             )
+            and _is_no_lonelier(other, name, peers)
             for other in useful
         )
         if name == server or not beaten:
@@ -145,10 +145,11 @@ def _is_no_worse(times: CheckTimes, others: CheckTimes) -> bool:
     )
 
 
-def _is_no_lonelier(server: str, other: str, peers: Mapping[str, Collection[str]]) -> bool:
+def _is_no_lonelier(server: str, other: str, peers: Mapping[str, frozenset[str]]) -> bool:
     """Whether it has all the peers that the other has, and is prepared by all that prepare the other."""
-    own = peers.get(server, ())
-    return all(peer in own for peer in peers.get(other, ()) if peer != server) and all(
+    nobody = frozenset[str]()
+    has_them = peers.get(other, nobody) - {server} <= peers.get(server, nobody)
+    return has_them and all(
         server in told for name, told in peers.items() if other in told and name != server
     )
 
@@ -157,7 +158,7 @@ def _over(
     call: ComingCall,
     ways: Sequence[_Way],
     checks: Mapping[str, CheckTimes],
-    peers: Mapping[str, Collection[str]],
+    peers: Mapping[str, frozenset[str]],
     *,
     begins_s: float,
     gain_wait: float,

@@ -178,7 +178,7 @@ class Selection:
             case Looked():
                 pass  # the first case, as it is by far the most frequent
             case CheckAnswered(check, running, peers) if server := self._checked(check, CHECKING):
-                server.peers = tuple(peer for peer in peers if peer in self.servers)
+                server.peers = frozenset(peers) & self.servers.keys()
                 return self._answered(server, running, now_s)
             case ServicesStarted(check) if server := self._checked(check, CHECKING):
                 return [self._ready(server, Event.STARTED, now_s)]

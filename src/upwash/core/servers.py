@@ -98,7 +98,7 @@ class Server:
     checked_since_s: float = 0.0  # t_check: when it was last selected
     start_requested: bool = False  # during the check that runs, or the last one
     in_range_since_s: float | None = None
-    peers: tuple[str, ...] = ()  # the servers that its daemon can have prepared, as it last said
+    peers: frozenset[str] = frozenset()  # the servers that its daemon can have prepared, as it last said
     history: deque[Change] = field(default_factory=lambda: deque(maxlen=_HISTORY_LENGTH))
 
     @property
