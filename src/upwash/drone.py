@@ -201,7 +201,7 @@ class Pilot:
     async def _takeoff(self, altitude_m: float) -> None:
         self._tell(CourseLost())
         await self._autopilot.takeoff(altitude_m)
-        self._journal.record("took_off", altitude_m=altitude_m)
+        self._record("took_off", altitude_m=altitude_m)
 
     async def _climb(self, altitude_m: float) -> None:
         here = self._autopilot.position
@@ -213,9 +213,17 @@ class Pilot:
     ) -> None:
         self._tell(CourseLost())
         if before:
-            self._journal.record(before)
+            self._record(before)
         await verb()
-        self._journal.record(event)
+        self._record(event)
+
+    def _record(self, event: str, **facts: object) -> None:
+        self._journal.record(event, **facts, position=_rounded(self._autopilot.position))
+
+
+def _rounded(position: Position) -> dict[str, float]:
+    """To the centimetre."""
+    return {name: round(metres, 2) for name, metres in asdict(position).items()}
 
 
 class Photographer:
@@ -242,7 +250,7 @@ class Photographer:
             source=photo.source,
             bytes=len(photo.jpeg),
             age_s=round(asyncio.get_running_loop().time() - photo.captured_s, 6),
-            position={name: round(metres, 2) for name, metres in asdict(at).items()},
+            position=_rounded(at),
             **truth,
         )
         return photo.jpeg

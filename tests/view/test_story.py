@@ -84,7 +84,8 @@ def test_a_drone_that_reports_no_positions_stays_where_it_calls_until_it_sets_of
     setting_off = next(fix for fix in fixes if fix.at_s >= call.at_s)
     assert (at_the_end.east_m, at_the_end.north_m) == (setting_off.east_m, setting_off.north_m)
     assert setting_off.at_s == call.at_s
-    assert (fixes[-1].east_m, fixes[-1].north_m, fixes[-1].altitude_m) == (0.0, 0.0, 0.0), "it has landed"
+    landed = (fixes[-1].east_m, fixes[-1].north_m, fixes[-1].altitude_m)
+    assert landed == (0.0, 200.0, 0.0), "where a simulated flight takes off"
 
 
 def test_every_fact_comes_in_the_order_of_time(told: list[Fact]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
@@ -84,16 +83,12 @@ class Story:
             self._place, self._placed_s = here, self._now_s
 
     def _inferred(self, event: Mapping[str, Any]) -> Position | None:
-        """Where the drone must be when it sets off, and when it has landed; simulated logs do not say."""
+        """Where the drone is believed to be before anything tells, and as it sets off; simulated logs do not say."""
         match event:
             case {"event": "mission_started"} if self._place is None:
                 return _HOME
-            case {"event": "took_off", "altitude_m": altitude_m}:
-                return replace(self._place or _HOME, altitude_m=float(altitude_m))
-            case {"event": "leg" | "returning"}:
+            case {"event": "leg"}:
                 return self._place
-            case {"event": "landed"} if self._doing[0] == "returning":
-                return _HOME
             case _:
                 return None
 
