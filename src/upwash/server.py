@@ -97,6 +97,7 @@ class EdgeServer:
         self._drain_s = drain_s
         self._certificates = certificates
         self._began_s = self._now_s()
+        self._held = asyncio.Event()  # a slot, perhaps for less than a lease
         self._instances: dict[StartInstance, Instance] = {}
         self._lives: dict[int, asyncio.Task[None]] = {}  # by instance number, from start to end
         self._endings: dict[int, asyncio.Task[None]] = {}  # of those that have to stop
@@ -147,10 +148,16 @@ class EdgeServer:
 
     async def run(self) -> NoReturn:
         """Ends leases and idle instances as their time comes, until cancelled."""
+        looked_s = self._now_s()
         while True:
-            next_end_s = self._host.next_end_s(now_s=self._now_s())
-            await asyncio.sleep(max(_LEAST_LOOK_S, next_end_s - self._now_s()))
-            await self._perform(self._host.look(now_s=self._now_s()))
+            due_s = max(looked_s + _LEAST_LOOK_S, self._host.next_end_s(now_s=self._now_s()))
+            try:
+                async with asyncio.timeout_at(due_s):
+                    await self._held.wait()
+            except TimeoutError:
+                looked_s = self._now_s()
+                await self._perform(self._host.look(now_s=looked_s))
+            self._held.clear()
 
     async def close(self) -> None:
         """Ends every instance; returns when none is left."""
@@ -238,6 +245,7 @@ class EdgeServer:
         if isinstance(answer, Denied):
             _log.info("%s: nothing held for %s: %s", request.server, request.drone, answer.why)
             return HoldReply(held=False, reason=answer.why)
+        self._held.set()
         _log.info("%s: a slot is held for %s, as %s asked", request.server, request.drone, peer.name)
         return HoldReply(held=True)
 

@@ -15,11 +15,14 @@ from upwash.errors import InstanceError, Refused
 from upwash.ports import InstanceSpec, Program
 from upwash.protocol import (
     AVAILABILITY,
+    HOLD,
     LEAVE,
     START,
     STATUS,
     AvailabilityReply,
     AvailabilityRequest,
+    HoldReply,
+    HoldRequest,
     LeaveRequest,
     StartReply,
     StartRequest,
@@ -90,7 +93,9 @@ class Daemon:
         self.runtime = Runtime()
         self.edge = EdgeServer(
             Host(
-                {"s1": ServerOffer(frozenset({"detector"}), slots)}, HostSettings(lease_s=30, idle_stop_s=100)
+                {"s1": ServerOffer(frozenset({"detector"}), slots)},
+                HostSettings(lease_s=30, idle_stop_s=100),
+                peers=["s2"],
             ),
             images={"detector": Image(Program("somewhere:Detector"))},
             runtime=self.runtime,
@@ -108,6 +113,11 @@ class Daemon:
         request = StartRequest("s1", "detector")
         reply = await self.edge.handle(START, msgspec.msgpack.encode(request), Visitor(drone))
         return msgspec.msgpack.decode(reply, type=StartReply)
+
+    async def hold(self, drone: str, *, for_s: float) -> HoldReply:
+        request = HoldRequest("s1", drone, "", ["detector"], for_s)
+        reply = await self.edge.handle(HOLD, msgspec.msgpack.encode(request), Visitor("s2", role=Role.SERVER))
+        return msgspec.msgpack.decode(reply, type=HoldReply)
 
     async def leave(self, drone: str = "d1") -> None:
         await self.edge.handle(LEAVE, msgspec.msgpack.encode(LeaveRequest("s1")), Visitor(drone))
@@ -159,6 +169,19 @@ def test_an_instance_admits_exactly_those_with_a_lease() -> None:
         assert instance.admitted == {"d2"}
         await asyncio.sleep(31)
         assert instance.admitted == frozenset(), "the lease of a silent drone ends by itself"
+
+    serve(story, slots=2)
+
+
+def test_a_slot_that_a_peer_has_held_ends_in_its_time_also_where_that_is_less_than_a_leases() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        assert (await daemon.hold("d2", for_s=5.0)).held
+        (instance,) = daemon.runtime.instances
+        assert instance.admitted == {"d1", "d2"}
+        await asyncio.sleep(5.0)
+        await asyncio.sleep(1.1)  # the least between two looks
+        assert instance.admitted == {"d1"}
 
     serve(story, slots=2)
 

@@ -376,7 +376,7 @@ class Host:
         return commands
 
     def next_end_s(self, *, now_s: float) -> float:
-        """Before this time nothing that is held now, or will be from now on, comes to its end by itself."""
+        """Before this time nothing comes to its end by itself, but for a slot that a peer has held from now on."""
         settings = self.settings
         ends_s = [now_s + settings.lease_s, now_s + settings.idle_stop_s]
         for server in self._servers.values():
