@@ -35,6 +35,7 @@ _OWN_FOLDERS = ("boot", "dev", "etc", "lost+found", "proc", "run", "sys", "var")
 _POOL = "default"
 _IMAGE = "computer"
 _ENGINE_FOLDER = "/run/lxd"
+_SERVICES_IMAGES = Path("/run/images")
 # The same users inside as outside: programs read the files that they would read outside, and no file changes hands.
 _USERS = "root:0:1065536\n"
 _READY_S = 30
@@ -60,7 +61,6 @@ class ContainerComputers:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._images = tempfile.TemporaryDirectory(prefix="images-", dir=folder)
         self._packaged: dict[str, Path] = {}
         enter_groups(os.environ[MARK])
         _lend_all_users()
@@ -88,14 +88,10 @@ class ContainerComputers:
             command(*inside, "lxc", "image", "import", str(self._image(image.name, daemon)))
         return RuntimeConfig(kind="lxd", network=ContainerNetworkConfig(subnet=subnet))
 
-    def close(self) -> None:
-        """Deletes the images; the containers go with the enclosure."""
-        self._images.cleanup()
-
     def _image(self, service: str, daemon: DaemonConfig) -> Path:
         if service not in self._packaged:
             recipe = Recipe(find_service(service, daemon), tuple(extra_of(service)))
-            self._packaged[service] = package(recipe, Path(self._images.name), report=lambda _: None)
+            self._packaged[service] = package(recipe, _SERVICES_IMAGES, report=lambda _: None)
         return self._packaged[service]
 
     def _describe_computers(self) -> None:
@@ -107,7 +103,8 @@ class ContainerComputers:
         command(*profile, "set", "default", "security.nesting=true", *_environment())
         device = (*profile, "device", "add", "default")
         command(*device, "root", "disk", "path=/", f"pool={_POOL}")
-        for folder in _lent_folders():
+        _SERVICES_IMAGES.mkdir()
+        for folder in (_SERVICES_IMAGES, *_lent_folders()):
             command(
                 *device, f"lent-{folder.name}", "disk", f"source={folder}", f"path={folder}", "readonly=true"
             )

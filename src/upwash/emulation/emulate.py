@@ -30,7 +30,7 @@ async def emulate(order: Order, stop: asyncio.Event) -> Outcome:
     """Flies every drone of the order at once; `stop` has them end their missions and land."""
     field = Field(order.read())
     with contextlib.ExitStack() as stack:
-        computers = stack.enter_context(_made_computers(order.computers, order.folder))
+        computers = _make_computers(order.computers, order.folder)
         radio = stack.enter_context(_field_set_up(field, computers, order))
         flights: list[Flight] = []
         positions: dict[str, Callable[[], Position]] = {}
@@ -47,15 +47,12 @@ async def emulate(order: Order, stop: asyncio.Event) -> Outcome:
         )
 
 
-@contextlib.contextmanager
-def _made_computers(kind: ComputerKind, folder: Path) -> Iterator[Computers]:
-    """What makes computers of that kind, until the end of the block."""
+def _make_computers(kind: ComputerKind, folder: Path) -> Computers:
+    """What makes computers of that kind."""
     if kind == "namespaces":
-        yield NamespaceComputers()
-        return
+        return NamespaceComputers()
     _say("starting a container engine")
-    with contextlib.closing(ContainerComputers(folder)) as computers:
-        yield computers
+    return ContainerComputers(folder)
 
 
 @contextlib.contextmanager
