@@ -15,10 +15,7 @@ from tests.engines import OwnEngine
 from upwash.emulation.computer_image import IS_UP, write_computer_image
 from upwash.real.credentials import make_keys
 
-MEMBERS = {"m1": "10.147.80.11", "m2": "10.147.80.12", "m3": "10.147.80.13"}
-SITE = "10.147.80.0/21"  # the bridge's network, as of a site; services get a part of it
-SERVICES = "10.147.84.0/24"
-_BRIDGE, _BRIDGE_ADDRESS = "upwash-c0", "10.147.80.1/21"
+MEMBERS = ("m1", "m2", "m3")
 _PORT = 8443
 
 _FIRST = """\
@@ -33,21 +30,60 @@ cluster: {{enabled: true, server_name: {name}, server_address: "{address}:{port}
 
 
 @dataclass(frozen=True)
+class Site:
+    """A network of /21, of which members have the first part and services another."""
+
+    bridge: str
+    subnet: int  # 10.147.SUBNET.0
+
+    @property
+    def services(self) -> str:
+        return f"10.147.{self.subnet + 4}.0/24"
+
+    @property
+    def bridge_address(self) -> str:
+        return f"10.147.{self.subnet}.1"
+
+    def address(self, member: str) -> str:
+        return f"10.147.{self.subnet}.{11 + MEMBERS.index(member)}"
+
+
+@dataclass(frozen=True)
+class Words:
+    """How a kind of engine is called."""
+
+    daemon: str
+    admin: str
+    client: str
+    trust: str
+    folder: str
+
+
+_SITES = {"lxd": Site("upwash-c0", 80), "incus": Site("upwash-c1", 88)}
+_WORDS = {
+    "lxd": Words("lxd", "lxd", "lxc", "add", "/var/lib/lxd"),
+    "incus": Words("/usr/libexec/incus/incusd", "incus admin", "incus", "add-certificate", "/var/lib/incus"),
+}
+
+
+@dataclass(frozen=True)
 class OwnCluster:
     """Three members, the certificate that they all show, and one that they trust."""
 
     engine: OwnEngine
+    site: Site
     engine_certificate: Path
     certificate: Path
     key: Path
 
     @property
     def urls(self) -> list[str]:
-        return [f"https://{address}:{_PORT}" for address in MEMBERS.values()]
+        return [f"https://{self.site.address(member)}:{_PORT}" for member in MEMBERS]
 
     def leader(self) -> str:
         """The member that leads the database."""
-        members = json.loads(_inside(self.engine, "m1", "lxc cluster list --format json"))
+        client = _WORDS[self.engine.kind].client
+        members = json.loads(_inside(self.engine, "m1", f"{client} cluster list --format json"))
         return next(str(each["server_name"]) for each in members if "database-leader" in each["roles"])
 
     def lose(self, member: str) -> None:
@@ -56,22 +92,23 @@ class OwnCluster:
 
     def silence(self, member: str) -> None:
         """Ends the member's engine, but nothing that runs in its containers."""
-        _inside(self.engine, member, "kill -9 $(cat /run/lxd.pid)")
+        _inside(self.engine, member, "kill -9 $(cat /run/engine.pid)")
 
 
 @contextlib.contextmanager
 def own_cluster(engine: OwnEngine) -> Iterator[OwnCluster]:
     """Three members of a fresh cluster, until the end of the block."""
-    with _bridge(), tempfile.TemporaryDirectory(prefix="upwash-cluster-") as name:
+    site = _SITES[engine.kind]
+    with _bridge(site), tempfile.TemporaryDirectory(prefix="upwash-cluster-") as name:
         folder = Path(name)
         engine.command("image", "import", str(write_computer_image(folder)), "--alias", "member")
         try:
-            for member, address in MEMBERS.items():
-                _launch(engine, member, address)
+            for member in MEMBERS:
+                _launch(engine, site, member)
             for member in MEMBERS:
                 _start_engine(engine, member)
-            _join_all(engine)
-            yield _trusted(engine, folder)
+            _join_all(engine, site)
+            yield _trusted(engine, site, folder)
         finally:
             for member in MEMBERS:
                 with contextlib.suppress(subprocess.CalledProcessError):
@@ -79,17 +116,17 @@ def own_cluster(engine: OwnEngine) -> Iterator[OwnCluster]:
 
 
 @contextlib.contextmanager
-def _bridge() -> Iterator[None]:
-    subprocess.run(("ip", "link", "add", _BRIDGE, "type", "bridge"), check=True)
+def _bridge(site: Site) -> Iterator[None]:
+    subprocess.run(("ip", "link", "add", site.bridge, "type", "bridge"), check=True)
     try:
-        subprocess.run(("ip", "address", "add", _BRIDGE_ADDRESS, "dev", _BRIDGE), check=True)
-        subprocess.run(("ip", "link", "set", _BRIDGE, "up"), check=True)
+        subprocess.run(("ip", "address", "add", f"{site.bridge_address}/21", "dev", site.bridge), check=True)
+        subprocess.run(("ip", "link", "set", site.bridge, "up"), check=True)
         yield
     finally:
-        subprocess.run(("ip", "link", "delete", _BRIDGE), check=False)
+        subprocess.run(("ip", "link", "delete", site.bridge), check=False)
 
 
-def _launch(engine: OwnEngine, member: str, address: str) -> None:
+def _launch(engine: OwnEngine, site: Site, member: str) -> None:
     engine.command("init", "member", member, "-s", "default")
     engine.command("config", "set", member, "security.nesting=true")
     engine.command(
@@ -97,41 +134,43 @@ def _launch(engine: OwnEngine, member: str, address: str) -> None:
     )
     engine.command(
         *("config", "device", "add", member, "eth0", "nic"),
-        *("nictype=bridged", f"parent={_BRIDGE}", "name=eth0"),
+        *("nictype=bridged", f"parent={site.bridge}", "name=eth0"),
     )
     engine.command("start", member)
     engine.command("exec", member, "--", *IS_UP)
     _inside(
         engine,
         member,
-        f"ip address add {address}/21 dev eth0; ip link set eth0 up; "
+        f"ip address add {site.address(member)}/21 dev eth0; ip link set eth0 up; "
         "echo 1 >/proc/sys/net/ipv4/conf/eth0/forwarding",
     )
 
 
 def _start_engine(engine: OwnEngine, member: str) -> None:
-    start = "setsid lxd --group root --logfile /var/log/lxd/lxd.log >/dev/null 2>&1 </dev/null &"
-    _inside(engine, member, f"{start} echo $! > /run/lxd.pid; lxd waitready --timeout=30")
+    words = _WORDS[engine.kind]
+    start = f"setsid {words.daemon} --group root --logfile /run/engine.log >/dev/null 2>&1 </dev/null &"
+    _inside(engine, member, f"{start} echo $! > /run/engine.pid; {words.admin} waitready --timeout=30")
 
 
-def _join_all(engine: OwnEngine) -> None:
-    (first, address), *others = MEMBERS.items()
-    _inside(engine, first, "lxd init --preseed", _FIRST.format(name=first, address=address, port=_PORT))
-    for member, address in others:
-        token = _inside(engine, first, f"lxc cluster add {member} --quiet").split()[-1]
-        preseed = _NEXT.format(name=member, address=address, port=_PORT, token=token)
-        _inside(engine, member, "lxd init --preseed", preseed)
+def _join_all(engine: OwnEngine, site: Site) -> None:
+    words, (first, *others) = _WORDS[engine.kind], MEMBERS
+    init = f"{words.admin} init --preseed"
+    _inside(engine, first, init, _FIRST.format(name=first, address=site.address(first), port=_PORT))
+    for member in others:
+        token = _inside(engine, first, f"{words.client} cluster add {member} --quiet").split()[-1]
+        address = site.address(member)
+        _inside(engine, member, init, _NEXT.format(name=member, address=address, port=_PORT, token=token))
 
 
-def _trusted(engine: OwnEngine, folder: Path) -> OwnCluster:
+def _trusted(engine: OwnEngine, site: Site, folder: Path) -> OwnCluster:
+    words = _WORDS[engine.kind]
     make_keys(folder, drones=["client"])
     client = folder / "client.pem"
-    _inside(
-        engine, "m1", "cat > /root/client.crt && lxc config trust add /root/client.crt", client.read_text()
-    )
+    trust = f"cat > /root/client.crt && {words.client} config trust {words.trust} /root/client.crt"
+    _inside(engine, "m1", trust, client.read_text())
     shown = folder / "cluster.crt"
-    shown.write_text(_inside(engine, "m1", "cat /var/lib/lxd/cluster.crt"))
-    return OwnCluster(engine, shown, client, folder / "client.key")
+    shown.write_text(_inside(engine, "m1", f"cat {words.folder}/cluster.crt"))
+    return OwnCluster(engine, site, shown, client, folder / "client.key")
 
 
 def _inside(engine: OwnEngine, member: str, command: str, given: str = "") -> str:

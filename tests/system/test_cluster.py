@@ -10,8 +10,8 @@ from ipaddress import IPv4Network
 from pathlib import Path
 
 import pytest
-from tests.engines import OwnEngine
-from tests.system.cluster import SERVICES, OwnCluster, own_cluster
+from tests.engines import Kind, OwnEngine
+from tests.system.cluster import OwnCluster, own_cluster
 
 from upwash.errors import InstanceError
 from upwash.ports import InstanceSpec, Program
@@ -24,7 +24,7 @@ from upwash.real.lxd.instance import ContainerInstance
 from upwash.real.lxd.runtime import ContainerRuntime
 from upwash.service import load_service, spec_of
 
-pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group("lxd"), pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.timeout(300)]
 
 _log = logging.getLogger(__name__)
 
@@ -32,9 +32,14 @@ SERVERS = ("s1", "s2", "s3")
 MAX_MESSAGE_BYTES = 1_000_000
 
 
-@pytest.fixture
-def cluster(lxd: OwnEngine) -> Iterator[OwnCluster]:
-    with own_cluster(lxd) as cluster:
+def of(kind: Kind) -> object:
+    return pytest.param(kind, marks=pytest.mark.xdist_group(kind))
+
+
+@pytest.fixture(params=[of("lxd"), of("incus")])
+def cluster(request: pytest.FixtureRequest) -> Iterator[OwnCluster]:
+    engine: OwnEngine = request.getfixturevalue(request.param)
+    with own_cluster(engine) as cluster:
         yield cluster
 
 
@@ -122,7 +127,7 @@ async def with_runtime(
     engine = Engine(addresses, project="default")
     runtime = ContainerRuntime(
         engine,
-        ContainerSettings(IPv4Network(SERVICES), interface="eth0"),
+        ContainerSettings(IPv4Network(cluster.site.services), interface="eth0"),
         freezes=False,
         credentials=credentials,
         max_message_bytes=MAX_MESSAGE_BYTES,

@@ -11,6 +11,7 @@ from upwash.packaging.archive import write_archive
 _FOLDERS = (
     *("usr", "etc", "dev", "proc", "sys", "run", "tmp", "root", "mnt", "sbin", "etc/lxc"),
     *("var/cache", "var/log/lxd", "var/lib/lxd", "var/lib/lxcfs", "var/tmp"),
+    *("var/cache/incus", "var/log/incus", "var/lib/incus"),
 )
 _FROM_USR = ("bin", "lib", "lib64")
 _FILES = {
