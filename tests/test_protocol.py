@@ -28,7 +28,7 @@ from upwash.protocol import (
     decode_reply,
     resolve,
 )
-from upwash.real.control import Admitted, Called, Ended, Failed, Ready, Said, line
+from upwash.real.control import Admitted, Answered, Called, Ended, Failed, Ready, Said, line
 from upwash.real.conversation import Conversation
 from upwash.real.output import Output
 from upwash.server import EdgeServer
@@ -62,7 +62,7 @@ bodies = st.binary(max_size=60) | messages | messages.map(lambda body: body[:-1]
 
 
 class NoRuntime:
-    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> Instance:
+    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None], **_: Any) -> Instance:
         raise AssertionError(f"{spec.name} was started")
 
 
@@ -102,7 +102,15 @@ def test_any_reply_is_of_its_kind_or_garbled(expected: type[msgspec.Struct], rep
 told = st.sampled_from(
     [
         line(each)
-        for each in (Admitted(), Called("heron"), Ended(1), Failed("why"), Ready(":1"), Said(b"words"))
+        for each in (
+            Admitted(),
+            Answered("work", 0.1),
+            Called("heron"),
+            Ended(1),
+            Failed("why"),
+            Ready(":1"),
+            Said(b"words"),
+        )
     ]
 )
 

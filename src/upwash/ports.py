@@ -168,8 +168,20 @@ class Instance(Protocol):
         """Ends the instance and everything it started; returns when it is gone."""
 
 
+Answered = Callable[[str, float], None]
+
+
+def unheard(_method: str, _took_s: float) -> None:
+    """Nobody wants to know what calls take."""
+
+
 class Runtime(Protocol):
     """Starts service instances: processes, containers, or models of them."""
 
-    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> Instance:
-        """Returns when the instance is ready to serve; raises InstanceError. `called(drone)` at each call."""
+    async def start(
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = unheard
+    ) -> Instance:
+        """Returns when the instance is ready to serve; raises InstanceError.
+
+        `called(drone)` when a drone calls, `answered(method, took_s)` at the end of each call.
+        """

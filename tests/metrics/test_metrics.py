@@ -166,6 +166,23 @@ def test_starts_are_timed_and_what_fails_is_counted() -> None:
     run_virtually(story())
 
 
+def test_what_services_take_is_told_by_instances() -> None:
+    async def story() -> None:
+        runtime = Runtime()
+        at = Edge(runtime)
+        await at.start("heron")
+        for took_s in (0.2, 3.0):
+            runtime.answered[0]("process_photo", took_s)
+        took_s = at.total(
+            "upwash_service_seconds_sum", server="s1", service="detector", method="process_photo"
+        )
+        assert took_s == pytest.approx(3.2)
+        assert at.total("upwash_service_seconds_bucket", le="0.5") == 1
+        await at.edge.close()
+
+    run_virtually(story())
+
+
 def test_requests_are_counted_by_their_outcome() -> None:
     async def story() -> None:
         at = Edge(Runtime())
@@ -186,7 +203,7 @@ def test_requests_are_counted_by_their_outcome() -> None:
 class Ready:
     """A runtime whose instances are there at once."""
 
-    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> Instance:
+    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None], **_: Any) -> Instance:
         return _Running()
 
 
@@ -287,6 +304,7 @@ def families(drone: DroneMetrics) -> dict[str, tuple[str, frozenset[str]]]:
         at.metrics.look_at(at.edge)
         at.metrics.starts.labels("s1", "detector").observe(1.0)
         at.metrics.failures.labels("s1", "detector").inc()
+        at.metrics.calls.labels("s1", "detector", "process_photo").observe(1.0)
         await at.ask("heron")
         return (await asyncio.to_thread(generate_latest, at.metrics.registry)).decode()
 

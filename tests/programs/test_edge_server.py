@@ -12,7 +12,7 @@ import pytest
 from upwash.core.instances import Host, HostSettings, ServerOffer
 from upwash.core.visitors import Role, Visitor
 from upwash.errors import InstanceError, Refused
-from upwash.ports import InstanceSpec, Program
+from upwash.ports import Answered, InstanceSpec, Program, unheard
 from upwash.protocol import (
     AVAILABILITY,
     HOLD,
@@ -72,14 +72,18 @@ class Runtime:
     def __init__(self) -> None:
         self.instances: list[Instance] = []
         self.called: list[Callable[[str], None]] = []
+        self.answered: list[Answered] = []
         self.broken = ""
 
-    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> Instance:
+    async def start(
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = unheard
+    ) -> Instance:
         await asyncio.sleep(COLD_START_S)
         if self.broken:
             raise InstanceError(self.broken)
         self.instances.append(Instance(f"{spec.name}#{len(self.instances)}"))
         self.called.append(called)
+        self.answered.append(answered)
         return self.instances[-1]
 
     def living(self) -> list[Instance]:

@@ -83,7 +83,7 @@ class Computer:
     stops: int = 0
     paths: list[str] = field(default_factory=list)
 
-    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> Computer:
+    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None], **_: Any) -> Computer:
         await asyncio.sleep(START_S)
         self.running, self.warm = True, False
         self.starts += 1

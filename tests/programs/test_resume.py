@@ -243,7 +243,7 @@ def test_a_mission_is_not_begun_in_the_air() -> None:
 
 def test_services_that_do_not_start_end_a_flight_that_was_taken_up_safely() -> None:
     class Broken(ModelRuntime):
-        async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> Any:
+        async def start(self, spec: InstanceSpec, *, called: Callable[[str], None], **_: Any) -> Any:
             raise InstanceError("no model")
 
     both = fly(scenario(), after=fly(scenario(), killed_at_s=33.0), runtime=Broken)

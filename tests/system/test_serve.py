@@ -498,7 +498,7 @@ def test_prometheus_finds_what_drones_hold_and_what_runs(
 ) -> None:
     async def visit(at: Daemon) -> None:
         async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
-            await heron.start()
+            await heron.call((await heron.start()).endpoint, "echo", b"photo")
 
     with daemon(tmp_path, config(keys, metrics='"127.0.0.1:0"')) as at:
         asyncio.run(visit(at))
@@ -510,6 +510,7 @@ def test_prometheus_finds_what_drones_hold_and_what_runs(
     assert 'upwash_leases{server="s2"} 0.0' in told
     assert 'upwash_instances{server="s1",service="workbench",state="running"} 1.0' in told
     assert 'upwash_requests_total{outcome="answered",request="start"} 1.0' in told
+    assert 'upwash_service_seconds_count{method="echo",server="s1",service="workbench"} 1.0' in told
 
 
 def test_a_service_manager_is_told_when_it_is_ready_reloads_and_stops(

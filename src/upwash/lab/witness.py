@@ -27,7 +27,7 @@ from upwash.core.estimates import Operation
 from upwash.core.geo import Position
 from upwash.core.visitors import Visitor
 from upwash.errors import UpwashError
-from upwash.ports import Dialer, Instance, InstanceSpec, Journal, Link, Network, Runtime
+from upwash.ports import Answered, Dialer, Instance, InstanceSpec, Journal, Link, Network, Runtime, unheard
 from upwash.protocol import HOLD, HoldReply, HoldRequest
 from upwash.sim.link import Handler
 from upwash.sim.runtime import Computer
@@ -150,14 +150,16 @@ class _Runtime:
     seen: Runtime
     witness: ServerWitness
 
-    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> Instance:
+    async def start(
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = unheard
+    ) -> Instance:
         def served(drone: str) -> None:
             self.witness.record("served", service=spec.service, drone=drone)
             called(drone)
 
         self.witness.record("instance_started", service=spec.service)
         try:
-            instance = await self.seen.start(spec, called=served)
+            instance = await self.seen.start(spec, called=served, answered=answered)
         except (UpwashError, asyncio.CancelledError):
             self.witness.record("instance_ended", service=spec.service)
             raise

@@ -14,11 +14,11 @@ from prometheus_client.registry import Collector
 from upwash.core.instances import InstanceState
 from upwash.core.visitors import Visitor
 from upwash.errors import InstanceError, Refused
-from upwash.ports import Instance, InstanceSpec, Runtime
+from upwash.metrics.buckets import CALL_S, START_S
+from upwash.ports import Answered, Instance, InstanceSpec, Runtime, unheard
 from upwash.protocol import AVAILABILITY, HOLD, LEAVE, PREPARE, START, STATUS
 from upwash.server import EdgeServer, Standing
 
-_START_S = (0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 60.0)
 _LOOK_S = 5.0  # longer than a daemon is ever busy at a stretch
 _REQUESTS = {
     AVAILABILITY: "availability",
@@ -47,7 +47,14 @@ class DaemonMetrics:
             "upwash_instance_start_seconds",
             "What the start of an instance took, of those that became ready",
             ["server", "service"],
-            buckets=_START_S,
+            buckets=START_S,
+            registry=registry,
+        )
+        self.calls = Histogram(
+            "upwash_service_seconds",
+            "What services took for calls, from their turn to their answer",
+            ["server", "service", "method"],
+            buckets=CALL_S,
             registry=registry,
         )
         self.failures = Counter(
@@ -88,10 +95,16 @@ class _Runtime:
     runtime: Runtime
     metrics: DaemonMetrics
 
-    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> Instance:
+    async def start(
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = unheard
+    ) -> Instance:
+        def heard(method: str, took_s: float) -> None:
+            self.metrics.calls.labels(spec.server, spec.service, method).observe(took_s)
+            answered(method, took_s)
+
         began_s = asyncio.get_running_loop().time()
         try:
-            instance = await self.runtime.start(spec, called=called)
+            instance = await self.runtime.start(spec, called=called, answered=heard)
         except (InstanceError, asyncio.CancelledError):
             self.metrics.failures.labels(spec.server, spec.service).inc()
             raise

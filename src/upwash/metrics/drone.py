@@ -8,9 +8,9 @@ from typing import Any
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
 from upwash.core.servers import State
+from upwash.metrics.buckets import CALL_S
 
 _ON_DRONE = "drone"
-_CALL_S = (0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 60.0)
 
 
 class DroneMetrics:
@@ -28,14 +28,14 @@ class DroneMetrics:
             "upwash_call_seconds",
             "What a service call took, waiting included",
             ["operation", "place"],
-            buckets=_CALL_S,
+            buckets=CALL_S,
             registry=registry,
         )
         self._wait_s = Histogram(
             "upwash_wait_seconds",
             "How long calls waited for a server to be ready",
             ["outcome"],
-            buckets=_CALL_S,
+            buckets=CALL_S,
             registry=registry,
         )
         self._failures = Counter(

@@ -67,6 +67,13 @@ class Called(msgspec.Struct, frozen=True, tag="called"):
     drone: str
 
 
+class Answered(msgspec.Struct, frozen=True, tag="answered"):
+    """From the instance: a call of this method has an answer, after so long in the service."""
+
+    method: str
+    took_s: float
+
+
 class Said(msgspec.Struct, frozen=True, tag="said"):
     """From a container: what the service in it printed."""
 
@@ -79,7 +86,7 @@ class Ended(msgspec.Struct, frozen=True, tag="ended"):
     code: int
 
 
-FromInstance = Ready | Failed | Admitted | Drained | Called | Said | Ended
+FromInstance = Ready | Failed | Admitted | Drained | Called | Answered | Said | Ended
 
 _encoder = msgspec.json.Encoder()
 to_instance = msgspec.json.Decoder(Begin | Admit | Drain)

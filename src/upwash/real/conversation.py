@@ -10,10 +10,12 @@ from collections.abc import Callable
 
 import msgspec
 
+from upwash import ports
 from upwash.errors import InstanceError
 from upwash.real.control import (
     Admit,
     Admitted,
+    Answered,
     Begin,
     Called,
     Drain,
@@ -43,12 +45,14 @@ class Conversation:
         called: Callable[[str], None],
         output: Output,
         *,
+        answered: ports.Answered = ports.unheard,
         reports: asyncio.StreamReader,
         orders: asyncio.StreamWriter,
     ) -> None:
         self.code: int | None = None  # with which a container's service ended, if it said so
         self._name = name
         self.called = called
+        self.answered = answered
         self._output = output
         self._reports = reports
         self._orders = orders
@@ -132,24 +136,29 @@ class Conversation:
     async def _listen(self) -> None:
         try:
             while (message := await self._hear()) is not None:
-                match message:
-                    case Called(drone):
-                        self.called(drone)
-                    case Admitted() if self._admissions:
-                        confirmed = self._admissions.popleft()
-                        if not confirmed.done():
-                            confirmed.set_result(None)
-                    case Drained() if not self._drained.done():
-                        self._drained.set_result(None)
-                    case Said(output):
-                        self._output.add(output)
-                    case Ended():
-                        pass
-                    case _:
-                        _log.warning("%s said something out of turn", self._name)
+                self._take_in(message)
         finally:
             for confirmed in self._admissions:
                 if not confirmed.done():
                     confirmed.set_exception(InstanceError(f"{self._name} is gone"))
             if not self._drained.done():
                 self._drained.set_result(None)
+
+    def _take_in(self, message: FromInstance) -> None:
+        match message:
+            case Called(drone):
+                self.called(drone)
+            case Answered(method, took_s):
+                self.answered(method, took_s)
+            case Admitted() if self._admissions:
+                confirmed = self._admissions.popleft()
+                if not confirmed.done():
+                    confirmed.set_result(None)
+            case Drained() if not self._drained.done():
+                self._drained.set_result(None)
+            case Said(output):
+                self._output.add(output)
+            case Ended():
+                pass
+            case _:
+                _log.warning("%s said something out of turn", self._name)

@@ -23,6 +23,7 @@ from upwash.protocol import service_path
 from upwash.real.control import (
     Admit,
     Admitted,
+    Answered,
     Begin,
     Called,
     Drain,
@@ -102,7 +103,7 @@ class ServiceInstance:
         self._listener.stop(grace_s=_LAST_REPLY_S)
         self._report(Drained())
 
-    def _report(self, message: Ready | Admitted | Drained | Called) -> None:
+    def _report(self, message: Ready | Admitted | Drained | Called | Answered) -> None:
         with self._reporting:
             self._control.sendall(line(message))
 
@@ -142,6 +143,7 @@ class ServiceInstance:
         short_s = self._least_s(key, method.name) - (time.monotonic() - began_s)
         if short_s > 0:
             time.sleep(short_s)
+        self._report(Answered(method.name, time.monotonic() - began_s))
         return reply
 
     def _least_s(self, key: str, method: str) -> float:

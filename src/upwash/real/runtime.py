@@ -16,7 +16,7 @@ from pathlib import Path
 import msgspec
 
 from upwash.errors import InstanceError
-from upwash.ports import InstanceSpec
+from upwash.ports import Answered, InstanceSpec, unheard
 from upwash.real.control import Begin
 from upwash.real.conversation import Conversation
 from upwash.real.credentials import Credentials
@@ -52,11 +52,13 @@ class ProcessRuntime:
         self._max_message_bytes = max_message_bytes
         self._sandbox = sandbox
 
-    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> ProcessInstance:
+    async def start(
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = unheard
+    ) -> ProcessInstance:
         """Returns when the instance is ready to serve; raises InstanceError, leaving nothing behind."""
         loop = asyncio.get_running_loop()
         paced_until_s = loop.time() + spec.start_pace_s
-        instance = ProcessInstance(spec, called)
+        instance = ProcessInstance(spec, called, answered)
         try:
             await instance.begin(self._begin(spec), self._sandbox)
             await asyncio.sleep(paced_until_s - loop.time())
@@ -87,10 +89,11 @@ class ProcessInstance:
     pipes are closed too, and a child that it left behind would hold them open.
     """
 
-    def __init__(self, spec: InstanceSpec, called: Callable[[str], None]) -> None:
+    def __init__(self, spec: InstanceSpec, called: Callable[[str], None], answered: Answered) -> None:
         self.endpoint = ""
         self._spec = spec
         self._called = called
+        self._answered = answered
         self._process: asyncio.subprocess.Process | None = None
         self._output = Output(spec.name)
         self._conversation: Conversation | None = None
@@ -171,7 +174,12 @@ class ProcessInstance:
         try:
             reports, orders = await asyncio.open_connection(sock=control)
             self._conversation = Conversation(
-                self._spec.name, self._called, self._output, reports=reports, orders=orders
+                self._spec.name,
+                self._called,
+                self._output,
+                answered=self._answered,
+                reports=reports,
+                orders=orders,
             )
             prints, self._prints = await asyncio.open_connection(sock=output)
             inherited = [each.fileno() for each in (their_control, outside) if each is not None]

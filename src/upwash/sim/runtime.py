@@ -15,7 +15,7 @@ from msgspec import inspect as types
 from upwash.core.estimates import Operation
 from upwash.core.visitors import Visitor
 from upwash.errors import InstanceError, Refused
-from upwash.ports import InstanceSpec
+from upwash.ports import Answered, InstanceSpec, unheard
 from upwash.protocol import service_path
 from upwash.service import Method, ServiceSpec
 from upwash.sim.faults import Plugboard
@@ -52,7 +52,9 @@ class ModelRuntime:
         self._numbers = itertools.count()
         self._instances: list[ModelInstance] = []
 
-    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> ModelInstance:
+    async def start(
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = unheard
+    ) -> ModelInstance:
         """Returns when the instance is ready to serve."""
         await self._computer.start(spec)
         endpoint = f"{spec.name}#{next(self._numbers)}"
@@ -61,6 +63,7 @@ class ModelRuntime:
             self._services[spec.service],
             endpoint,
             called=called,
+            answered=answered,
             computer=self._computer,
             switchboard=self._switchboard,
             target=self._objects.get(spec.service),
@@ -85,6 +88,7 @@ class ModelInstance:
         endpoint: str,
         *,
         called: Callable[[str], None],
+        answered: Answered,
         computer: Computer,
         switchboard: Plugboard,
         target: object | None,
@@ -97,6 +101,7 @@ class ModelInstance:
             for name, method in service.methods.items()
         }
         self._called = called
+        self._answered = answered
         self._computer = computer
         self._switchboard = switchboard
         self._admitted: frozenset[str] = frozenset()
@@ -141,10 +146,13 @@ class ModelInstance:
                 operation = Operation(self._spec.service, method.name, method.key_of(body))
             except msgspec.MsgspecError:
                 return method.perform(None, body)[1]  # which says what is wrong with the arguments
+            began_s = asyncio.get_running_loop().time()
             try:
                 await self._computer.compute(self._spec, operation)
             except InstanceError as error:
                 self.crash(str(error))
+            else:
+                self._answered(method.name, asyncio.get_running_loop().time() - began_s)
         if self._ended.done():
             raise InstanceError(f"{self._spec.name} {self._ended.result()}")
         return reply if self._target is None else method.perform(self._target, body)[1]

@@ -154,6 +154,28 @@ async def containers(
         await runtime.close()
 
 
+def test_an_instance_says_what_a_call_took(use: Use) -> None:
+    async def visit(site: Site) -> None:
+        told: asyncio.Queue[tuple[str, float]] = asyncio.Queue()
+        instance = await site.runtime.start(
+            site.spec, called=lambda _: None, answered=lambda *heard: told.put_nowait(heard)
+        )
+        try:
+            await instance.admit(site.heron)
+            for _ in range(2):
+                began_s = asyncio.get_running_loop().time()
+                await site.call(instance.endpoint)
+                async with asyncio.timeout(5.0):
+                    method, took_s = await told.get()
+                assert method == "work"
+                assert 0.0 <= took_s <= asyncio.get_running_loop().time() - began_s
+            assert told.empty()
+        finally:
+            await instance.stop()
+
+    use(visit)
+
+
 def test_an_instance_answers_those_who_are_admitted_and_says_who_called(use: Use) -> None:
     async def visit(site: Site) -> None:
         callers: list[str] = []

@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable
 
 from upwash.errors import EngineError, InstanceError, LinkError
+from upwash.ports import Answered
 from upwash.real.control import Begin
 from upwash.real.conversation import LONGEST_LINE_BYTES, Conversation
 from upwash.real.leash import CONTROL_PORT, SERVICE_PORT, notice_silence
@@ -48,23 +49,27 @@ class ContainerInstance:
         self._conversation: Conversation | None = None
         self._stopped = asyncio.Event()
 
-    async def begin(self, begin: Begin, *, called: Callable[[str], None], max_message_bytes: int) -> None:
+    async def begin(
+        self, begin: Begin, *, called: Callable[[str], None], answered: Answered, max_message_bytes: int
+    ) -> None:
         """Starts the container and tells it what to be; returns when it is healthy, raises InstanceError."""
         name = self.container.name
         await self._engine.change(name, "start", wait_s=_START_S)
         reports, orders = await self._reach()
-        self._conversation = Conversation(self._name, called, self._output, reports=reports, orders=orders)
+        self._conversation = Conversation(
+            self._name, called, self._output, answered=answered, reports=reports, orders=orders
+        )
         try:
             await self._conversation.begin(begin)
         except EOFError:
             raise InstanceError(f"{self._name} did not start: {self._how_it_ended()}") from None
         await self._check_health(begin, max_message_bytes)
 
-    async def resume(self, *, called: Callable[[str], None]) -> None:
+    async def resume(self, *, called: Callable[[str], None], answered: Answered) -> None:
         """Has a frozen instance serve again; raises InstanceError."""
         assert self._conversation is not None  # noqa: S101 - it has begun
         self._stopped.clear()
-        self._conversation.called = called
+        self._conversation.called, self._conversation.answered = called, answered
         await self._engine.change(self.container.name, "unfreeze", wait_s=_FREEZE_S)
         await self._conversation.admit(frozenset())
 

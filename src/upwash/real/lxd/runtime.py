@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Sequence
 from importlib.metadata import version
 
 from upwash.errors import EngineError, InstanceError
-from upwash.ports import InstanceSpec
+from upwash.ports import Answered, InstanceSpec, unheard
 from upwash.real.control import Begin
 from upwash.real.credentials import Credentials
 from upwash.real.leash import SERVICE_PORT
@@ -76,20 +76,22 @@ class ContainerRuntime:
                 await self._create_somewhere(server, images[service])
                 _log.info("%s@%s has a container", service, server)
 
-    async def start(self, spec: InstanceSpec, *, called: Callable[[str], None]) -> ContainerInstance:
+    async def start(
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = unheard
+    ) -> ContainerInstance:
         """Returns when the instance is healthy; raises InstanceError, with nothing left running."""
         image = await self._image(spec.service)
         frozen = self._frozen.pop((spec.server, spec.service), None)
         if frozen is not None and frozen.container.image == image.fingerprint:
             try:
-                await frozen.resume(called=called)
+                await frozen.resume(called=called, answered=answered)
             except InstanceError as error:
                 _log.warning("%s cannot be thawed and is started anew: %s", spec.name, error)
             else:
                 return frozen
         if frozen is not None:
             await frozen.end()
-        return await self._start_somewhere(spec, image, called)
+        return await self._start_somewhere(spec, image, called, answered)
 
     async def close(self) -> None:
         """Ends what was kept frozen; nothing runs afterwards."""
@@ -152,7 +154,7 @@ class ContainerRuntime:
         return container
 
     async def _start_somewhere(
-        self, spec: InstanceSpec, image: ServiceImage, called: Callable[[str], None]
+        self, spec: InstanceSpec, image: ServiceImage, called: Callable[[str], None], answered: Answered
     ) -> ContainerInstance:
         """In the container that is kept for it, or else in a new one elsewhere."""
         online = await self._online()
@@ -164,12 +166,14 @@ class ContainerRuntime:
             )
             if is_its_own and container.member in online and container.member not in self._suspects:
                 try:
-                    return await self._run(container, spec, image, called)
+                    return await self._run(container, spec, image, called, answered)
                 except EngineError as error:
                     _log.warning("%s cannot be used: %s", container.name, error)
                     self._suspect(container.member)
                     self._containers.remove(container)
-        return await self._run(await self._create_somewhere(spec.server, image), spec, image, called)
+        return await self._run(
+            await self._create_somewhere(spec.server, image), spec, image, called, answered
+        )
 
     async def _online(self) -> list[str]:
         online = await self._engine.members()
@@ -181,7 +185,12 @@ class ContainerRuntime:
             self._suspects.add(member)
 
     async def _run(
-        self, container: Container, spec: InstanceSpec, image: ServiceImage, called: Callable[[str], None]
+        self,
+        container: Container,
+        spec: InstanceSpec,
+        image: ServiceImage,
+        called: Callable[[str], None],
+        answered: Answered,
     ) -> ContainerInstance:
         loop = asyncio.get_running_loop()
         paced_until_s = loop.time() + spec.start_pace_s
@@ -194,7 +203,10 @@ class ContainerRuntime:
         )
         try:
             await instance.begin(
-                self._begin(spec, image, container), called=called, max_message_bytes=self._max_message_bytes
+                self._begin(spec, image, container),
+                called=called,
+                answered=answered,
+                max_message_bytes=self._max_message_bytes,
             )
             await asyncio.sleep(paced_until_s - loop.time())
         except BaseException:
