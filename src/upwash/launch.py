@@ -24,7 +24,7 @@ from upwash.config import (
 )
 from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.drone import Flight, World
-from upwash.errors import CredentialsError, UsageError
+from upwash.errors import CredentialsError, Unreachable, UsageError
 from upwash.loading import extra
 from upwash.ports import Autopilot, Camera, InstanceSpec, Journal, Network
 from upwash.profiling import OnboardProfile, Sample, ServerProfile, Watch, profile_onboard, profile_server
@@ -303,6 +303,11 @@ async def ask_status(address: str, *, server: str, operator: str, keys: Path | N
     link = dialer.dial(address, server=server or "daemon")
     try:
         reply = await link.request(STATUS, msgspec.msgpack.encode(StatusRequest()), timeout_s=_STATUS_S)
+    except Unreachable as error:
+        remedy = (
+            "" if keys else "; a daemon that has certificates wants yours: give --keys DIR and --server NAME"
+        )
+        raise Unreachable(f"{error}{remedy}") from error
     finally:
         await link.close()
     return decode_reply(reply, StatusReply, sender=address)

@@ -438,6 +438,17 @@ def test_a_server_of_another_authority_is_not_believed(credentials: ReadCredenti
         request(listener.address, timeout_s=2.0, shown=credentials("heron"))
 
 
+def test_an_unreachable_server_is_told_in_plain_words(credentials: ReadCredentials) -> None:
+    heron = credentials("heron")
+    with listening(echo, shown=credentials("s1")) as listener:
+        with pytest.raises(Unreachable, match=r"^s3 at \S+: its certificate is .* another server's$"):
+            request(listener.address, timeout_s=2.0, server="s3", shown=heron)
+        with pytest.raises(Unreachable, match=r"^s1 at \S+: (?!failed to connect)"):
+            request(listener.address, timeout_s=2.0)
+    with pytest.raises(Unreachable, match=r"^s1 at \S+: connection refused: nobody serves there$"):
+        request(listener.address, timeout_s=2.0, shown=heron)
+
+
 # --- listening ----------------------------------------------------------------------------------------------
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import re
 from typing import Any
 
 import grpc
@@ -29,6 +30,7 @@ CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.enable_http_proxy", 0),
     ("grpc.use_local_subchannel_pool", 1),
 )
+_AROUND = re.compile(r"^failed to connect to all addresses; last error: [A-Z]+: ((ipv4|ipv6|unix):\S+: )?")
 
 
 class GrpcDialer:
@@ -110,15 +112,20 @@ class GrpcLink:
         self._channel.close()
 
 
+def _plainly(details: str) -> str:
+    """What gRPC says of a connection that failed, without what it says around that."""
+    if "CERTIFICATE_VERIFY_FAILED" in details or "Hostname Verification" in details:
+        return "its certificate is of another authority, outdated, or another server's"
+    if "Connection refused" in details:
+        return "connection refused: nobody serves there"
+    return _AROUND.sub("", details)
+
+
 def _error(code: grpc.StatusCode, details: str, peer: str, timeout_s: float) -> LinkError:
     match code:
         case grpc.StatusCode.DEADLINE_EXCEEDED:
             return DeadlineExceeded(f"{peer}: no answer within {timeout_s:.1f} s")
         case grpc.StatusCode.UNAVAILABLE | grpc.StatusCode.CANCELLED:
-            if "CERTIFICATE_VERIFY_FAILED" in details:
-                return Unreachable(
-                    f"{peer}: its certificate is of another authority, outdated, or another server's"
-                )
-            return Unreachable(f"{peer}: {details}")
+            return Unreachable(f"{peer}: {_plainly(details)}")
         case _:
             return Refused(f"{peer}: {code.name}: {details}")
