@@ -243,7 +243,9 @@ def test_a_vehicle_says_where_it_listens_until_it_is_told_to_end(number: signal.
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as vehicle:
         assert vehicle.stdout is not None
         assert vehicle.stderr is not None
-        assert vehicle.stdout.readline().startswith("vehicle ready at udp:127.0.0.1:")
+        said, _, address = vehicle.stdout.readline().strip().partition(" ready at udp:")
+        assert said == "vehicle"
+        assert vehicle.stdout.readline().endswith(f" --autopilot udpout:{address}\n")
         vehicle.send_signal(number)
         assert vehicle.wait(timeout=10.0) == 0
         assert vehicle.stderr.read() == ""

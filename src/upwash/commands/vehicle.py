@@ -54,7 +54,11 @@ def run(options: argparse.Namespace) -> bool:
         speedup=options.speedup,
         faults=tuple(read_fault(text) for text in options.faults),
     )
-    asyncio.run(
-        run_vehicle(options.listen, settings, ready=lambda address: announce(f"vehicle ready at {address}"))
-    )
+    asyncio.run(run_vehicle(options.listen, settings, ready=_announce))
     return True
+
+
+def _announce(address: str) -> None:
+    announce(f"vehicle ready at {address}")
+    connection = address.replace("udp:", "udpout:", 1)  # it waits to be spoken to
+    announce(f"fly it with: upwash fly --config drone.toml --autopilot {connection}")
