@@ -13,6 +13,11 @@ _SAFE_ENDS = {"return": "returning to land", "land": "landing where it is", "hol
 LEFT_HOVERING = "The vehicle hovers where it is, and nobody flies it now: take over with the remote control."
 
 
+def counted(number: int, noun: str) -> str:
+    """So many of it: 1 call, 2 calls."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 class Tone(StrEnum):
     """How a sentence is meant."""
 

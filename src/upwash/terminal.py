@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.config import DroneConfig
-from upwash.narration import LEFT_HOVERING, Narrator, Tone
+from upwash.narration import LEFT_HOVERING, Narrator, Tone, counted
 from upwash.results import RunResult
 
 _RECENT = 10

@@ -16,6 +16,7 @@ from upwash.cli import main
 from upwash.mission import mission_failed
 
 THESIS = Path(__file__).parents[2] / "scenarios" / "thesis.toml"
+PATROL = THESIS.parents[1] / "examples" / "patrol.toml"
 NOISE = "\n[noise]\ncall = 0.05\nleg = 0.05\n"
 
 
@@ -70,6 +71,13 @@ def test_a_person_gets_the_table_and_the_totals(capsys: pytest.CaptureFixture[st
     printed = capsys.readouterr().out
     assert "121 calls: " in printed
     assert "mission time 14" in printed
+
+
+def test_what_there_is_one_of_is_told_as_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", str(PATROL)]) == 0
+    assert (
+        "5 calls: 1 on the drone, 4 on s1; 1 selection, 0 waits of which 0 in vain" in capsys.readouterr().out
+    )
 
 
 def test_the_same_scenario_and_seed_leave_the_same_log_in_any_process(tmp_path: Path) -> None:

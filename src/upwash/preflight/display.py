@@ -15,6 +15,7 @@ from rich.text import Text
 
 from upwash.config import DroneConfig, drone_config
 from upwash.lab.campaign import Fly
+from upwash.narration import counted
 from upwash.preflight.check import Check, check, missions_to_fly, read_plan
 from upwash.preflight.concerns import is_for_flight
 from upwash.preflight.coverage import Coverage, spans
