@@ -55,6 +55,7 @@ clean:
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "upwash needs Python 3.11 or newer; set PYTHON=python3.12, for instance")'
 	$(PYTHON) -m venv .venv
+	@echo "installing the pinned packages into .venv: some minutes, once"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
