@@ -5,8 +5,9 @@ READY := .venv/.ready
 
 .PHONY: run test test-system native lint format docs bench lock clean
 
+# make run ARGS=--live shows the flight on a page meanwhile.
 run: $(READY)
-	$(BIN)/upwash demo
+	$(BIN)/upwash demo $(ARGS)
 
 test: $(READY)
 	$(BIN)/python -m pytest -n 5 --dist loadgroup -m "not root"
@@ -41,6 +42,7 @@ bench: $(READY)
 	$(BIN)/python bench/simulate.py
 	$(BIN)/python -m bench.detector
 	$(BIN)/python -m bench.decide
+	$(BIN)/python -m bench.view
 	$(BIN)/python -m bench.metrics
 
 # Pins every dependency for Linux and macOS, x86-64 and aarch64, and every supported Python.

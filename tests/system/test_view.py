@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
@@ -285,6 +288,57 @@ def test_what_a_log_says_is_never_markup(page: Browser, tmp_path: Path) -> None:
         assert page.errors() == []
 
 
+class TileServer(ThreadingHTTPServer):
+    """One green pixel wherever it is asked, and what it was asked."""
+
+    def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), TileHandler)
+        self.asked: list[str] = []
+
+
+class TileHandler(BaseHTTPRequestHandler):
+    server: TileServer
+
+    def do_GET(self) -> None:
+        self.server.asked.append(self.path)
+        self.send_response(200)
+        self.send_header("Content-Type", "image/svg+xml")
+        self.end_headers()
+        self.wfile.write(
+            b'<svg xmlns="http://www.w3.org/2000/svg"><rect width="9" height="9" fill="green"/></svg>'
+        )
+
+    def log_message(self, *_: object) -> None:
+        """Says nothing."""
+
+
+@pytest.fixture
+def tiles() -> Iterator[TileServer]:
+    with TileServer() as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
+        thread.start()
+        yield server
+        server.shutdown()
+        thread.join()
+
+
+def test_map_tiles_are_loaded_where_they_are_asked_for(
+    page: Browser, logs: tuple[Path, Path], tiles: TileServer
+) -> None:
+    url = f"http://127.0.0.1:{tiles.server_port}/{{z}}/{{x}}/{{y}}.svg"
+    command = ["view", str(logs[0]), "--port", "0", "--tiles", url, "--credit", "Maps: the test"]
+    with ready_program("tiles", logs[0].parent, *command) as address:
+        opened(page, address)
+        page.wait_until(lambda: page.all(".leaflet-tile-loaded"))
+        assert "Maps: the test" in page.text(".readout")
+        assert "100 m east, 100 m north" in page.text(".readout")
+        assert "39.36750" in page.text(".readout")
+        zoom, x, y = (int(part) for part in re.findall(r"\d+", tiles.asked[0]))
+        assert x == pytest.approx((22.95 + 180) / 360 * 2**zoom, abs=3)
+        assert y == pytest.approx(0.38086 * 2**zoom, abs=3), "39.37 degrees north, in Web Mercator"
+        assert page.errors() == []
+
+
 # --- live -----------------------------------------------------------------------------------------------------
 
 
@@ -307,6 +361,7 @@ def test_a_demonstration_is_shown_while_it_flies(page: Browser, tmp_path: Path) 
         page.wait_until(lambda: any(not row[1].startswith("AVL ") for row in rows(page, ".servers")))
         page.wait_until(lambda: page.run("return document.querySelector('.photo img').naturalWidth") == 1440)
         page.wait_until(lambda: page.all(".boxes .found"), within_s=100)
+        assert page.all(".boxes .truth")
         assert page.violations() == []
         page.click("#previous")  # what was may be looked at while it goes on
         assert page.find("#latest").get_attribute("aria-pressed") == "false"

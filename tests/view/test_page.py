@@ -16,7 +16,9 @@ from urllib.parse import urlsplit
 import pytest
 
 from upwash.cli import main
+from upwash.errors import UsageError
 from upwash.running import ready_program
+from upwash.view.tiles import Tiles
 
 pytestmark = pytest.mark.system
 
@@ -154,6 +156,25 @@ def test_a_port_in_use_is_told(address: str, log: Path) -> None:
 def test_what_is_no_port_is_refused(log: Path, port: str) -> None:
     with pytest.raises(SystemExit):
         main(["view", str(log), f"--port={port}"])
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "tiles/{z}/{x}/{y}.png", "file:///{z}/{x}/{y}.png", "https://tiles.example/{z}/{x}.png",
+        "https://tiles.example; script-src *//{z}/{x}/{y}.png", "https://tiles.example/{z}/{x}/{y}.png\nX: y",
+    ],
+)  # fmt: skip
+def test_what_are_no_tiles_is_refused(url: str) -> None:
+    with pytest.raises(UsageError, match="no address of map tiles"):
+        Tiles(url)
+
+
+def test_only_images_are_allowed_from_where_tiles_are() -> None:
+    assert Tiles("https://tiles.example:8443/{z}/{x}/{y}.png").sources == (
+        "https://tiles.example:8443",
+        "data:",
+    )
 
 
 def test_the_vendored_library_has_its_licence_beside_it() -> None:

@@ -24,6 +24,12 @@ def add(commands: Commands) -> None:
         "--port", type=port, default=LIVE_PORT, help=f"on this machine (default: {LIVE_PORT}; 0: any)"
     )
     view.add_argument("--photos", type=Path, metavar="FOLDER", help="where the photos are that the log names")
+    view.add_argument(
+        "--tiles",
+        metavar="URL",
+        help="load map tiles from there: https://HOST/{z}/{x}/{y}.png (default: none)",
+    )
+    view.add_argument("--credit", default="", metavar="TEXT", help="what to say of who made the tiles")
     view.set_defaults(run=run)
 
 
@@ -35,6 +41,7 @@ def run(options: argparse.Namespace) -> bool:
 
     with extra("view"):
         from upwash.view.serve import serve_view
+        from upwash.view.tiles import Tiles
 
     os.nice(_NICENESS)
     logs = [options.log, options.beside] if options.beside else [options.log]
@@ -43,6 +50,7 @@ def run(options: argparse.Namespace) -> bool:
             logs,
             port=options.port,
             photos=options.photos,
+            tiles=Tiles(options.tiles, options.credit) if options.tiles else None,
             ready=lambda address: announce(f"view ready at {address}"),
         )
     )

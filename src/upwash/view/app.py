@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 
 from starlette.applications import Starlette
 from starlette.datastructures import MutableHeaders
@@ -19,11 +20,10 @@ from upwash.view.feed import Feed
 
 _HOSTS = ["127.0.0.1", "localhost"]  # a page elsewhere that got its name to mean this machine is turned away
 _POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; base-uri 'none'; "
+    "form-action 'none'; frame-ancestors 'none'; img-src 'self'"
 )
 _HEADERS = {
-    "Content-Security-Policy": _POLICY,
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cross-Origin-Opener-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
@@ -31,8 +31,11 @@ _HEADERS = {
 }
 
 
-def application(feed: Feed, photos: PhotoShelf) -> Starlette:
-    """Serves the page of the feed; nothing in it can be changed from outside."""
+def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -> Starlette:
+    """Serves the page of the feed; nothing in it can be changed from outside.
+
+    `images` are the sources, in a policy's words, that browsers may load images from besides.
+    """
     rendering = asyncio.Semaphore(1)
 
     async def events(request: Request) -> Response:
@@ -61,7 +64,7 @@ def application(feed: Feed, photos: PhotoShelf) -> Starlette:
             ),
         ],
         middleware=[
-            Middleware(_Guarded),
+            Middleware(_Guarded, policy=" ".join((_POLICY, *images))),
             Middleware(TrustedHostMiddleware, allowed_hosts=_HOSTS, www_redirect=False),
         ],
     )
@@ -70,14 +73,15 @@ def application(feed: Feed, photos: PhotoShelf) -> Starlette:
 class _Guarded:
     """Adds to each answer what a browser is not to do with it."""
 
-    def __init__(self, app: ASGIApp) -> None:
+    def __init__(self, app: ASGIApp, *, policy: str) -> None:
         self._app = app
+        self._headers = {**_HEADERS, "Content-Security-Policy": policy}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                headers.update(_HEADERS)
+                headers.update(self._headers)
                 headers.setdefault("Cache-Control", "no-cache")
             await send(message)
 

@@ -84,7 +84,7 @@ class Call(Fact, frozen=True):
     north_m: float | None
 
 
-class Outline(msgspec.Struct, frozen=True):
+class Outline(msgspec.Struct, frozen=True, omit_defaults=True):
     """A box in a photo, in its pixels; without a score where it is the photo's truth."""
 
     left_px: float

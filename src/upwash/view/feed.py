@@ -13,8 +13,9 @@ from upwash.errors import UsageError
 from upwash.report.page import what_it_came_to
 from upwash.report.record import names_of, read_records
 from upwash.view.recording import Recording
+from upwash.view.tiles import Tiles
 
-_LOOK_S = 0.1
+_LOOK_S = 0.05
 _BATCH = 2000  # facts
 _RETRY_MS = 1000  # after which a page that lost its connection tries again
 
@@ -43,9 +44,9 @@ class _Seen:
 class Feed:
     """Follows logs, and tells any number of pages what they have told; none of them holds up another."""
 
-    def __init__(self, recordings: Sequence[Recording]) -> None:
+    def __init__(self, recordings: Sequence[Recording], tiles: Tiles | None = None) -> None:
         self.recordings = list(recordings)
-        self._names = names_of([recording.log for recording in recordings])
+        self._page = {"logs": names_of([recording.log for recording in recordings]), "tiles": tiles}
         self._identity = secrets.token_hex(4)  # so that no page takes this feed for one before it
         self._summaries: dict[int, str] = {}
         self._summarized: dict[int, int] = {}
@@ -95,7 +96,7 @@ class Feed:
 
     async def messages(self, after: str = "") -> AsyncIterator[str]:
         """The events for one page, until the feed is closed; `after` is the id of the last one that it has."""
-        yield f"retry: {_RETRY_MS}\n{_message('logs', self._names)}"
+        yield f"retry: {_RETRY_MS}\n{_message('page', self._page)}"
         seen, summaries = self._seen(after), None
         while True:
             news, closed = self._news, self._closed

@@ -17,6 +17,7 @@ from upwash.report.photos import PhotoShelf
 from upwash.view.app import application
 from upwash.view.feed import Feed
 from upwash.view.recording import reading
+from upwash.view.tiles import Tiles
 
 _CONNECTIONS = 64
 _GOODBYE_S = 2
@@ -31,7 +32,12 @@ class _Server(uvicorn.Server):
 
 
 async def serve_view(
-    logs: Sequence[Path], *, port: int, photos: Path | None, ready: Callable[[str], None]
+    logs: Sequence[Path],
+    *,
+    port: int,
+    photos: Path | None,
+    tiles: Tiles | None = None,
+    ready: Callable[[str], None],
 ) -> None:
     """Serves a page about the logs on this machine's loopback until SIGTERM or Ctrl-C.
 
@@ -39,10 +45,10 @@ async def serve_view(
     """
     shelf = PhotoShelf(photos)
     with reading(logs, shelf.keeps) as recordings, _listening(port) as listener:
-        feed = Feed(recordings)
+        feed = Feed(recordings, tiles)
         server = _Server(
             uvicorn.Config(
-                application(feed, shelf),
+                application(feed, shelf, images=tiles.sources if tiles else ()),
                 http="h11",
                 ws="none",
                 lifespan="off",

@@ -1,6 +1,6 @@
 // Every call so far as a table, for those who read numbers and for those who cannot see figures.
 
-import { element } from "./element.js";
+import { element, scrolled, table } from "./element.js";
 import { nameOf } from "./places.js";
 
 const HEADS = ["waypoint", "ended at", "operation", "place", "delay", "waited", "why"];
@@ -9,11 +9,9 @@ export class CallTable {
   #moment = null;
 
   constructor(name) {
-    const heads = HEADS.map((head) => element("th", { scope: "col" }, head));
     this.body = element("tbody");
-    const table = element("table", {}, element("thead", {}, element("tr", {}, ...heads)), this.body);
-    const scroll = { class: "scroll", tabindex: "0", role: "region", "aria-label": `Calls by waypoint, ${name}` };
-    this.element = element("details", {}, element("summary", {}, "The calls as a table"), element("div", scroll, table));
+    const calls = scrolled(table(HEADS, this.body), `Calls by waypoint, ${name}`);
+    this.element = element("details", {}, element("summary", {}, "The calls as a table"), calls);
     this.element.addEventListener("toggle", () => this.#moment && this.show(this.#moment));
   }
 

@@ -1,7 +1,7 @@
 // The delay of each call by waypoint, growing as calls come; what was waited is broad, with a ring around the mark.
 
 import { element, write } from "./element.js";
-import { nameOf } from "./places.js";
+import { theNameOf } from "./places.js";
 
 const [LEFT, RIGHT, TOP, BOTTOM] = [44, 12, 22, 40];
 const HEIGHT = 250;
@@ -12,6 +12,7 @@ export class DelayChart {
   #means = new Map(); // by operation, of those drawn: the sum and the number of its delays on the drone
   #delays = new Map(); // by place, of those drawn: the sum and the number of the delays
   #pointed = null;
+  #over = ""; // what is drawn over the marks
 
   constructor(name, places, picked) {
     this.name = name;
@@ -53,6 +54,7 @@ export class DelayChart {
 
   #begin(width, scale) {
     this.#scale = scale;
+    this.#over = "";
     this.#drawn = 0;
     this.#means.clear();
     this.#delays.clear();
@@ -130,6 +132,10 @@ export class DelayChart {
   }
 
   #drawOver(last) {
+    const call = this.#pointed ?? last;
+    const what = [this.#scale, this.#drawn, call?.at_s].join();
+    if (what === this.#over) return;
+    this.#over = what;
     const context = this.over.getContext("2d");
     context.clearRect(0, 0, this.width, HEIGHT);
     context.strokeStyle = this.places.colours.of("place-0");
@@ -139,7 +145,6 @@ export class DelayChart {
       line(context, LEFT, this.#y(sum / number), this.width - RIGHT, this.#y(sum / number));
     }
     context.setLineDash([]);
-    const call = this.#pointed ?? last;
     if (!call) return;
     const [x, y] = this.#place(call);
     context.strokeStyle = this.places.colours.of("ink");
@@ -169,7 +174,7 @@ export class DelayChart {
 
   #inWords() {
     const words = [...this.#delays].sort().map(([place, [sum, number]]) => {
-      return `${number} on ${place === "local" ? "the drone" : place}, ${(sum / number).toFixed(2)} s on average`;
+      return `${number} on ${theNameOf(place)}, ${(sum / number).toFixed(2)} s on average`;
     });
     return `${this.#drawn} calls${words.length ? ": " + words.join("; ") : ""}. The table of calls has all of them.`;
   }
@@ -180,10 +185,10 @@ function add(sums, key, value) {
   sums.set(key, [sum + value, number + 1]);
 }
 
-export function inShort(call) {
+function inShort(call) {
   const where = call.waypoint === null ? "before the first waypoint" : `waypoint ${call.waypoint}`;
   const waited = call.wait ? `, ${call.waited_s.toFixed(2)} s of it waited` : "";
-  return `${where}: ${call.operation} on ${call.place === "local" ? "the drone" : nameOf(call.place)}, ${call.delay_s.toFixed(2)} s${waited}`;
+  return `${where}: ${call.operation} on ${theNameOf(call.place)}, ${call.delay_s.toFixed(2)} s${waited}`;
 }
 
 function line(context, fromX, fromY, toX, toY) {

@@ -16,6 +16,21 @@ function filled(made, attributes, children) {
   return made;
 }
 
+// A part of the page with a heading of its own.
+export function card(heading, ...content) {
+  return element("section", { class: "card" }, element("h3", {}, heading), ...content);
+}
+
+export function table(heads, body, attributes = {}) {
+  const cells = heads.map((head) => element("th", { scope: "col" }, head));
+  return element("table", attributes, element("thead", {}, element("tr", {}, ...cells)), body);
+}
+
+// Content that scrolls by itself, by keyboard too.
+export function scrolled(content, name, style = "scroll") {
+  return element("div", { class: style, tabindex: "0", role: "region", "aria-label": name }, content);
+}
+
 // Sets the text only where it changes, so that screen readers are told no more than is new.
 export function write(where, text) {
   if (where.textContent !== text) where.textContent = text;

@@ -2,15 +2,19 @@
 
 import { Story } from "./story.js";
 
+const LOST = "The connection to the program behind this page is lost; trying again.";
+const ENDED = "The program behind this page has ended. What it told is still here; upwash view shows the log again.";
+
 export class Feed {
   constructor({ opened, grown, summarized, said }) {
     this.stories = [];
     this.open = true;
     const source = new EventSource("events");
-    source.addEventListener("logs", (message) => {
+    source.addEventListener("page", (message) => {
       if (this.stories.length === 0) {
-        this.stories = JSON.parse(message.data).map((name) => new Story(name));
-        opened(this.stories);
+        const { logs, tiles } = JSON.parse(message.data);
+        this.stories = logs.map((name) => new Story(name));
+        opened(this.stories, tiles);
       }
       said("");
     });
@@ -23,9 +27,9 @@ export class Feed {
     source.addEventListener("end", () => {
       source.close();
       this.open = false;
-      said("The program behind this page has ended. What it told is still here; upwash view shows the log again.");
+      said(ENDED);
       grown();
     });
-    source.addEventListener("error", () => said("The connection to the program behind this page is lost; trying again."));
+    source.addEventListener("error", () => said(LOST));
   }
 }

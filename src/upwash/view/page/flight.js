@@ -2,18 +2,18 @@
 
 import { CallTable } from "./calls.js";
 import { DelayChart } from "./chart.js";
-import { element, write } from "./element.js";
+import { card, element, write } from "./element.js";
 import { Journal } from "./journal.js";
 import { FlightMap } from "./map.js";
 import { PhotoCard } from "./photo.js";
-import { nameOf } from "./places.js";
+import { nameOf, theNameOf } from "./places.js";
 import { ServerList } from "./servers.js";
 
 export class Flight {
   #run = 0;
   #legend = "";
 
-  constructor(story, log, places, picked) {
+  constructor(story, log, { places, tiles, picked }) {
     this.story = story;
     this.places = places;
     const { name } = story;
@@ -26,21 +26,23 @@ export class Flight {
     this.decision = element("h3");
     this.reasons = element("ul", { class: "reasons" });
     this.legend = element("p", { class: "legend" });
-    this.map = new FlightMap(name, places);
+    this.map = new FlightMap(name, places, tiles);
     this.chart = new DelayChart(name, places, picked);
     this.servers = new ServerList(places);
     this.photo = new PhotoCard(log);
     this.calls = new CallTable(name);
     this.journal = new Journal(name);
     const now = element("section", { class: "card now" }, this.decision, this.reasons);
-    const chart = element("section", { class: "card delays" }, element("h3", {}, "Call delay by waypoint"), this.legend, this.chart.element, this.calls.element);
+    const delays = card("Call delay by waypoint", this.legend, this.chart.element, this.calls.element);
+    delays.classList.add("delays");
+    const head = [this.heading, this.doing, this.totals, this.where, this.summary, this.trouble];
     this.element = element(
       "section",
       { class: "flight", "aria-label": `Flight ${name}` },
-      element("div", { class: "head" }, this.heading, this.doing, this.totals, this.where, this.summary, this.trouble),
+      element("div", { class: "head" }, ...head),
       this.map.element,
       element("div", { class: "side" }, now, this.servers.element, this.photo.element),
-      chart,
+      delays,
       this.journal.element,
     );
   }
@@ -83,25 +85,23 @@ export class Flight {
     write(this.doing, over ? ending : (doing?.words ?? "waiting for the log to begin"));
     const policy = story.began ? `policy ${story.began.policy}` : "";
     const reached = `${doing?.reached ?? 0} of ${story.waypoints} waypoints reached`;
-    write(this.totals, [reached, this.#counts(moment), policy].filter(Boolean).join(" · "));
-    const at = moment.position;
-    const metres = at && `${at.east_m.toFixed(0)} m east, ${at.north_m.toFixed(0)} m north, ${at.altitude_m.toFixed(0)} m up`;
-    write(this.where, at ? [metres, this.map.degrees(at.east_m, at.north_m)].filter(Boolean).join(" · ") : "");
+    write(this.totals, [reached, this.#calls(moment), policy].filter(Boolean).join(" · "));
+    write(this.where, this.#where(moment.position));
     this.trouble.hidden = !story.trouble;
     write(this.trouble, story.trouble);
   }
 
-  #counts(moment) {
-    const counts = new Map();
-    let waits = 0;
-    const count = moment.count("call");
-    for (let index = 0; index < count; index += 1) {
-      const call = this.story.call[index];
-      counts.set(call.place, (counts.get(call.place) ?? 0) + 1);
-      waits += call.wait ? 1 : 0;
-    }
-    const places = [...counts].sort().map(([place, number]) => `${number} on ${place === "local" ? "the drone" : place}`);
-    return `${count} calls${places.length ? `: ${places.join(", ")}` : ""}${waits ? `, ${waits} waited` : ""}`;
+  #where(place) {
+    if (!place) return "";
+    const [east, north, up] = [place.east_m, place.north_m, place.altitude_m].map((metres) => metres.toFixed(0));
+    const degrees = this.map.ground.degrees(place.east_m, place.north_m);
+    return [`${east} m east, ${north} m north, ${up} m up`, degrees].filter(Boolean).join(" · ");
+  }
+
+  #calls(moment) {
+    const { count, places, waited } = moment.calls;
+    const parts = [...places].sort().map(([place, number]) => `${number} on ${theNameOf(place)}`);
+    return `${count} calls${parts.length ? `: ${parts.join(", ")}` : ""}${waited ? `, ${waited} waited` : ""}`;
   }
 
   #showDecision(moment) {
@@ -116,7 +116,7 @@ export class Flight {
     const where = about.waypoint === null ? "before the first waypoint" : `at waypoint ${about.waypoint}`;
     write(this.decision, `${over ? "Last call" : "Call under way"}: ${about.operation} ${where}`);
     const waited = over && call.wait ? `, ${call.waited_s.toFixed(2)} s of it waited` : "";
-    const ran = over ? [`It ran on ${call.place === "local" ? "the drone" : nameOf(call.place)}: ${call.delay_s.toFixed(2)} s${waited}.`] : [];
+    const ran = over ? [`It ran on ${theNameOf(call.place)}: ${call.delay_s.toFixed(2)} s${waited}.`] : [];
     const words = [...ran, ...about.words];
     if (words.join("\n") === [...this.reasons.children].map((item) => item.textContent).join("\n")) return;
     this.reasons.replaceChildren(...words.map((each) => element("li", {}, each)));
@@ -126,10 +126,13 @@ export class Flight {
     const all = ["local", ...this.story.servers];
     if (all.join() === this.#legend) return;
     this.#legend = all.join();
-    const entries = all.map((place) => element("span", { class: "entry" }, this.places.icon(place), nameOf(place)));
-    const wait = element("span", { class: "entry" }, element("span", { class: "wait", "aria-hidden": "true" }), "waited for a server");
-    const mean = element("span", { class: "entry" }, element("span", { class: "mean", "aria-hidden": "true" }), "mean on the drone");
-    this.legend.replaceChildren(...entries, wait, mean);
+    const sign = (style) => element("span", { class: style, "aria-hidden": "true" });
+    const entries = [
+      ...all.map((place) => [this.places.icon(place), nameOf(place)]),
+      [sign("wait"), "waited for a server"],
+      [sign("mean"), "mean on the drone"],
+    ];
+    this.legend.replaceChildren(...entries.map((entry) => element("span", { class: "entry" }, ...entry)));
   }
 }
 

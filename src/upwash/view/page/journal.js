@@ -1,6 +1,6 @@
 // What happened, newest first.
 
-import { element } from "./element.js";
+import { card, element, scrolled } from "./element.js";
 
 const MOST = 100; // lines
 
@@ -10,8 +10,7 @@ export class Journal {
 
   constructor(name) {
     this.list = element("ol", { class: "journal", reversed: "" });
-    const scroll = { class: "scroll lines", tabindex: "0", role: "region", "aria-label": `What happened, ${name}` };
-    this.element = element("section", { class: "card" }, element("h3", {}, "What happened"), element("div", scroll, this.list));
+    this.element = card("What happened", scrolled(this.list, `What happened, ${name}`, "scroll lines"));
   }
 
   show(moment) {
@@ -33,5 +32,5 @@ export class Journal {
 
 function line(said, story) {
   const time = element("span", { class: "at" }, `${story.missionS(said.at_s).toFixed(1)} s`);
-  return element("li", { class: said.tone }, time, " ", said.words);
+  return element("li", { class: said.tone }, time, said.words);
 }

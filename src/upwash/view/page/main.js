@@ -7,6 +7,7 @@ import { Flight } from "./flight.js";
 import { Colours, Places } from "./places.js";
 
 const KEY_S = 5; // that an arrow key moves
+const SILENT_S = 5; // a flight tells where it is every second
 
 const on = (id) => document.getElementById(id);
 const clock = new Clock();
@@ -16,8 +17,10 @@ let flights = [];
 let frame = null;
 
 const feed = new Feed({
-  opened(stories) {
-    flights = stories.map((story, log) => new Flight(story, log, places, (call) => seek(story.missionS(call.at_s))));
+  opened(stories, tiles) {
+    flights = stories.map((story, log) => {
+      return new Flight(story, log, { places, tiles, picked: (call) => seek(story.missionS(call.at_s)) });
+    });
     on("flights").replaceChildren(...flights.map((flight) => flight.element));
     on("flights").classList.toggle("two", flights.length > 1);
     document.title = `upwash: ${stories.map((story) => story.name).join(" and ")}`;
@@ -55,16 +58,24 @@ function show() {
 }
 
 function showControls() {
-  const live = feed.open && feed.stories.some((story) => !story.ended);
+  const live = feed.open && feed.stories.some((story) => story.goesOn);
   on("time").max = clock.endS.toFixed(1);
   on("time").value = clock.nowS.toFixed(1);
   on("time").setAttribute("aria-valuetext", `${told(clock.nowS)} of ${told(clock.endS)}`);
   write(on("clock"), `${told(clock.nowS)} / ${told(clock.endS)}`);
   write(on("play"), clock.playing ? "Pause" : "Play");
   on("latest").hidden = !live;
-  write(on("mode"), live ? "live" : "playback");
-  on("mode").className = live ? "state ready" : "state";
+  showMode();
   on("latest").setAttribute("aria-pressed", String(clock.following));
+}
+
+// Whether the flight goes on; and where its log has fallen silent, for how long.
+function showMode() {
+  const [story] = feed.open ? feed.stories.filter((each) => each.goesOn) : [];
+  const silentS = story ? story.silentS(Date.now() / 1000) : 0;
+  const silent = silentS > SILENT_S;
+  write(on("mode"), !story ? "playback" : silent ? `no news for ${told(silentS)}` : "live");
+  on("mode").className = !story ? "state" : silent ? "state checking" : "state ready";
 }
 
 function seek(missionS) {
@@ -100,3 +111,4 @@ on("latest").addEventListener("click", () => {
   clock.follow();
   refresh();
 });
+setInterval(showMode, 1000);

@@ -1,7 +1,8 @@
 // The last photo, with what was found on it in boxes; and, where it was rendered, what is truly there.
 
-import { drawn, element, write } from "./element.js";
+import { card, drawn, element, write } from "./element.js";
 
+const KEY = "Solid: found. Dashed: truly there, as the photo was rendered.";
 const PATIENCE_MS = 150; // photos that fly past faster are not asked for
 
 export class PhotoCard {
@@ -14,9 +15,9 @@ export class PhotoCard {
     this.image = element("img", { alt: "", hidden: "" });
     this.boxes = drawn("svg", { class: "boxes", "aria-hidden": "true" });
     this.caption = element("p");
-    this.key = element("p", { class: "note", hidden: "" }, "Solid: found. Dashed: truly there, as the photo was rendered.");
+    this.key = element("p", { class: "note", hidden: "" }, KEY);
     this.frame = element("div", { class: "photo", hidden: "" }, this.image, this.boxes);
-    this.element = element("section", { class: "card" }, element("h3", {}, "Photo"), this.frame, this.caption, this.key);
+    this.element = card("Photo", this.frame, this.caption, this.key);
     this.image.addEventListener("load", () => this.#outline());
     this.image.addEventListener("error", () => (this.image.hidden = true));
   }
@@ -25,9 +26,10 @@ export class PhotoCard {
     const shot = moment.last("shot");
     const told = moment.last("told");
     const found = shot && told && told.at_s >= shot.at_s ? told : null;
+    this.element.hidden = !shot || !(shot.kept || moment.story.told.length);
     if (shot !== this.#shot) this.#ask(shot, moment.story.run);
     this.found = found;
-    write(this.caption, shot ? this.#words(shot, found) : "No photo was taken yet.");
+    if (shot) write(this.caption, this.#words(shot, found));
     this.#outline();
   }
 
@@ -54,7 +56,7 @@ export class PhotoCard {
 
   #outline() {
     const { naturalWidth: width, naturalHeight: height, complete, hidden } = this.image;
-    const shown = Boolean(this.#shot && width && complete && !hidden && this.image.getAttribute("src").endsWith(`/${this.#shot.number}.jpg`));
+    const shown = this.#shot && complete && !hidden;
     const boxes = shown ? [...(this.#shot.truth ?? []), ...(this.found?.boxes ?? [])] : [];
     const key = JSON.stringify([width, height, boxes]);
     if (key === this.#boxes) return;
@@ -69,6 +71,7 @@ function outline(box, width) {
   const rectangle = { x, y, width: box.width_px, height: box.height_px };
   if (box.score === undefined) return [drawn("rect", { ...rectangle, class: "truth" })];
   const words = `${box.label} ${(100 * box.score).toFixed(0)} %`;
-  const label = drawn("text", { x, y: y > size * 1.3 ? y - size / 4 : y + box.height_px + size, "font-size": size }, words);
+  const beside = y > size * 1.3 ? y - size / 4 : y + box.height_px + size;
+  const label = drawn("text", { x, y: beside, "font-size": size }, words);
   return [drawn("rect", { ...rectangle, class: "found" }), label];
 }

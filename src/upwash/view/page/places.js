@@ -82,3 +82,8 @@ export class Places {
 export function nameOf(place) {
   return place === "local" ? "drone" : place;
 }
+
+// In a sentence.
+export function theNameOf(place) {
+  return place === "local" ? "the drone" : place;
+}

@@ -1,6 +1,6 @@
 // Each server: its state in a word and a colour, why, how far away it is, and the states it was in so far.
 
-import { element, write } from "./element.js";
+import { card, element, table, write } from "./element.js";
 
 export class ServerList {
   #rows = new Map();
@@ -8,23 +8,21 @@ export class ServerList {
   constructor(places) {
     this.places = places;
     this.body = element("tbody");
-    const heads = ["server", "state", "away", "calls"].map((head) => element("th", { scope: "col" }, head));
-    const table = element("table", { class: "servers" }, element("thead", {}, element("tr", {}, ...heads)), this.body);
-    this.element = element("section", { class: "card" }, element("h3", {}, "Servers"), table);
+    this.element = card("Servers", table(["server", "state", "away", "calls"], this.body, { class: "servers" }));
   }
 
   show(moment) {
     const servers = moment.story.servers;
     if (servers.length !== this.#rows.size) this.#begin(servers);
     const position = moment.position;
-    const counts = this.#counts(moment);
+    const { places } = moment.calls;
     for (const [server, row] of this.#rows) {
       const step = moment.step(server);
       row.state.className = `state ${step?.tone ?? "aside"}`;
       write(row.state, step?.state ?? "AVL");
       write(row.means, step ? [step.means, step.why].filter(Boolean).join(": ") : "available");
       write(row.away, away(moment.story.plan?.ranges[server], position));
-      write(row.calls, String(counts.get(server) ?? 0));
+      write(row.calls, String(places.get(server) ?? 0));
     }
   }
 
@@ -39,16 +37,6 @@ export class ServerList {
       this.body.append(element("tr", {}, name, element("td", {}, row.state, " ", row.means), row.away, row.calls));
       this.#rows.set(server, row);
     }
-  }
-
-  #counts(moment) {
-    const counts = new Map();
-    const count = moment.count("call");
-    for (let index = 0; index < count; index += 1) {
-      const { place } = moment.story.call[index];
-      counts.set(place, (counts.get(place) ?? 0) + 1);
-    }
-    return counts;
   }
 }
 

@@ -71,6 +71,16 @@ export class Story {
     return this.plan?.waypoints_m.length ?? 0;
   }
 
+  // Whether the log is one that was written in flight, and does not say that the flight is over.
+  get goesOn() {
+    return Boolean(this.opened && !this.ended);
+  }
+
+  // How long ago the last of it was written.
+  silentS(epochS) {
+    return epochS - this.opened.epoch_s - (this.lastS - this.opened.at_s);
+  }
+
   // The second of the mission at which the story ends, as far as it is told.
   get endS() {
     return this.missionS(this.ended?.at_s ?? this.lastS);
@@ -107,6 +117,19 @@ export class Moment {
   step(server) {
     const steps = this.story.steps.get(server) ?? [];
     return steps[countUntil(steps, this.atS) - 1] ?? null;
+  }
+
+  // How many calls ran at each place so far, and how many of them waited.
+  get calls() {
+    const places = new Map();
+    let waited = 0;
+    const count = this.count("call");
+    for (let index = 0; index < count; index += 1) {
+      const { place, wait } = this.story.call[index];
+      places.set(place, (places.get(place) ?? 0) + 1);
+      waited += wait ? 1 : 0;
+    }
+    return { count, places, waited };
   }
 
   // Where the drone is: on the straight way between two fixes.

@@ -10,8 +10,9 @@ export class Track {
   #pieces = [];
   #head;
 
-  constructor(map, style) {
+  constructor(map, ground, style) {
     this.map = map;
+    this.ground = ground;
     this.style = style;
   }
 
@@ -27,8 +28,8 @@ export class Track {
     this.#shrink(fixes, count);
     this.#grow(fixes, count);
     this.#head ??= polyline([], this.style()).addTo(this.map);
-    const corner = this.#corners.length ? latLng(fixes[this.#corners.at(-1)]) : null;
-    this.#head.setLatLngs(corner && position ? [corner, latLng(position)] : []);
+    const corner = this.#corners.length ? this.#latLng(fixes[this.#corners.at(-1)]) : null;
+    this.#head.setLatLngs(corner && position ? [corner, this.#latLng(position)] : []);
   }
 
   #shrink(fixes, count) {
@@ -61,10 +62,11 @@ export class Track {
 
   // A piece begins where the one before it ends.
   #piece(fixes, piece) {
-    return this.#corners.slice(Math.max(0, piece * PIECE - 1), (piece + 1) * PIECE).map((index) => latLng(fixes[index]));
+    const indices = this.#corners.slice(Math.max(0, piece * PIECE - 1), (piece + 1) * PIECE);
+    return indices.map((index) => this.#latLng(fixes[index]));
   }
-}
 
-function latLng(place) {
-  return [place.north_m, place.east_m];
+  #latLng(place) {
+    return this.ground.latLng(place.east_m, place.north_m);
+  }
 }

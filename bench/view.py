@@ -1,0 +1,177 @@
+"""How soon a page shows what a log says: a mission of 2,000 waypoints, nearly over, with ten positions a second.
+
+Prints the delay from the end of the write of an event to the frame in which the page shows it, in a headless Chromium
+on this machine, for the drone's positions and for calls, and for how long the page was busy meanwhile.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from tests.system.browser import Browser, browser, why_not
+
+from upwash.running import ready_program
+
+WAYPOINTS, COLUMNS, SPACING_M = 2_000, 50, 20.0
+DONE = 1_950  # waypoints before anybody looks
+PERIOD_S = 0.1
+FIXES_A_WAYPOINT = 60
+WATCHED_S = 30.0
+LIMIT_S = 0.5
+WATCH = """
+window.shown = {where: [], calls: []};
+const watch = (selector, pattern, into) => {
+  const element = document.querySelector(selector);
+  let last = null;
+  new MutationObserver(() => {
+    const value = Number(pattern.exec(element.textContent)?.[1]);
+    if (value === last) return;
+    last = value;
+    requestAnimationFrame(() => into.push([value, performance.timeOrigin + performance.now()]));
+  }).observe(element, {childList: true, characterData: true, subtree: true});
+};
+watch(".where", /(\\d+) m up/, shown.where);
+watch(".totals", /(\\d+) calls/, shown.calls);
+"""
+
+
+def main() -> None:
+    """Measures, and prints."""
+    if missing := why_not():
+        print(f"not measured: {missing}")
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "events.jsonl"
+        events = mission()
+        before = list(itertools.takewhile(lambda event: event.get("waypoint") != DONE, events))
+        log.write_text("".join(map(line, before)))
+        print(f"{len(before)} events, {log.stat().st_size / 1e6:.1f} MB, before the page is opened")
+        with (
+            ready_program("view", log.parent, "view", str(log), "--port", "0") as address,
+            browser(Path(folder) / "profile") as page,
+        ):
+            watch(page, address, log, events, began_s=before[-1]["t"])
+
+
+def watch(
+    page: Browser, address: str, log: Path, events: Iterator[dict[str, Any]], *, began_s: float
+) -> None:
+    """Writes what comes next at its time, and compares with when the page shows it."""
+    opened_s = time.monotonic()
+    page.open(address)
+    page.wait_until(lambda: f"{DONE} calls" in page.text(".totals"))
+    print(f"the page shows all of it {time.monotonic() - opened_s:.1f} s after it is opened")
+    page.run(WATCH)
+    worked_s = busy_s(page)
+    fixes, calls = write(log, events, began_s=began_s)
+    time.sleep(2 * LIMIT_S)
+    worked_s = busy_s(page) - worked_s
+    for name, written, shown in (
+        ("positions", fixes, page.run("return shown.where")),
+        ("calls", calls, page.run("return shown.calls")),
+    ):
+        report(name, written, shown)
+    print(f"the page was busy for {100 * worked_s / WATCHED_S:.0f} % of the time")
+
+
+def write(
+    log: Path, events: Iterator[dict[str, Any]], *, began_s: float
+) -> tuple[dict[int, float], dict[int, float]]:
+    """When, in ms since 1970, each fix was written, known by its altitude, and each call, by its number."""
+    fixes, calls = dict[int, float](), dict[int, float]()
+    number = DONE
+    start_s = time.monotonic()
+    with log.open("ab", buffering=0) as file:
+        for event in events:
+            if event["t"] - began_s > WATCHED_S:
+                break
+            time.sleep(max(0.0, start_s + event["t"] - began_s - time.monotonic()))
+            file.write(line(event).encode())
+            if event["event"] == "position":
+                fixes[int(event["altitude_m"])] = time.time() * 1000
+            elif event["event"] == "call":
+                number += 1
+                calls[number] = time.time() * 1000
+    return fixes, calls
+
+
+def report(name: str, written: dict[int, float], shown: list[tuple[int, float]]) -> None:
+    """Each is shown when it, or a later one, is."""
+    delays_s = []
+    for value, written_ms in written.items():
+        shown_ms = next((at_ms for other, at_ms in shown if other >= value), None)
+        assert shown_ms is not None, f"{name}: {value} was never shown"
+        delays_s.append((shown_ms - written_ms) / 1000)
+    late = sum(delay_s > LIMIT_S for delay_s in delays_s)
+    print(
+        f"{name}: {len(delays_s)} shown after {median(delays_s):.3f} s (median), {max(delays_s):.3f} s (longest); "
+        f"{late} after more than {LIMIT_S} s{' MISS' if late else ''}"
+    )
+
+
+def busy_s(page: Browser) -> float:
+    """For how long the page has been busy."""
+    page.driver.execute_cdp_cmd("Performance.enable", {})
+    metrics = page.driver.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
+    return float(next(each["value"] for each in metrics if each["name"] == "TaskDuration"))
+
+
+def mission() -> Iterator[dict[str, Any]]:
+    """The events of the flight; its altitude is a number that each position has for itself, in metres."""
+    places = [
+        (SPACING_M * (number % COLUMNS), SPACING_M * (number // COLUMNS)) for number in range(WAYPOINTS)
+    ]
+    ranges = {
+        f"s{number}": {
+            "centre": {"east_m": 250.0 * number, "north_m": 400.0, "altitude_m": 0.0},
+            "radius_m": 150.0,
+        }
+        for number in range(4)
+    }
+    home = {"latitude_deg": 39.3666, "longitude_deg": 22.9507}
+    yield {"t": 0.0, "event": "log_opened", "time": "2026-01-01T00:00:00+00:00"}
+    yield {"t": 0.0, "event": "planned", "home": home, "waypoints_m": places, "ranges": ranges}
+    yield {"t": 0.0, "event": "mission_started", "policy": "location-aware", "waypoints": WAYPOINTS}
+    fix, at_s = 0, 0.0
+    for waypoint, (east_m, north_m) in enumerate(places):
+        yield {"t": at_s, "event": "leg", "waypoint": waypoint, "east_m": east_m, "north_m": north_m}
+        for step in range(FIXES_A_WAYPOINT):
+            fix, at_s = fix + 1, at_s + PERIOD_S
+            back_m = SPACING_M * max(0.0, 1 - step / 40)
+            yield {
+                "t": at_s,
+                "event": "position",
+                "east_m": east_m - back_m,
+                "north_m": north_m,
+                "altitude_m": fix,
+            }
+        place = ("local", "s0", "s1", "s2")[waypoint % 4]
+        here = {"east_m": east_m, "north_m": north_m, "altitude_m": float(fix)}
+        yield {"t": at_s, "event": "arrived", "waypoint": waypoint, "east_m": east_m, "north_m": north_m}
+        yield {"t": at_s, "event": "photo", "source": "camera", "position": here}
+        yield {
+            "t": at_s, "event": "decided", "operation": "detector.process_photo[heavy]", "decision": "local",
+            "why": "no server selected", "local_s": 10.0, "selected": None, "state": None, "remote_s": None,
+            "position": here,
+        }  # fmt: skip
+        yield {
+            "t": at_s, "event": "call", "operation": "detector.process_photo[heavy]", "place": place,
+            "decision": "server ready", "delay_s": 1.0 + waypoint % 7, "waited_s": 0.0, "wait": "",
+            "fell_back": False,
+        }  # fmt: skip
+
+
+def line(event: dict[str, Any]) -> str:
+    """As a log has it."""
+    return json.dumps(event) + "\n"
+
+
+if __name__ == "__main__":
+    main()
