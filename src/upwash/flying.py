@@ -49,7 +49,7 @@ def fly_with_progress(
     progress = Progress(config, len(waypoints(config.mission)), console)
     try:
         with (
-            _shown_live(log, live_port, config.camera.folder),
+            _shown_live(log, live_port, config.camera.folder, resumes=resumes),
             progress,
             contextlib.redirect_stdout(sys.stderr) if show is Show.JSON else contextlib.nullcontext(),
         ):
@@ -75,7 +75,7 @@ def _show_result(config: DroneConfig, log: Path, show: Show, console: Console) -
 
 
 @contextlib.contextmanager
-def _shown_live(log: Path, port: int | None, photos: Path | None) -> Iterator[None]:
+def _shown_live(log: Path, port: int | None, photos: Path | None, *, resumes: bool) -> Iterator[None]:
     """Shows the log on a page until the end of the block, by a process of its own that the flight never waits for."""
     if port is None:
         yield
@@ -83,7 +83,8 @@ def _shown_live(log: Path, port: int | None, photos: Path | None) -> Iterator[No
     with extra("view"):
         import uvicorn  # noqa: F401 - asked here, as the page is another process's
     log.parent.mkdir(parents=True, exist_ok=True)
-    log.touch()  # a flight that has yet to begin
+    if not resumes:
+        log.touch()  # a flight that has yet to begin
     arguments = ["view", str(log), "--port", str(port)]
     arguments += ["--photos", str(photos)] if photos else []
     with ready_program(f"{log.stem}-view", log.parent, *arguments) as address:

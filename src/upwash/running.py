@@ -37,7 +37,7 @@ def ready_program(name: str, folder: Path, *arguments: str, through: Sequence[st
         said = process.stdout.readline()
         _, ready, address = said.strip().partition(" ready at ")
         if not ready:
-            raise UpwashError(f"{name} did not start; {folder / f'{name}.log'} says why")
+            raise UpwashError(f"{name} did not start: {_last_words(folder / f'{name}.log')}")
         yield address
     finally:
         _end(process)
@@ -60,6 +60,11 @@ def ready_vehicle(
     ) as address:
         kind, host, port = address.split(":")
         yield f"{kind}out:{host}:{port}"
+
+
+def _last_words(log: Path) -> str:
+    lines = log.read_text(errors="replace").split("\n")
+    return next((line for line in reversed(lines) if line.strip()), f"{log} does not say why")
 
 
 def _end(process: subprocess.Popen[str]) -> None:

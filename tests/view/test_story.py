@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+import msgspec
 import pytest
 
 from upwash import event_log
@@ -136,6 +137,7 @@ def test_photos_are_numbered_and_their_boxes_told() -> None:
         (0, True, 1),
         (1, False, 1),
     ]
+    assert b"score" not in msgspec.json.encode(shots[0]), "the truth has none"
     assert [(box.label, box.score) for box in boxes.boxes] == [("hot-spot", 0.9)]
     assert (words.words, list(words.boxes)) == ("the battery is low", [])
 

@@ -12,7 +12,7 @@ from upwash.commands.arguments import LIVE_PORT, announce, port
 if TYPE_CHECKING:
     from upwash.commands.arguments import Commands
 
-_NICENESS = 19  # a flight that goes on beside it comes first
+_NICENESS = 10  # a flight that goes on beside it comes first, and the page is not starved
 
 
 def add(commands: Commands) -> None:

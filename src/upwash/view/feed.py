@@ -26,7 +26,6 @@ class Batch(msgspec.Struct, frozen=True):
     log: int
     run: int
     start: int
-    caught_up: bool
     trouble: str
     facts: list[msgspec.Raw]
 
@@ -37,7 +36,6 @@ class _Seen:
 
     run: int = 0
     facts: int = 0
-    caught_up: bool = False
     trouble: str = ""
 
 
@@ -102,9 +100,7 @@ class Feed:
             news, closed = self._news, self._closed
             for log, recording in enumerate(self.recordings):
                 for batch in _batches(log, recording, seen[log]):
-                    seen[log] = _Seen(
-                        batch.run, batch.start + len(batch.facts), batch.caught_up, batch.trouble
-                    )
+                    seen[log] = _Seen(batch.run, batch.start + len(batch.facts), batch.trouble)
                     yield self._identified(batch, seen)
             if summaries != self._summaries:
                 summaries = self._summaries
@@ -131,9 +127,9 @@ class Feed:
 
 def _batches(log: int, recording: Recording, seen: _Seen) -> Iterator[Batch]:
     """What a page lacks of a log now, in pieces."""
-    start = seen.facts if seen.run == recording.run else 0
+    start = seen.facts if seen.run == recording.run and seen.facts <= len(recording.facts) else 0
     facts = recording.facts[start:]
-    state = _Seen(recording.run, start + len(facts), recording.caught_up, recording.trouble)
+    state = _Seen(recording.run, start + len(facts), recording.trouble)
     if state == seen:
         return
     for first in range(0, max(1, len(facts)), _BATCH):
@@ -143,7 +139,6 @@ def _batches(log: int, recording: Recording, seen: _Seen) -> Iterator[Batch]:
             log=log,
             run=state.run,
             start=start + first,
-            caught_up=state.caught_up and last,
             trouble=state.trouble if last else "",
             facts=[msgspec.Raw(fact) for fact in piece],
         )

@@ -17,9 +17,7 @@ from upwash.report.record import Plan, place_of
 from upwash.view import facts
 from upwash.view.facts import Fact, Outline
 
-_STALE_S = (
-    1.5  # a flown log tells where the drone is every second, a simulated one when something happens there
-)
+_STALE_S = 1.5  # a flown log tells the position every second, a simulated one when something happens
 _HOME = Position(0.0, 0.0)
 
 

@@ -9,6 +9,7 @@ export class PhotoCard {
   #shot = null;
   #boxes = "";
   #timer = null;
+  #lost = null; // the shot that could not be had
 
   constructor(log) {
     this.log = log;
@@ -19,7 +20,7 @@ export class PhotoCard {
     this.frame = element("div", { class: "photo", hidden: "" }, this.image, this.boxes);
     this.element = card("Photo", this.frame, this.caption, this.key);
     this.image.addEventListener("load", () => this.#outline());
-    this.image.addEventListener("error", () => (this.image.hidden = true));
+    this.image.addEventListener("error", () => this.#lose());
   }
 
   show(moment) {
@@ -47,10 +48,16 @@ export class PhotoCard {
     this.image.hidden = this.image.getAttribute("src") !== source;
   }
 
+  #lose() {
+    this.frame.hidden = this.key.hidden = true;
+    this.#lost = this.#shot;
+    write(this.caption, this.#words(this.#shot, this.found));
+  }
+
   #words(shot, found) {
     const where = shot.waypoint === null ? "before the first waypoint" : `at waypoint ${shot.waypoint}`;
     const said = found ? ` The user was told: ${found.words}.` : "";
-    const missing = shot.kept ? "" : " It was not kept where this page can find it.";
+    const missing = shot.kept && shot !== this.#lost ? "" : " It was not kept where this page can find it.";
     return `Photo ${shot.number + 1}, ${where}, from ${shot.source}.${said}${missing}`;
   }
 

@@ -12,7 +12,6 @@ export class Story {
   begin(run) {
     this.run = run;
     this.facts = 0;
-    this.caughtUp = false;
     this.trouble = "";
     this.plan = null;
     this.opened = null;
@@ -27,7 +26,6 @@ export class Story {
 
   take(batch) {
     if (batch.run !== this.run) this.begin(batch.run);
-    this.caughtUp = batch.caught_up;
     this.trouble = batch.trouble;
     for (const fact of batch.facts.slice(this.facts - batch.start)) this.#takeFact(fact);
   }
