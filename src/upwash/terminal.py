@@ -86,11 +86,6 @@ class Progress:
         return Group(head, servers, *self._recent)
 
 
-def counted(number: int, what: str) -> str:
-    """So many of them: 1 call, 2 calls."""
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
-
-
 def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
     """Prints a table of the calls, the totals, and the mission time against what local calls would have made it."""
     _print_calls(result, console)

@@ -213,7 +213,7 @@ def test_a_log_that_cannot_be_written_is_named(drone: Path) -> None:
 def test_check_says_what_a_configuration_holds_and_what_hurts(drone: Path, keys: Path) -> None:
     ended = upwash("check", str(drone))
     assert ended.returncode == 0, ended.stdout + ended.stderr
-    assert ended.stdout.startswith(f"{drone} is understood: 1 waypoints, 1 services, 1 servers\n")
+    assert ended.stdout.startswith(f"{drone} is understood: 1 waypoint, 1 service, 1 server\n")
     drone.write_text(DRONE + f'[keys]\nauthority = "{keys}/authority.pem"\ncertificate = "no"\nkey = "no"\n')
     ended = upwash("check", str(drone))
     assert ended.returncode == 1

@@ -21,7 +21,6 @@ from upwash.preflight.concerns import is_for_flight
 from upwash.preflight.coverage import Coverage, spans
 from upwash.preflight.placement import Place, missions_to_place, place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, is_noisy
-from upwash.terminal import counted
 
 
 def show_check(
