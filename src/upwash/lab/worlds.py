@@ -206,7 +206,7 @@ def _with_peers(document: Document, number: int) -> Document:
         return document
     for server in document["server"]:
         others = [name for name in names if name != server["name"]]
-        server["truth"]["peers"] = [name for name in others if chance.random() < 0.9]
+        server["truth"]["peers"] = [name for name in others if chance.random() < 0.7]
     return document
 
 
