@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 import msgspec
@@ -34,7 +35,7 @@ from upwash.running import ready_vehicle
 SCENARIO = Path(__file__).parent / "field.toml"
 _LONGEST_S = 240.0
 _LOOK_S = 0.5
-RECORD = "record.json"
+RECORD, LATENESS = "record.json", "lateness"
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True):
@@ -75,11 +76,21 @@ async def main(seed: int, folder: Path) -> None:
             connection, positions[drone.name] = _vehicle(drone, folder, stack)
             file = drone_file(drone, field, folder, vehicle=connection)
             drones.append(DroneProgram(file, namespace=drone_namespace(drone.name)))
+        stack.enter_context(_noting_lateness(folder / LATENESS))
         links = {link.server.name: link for link in field.links() if link.drone == names[0]}
         record = await _fly(
             seed, drones, Striker(drones[0], daemons, links), daemons, Mover(radio, positions)
         )
         (folder / RECORD).write_bytes(msgspec.json.encode(record))
+
+
+@contextlib.contextmanager
+def _noting_lateness(file: Path) -> Iterator[None]:
+    with subprocess.Popen([sys.executable, "-m", "tests.system.faults.lateness", str(file)]) as process:
+        try:
+            yield
+        finally:
+            process.kill()
 
 
 def _vehicle(

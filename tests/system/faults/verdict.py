@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from tests.system.faults.flight import RECORD, Record
+from tests.system.faults.flight import LATENESS, RECORD, Record
+from tests.system.faults.lateness import read_lateness
 from tests.system.faults.mission import Spotter, heard, numbers_at
 from tests.system.faults.strikes import Strike
 
@@ -27,6 +28,7 @@ Fact = Mapping[str, Any]
 _OF_CALLS = (Promise.BOUNDED_CALLS, Promise.ONE_ANSWER, Promise.TRUTHFUL_ERRORS)
 _OF_SERVERS = (Promise.ONE_SELECTION, Promise.RANGE, Promise.RESPECT)
 _EDGE_M = 1.0  # nearer to the border of a range, no call has to go there
+_WRITTEN_WITHIN_S = 0.1  # an event's time is that of its writing, which comes after what it tells
 _SLOWEST_LOOK_S = 0.1  # of a time of day that two processes read
 
 
@@ -128,11 +130,11 @@ def judge(folder: Path) -> Verdict:
             broken.append(f"promise 10: the log of {name}: {error}")
     if len(flown) < len(record.exit_codes):  # nothing can be said of the rest
         return Verdict(record, broken, [], 0, 0, (0.0, 0.0), math.inf)
-    struck = flown[0]
+    struck, late_s = flown[0], read_lateness(folder / LATENESS)
     black_outs = [each for each in record.strikes if each.is_black_out]
     bounds_s, places = [], []
     for each in flown:
-        stops = _stops(each, record.strikes) if each is struck else []
+        stops = _stops(each, record.strikes if each is struck else (), late_s)
         broken += [f"{each.config.name}: {why}" for why in _broken(each, stops)]
         for call in (call for part in each.parts for call in calls_of(_without(part, stops))):
             bounds_s.append((call.ended["delay_s"], call.bound_s))
@@ -169,8 +171,10 @@ def _read(folder: Path, name: str) -> Flown:
 def _broken(flown: Flown, stops: Sequence[tuple[float, float]]) -> Iterator[str]:
     yield from _unfinished(flown)
     yield from _misheard(flown)
+    policy = flown.config.policy
+    written_late = msgspec.structs.replace(policy, blacklist_s=policy.blacklist_s - _WRITTEN_WITHIN_S)
     for part in flown.parts:
-        yield from _checked(flown.config, part, _OF_SERVERS)
+        yield from _checked(msgspec.structs.replace(flown.config, policy=written_late), part, _OF_SERVERS)
         yield from _checked(flown.config, _without(part, stops), _OF_CALLS)
 
 
@@ -211,16 +215,22 @@ def _misheard(flown: Flown) -> Iterator[str]:
         yield f"promise 1: no answer to {sorted(missing)}"
 
 
-# --- a program that was stopped -----------------------------------------------------------------------------
+# --- a program that could keep no time ----------------------------------------------------------------------
 
 
-def _stops(flown: Flown, strikes: Iterable[Strike]) -> list[tuple[float, float]]:
-    """When the drone's own program stood still: it can keep no time meanwhile, and no bound holds for it."""
-    return [
-        (strike.from_s - flown.began_s, strike.to_s - flown.began_s)
-        for strike in strikes
-        if (strike.what, strike.target) == ("freeze", "drone")
+def _stops(
+    flown: Flown, strikes: Iterable[Strike], late_s: Iterable[tuple[float, float]]
+) -> list[tuple[float, float]]:
+    """When the drone's own program stood still, stopped or for want of a processor: no bound holds then."""
+    frozen_s = [
+        (each.from_s, each.to_s) for each in strikes if (each.what, each.target) == ("freeze", "drone")
     ]
+    stops: list[tuple[float, float]] = []
+    for from_s, to_s in sorted([*frozen_s, *late_s]):
+        begin_s = max(from_s - flown.began_s, stops[-1][1] if stops else 0.0)
+        if to_s - flown.began_s > begin_s:
+            stops.append((begin_s, to_s - flown.began_s))
+    return stops
 
 
 def _without(events: list[dict[str, Any]], stops: Sequence[tuple[float, float]]) -> list[dict[str, Any]]:
