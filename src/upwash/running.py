@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,11 +22,12 @@ def ready_program(name: str, folder: Path, *arguments: str, through: Sequence[st
     """Runs an upwash command until the end of the block, its log in the folder; yields its address once ready.
 
     `through` is a command that runs it, such as one that enters a namespace. A session of its own keeps a Ctrl-C at
-    the terminal from it: the drone lands first.
+    the terminal from it: the drone lands first. Where this process is killed, it ends too.
     """
+    ends_with_us = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
     with (folder / f"{name}.log").open("wb") as log:
         process = subprocess.Popen(  # noqa: S603 - this very program
-            [*through, sys.executable, "-m", "upwash", *arguments],
+            [*through, *ends_with_us, sys.executable, "-m", "upwash", *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=log,
