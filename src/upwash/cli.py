@@ -59,7 +59,11 @@ _COMMANDS = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns 0 when it did what it should, 2 for bad usage, 1 for any other failure."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if "run" not in options:
+        parser.print_help(sys.stderr)
+        return _USAGE
     sys.path.append(str(Path.cwd()))  # so that `my_mission:fly` is found, as `python -m` would find it
     try:
         return _OK if options.run(options) else _FAILURE
@@ -85,7 +89,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="upwash",
         description="Runs a drone's heavy computations on the drone or on an edge server in reach.",
     )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(metavar="COMMAND")
     for command in _COMMANDS:
         command.add(commands)
     return parser

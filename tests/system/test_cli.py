@@ -234,6 +234,12 @@ def test_an_autopilot_that_is_not_there_is_a_failure(drone: Path) -> None:
     assert not [file.name for file in drone.parent.iterdir() if file.suffix == ".sock"]
 
 
+def test_without_a_command_the_commands_are_listed() -> None:
+    ended = upwash()
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert "fly a mission" in ended.stderr
+
+
 # --- a vehicle ----------------------------------------------------------------------------------------------
 
 
