@@ -106,7 +106,7 @@ def bundled_service(name: str) -> str:
     """The path of a bundled service's class; raises UsageError naming those that there are."""
     if name not in _SERVICES:
         raise UsageError(
-            f"service {name!r} needs a program, package.module:Class; without one only "
-            f"{', '.join(_SERVICES)} are known"
+            f"service {name!r} needs a program, path/to/file.py:Class or package.module:Class; "
+            f"bundled, and without one, there is only: {', '.join(_SERVICES)}"
         )
     return _SERVICES[name]

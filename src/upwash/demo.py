@@ -18,6 +18,7 @@ from upwash.real.credentials import keys_in, make_keys
 from upwash.running import ready_program, ready_vehicle
 from upwash.services import Detection
 from upwash.services.solar_park import TrueBox
+from upwash.terminal import counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,8 @@ def fly_demonstration(
         fly_with_progress(here, log=folder / "events.jsonl", live_port=live_port)
     score = score_photos(folder / "events.jsonl")
     console.print(
-        f"faulty modules: {score.found} of {score.true} found, {score.false} false alarms, in {score.photos} photos",
+        f"faulty modules: {score.found} of {score.true} found, "
+        f"{counted(score.false, 'false alarm')}, in {score.photos} photos",
         soft_wrap=True,
     )
 

@@ -22,13 +22,13 @@ def run(options: argparse.Namespace) -> bool:
     import asyncio
 
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from upwash.config import read_daemon_config
     from upwash.packaging.shipping import list_images
 
     offers = asyncio.run(list_images(read_daemon_config(options.config)))
-    table = Table("service", "program", "image", "made with", box=None)
+    table = Table("service", Column("program", overflow="fold"), "image", "made with", box=None)
     for offer in offers:
         table.add_row(offer.service, offer.program, offer.image, offer.made_with)
     Console(markup=False).print(table)
