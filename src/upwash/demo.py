@@ -14,11 +14,11 @@ from rich.console import Console
 
 from upwash.config import DroneConfig, read_drone_config
 from upwash.flying import fly_with_progress
+from upwash.narration import counted
 from upwash.real.credentials import keys_in, make_keys
 from upwash.running import ready_program, ready_vehicle
 from upwash.services import Detection
 from upwash.services.solar_park import TrueBox
-from upwash.terminal import counted
 
 
 @dataclass(frozen=True, slots=True)
