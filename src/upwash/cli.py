@@ -89,10 +89,21 @@ def _parser() -> argparse.ArgumentParser:
         prog="upwash",
         description="Runs a drone's heavy computations on the drone or on an edge server in reach.",
     )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
     commands = parser.add_subparsers(metavar="COMMAND")
     for command in _COMMANDS:
         command.add(commands)
     return parser
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when it is asked for: that takes longer than everything else here."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version
+
+        print(f"upwash {version('upwash')}")
+        parser.exit()
 
 
 def _complain(error: UpwashError, code: int) -> int:

@@ -36,7 +36,7 @@ from upwash.real.journal import FileJournal, JournalNotifier, Watcher, read_even
 from upwash.real.link import GrpcDialer
 from upwash.real.memory import peak_memory_bytes
 from upwash.real.runtime import ProcessRuntime, sockets_in
-from upwash.real.signals import stopping_politely
+from upwash.real.signals import outliving_the_terminal, stopping_politely
 from upwash.real.video import VideoCamera
 from upwash.resumption import waypoints_done
 from upwash.service import spec_of
@@ -123,6 +123,7 @@ async def fly(
         )
         await stack.enter_async_context(_tracking(autopilot, journal))
         stack.enter_context(stopping_politely(flight.stop))
+        stack.enter_context(outliving_the_terminal())
         await flight.run()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 from collections.abc import Callable, Mapping
 from contextlib import closing
@@ -81,6 +82,21 @@ def test_a_log_that_is_there_is_added_to(tmp_path: Path) -> None:
         "log_opened",
         "second",
     ]
+
+
+def test_a_watcher_that_fails_costs_no_event_and_no_other_watcher(tmp_path: Path) -> None:
+    seen: list[Mapping[str, Any]] = []
+
+    def print_to_a_closed_terminal(_: Mapping[str, Any]) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    journalled(
+        tmp_path / "log",
+        lambda journal: journal.record("landed", at="home"),
+        watchers=(print_to_a_closed_terminal, seen.append),
+    )
+    assert [event["event"] for event in read_events(tmp_path / "log")] == ["log_opened", "landed"]
+    assert [event["event"] for event in seen] == ["log_opened", "landed"]
 
 
 def test_watchers_see_what_is_written(tmp_path: Path) -> None:

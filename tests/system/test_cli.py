@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -87,6 +88,10 @@ def test_each_command_has_help(command: str) -> None:
     done = upwash(command, "--help")
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith(f"usage: upwash {command}")
+
+
+def test_the_version_is_the_installed_one() -> None:
+    assert upwash("--version").stdout == f"upwash {version('upwash')}\n"
 
 
 def test_the_installed_command_is_the_same() -> None:

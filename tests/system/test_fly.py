@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import logging
+import os
+import pty
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -162,6 +165,34 @@ def test_a_flight_that_fails_leaves_its_object_and_says_why(capsys: pytest.Captu
     assert said.endswith("upwash: the mission program raised ValueError: no idea\n")
     assert 'brief.py", line 9, in stumble' in said
     assert "upwash/" not in said
+
+
+SHORT = """
+def hop(drone):
+    drone.autopilot.arm()
+    drone.autopilot.takeoff(drone.altitude_m)
+    drone.autopilot.return_home_and_land()
+    print("said to nobody")
+"""
+
+
+@pytest.mark.flight
+@pytest.mark.usefixtures("fly")
+def test_a_flight_goes_on_when_its_terminal_is_closed() -> None:
+    Path("short.py").write_text(SHORT)
+    terminal, ours = pty.openpty()
+    with vehicle("--armable-after", "0", "--acceleration", "50") as connection:
+        command = ["fly", "short.py:hop", "--config", "drone.toml", "--autopilot", connection]
+        with subprocess.Popen(
+            [sys.executable, "-m", "upwash", *command, "--log", "log"], stdin=ours, stdout=ours, stderr=ours
+        ) as flight:
+            os.close(ours)
+            while b"returning home" not in os.read(terminal, 4096):
+                pass
+            os.close(terminal)
+            flight.send_signal(signal.SIGHUP)
+            assert flight.wait(60.0) == 0
+    assert "mission_completed" in Path("log").read_text()
 
 
 WATCHED = """

@@ -64,8 +64,21 @@ class FileJournal:
             self._failed = True
 
     def _append(self, entry: Mapping[str, Any]) -> None:
-        for watch in self._watchers:
+        try:
+            self._write(entry)
+        finally:
+            for watch in self._watchers:
+                self._show(watch, entry)
+
+    def _show(self, watch: Watcher, entry: Mapping[str, Any]) -> None:
+        """Has a watcher see an event; one that fails, as where its terminal is gone, sees no more of them."""
+        try:
             watch(entry)
+        except Exception as error:  # noqa: BLE001 - whatever it is, the flight goes on
+            self._watchers = tuple(each for each in self._watchers if each is not watch)
+            _log.error("what shows the flight has failed, and is told no more: %s", error)
+
+    def _write(self, entry: Mapping[str, Any]) -> None:
         try:
             line = msgspec.json.encode(entry)
         except UnicodeEncodeError:  # a file name, say, that is no text

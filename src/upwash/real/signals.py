@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import signal
 from collections.abc import Callable, Iterator
 
@@ -43,3 +44,18 @@ def on_hangup(do: Callable[[], None]) -> Iterator[None]:
         yield
     finally:
         loop.remove_signal_handler(signal.SIGHUP)
+
+
+@contextlib.contextmanager
+def outliving_the_terminal() -> Iterator[None]:
+    """A terminal that is closed ends nothing; what is printed to it from then on is lost."""
+    terminals = [handle for handle in (0, 1, 2) if os.isatty(handle)]
+
+    def let_go() -> None:
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for handle in terminals:
+            os.dup2(nowhere, handle)
+        os.close(nowhere)
+
+    with on_hangup(let_go):
+        yield
