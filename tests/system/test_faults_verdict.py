@@ -32,6 +32,8 @@ class Log:
             {"t": 0.0, "event": "mission_started", "policy": "location-aware", "waypoints": 17},
         ]
         self._t_s = 1.0
+        self._add("selected", server=place, before="AVL", after="CHECK", why="fastest in range")
+        self._add("found_running", server=place, before="CHECK", after="READY", why="")
         spotter = Spotter()
         for waypoint in waypoints(read_drone_config(SCENARIO).mission):
             self._add("arrived", waypoint=waypoint.index)

@@ -10,13 +10,12 @@ from pathlib import Path
 
 import grpc
 import pytest
-from tests.system.daemons import Daemon, config, daemon, guests, until
+from tests.system.daemons import config, daemon, until
 from tests.system.hostile import ATTACKS, attacked
 
-from upwash.errors import Unreachable
 from upwash.protocol import AVAILABILITY
 from upwash.real import credentials as module
-from upwash.real.credentials import Credentials, keys_in, make_keys, read_credentials
+from upwash.real.credentials import Credentials, keys_in, make_keys
 
 pytestmark = pytest.mark.system
 
@@ -93,19 +92,3 @@ def test_a_certificate_that_is_not_a_drones_is_refused_and_the_log_says_why(
             channel.unary_unary(AVAILABILITY)(b"", timeout=10.0)
         assert refusal.value.code() is grpc.StatusCode.UNAVAILABLE
         until(lambda: re.search(f"Handshake failed.*{reason}", said(tmp_path)) is not None)
-
-
-def test_a_drones_certificate_makes_no_server(tmp_path: Path, services: Path) -> None:
-    keys = tmp_path / "keys"
-    make_keys(keys, drones=["heron", "s1"])
-    text = config(keys).replace('\n[[server]]\nname = "s2"\n', "")
-
-    async def visit(at: Daemon) -> None:
-        files = keys_in(keys, "heron")
-        shown = read_credentials(files.authority, files.certificate, files.key)
-        async with guests(at, services, ("heron", shown, "s1")) as (heron,):
-            with pytest.raises(Unreachable, match="its certificate is of another authority"):
-                await heron.availability("workbench")
-
-    with daemon(tmp_path, text, names="s1") as at:
-        asyncio.run(visit(at))

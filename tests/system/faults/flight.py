@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import msgspec
 from tests.system.faults.crew import Daemon, DroneProgram
+from tests.system.faults.lateness import noting_lateness
 from tests.system.faults.plan import draw
 from tests.system.faults.strikes import Strike, Striker
 
@@ -76,21 +76,12 @@ async def main(seed: int, folder: Path) -> None:
             connection, positions[drone.name] = _vehicle(drone, folder, stack)
             file = drone_file(drone, field, folder, vehicle=connection)
             drones.append(DroneProgram(file, namespace=drone_namespace(drone.name)))
-        stack.enter_context(_noting_lateness(folder / LATENESS))
+        stack.enter_context(noting_lateness(folder / LATENESS))
         links = {link.server.name: link for link in field.links() if link.drone == names[0]}
         record = await _fly(
             seed, drones, Striker(drones[0], daemons, links), daemons, Mover(radio, positions)
         )
         (folder / RECORD).write_bytes(msgspec.json.encode(record))
-
-
-@contextlib.contextmanager
-def _noting_lateness(file: Path) -> Iterator[None]:
-    with subprocess.Popen([sys.executable, "-m", "tests.system.faults.lateness", str(file)]) as process:
-        try:
-            yield
-        finally:
-            process.kill()
 
 
 def _vehicle(

@@ -5,8 +5,11 @@ It only sleeps, with the priority of the flight's programs: whenever it wakes up
 
 from __future__ import annotations
 
+import contextlib
+import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 _PERIOD_S = 0.005
@@ -22,6 +25,16 @@ def main(file: Path) -> None:
             if late_s > _WORTH_NOTING_S:
                 now_s = time.time()
                 noted.write(f"{now_s - late_s} {now_s}\n")
+
+
+@contextlib.contextmanager
+def noting_lateness(file: Path) -> Iterator[None]:
+    """Notes it in a process of its own until the end of the block."""
+    with subprocess.Popen([sys.executable, "-m", "tests.system.faults.lateness", str(file)]) as process:
+        try:
+            yield
+        finally:
+            process.kill()
 
 
 def read_lateness(file: Path) -> list[tuple[float, float]]:
