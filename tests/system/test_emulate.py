@@ -44,9 +44,9 @@ EMULATED = Path(__file__).parent / "emulated"
 DEMONSTRATION = ROOT / "scenarios" / "demonstration.toml"
 
 
-@pytest.fixture(params=["table", "ns3"])
+@pytest.fixture(params=["table", pytest.param("ns3", marks=pytest.mark.xdist_group("ns3"))])
 def radio(request: pytest.FixtureRequest) -> str:
-    """Each kind of radio; ns-3's programs are built first, where it is installed."""
+    """Each kind of radio; ns-3's programs are built first, and run one at a time, as they hold each other up."""
     if request.param == "ns3":
         require_ns3()
     return str(request.param)
