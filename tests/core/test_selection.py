@@ -639,6 +639,21 @@ def test_a_failed_preparation_leaves_the_server_in_use_alone() -> None:
     assert machine.current is machine.servers["s1"]
 
 
+def test_a_server_that_is_no_longer_faster_than_the_drone_is_not_kept_until_the_next_is_ready() -> None:
+    machine = with_two_radios(s2_s=0.5)
+    machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH)
+    commands = [
+        command
+        for now_s in (24.0, 27.0, 30.0)
+        for command in machine.handle(LocalCallEnded(HEAVY, 3.0), now_s=now_s, position=UNDER_BOTH)
+    ]
+    assert written(commands) == ["s1 READY AVL-R", "leave s1"]
+    assert machine.is_checking(2)
+    decision, _ = machine.decide(HEAVY, now_s=30.5, position=UNDER_BOTH)
+    assert isinstance(decision, Wait)
+    assert decision.server == "s2"
+
+
 def test_both_are_left_at_the_end() -> None:
     machine = with_two_radios(s2_s=0.5)
     machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH)

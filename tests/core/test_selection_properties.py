@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, replace
 
+import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -375,7 +376,7 @@ class Flights(RuleBasedStateMachine):
         assert {name: server.state for name, server in self.selection.servers.items()} == self.states
 
 
-TestFlights = Flights.TestCase
+TestFlights = pytest.mark.timeout(900)(Flights.TestCase)  # a failure is made small for up to 300 s
 TestFlights.settings = settings(
     max_examples=500, stateful_step_count=50, deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )

@@ -285,12 +285,16 @@ class Selection:
         commands += self._announce(choice.coming, now_s)
 
     def _turn_to(self, server: Server, why: str, now_s: float) -> list[Command]:
-        """Uses the server from now on; with a spare radio from when it is ready, and the one before until then."""
+        """Uses the server from now on; with a spare radio from when it is ready, and the one before until then.
+
+        One that no call would go to any more is not kept: as the selected one the next can be waited for.
+        """
         current = self.current
         if current is None:
             return self._check(server, why, now_s)
         is_ready = server in self._selected and server.state is State.READY
-        if not is_ready and self._settings.radios > 1 and current.state is State.READY:
+        is_of_use = self.estimates.mean_call_s(current.name) < self.estimates.mean_call_s()
+        if not is_ready and is_of_use and self._settings.radios > 1 and current.state is State.READY:
             return self._prepare(server, why, now_s)
         commands = self._deselect(current, f"{server.name} {why}", now_s)
         return commands if server in self._selected else commands + self._check(server, why, now_s)
