@@ -55,11 +55,11 @@ def stream() -> Iterator[Stream]:
             left = stream.breaks_after
             while not ended.is_set() and left != 0:
                 if stream.flowing.wait(0.05):
-                    frame = np.full((48, 64, 3), (stream.sent + 1) * STEP % 250, np.uint8)
+                    stream.sent += 1  # before it is: the camera may be quicker than the next line
+                    frame = np.full((48, 64, 3), stream.sent * STEP % 250, np.uint8)
                     jpeg = cv2.imencode(".jpg", frame)[1].tobytes()
                     head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
                     self.wfile.write(head.encode() + jpeg + b"\r\n")
-                    stream.sent += 1
                     left = None if left is None else left - 1
                     ended.wait(1 / FRAMES_PER_S)
 
