@@ -28,7 +28,7 @@ from bench.call import REQUEST_BYTES, running
 from bench.echo import REPLY_BYTES, Echo
 from bench.results import leave
 from bench.servers import GRPC_PATH
-from tests.system.daemons import children
+from tests.system.daemons import children, memory_bytes
 
 from upwash.errors import LinkError
 from upwash.protocol import (
@@ -331,7 +331,7 @@ def _watch(process: int, held: list[Held], over: threading.Event) -> None:
         everything = [process, *_below(process)]
         now = Held(
             at_s=time.perf_counter() - began_s,
-            memory_mb=sum(map(_memory_bytes, everything)) / 1e6,
+            memory_mb=sum(map(memory_bytes, everything)) / 1e6,
             descriptors=sum(len(list(Path(f"/proc/{each}/fd").iterdir())) for each in everything),
         )
         held.append(now)
@@ -340,11 +340,6 @@ def _watch(process: int, held: list[Held], over: threading.Event) -> None:
 
 def _below(process: int) -> list[int]:
     return [each for child in children(process) for each in (child, *_below(child))]
-
-
-def _memory_bytes(process: int) -> int:
-    status = Path(f"/proc/{process}/status").read_text()
-    return next(int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith("VmRSS:"))
 
 
 # --- what is printed ----------------------------------------------------------------------------------------

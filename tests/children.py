@@ -1,4 +1,4 @@
-"""What a test left running, or as a zombie, of the service instances that it started."""
+"""Which processes run, and what a test left running, or as a zombie, of the instances that it started."""
 
 from __future__ import annotations
 
@@ -9,6 +9,11 @@ from pathlib import Path
 def expect_no_child() -> None:
     """Neither an instance nor a zombie is a child of this process; others may be, as other tests start pools."""
     assert [child for child in _children() if _is_left_over(child)] == []
+
+
+def is_alive(process_id: int) -> bool:
+    """Whether it runs: neither gone nor a zombie."""
+    return _stat(Path("/proc", str(process_id)))[:1] not in ([], ["Z"], ["X"])
 
 
 def _children() -> list[Path]:

@@ -11,7 +11,10 @@ from tests.engines import Kind, OwnEngine, own_engine, why_not
 from tests.system.fake_networkmanager import bus_daemon
 from tests.system.radios import Field, field_below
 
+from upwash.cli import main
 from upwash.real.credentials import Credentials, make_keys, read_credentials
+
+SCENARIOS = Path(__file__).parents[1] / "scenarios"
 
 # A busy machine breaks nothing.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -52,6 +55,16 @@ def credentials(keys: Path) -> Callable[[str], Credentials]:
 def services() -> Path:
     """The file of the services that tests start in processes of their own."""
     return Path(__file__).parent / "services_for_tests.py"
+
+
+@pytest.fixture(scope="session")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The log of the thesis's mission, and of the same without offloading."""
+    folder = tmp_path_factory.mktemp("logs")
+    thesis = str(SCENARIOS / "thesis.toml")
+    assert main(["simulate", thesis, "--log", str(folder / "with.jsonl")]) == 0
+    assert main(["simulate", thesis, "--policy", "local-only", "--log", str(folder / "without.jsonl")]) == 0
+    return folder / "with.jsonl", folder / "without.jsonl"
 
 
 @pytest.fixture(scope="session")

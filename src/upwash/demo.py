@@ -32,7 +32,7 @@ class Score:
 
 
 def fly_demonstration(
-    folder: Path, *, runtime: str = "", policy: str = "", live_port: int | None = None
+    folder: Path, *, runtime: str = "", policy: str | None = None, live_port: int | None = None
 ) -> None:
     """Flies it with everything below `folder`; whatever it started is gone when it returns or raises.
 

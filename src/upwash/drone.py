@@ -218,10 +218,10 @@ class Pilot:
         self._record(event)
 
     def _record(self, event: str, **facts: object) -> None:
-        self._journal.record(event, **facts, position=_rounded(self._autopilot.position))
+        self._journal.record(event, **facts, position=rounded(self._autopilot.position))
 
 
-def _rounded(position: Position) -> dict[str, float]:
+def rounded(position: Position) -> dict[str, float]:
     """To the centimetre."""
     return {name: round(metres, 2) for name, metres in asdict(position).items()}
 
@@ -250,7 +250,7 @@ class Photographer:
             source=photo.source,
             bytes=len(photo.jpeg),
             age_s=round(asyncio.get_running_loop().time() - photo.captured_s, 6),
-            position=_rounded(at),
+            position=rounded(at),
             **truth,
         )
         return photo.jpeg

@@ -23,7 +23,7 @@ from upwash.config import (
     server_truth,
 )
 from upwash.core.geo import GeoPosition, LocalFrame
-from upwash.drone import Flight, World
+from upwash.drone import Flight, World, rounded
 from upwash.errors import CredentialsError, Unreachable, UsageError
 from upwash.loading import extra
 from upwash.ports import Autopilot, Camera, InstanceSpec, Journal, Network
@@ -238,13 +238,7 @@ async def _tracking(autopilot: Autopilot, journal: Journal) -> AsyncIterator[Non
 
     async def track() -> None:
         while True:
-            position = autopilot.position
-            journal.record(
-                "position",
-                east_m=round(position.east_m, 2),
-                north_m=round(position.north_m, 2),
-                altitude_m=round(position.altitude_m, 2),
-            )
+            journal.record("position", **rounded(autopilot.position))
             await asyncio.sleep(_TRACK_PERIOD_S)
 
     task = asyncio.create_task(track())

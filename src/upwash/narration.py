@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -11,6 +12,20 @@ from upwash.core.servers import State
 
 _SAFE_ENDS = {"return": "returning to land", "land": "landing where it is", "hold": "stopping to hover"}
 LEFT_HOVERING = "The vehicle hovers where it is, and nobody flies it now: take over with the remote control."
+
+
+def spans(indices: Sequence[int]) -> str:
+    """Ascending numbers as a person writes them: "0-4, 7"."""
+    stretches = []
+    for _, stretch in itertools.groupby(enumerate(indices), key=lambda each: each[1] - each[0]):
+        members = [index for _, index in stretch]
+        stretches.append(str(members[0]) if len(members) == 1 else f"{members[0]}-{members[-1]}")
+    return ", ".join(stretches)
+
+
+def ran_on(place: str) -> str:
+    """Where a call ran, as a sentence says it."""
+    return "on the drone" if place == "local" else f"on {place}"
 
 
 def counted(number: int, noun: str) -> str:
@@ -133,10 +148,10 @@ def _failure(event: Mapping[str, Any]) -> Said | None:
 
 
 def _call(event: Mapping[str, Any], doing: str) -> Said:
-    place = "on the drone" if event["place"] == "local" else f"on {event['place']}"
     waited = f" after waiting {event['waited_s']:.1f} s" if event["wait"] else ""
     return Said(
-        f"{doing}: {event['operation']} {place}, {event['delay_s']:.2f} s{waited} ({event['decision']})",
+        f"{doing}: {event['operation']} {ran_on(event['place'])}, {event['delay_s']:.2f} s{waited} "
+        f"({event['decision']})",
         Tone.PLAIN if event["place"] == "local" else Tone.REMOTE,
     )
 

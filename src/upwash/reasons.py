@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from upwash.core.servers import Event
+from upwash.narration import ran_on
 from upwash.results import last_run
 
 _TOLD = {Event.SELECTED, Event.CHECK_FAILED, Event.CALL_FAILED_IN_RANGE, Event.CALL_FAILED_OUT_OF_RANGE}
@@ -115,8 +116,3 @@ def _verdict(decision: Mapping[str, Any]) -> str:
             return f"wait for {decision['server']}, for at most {decision['at_most_s']:.1f} s"
         case _:
             return "run on the drone"
-
-
-def ran_on(place: str) -> str:
-    """Where a call ran, as a sentence says it."""
-    return "on the drone" if place == "local" else f"on {place}"

@@ -231,18 +231,16 @@ def _credentials(config: DaemonConfig) -> Credentials | None:
     if config.keys is None:
         return None
     credentials = read_credentials(config.keys.authority, config.keys.certificate, config.keys.key)
+    names = ",".join(identity.name for identity in config.identities)
+    remedy = f"make one with `upwash keys DIR --server {names}`"
     for identity in config.identities:
         if identity.name not in credentials.names:
             raise CredentialsError(
                 f"the certificate is for {', '.join(credentials.names)}, but this daemon acts as "
-                f"{identity.name}: make one with `upwash keys DIR --server "
-                f"{','.join(each.name for each in config.identities)}`"
+                f"{identity.name}: {remedy}"
             )
     if not credentials.is_for("serving") or (config.peers and not credentials.is_for("calling")):
-        raise CredentialsError(
-            f"{config.keys.certificate}: not a certificate for a daemon: make one with `upwash keys DIR --server "
-            f"{','.join(each.name for each in config.identities)}`"
-        )
+        raise CredentialsError(f"{config.keys.certificate}: not a certificate for a daemon: {remedy}")
     return None if config.listen.startswith("unix:") else credentials
 
 

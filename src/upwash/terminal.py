@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from types import TracebackType
 from typing import Any
 
@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.config import DroneConfig
-from upwash.narration import LEFT_HOVERING, Narrator, Tone, counted
+from upwash.narration import LEFT_HOVERING, Narrator, Tone, counted, spans
 from upwash.results import RunResult
 
 _RECENT = 10
@@ -103,20 +103,11 @@ def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
 
 
 def _print_waypoints(result: RunResult, console: Console) -> None:
-    undone = f", left undone: {_ranges(result.undone)}" if result.undone else ""
+    undone = f", left undone: {spans(result.undone)}" if result.undone else ""
     reached = result.waypoints - len(result.undone)
     console.print(f"{reached} of {result.waypoints} waypoints reached{undone}", soft_wrap=True)
     if result.left_hovering:
         console.print(Text(LEFT_HOVERING, style="bold red"), soft_wrap=True)
-
-
-def _ranges(numbers: Sequence[int]) -> str:
-    """Ascending numbers, those that follow each other as one range: 3, 7-11."""
-    starts = [number for number in numbers if number - 1 not in numbers]
-    ends = [number for number in numbers if number + 1 not in numbers]
-    return ", ".join(
-        f"{start}" if start == end else f"{start}-{end}" for start, end in zip(starts, ends, strict=True)
-    )
 
 
 def _print_calls(result: RunResult, console: Console) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.children import expect_no_child
+from tests.children import expect_no_child, is_alive
 
 from upwash.errors import InstanceError, Refused, Unreachable
 from upwash.ports import InstanceSpec, Program
@@ -102,14 +102,6 @@ def with_bench(
             await use(bench)
 
     asyncio.run(run())
-
-
-def is_alive(process_id: int) -> bool:
-    try:
-        status = Path(f"/proc/{process_id}/stat").read_text()
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-    return status.rpartition(")")[2].split()[0] not in "ZX"
 
 
 def gone(*process_ids: int) -> bool:

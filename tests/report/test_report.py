@@ -35,16 +35,6 @@ CALL = {
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """The log of the thesis's mission, and of the same without offloading."""
-    folder = tmp_path_factory.mktemp("logs")
-    thesis = str(SCENARIOS / "thesis.toml")
-    assert main(["simulate", thesis, "--log", str(folder / "with.jsonl")]) == 0
-    assert main(["simulate", thesis, "--policy", "local-only", "--log", str(folder / "without.jsonl")]) == 0
-    return folder / "with.jsonl", folder / "without.jsonl"
-
-
-@pytest.fixture(scope="module")
 def records(logs: Sequence[Path]) -> list[Record]:
     return read_records(logs)
 

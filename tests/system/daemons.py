@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
+from tests.children import is_alive
 
 from upwash.protocol import (
     AVAILABILITY,
@@ -134,12 +135,10 @@ def children(process_id: int) -> list[int]:
     return found
 
 
-def is_alive(process_id: int) -> bool:
-    try:
-        status = Path(f"/proc/{process_id}/stat").read_text()
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-    return status.rpartition(")")[2].split()[0] not in "ZX"
+def memory_bytes(process_id: int, what: str = "VmRSS") -> int:
+    """What of its memory is resident, or was at most (VmHWM)."""
+    status = Path(f"/proc/{process_id}/status").read_text()
+    return next(int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith(f"{what}:"))
 
 
 def until(true: Callable[[], bool]) -> None:

@@ -22,7 +22,7 @@ from statistics import median
 
 import grpc
 from bench.results import leave
-from tests.system.daemons import Daemon, Guest, config, daemon, guests
+from tests.system.daemons import Daemon, Guest, config, daemon, guests, memory_bytes
 
 from upwash.protocol import AVAILABILITY, service_path
 from upwash.real.credentials import Credentials, keys_in, make_keys, read_credentials
@@ -261,7 +261,7 @@ async def attacked(at: Daemon, keys: Path, services: Path, attack: Attack, *, ca
         await _served(heron, endpoint, calls)  # what is allocated once
         usual_s = await _served(heron, endpoint, calls)
         processes = [at.process.pid, *at.instances()]
-        before_bytes = sum(_memory_bytes(process, "VmRSS") for process in processes)
+        before_bytes = sum(memory_bytes(process, "VmRSS") for process in processes)
         attacking = attack(target)
         await asyncio.to_thread(attacking.__enter__)
         try:
@@ -269,7 +269,7 @@ async def attacked(at: Daemon, keys: Path, services: Path, attack: Attack, *, ca
         finally:
             await asyncio.to_thread(attacking.__exit__, None, None, None)
         usual_s += await _served(heron, endpoint, calls)
-        peak_bytes = sum(_memory_bytes(process, "VmHWM") for process in processes)
+        peak_bytes = sum(memory_bytes(process, "VmHWM") for process in processes)
         return Outcome(median(usual_s), median(attacked_s), peak_bytes - before_bytes)
 
 
@@ -282,11 +282,6 @@ async def _served(drone: Guest, endpoint: str, calls: int) -> list[float]:
         assert await drone.call(endpoint, "echo", PHOTO) == PHOTO
         delays_s.append(time.perf_counter() - began_s)
     return delays_s
-
-
-def _memory_bytes(process: int, what: str) -> int:
-    status = Path(f"/proc/{process}/status").read_text()
-    return next(int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith(f"{what}:"))
 
 
 def _port(address: str) -> int:

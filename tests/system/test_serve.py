@@ -17,6 +17,7 @@ from pathlib import Path
 import grpc
 import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
+from tests.children import is_alive
 from tests.system.daemons import (
     Daemon,
     children,
@@ -24,7 +25,6 @@ from tests.system.daemons import (
     daemon,
     eventually,
     guests,
-    is_alive,
     started,
     until,
 )

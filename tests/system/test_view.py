@@ -17,7 +17,6 @@ import pytest
 from selenium.webdriver.common.keys import Keys
 from tests.system.browser import Browser, browser, why_not
 
-from upwash.cli import main
 from upwash.flying import read_log
 from upwash.report.record import Record, read_records
 from upwash.running import ready_program
@@ -37,16 +36,6 @@ HOSTILE = "</title><img src=x onerror=alert(1)><script>alert(1)</script>"
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     with browser(tmp_path_factory.mktemp("chromium")) as opened:
         yield opened
-
-
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """The log of the thesis's mission, and of the same without offloading."""
-    folder = tmp_path_factory.mktemp("logs")
-    thesis = str(SCENARIOS / "thesis.toml")
-    assert main(["simulate", thesis, "--log", str(folder / "with.jsonl")]) == 0
-    assert main(["simulate", thesis, "--policy", "local-only", "--log", str(folder / "without.jsonl")]) == 0
-    return folder / "with.jsonl", folder / "without.jsonl"
 
 
 @pytest.fixture(scope="module")

@@ -45,6 +45,15 @@ def port(text: str) -> int:
     return int(text)
 
 
+def add_policy(parser: argparse.ArgumentParser, *, instead_of: str) -> None:
+    """Adds the option that flies by another policy."""
+    parser.add_argument(
+        "--policy",
+        choices=("local-only", "opportunistic", "location-aware", "look-ahead"),
+        help=f"instead of {instead_of}",
+    )
+
+
 def add_live(parser: argparse.ArgumentParser) -> None:
     """Adds the option that shows a flight on a page while it lasts."""
     parser.add_argument(

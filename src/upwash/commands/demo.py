@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.commands.arguments import add_live, new_run_folder
+from upwash.commands.arguments import add_live, add_policy, new_run_folder
 
 if TYPE_CHECKING:
     from upwash.commands.arguments import Commands
@@ -20,12 +20,7 @@ def add(commands: Commands) -> None:
     demo.add_argument(
         "--runtime", type=Path, metavar="FILE", help="a table [runtime] for both daemons, such as containers"
     )
-    demo.add_argument(
-        "--policy",
-        choices=("local-only", "opportunistic", "location-aware", "look-ahead"),
-        default="",
-        help="instead of the demonstration's",
-    )
+    add_policy(demo, instead_of="the demonstration's")
     add_live(demo)
     demo.set_defaults(run=run)
 

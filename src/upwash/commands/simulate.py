@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from upwash.commands.arguments import add_policy
+
 if TYPE_CHECKING:
     from upwash.commands.arguments import Commands
 
@@ -14,11 +16,7 @@ def add(commands: Commands) -> None:
     """Adds the command."""
     simulate = commands.add_parser("simulate", help="simulate one mission on virtual time")
     simulate.add_argument("scenario", type=Path, help="the scenario, a TOML file")
-    simulate.add_argument(
-        "--policy",
-        choices=("local-only", "opportunistic", "location-aware", "look-ahead"),
-        help="instead of the scenario's",
-    )
+    add_policy(simulate, instead_of="the scenario's")
     simulate.add_argument("--seed", type=int, metavar="N", help="instead of the scenario's")
     simulate.add_argument("--json", action="store_true", help="print the result as one JSON object")
     simulate.add_argument(

@@ -55,6 +55,17 @@ class Circle:
         """Whether the position lies within the circle, its border included."""
         return ground_distance_m(self.centre, position) <= self.radius_m
 
+    def corners(self, sides: int) -> list[Position]:
+        """The corners of a polygon on its border, anticlockwise from the east."""
+        angles = [math.tau * side / sides for side in range(sides)]
+        return [
+            Position(
+                self.centre.east_m + self.radius_m * math.cos(angle),
+                self.centre.north_m + self.radius_m * math.sin(angle),
+            )
+            for angle in angles
+        ]
+
 
 @dataclass(frozen=True, slots=True)
 class LocalFrame:

@@ -11,7 +11,6 @@ from pathlib import Path
 from upwash.config import DroneConfig
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.emulation.computers import Computers, NamespaceComputers
-from upwash.emulation.containers import ContainerComputers
 from upwash.emulation.field import Field, Radio, drone_namespace
 from upwash.emulation.ghosts import GhostRadio
 from upwash.emulation.mover import Mover
@@ -51,6 +50,8 @@ def _make_computers(kind: ComputerKind, folder: Path) -> Computers:
     """What makes computers of that kind."""
     if kind == "namespaces":
         return NamespaceComputers()
+    from upwash.emulation.containers import ContainerComputers
+
     _say("starting a container engine")
     return ContainerComputers(folder)
 

@@ -20,7 +20,7 @@ class Mover:
         self._positions = positions
 
     async def run(self) -> None:
-        """Moves them until cancelled; raises NetworkError where the radio has failed."""
+        """Moves them until cancelled; raises UpwashError where the radio has failed."""
         loop = asyncio.get_running_loop()
         due_s = loop.time()
         while True:

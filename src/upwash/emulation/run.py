@@ -8,7 +8,6 @@ import msgspec
 from rich.console import Console
 
 from upwash.config import read_drone_config
-from upwash.emulation.containers import require_containers
 from upwash.emulation.enclosure import run_enclosed
 from upwash.emulation.native import native_program, wifi_of
 from upwash.emulation.order import Order, left_out
@@ -27,6 +26,8 @@ def run_emulation(order: Order) -> bool:
         for server in configs[0].servers:
             wifi_of(server)
     if order.computers == "containers":
+        from upwash.emulation.containers import require_containers
+
         require_containers()
     for file in order.scenarios:
         if missing := left_out(read_drone_config(file)):

@@ -13,7 +13,8 @@ from upwash.errors import UsageError
 from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run, simulate
 from upwash.lab.simulation import read_scenario
-from upwash.reasons import explained_calls, ran_on, told
+from upwash.narration import ran_on
+from upwash.reasons import explained_calls, told
 from upwash.results import CallResult, read_result
 
 

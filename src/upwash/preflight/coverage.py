@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 
 from msgspec import Struct
@@ -46,12 +45,3 @@ def coverage(
 def uncovered(waypoints: int, covered: Sequence[Coverage]) -> tuple[int, ...]:
     """The waypoints in nobody's range."""
     return tuple(sorted(set(range(waypoints)).difference(*(each.waypoints for each in covered))))
-
-
-def spans(indices: Sequence[int]) -> str:
-    """Ascending numbers as a person writes them: "0-4, 7"."""
-    stretches = []
-    for _, stretch in itertools.groupby(enumerate(indices), key=lambda each: each[1] - each[0]):
-        members = [index for _, index in stretch]
-        stretches.append(str(members[0]) if len(members) == 1 else f"{members[0]}-{members[-1]}")
-    return ", ".join(stretches)

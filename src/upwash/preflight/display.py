@@ -15,10 +15,10 @@ from rich.text import Text
 
 from upwash.config import DroneConfig, drone_config
 from upwash.lab.campaign import Fly
-from upwash.narration import counted
+from upwash.narration import counted, spans
 from upwash.preflight.check import Check, check, missions_to_fly, read_plan
 from upwash.preflight.concerns import is_for_flight
-from upwash.preflight.coverage import Coverage, spans
+from upwash.preflight.coverage import Coverage
 from upwash.preflight.placement import Place, missions_to_place, place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, is_noisy
 

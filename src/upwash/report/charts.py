@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 
 from upwash.core.servers import CHECKING, State
+from upwash.narration import ran_on
 from upwash.report.markup import Markup, element, joined
 from upwash.report.places import Places, name_of
 from upwash.report.record import Call, Record, Stretch
@@ -14,6 +15,7 @@ from upwash.results import mean_local_delay_s
 _WIDTH, _LEFT, _RIGHT = 760.0, 48.0, 16.0
 _TOP, _HEIGHT, _BOTTOM = 16.0, 260.0, 44.0
 _ROW, _BAR = 34.0, 20.0
+IDLE_HEIGHTS = {State.AVL: 3.0, State.AVL_R: 8.0}  # shape as well as colour: idle states are thin
 _WIDE_ENOUGH_FOR_TEXT = 46.0
 _NARROWEST = 0.5
 
@@ -121,8 +123,7 @@ def in_short(call: Call) -> str:
     result = call.result
     where = "before the first waypoint" if result.waypoint is None else f"waypoint {result.waypoint}"
     waited = f", {result.waited_s:.2f} s of it waited" if call.wait else ""
-    place = "the drone" if result.place == "local" else result.place
-    return f"{where}: {result.operation} on {place}, {result.delay_s:.2f} s{waited}"
+    return f"{where}: {result.operation} {ran_on(result.place)}, {result.delay_s:.2f} s{waited}"
 
 
 def _delays_in_words(record: Record) -> str:
@@ -130,7 +131,7 @@ def _delays_in_words(record: Record) -> str:
     for call in record.result.calls:
         delays.setdefault(call.place, []).append(call.delay_s)
     told = [
-        f"{len(values)} on {'the drone' if place == 'local' else place}, "
+        f"{len(values)} {ran_on(place)}, "
         f"{min(values):.2f} to {max(values):.2f} s, {sum(values) / len(values):.2f} s on average"
         for place, values in sorted(delays.items())
     ]
@@ -178,13 +179,12 @@ def _draw_stretch(stretch: Stretch, x: Callable[[float], float], top: float) -> 
     start, width = x(stretch.from_s), max(_NARROWEST, x(stretch.to_s) - x(stretch.from_s))
     why = f" ({stretch.why})" if stretch.why else ""
     about = element("title", f"{stretch.state} from {stretch.from_s:.1f} to {stretch.to_s:.1f} s{why}")
-    thin = stretch.state in {State.AVL, State.AVL_R}  # shape as well as colour: idle states are thin
-    height = {State.AVL: 3.0, State.AVL_R: 8.0}.get(stretch.state, _BAR)
+    height = IDLE_HEIGHTS.get(stretch.state, _BAR)
     bar = element(
         "rect", about, x=start, y=top + (_BAR - height) / 2, width=width, height=height,
         class_=f"state {state_style(stretch.state)}",
     )  # fmt: skip
-    if thin or width < _WIDE_ENOUGH_FOR_TEXT + 4 * len(stretch.state):
+    if stretch.state in IDLE_HEIGHTS or width < _WIDE_ENOUGH_FOR_TEXT + 4 * len(stretch.state):
         return bar
     return joined(bar, label(stretch.state, start + width / 2, top + 14, style="in-bar"))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -104,12 +103,5 @@ def _degrees(frame: LocalFrame, place: Position) -> list[float]:
 
 def _ring(frame: LocalFrame, area: Circle) -> list[list[float]]:
     """The circle as a closed ring, anticlockwise."""
-    angles = [math.tau * side / _SIDES for side in range(_SIDES)]
-    corners = [
-        Position(
-            area.centre.east_m + area.radius_m * math.cos(angle),
-            area.centre.north_m + area.radius_m * math.sin(angle),
-        )
-        for angle in angles
-    ]
+    corners = area.corners(_SIDES)
     return [_degrees(frame, corner) for corner in (*corners, corners[0])]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from importlib.resources import files
 
-from upwash.core.servers import CHECKING, State
+from upwash.core.servers import CHECKING
 from upwash.narration import MEANINGS
 from upwash.report import tables
-from upwash.report.charts import draw_call_delays, draw_timeline, in_short, state_style
+from upwash.report.charts import IDLE_HEIGHTS, draw_call_delays, draw_timeline, in_short, state_style
 from upwash.report.map import draw_map, view_of
 from upwash.report.markup import Markup, element, joined
 from upwash.report.places import Places
@@ -50,19 +50,19 @@ def _sections(records: Sequence[Record]) -> list[Markup]:
     def delays(record: Record) -> Markup:
         chart = draw_call_delays(record, places, longest_s=longest_call_s, last_waypoint=last_waypoint)
         return joined(
-            _scrolled(chart, f"Chart of call delays, {record.name}"),
+            tables.scrolled(chart, f"Chart of call delays, {record.name}"),
             tables.folded("The calls as a table", tables.calls(record)),
         )
 
     def seen_from_above(record: Record) -> Markup:
         return joined(
-            _scrolled(draw_map(record, places, view), f"Map, {record.name}", style="scroll map"),
+            tables.scrolled(draw_map(record, places, view), f"Map, {record.name}", style="scroll map"),
             tables.folded("The map as tables", tables.map_places(record), tables.waypoints(record)),
         )
 
     def timeline(record: Record) -> Markup:
         return joined(
-            _scrolled(
+            tables.scrolled(
                 draw_timeline(record, places, longest_s=longest_s), f"Servers over time, {record.name}"
             ),
             tables.folded("The states as tables", tables.states(record), tables.steps(record)),
@@ -112,11 +112,6 @@ def _section(
     return element("section", element("h2", heading), *before, element("div", *runs, class_="runs"))
 
 
-def _scrolled(content: Markup, name: str, *, style: str = "scroll") -> Markup:
-    """A region that scrolls by itself on narrow screens, by keyboard too."""
-    return element("div", content, class_=style, tabindex="0", role="region", aria_label=name)
-
-
 def _note(text: str) -> Markup:
     return element("p", text, class_="note")
 
@@ -156,10 +151,9 @@ def _against_reference(record: Record, records: Sequence[Record]) -> str:
 
 
 def _states_legend() -> Markup:
-    heights = {State.AVL: 3, State.AVL_R: 8}
     entries = []
     for state, meaning in MEANINGS.items():
-        height = heights.get(state, 14)
+        height = IDLE_HEIGHTS.get(state, 14.0)
         bar = element(
             "rect", x=1, y=8 - height / 2, width=22, height=height, class_=f"state {state_style(state)}"
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 
 from upwash.core.geo import Circle, Position
@@ -86,13 +85,7 @@ def _plan(record: Record, time: Time) -> SceneEntity:
 
 def _range(server: str, area: Circle, stretch: Stretch, time: Time) -> SceneEntity:
     colour = _STATES[stretch.state]
-    border = [
-        Vector3(
-            area.centre.east_m + area.radius_m * math.cos(math.tau * side / _SIDES),
-            area.centre.north_m + area.radius_m * math.sin(math.tau * side / _SIDES),
-        )
-        for side in range(_SIDES)
-    ]
+    border = [vector(corner) for corner in area.corners(_SIDES)]
     return SceneEntity(
         time,
         FRAME,

@@ -22,19 +22,18 @@ def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> 
         )
         for row in rows
     ]
-    return element(
-        "div",
-        element(
-            "table",
-            element("caption", caption),
-            element("thead", element("tr", *(element("th", head, scope="col") for head in heads))),
-            element("tbody", *body) if body else "",
-        ),
-        class_="scroll",
-        tabindex="0",
-        role="region",
-        aria_label=caption,
+    whole = element(
+        "table",
+        element("caption", caption),
+        element("thead", element("tr", *(element("th", head, scope="col") for head in heads))),
+        element("tbody", *body) if body else "",
     )
+    return scrolled(whole, caption)
+
+
+def scrolled(content: Markup, name: str, *, style: str = "scroll") -> Markup:
+    """A region that scrolls by itself on narrow screens, by keyboard too."""
+    return element("div", content, class_=style, tabindex="0", role="region", aria_label=name)
 
 
 def folded(summary: str, *content: Markup) -> Markup:

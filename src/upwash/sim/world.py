@@ -40,7 +40,11 @@ class Radio:
         position: Callable[[], Position],
     ) -> None:
         self._areas = areas
-        self._truths = truths
+        self._goodputs = {
+            (server, service.name): goodput_of(truth, service.name)
+            for server, truth in truths.items()
+            for service in services
+        }
         self._services = {f"/upwash.service.{service.name}/": service for service in services}
         self._faults = faults
         self._position = position
@@ -66,10 +70,8 @@ class Radio:
         if fault is not None and fault.kind == "slow":
             await asyncio.sleep(fault.extra_s / 2)
         service = self._services.get(path[: path.rfind("/") + 1])
-        if service is None:
-            return
-        goodput = goodput_of(self._truths[server], service.name)
-        if goodput is None:
+        goodput = self._goodputs[server, service.name] if service else None
+        if service is None or goodput is None:
             return
         distance_m = ground_distance_m(self._position(), self._areas[server].centre)
         data_bytes = service.reply_bytes if reply else service.request_bytes

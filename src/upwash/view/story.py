@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from upwash.core.geo import GeoPosition, LocalFrame, Position
+from upwash.core.geo import LocalFrame, Position
 from upwash.core.servers import CHECKING, State
 from upwash.narration import MEANINGS, Narrator, in_one_line, tone_of
 from upwash.reasons import ExplainedCall, Reasons, told, told_decision
@@ -124,7 +124,7 @@ class Story:
                 for name, area in sorted(plan.ranges.items())
             },
             home=(home.latitude_deg, home.longitude_deg) if home else None,
-            metres_per_degree=_metres_per_degree(home) if home else None,
+            metres_per_degree=LocalFrame(home).metres_per_degree() if home else None,
         )
 
     # --- servers and calls ------------------------------------------------------------------------------------
@@ -178,7 +178,3 @@ def _outlines(message: object) -> list[Outline] | None:
         return msgspec.convert(message, list[Outline])
     except msgspec.ValidationError:
         return None
-
-
-def _metres_per_degree(home: GeoPosition) -> tuple[float, float]:
-    return LocalFrame(home).metres_per_degree()

@@ -10,9 +10,9 @@ What = Literal["dark", "down", "loss", "kill", "freeze", "restart", "garbage", "
 Target = Literal["link", "daemon", "instance", "onboard", "drone"]
 Moment = Literal["call", "check", "between", "onboard call"]
 
-BLACK_OUTS_S = (1.0, 5.0, 30.0)
+LONG_S = 30.0
+BLACK_OUTS_S = (1.0, 5.0, LONG_S)
 LOSSES_PERCENT = (1, 5, 20)
-_LONG_S = 30.0
 _DELAY_S = 0.4  # about as long as a call to a server takes, or a check
 
 
@@ -55,7 +55,7 @@ def draw(seed: int) -> tuple[Fault, ...]:
         _of_a_process(chance, "s1", after_waypoint=1),
         black_out,
         _of_a_peer(chance, seed),
-        *([] if lasts_s == _LONG_S else [_of_a_process(chance, "s1", after_waypoint=7)]),
+        *([] if lasts_s == LONG_S else [_of_a_process(chance, "s1", after_waypoint=7)]),
         _of_a_process(chance, "s2", after_waypoint=12),
     )
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 from tests.system.faults.crew import Daemon, DroneProgram
-from tests.system.faults.plan import Fault, Moment
+from tests.system.faults.plan import LONG_S, Fault, Moment
 
 from upwash.emulation.field import Link
 from upwash.emulation.namespaces import End, inside
@@ -24,7 +24,6 @@ _LOOK_S = 0.005
 _MOMENT_WITHIN_S = 8.0  # or it happens between two moments
 _BACK_WITHIN_S = 3.0  # calls, at the server, when a link is there again
 _BACK_AFTER_LONG_S = 5.0
-_LONG_S = 30.0
 _SEEN_S = 3.0  # the drone's calls are watched for so long beyond that
 
 
@@ -45,7 +44,7 @@ class Strike(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def back_s(self) -> float:
         """From when on calls must be answered by the server again, after a black-out."""
-        return self.to_s + (_BACK_AFTER_LONG_S if self.to_s - self.from_s >= _LONG_S else _BACK_WITHIN_S)
+        return self.to_s + (_BACK_AFTER_LONG_S if self.to_s - self.from_s >= LONG_S else _BACK_WITHIN_S)
 
 
 class Log:

@@ -19,6 +19,7 @@ from tests.system.faults.strikes import Strike
 from upwash.config import DroneConfig, read_drone_config, server_area, server_truth, waypoints
 from upwash.core.geo import Position
 from upwash.core.instances import HostSettings
+from upwash.core.servers import SELECTED
 from upwash.lab import promises
 from upwash.lab.promises import Promise, calls_of
 from upwash.lab.run import Run
@@ -323,4 +324,4 @@ def _served_two(server: str, record: Record, flown: Sequence[Flown]) -> Iterator
 def _what(event: Fact) -> str:
     if event["event"] == "call":
         return "answered"
-    return "left" if "before" in event and event["after"] not in ("CHECK", "CHECK-R", "READY") else ""
+    return "left" if "before" in event and event["after"] not in SELECTED else ""

@@ -24,11 +24,7 @@ export class DelayChart {
     this.over.addEventListener("pointermove", (event) => this.#point(event));
     this.over.addEventListener("pointerleave", () => this.#pointAt(null));
     this.over.addEventListener("click", () => this.#pointed && picked(this.#pointed));
-    this.resized = new ResizeObserver(() => {
-      this.#scale = "";
-      if (this.moment) this.show(this.moment, this.limits);
-    });
-    this.resized.observe(this.element);
+    new ResizeObserver(() => this.restyle()).observe(this.element);
   }
 
   restyle() {
