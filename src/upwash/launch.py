@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import tempfile
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
@@ -49,7 +48,6 @@ from upwash.visit import Contact
 if TYPE_CHECKING:
     from upwash.real.survey import Finding
 
-_log = logging.getLogger("upwash.launch")
 _MAX_MESSAGE_BYTES = 16 * 2**20
 _TRACK_PERIOD_S = 1.0
 _STATUS_S = 10.0
@@ -135,8 +133,7 @@ async def _metrics(config: DroneConfig, stack: contextlib.AsyncExitStack) -> tup
         from upwash.metrics.drone import DroneMetrics
         from upwash.metrics.exposition import exposed
     metrics = DroneMetrics([server.name for server in config.servers])
-    address = await stack.enter_async_context(exposed(metrics.registry, config.metrics))
-    _log.info("metrics at http://%s/metrics", address)
+    await stack.enter_async_context(exposed(metrics.registry, config.metrics))
     return (metrics.follow,)
 
 

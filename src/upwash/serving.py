@@ -92,8 +92,10 @@ async def serve(
         stack.push_async_callback(edge.close)
         stack.push_async_callback(asyncio.to_thread, listener.stop)
         if metrics and config.metrics:
+            from upwash.metrics.exposition import exposed
+
             metrics.look_at(edge)
-            await stack.enter_async_context(_exposed(metrics, config.metrics))
+            await stack.enter_async_context(exposed(metrics.registry, config.metrics))
         if weakness:
             _log.warning("%s", weakness)
         ready(listener.address)
@@ -213,15 +215,6 @@ def _metrics(config: DaemonConfig) -> DaemonMetrics | None:
     with extra("metrics"):
         from upwash.metrics.daemon import DaemonMetrics
     return DaemonMetrics()
-
-
-@contextlib.asynccontextmanager
-async def _exposed(metrics: DaemonMetrics, listen: str) -> AsyncIterator[None]:
-    from upwash.metrics.exposition import exposed
-
-    async with exposed(metrics.registry, listen) as address:
-        _log.info("metrics at http://%s/metrics", address)
-        yield
 
 
 # --- certificates -------------------------------------------------------------------------------------------

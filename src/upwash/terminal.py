@@ -140,7 +140,7 @@ def _print_times(result: RunResult, console: Console, *, paced: bool) -> None:
     saved = 100 * (1 - result.mission_time_s / local_only_s)
     console.print(
         f"mission time {result.mission_time_s:.1f} s; with every call on the drone, at the local delay "
-        f"measured in this flight, {local_only_s:.1f} s: {saved:.0f} % saved",
+        f"measured in this flight, {local_only_s:.1f} s: {saved:z.0f} % saved",
         soft_wrap=True,
     )
     if paced:

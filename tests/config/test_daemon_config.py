@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from upwash.config import DaemonConfig, ImageConfig, PeerConfig, read_daemon_config
+from upwash.config import DaemonConfig, ImageConfig, PeerConfig, read_daemon_config, read_drone_config
 from upwash.errors import ConfigError
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 FULL = (Path(__file__).parent / "daemon.toml").read_text()
 KEYS = FULL[FULL.index("[keys]") : FULL.index("[[service]]")]
 REST = FULL[FULL.index("[[service]]") :]
@@ -106,6 +107,13 @@ def test_peers_are_other_daemons_that_certificates_can_be_shown_to(tmp_path: Pat
             read(tmp_path, text)
         assert refusal.value.key == key
         assert named in refusal.value.problem
+
+
+def test_the_drones_file_and_the_daemons_are_not_mixed_up() -> None:
+    with pytest.raises(ConfigError, match="a drone's configuration: name the daemon's file"):
+        read_daemon_config(EXAMPLES / "pests.toml")
+    with pytest.raises(ConfigError, match="a daemon's configuration: name the drone's file"):
+        read_drone_config(EXAMPLES / "pests_server.toml")
 
 
 def test_containers_need_certificates_and_a_network(tmp_path: Path) -> None:

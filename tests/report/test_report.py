@@ -282,6 +282,15 @@ def test_csv_has_a_row_for_each_call(logs: tuple[Path, Path], records: list[Reco
     assert {row["log"] for row in rows} == {"with", "without"}
 
 
+def test_one_file_may_be_printed(logs: tuple[Path, Path], capfdbinary: pytest.CaptureFixture[bytes]) -> None:
+    assert main(["report", str(logs[0]), "--csv", "-"]) == 0
+    printed, told = capfdbinary.readouterr()
+    assert printed.startswith(b"log,")
+    assert told == b""
+    assert main(["report", str(logs[0]), "--csv", "-", "--json"]) == 2
+    assert b"name a file" in capfdbinary.readouterr()[1]
+
+
 def test_geojson_is_as_rfc_7946_has_it_and_lies_where_the_mission_was(
     logs: tuple[Path, Path], records: list[Record], tmp_path: Path
 ) -> None:

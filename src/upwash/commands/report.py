@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     Writer = Callable[[Sequence[Record]], bytes]
 
 
+_PRINTED = Path("-")
+
+
 def add(commands: Commands) -> None:
     """Adds the command."""
     report = commands.add_parser("report", help="make a page, and files for other tools, from event logs")
@@ -22,7 +25,7 @@ def add(commands: Commands) -> None:
     report.add_argument(
         "-o", "--out", type=Path, metavar="FILE", help="an HTML page about all of them, side by side"
     )
-    report.add_argument("--csv", type=Path, metavar="FILE", help="a row for each call")
+    report.add_argument("--csv", type=Path, metavar="FILE", help="a row for each call; - prints it")
     report.add_argument("--geojson", type=Path, metavar="FILE", help="tracks, waypoints, ranges and calls")
     report.add_argument("--mcap", type=Path, metavar="FILE", help="a recording that Foxglove opens")
     report.add_argument(
@@ -52,15 +55,25 @@ def run(options: argparse.Namespace) -> bool:
         raise UsageError(
             "nothing to make: ask for -o FILE, --csv FILE, --geojson FILE, --mcap FILE or --json"
         )
+    if [*(file for file, _ in wanted), *[_PRINTED] * options.json].count(_PRINTED) > 1:
+        raise UsageError("two outputs would be printed as one: name a file for all but one of them")
     records = read_records(options.logs)
     written = [(file, write(records)) for file, write in wanted]
     for file, content in written:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(content)
-        print(f"written: {file}", file=sys.stderr)
+        _leave(content, file)
     if options.json:
         print(write_json(records))
     return True
+
+
+def _leave(content: bytes, file: Path) -> None:
+    if file == _PRINTED:
+        sys.stdout.buffer.write(content)
+        sys.stdout.buffer.flush()
+        return
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(content)
+    print(f"written: {file}", file=sys.stderr)
 
 
 def _in_utf8(write: Callable[[Sequence[Record]], str]) -> Writer:

@@ -28,6 +28,7 @@ from upwash.config.values import (
     is_on_this_machine,
     repeated,
 )
+from upwash.errors import ConfigError
 
 _MOST_BYTES = 2**31 - 1  # gRPC counts a message's bytes in 32 bits
 MessageBytes = Annotated[
@@ -110,6 +111,8 @@ def read_daemon_config(path: Path) -> DaemonConfig:
 
 def daemon_config(document: Document, file: Path) -> DaemonConfig:
     """The configuration that the document of that file says; raises ConfigError."""
+    if "mission" in document:
+        raise ConfigError(str(file), "mission", "this is a drone's configuration: name the daemon's file")
     tables = _written_out(document, file.absolute().parent)
     config = convert(tables, DaemonConfig, file=file, as_written=document)
     refuse_first(file, _problems(config))

@@ -12,7 +12,10 @@ from upwash.config.drone import DroneConfig, MissionConfig, planned_home
 from upwash.config.problems import Document, refuse_first
 from upwash.config.reading import convert, read_document
 from upwash.config.shorthand import written_out
+from upwash.errors import ConfigError
 from upwash.plans import Plan
+
+_OF_A_DAEMON = {"listen", "runtime", "lease_s", "allow_without_certificates"}
 
 
 def read_drone_config(path: Path) -> DroneConfig:
@@ -22,6 +25,10 @@ def read_drone_config(path: Path) -> DroneConfig:
 
 def drone_config(document: Document, file: Path) -> DroneConfig:
     """The configuration that the document of that file says; raises ConfigError."""
+    if "mission" not in document and (of_a_daemon := sorted(_OF_A_DAEMON & document.keys())):
+        raise ConfigError(
+            str(file), of_a_daemon[0], "this is a daemon's configuration: name the drone's file"
+        )
     tables = written_out(document, file.absolute().parent)
     config = convert(tables, DroneConfig, file=file, as_written=document)
     mission = config.mission

@@ -33,8 +33,10 @@ async def exposed(registry: CollectorRegistry, listen: str) -> AsyncIterator[str
         raise UsageError(
             f"metrics cannot be offered at {listen}: {error.strerror}; choose another address, or end who uses it"
         ) from error
+    address = f"{host}:{server.server_port}"
+    _log.info("metrics at http://%s/metrics", address)
     try:
-        yield f"{host}:{server.server_port}"
+        yield address
     finally:
         await asyncio.to_thread(_close, server)
 

@@ -135,7 +135,7 @@ def _saving(record: Record) -> str:
         return "What offloading saved is not known: that takes a completed mission with calls on the drone."
     return (
         f"With every call on the drone, at the local delays measured in it, it would have taken "
-        f"{local_only_s:.1f} s: offloading saved {saved_s:.1f} s, {100 * saved_s / local_only_s:.0f} %."
+        f"{local_only_s:.1f} s: offloading saved {saved_s:z.1f} s, {100 * saved_s / local_only_s:z.0f} %."
     )
 
 

@@ -85,7 +85,7 @@ def _saved(record: Record) -> str:
     local_only_s, saved_s = record.result.local_only_time_s(), record.saved_s
     if not local_only_s or saved_s is None:
         return "not known"
-    return f"{saved_s:.1f} s, {100 * saved_s / local_only_s:.0f} %"
+    return f"{saved_s:z.1f} s, {100 * saved_s / local_only_s:z.0f} %"
 
 
 def by_operation(record: Record) -> Markup:
