@@ -654,6 +654,34 @@ def test_a_server_that_is_no_longer_faster_than_the_drone_is_not_kept_until_the_
     assert decision.server == "s2"
 
 
+def test_what_was_prepared_is_given_up_too_for_a_third_server() -> None:
+    remote_s = {"s1": 4.0, "s2": 0.5, "s3": 0.25}
+    machine = Selection(
+        AREAS | {"s3": Circle(UNDER_BOTH, 10.0)},
+        estimates=Estimates(
+            local_s={HEAVY: 8.0},
+            servers={name: Beliefs(11.5, 3.5, {HEAVY: delay_s}) for name, delay_s in remote_s.items()},
+        ),
+        policy=LocationAware(),
+        settings=SelectionSettings(radios=2),
+    )
+    beside_s3 = Position(100.0, 80.0)
+    with_s1_ready(machine)
+    assert written(machine.handle(Looked(), now_s=20.0, position=beside_s3)) == ["s2 AVL CHECK", "check s2 2"]
+    for now_s in (21.0, 22.0):
+        machine.handle(LocalCallEnded(HEAVY, 3.0), now_s=now_s, position=beside_s3)
+    commands = machine.handle(LocalCallEnded(HEAVY, 3.0), now_s=23.0, position=UNDER_BOTH)
+    assert written(commands) == [
+        "s1 READY AVL-R",
+        "leave s1",
+        "s2 CHECK AVL",
+        "leave s2",
+        "s3 AVL CHECK",
+        "check s3 3",
+    ]
+    assert machine.current is machine.servers["s3"]
+
+
 def test_both_are_left_at_the_end() -> None:
     machine = with_two_radios(s2_s=0.5)
     machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH)

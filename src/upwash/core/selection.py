@@ -296,8 +296,10 @@ class Selection:
         is_of_use = self.estimates.mean_call_s(current.name) < self.estimates.mean_call_s()
         if not is_ready and is_of_use and self._settings.radios > 1 and current.state is State.READY:
             return self._prepare(server, why, now_s)
-        commands = self._deselect(current, f"{server.name} {why}", now_s)
-        return commands if server in self._selected else commands + self._check(server, why, now_s)
+        commands: list[Command] = []
+        for other in [each for each in self._selected if each is not server]:
+            commands += self._deselect(other, f"{server.name} {why}", now_s)
+        return commands if self._selected else commands + self._check(server, why, now_s)
 
     def _prepare(self, server: Server, why: str, now_s: float) -> list[Command]:
         """Checks the server with a spare radio, while another one is in use; whatever that radio did is given up."""
