@@ -290,11 +290,14 @@ class Selection:
         One that no call would go to any more is not kept: as the selected one the next can be waited for.
         """
         current = self.current
-        if current is None:
-            return self._check(server, why, now_s)
         is_ready = server in self._selected and server.state is State.READY
-        is_of_use = self.estimates.mean_call_s(current.name) < self.estimates.mean_call_s()
-        if not is_ready and is_of_use and self._settings.radios > 1 and current.state is State.READY:
+        is_kept = (
+            self._settings.radios > 1
+            and current is not None
+            and current.state is State.READY
+            and self.estimates.mean_call_s(current.name) < self.estimates.mean_call_s()
+        )
+        if is_kept and not is_ready:
             return self._prepare(server, why, now_s)
         commands: list[Command] = []
         for other in [each for each in self._selected if each is not server]:
