@@ -201,7 +201,7 @@ from pathlib import Path
 
 def look(drone):
     drone.autopilot.arm()
-    (handler,) = logging.getLogger("upwash.launch").handlers
+    (handler,) = logging.getLogger("upwash.metrics").handlers
     connection = http.client.HTTPConnection(handler.address, timeout=10.0)
     connection.request("GET", "/metrics")
     Path("metrics.txt").write_bytes(connection.getresponse().read())
@@ -221,7 +221,7 @@ class AddressHandler(logging.Handler):
 def test_prometheus_finds_a_flights_numbers_while_it_flies(fly: Fly, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("watched.py").write_text(WATCHED)
     Path("drone.toml").write_text('metrics = "127.0.0.1:0"\n' + CONFIG)
-    log = logging.getLogger("upwash.launch")
+    log = logging.getLogger("upwash.metrics")
     monkeypatch.setattr(log, "handlers", [AddressHandler()])
     monkeypatch.setattr(log, "level", logging.INFO)
     assert flown("watched.py:look", "--quiet") == 0
