@@ -270,7 +270,7 @@ def test_what_a_log_says_is_never_markup(page: Browser, tmp_path: Path) -> None:
         opened(page, address)
         page.click(".delays summary")
         assert HOSTILE in page.text(".servers")
-        assert HOSTILE in page.text(".delays table")
+        page.wait_until(lambda: HOSTILE in page.text(".delays table"))
         assert (
             page.run("return document.querySelectorAll('main img:not(.photo img), main script').length") == 0
         )
@@ -360,6 +360,9 @@ def test_a_demonstration_is_shown_while_it_flies(page: Browser, tmp_path: Path) 
         assert demonstration.returncode == 0, output
         page.wait_until(lambda: "has ended" in page.text("#connection"))
         page.click(".delays summary")
+        page.wait_until(
+            lambda: rows(page, ".delays")
+        )  # the browser tells the page of the click when it gets to it
         result = read_log(log)
         assert [row[4] for row in rows(page, ".delays")] == [f"{call.delay_s:.2f} s" for call in result.calls]
         assert f"the mission took {result.mission_time_s:.1f} s" in page.text(".summary")

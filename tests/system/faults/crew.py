@@ -9,6 +9,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from tests.system.faults.lateness import note_waits, waits_of
+
 from upwash.emulation.namespaces import inside
 
 _RESTART_S = 0.5  # as a service manager waits
@@ -116,7 +118,11 @@ class DroneProgram:
                     stdout=printed,
                     stderr=printed,
                 )
-            code = await self._process.wait()
+            noting = asyncio.create_task(note_waits(waits_of(self.log), self._process.pid))
+            try:
+                code = await self._process.wait()
+            finally:
+                noting.cancel()
             if not self.killed:
                 self.exit_code = code
                 return

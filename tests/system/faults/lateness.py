@@ -1,10 +1,12 @@
 """Notes when the machine was late: `python -m tests.system.faults.lateness FILE`, until it is killed.
 
-It only sleeps, with the priority of the flight's programs: whenever it wakes up late, so would they.
+It only sleeps, with the priority of the flight's programs: whenever it wakes up late, so would they. A program that
+has something to do may wait longer, for those that were before it: the kernel counts that.
 """
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import subprocess
 import sys
@@ -14,6 +16,7 @@ from pathlib import Path
 
 _PERIOD_S = 0.005
 _WORTH_NOTING_S = 0.01
+_LOOK_S = 0.1
 
 
 def main(file: Path) -> None:
@@ -35,6 +38,34 @@ def noting_lateness(file: Path) -> Iterator[None]:
             yield
         finally:
             process.kill()
+
+
+def waits_of(log: Path) -> Path:
+    """Where it is noted when the program of an event log waited for a processor."""
+    return log.with_suffix(".waits")
+
+
+async def note_waits(file: Path, process_id: int) -> None:
+    """Adds to the file when the threads of a program waited for a processor, until cancelled."""
+    looked_s, before_ns = time.time(), _waited_ns(process_id)
+    with file.open("a", buffering=1) as noted:
+        while True:
+            await asyncio.sleep(_LOOK_S)
+            now_s, now_ns = time.time(), _waited_ns(process_id)
+            waited_ns = sum(ns - before_ns.get(thread, 0) for thread, ns in now_ns.items())
+            waited_s = min(1e-9 * waited_ns, now_s - looked_s)
+            if waited_s > _WORTH_NOTING_S:
+                noted.write(f"{now_s - waited_s} {now_s}\n")
+            looked_s, before_ns = now_s, now_ns
+
+
+def _waited_ns(process_id: int) -> dict[str, int]:
+    """How long each thread has waited in the run queue so far: schedstat's second number."""
+    waited_ns = {}
+    for thread in Path(f"/proc/{process_id}/task").glob("*"):
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            waited_ns[thread.name] = int((thread / "schedstat").read_text().split()[1])
+    return waited_ns
 
 
 def read_lateness(file: Path) -> list[tuple[float, float]]:

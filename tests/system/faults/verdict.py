@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 from tests.system.faults.flight import LATENESS, RECORD, Record
-from tests.system.faults.lateness import read_lateness
+from tests.system.faults.lateness import read_lateness, waits_of
 from tests.system.faults.mission import Spotter, heard, numbers_at
 from tests.system.faults.strikes import Strike
 
@@ -135,7 +135,8 @@ def judge(folder: Path) -> Verdict:
     black_outs = [each for each in record.strikes if each.is_black_out]
     bounds_s, places = [], []
     for each in flown:
-        stops = _stops(each, record.strikes if each is struck else (), late_s)
+        waited_s = read_lateness(waits_of(folder / f"{each.config.name}.jsonl"))
+        stops = _stops(each, record.strikes if each is struck else (), [*late_s, *waited_s])
         broken += [f"{each.config.name}: {why}" for why in _broken(each, stops)]
         for call in (call for part in each.parts for call in calls_of(_without(part, stops))):
             bounds_s.append((call.ended["delay_s"], call.bound_s))
