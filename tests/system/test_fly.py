@@ -218,12 +218,13 @@ class AddressHandler(logging.Handler):
         self.address = re.findall(r"http://(.*)/metrics", record.getMessage())[0]
 
 
-def test_prometheus_finds_a_flights_numbers_while_it_flies(fly: Fly, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_prometheus_finds_a_flights_numbers_while_it_flies(
+    fly: Fly, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     Path("watched.py").write_text(WATCHED)
     Path("drone.toml").write_text('metrics = "127.0.0.1:0"\n' + CONFIG)
-    log = logging.getLogger("upwash.metrics")
-    monkeypatch.setattr(log, "handlers", [AddressHandler()])
-    monkeypatch.setattr(log, "level", logging.INFO)
+    monkeypatch.setattr(logging.getLogger("upwash.metrics"), "handlers", [AddressHandler()])
+    caplog.set_level(logging.INFO, "upwash.metrics")
     assert flown("watched.py:look", "--quiet") == 0
     told = Path("metrics.txt").read_text().splitlines()
     assert "upwash_mission_under_way 1.0" in told
