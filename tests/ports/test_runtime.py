@@ -475,8 +475,9 @@ asyncio.run(run(*sys.argv[1:]))
 """
 
 
+@pytest.mark.parametrize("hears", [True, False])
 def test_an_instance_and_its_children_end_when_whoever_started_them_is_killed(
-    services: Path, tmp_path: Path
+    services: Path, tmp_path: Path, *, hears: bool
 ) -> None:
     async def family(endpoint: str, program: str) -> list[int]:
         link = GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES).dial(endpoint, server="s1")
@@ -490,9 +491,16 @@ def test_an_instance_and_its_children_end_when_whoever_started_them_is_killed(
     command = [sys.executable, "-c", PARENT, str(tmp_path), program]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
-        process_ids = asyncio.run(family(parent.stdout.readline().strip(), program))
+        endpoint = parent.stdout.readline().strip()
+        if not hears:
+            parent.send_signal(signal.SIGSTOP)  # and leaves reports of calls unread, so that the line breaks
+        process_ids = asyncio.run(family(endpoint, program))
         parent.kill()
-    assert gone(*process_ids)
+    try:
+        assert gone(*process_ids)
+    finally:
+        if is_alive(process_ids[0]):
+            os.killpg(process_ids[0], signal.SIGKILL)
 
 
 def test_an_instance_that_is_still_starting_ends_when_whoever_started_it_is_killed(

@@ -7,6 +7,7 @@ services need not be safe for threads.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import signal
@@ -181,8 +182,9 @@ def main() -> NoReturn:
 
 
 def _listen(lines: BinaryIO, orders: SimpleQueue[bytes]) -> None:
-    for text in lines:
-        orders.put(text)
+    with contextlib.suppress(OSError):  # the line breaks where the other end leaves reports unread
+        for text in lines:
+            orders.put(text)
     # The whole group, as the service may have started processes too; at once, as nobody is left to wait.
     os.killpg(0, signal.SIGKILL)
 
