@@ -47,22 +47,21 @@ def run(options: argparse.Namespace) -> bool:
         (options.csv, _in_utf8(write_csv)),
         (options.geojson, _in_utf8(write_geojson)),
         (options.mcap, _recorder(options.photos)),
+        (_PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
     ]
     if options.photos and not options.mcap:
         raise UsageError("--photos goes with --mcap: nothing else has photos in it")
     wanted = [(file, write) for file, write in files if file is not None]
-    if not wanted and not options.json:
+    if not wanted:
         raise UsageError(
             "nothing to make: ask for -o FILE, --csv FILE, --geojson FILE, --mcap FILE or --json"
         )
-    if [*(file for file, _ in wanted), *[_PRINTED] * options.json].count(_PRINTED) > 1:
+    if [file for file, _ in wanted].count(_PRINTED) > 1:
         raise UsageError("two outputs would be printed as one: name a file for all but one of them")
     records = read_records(options.logs)
     written = [(file, write(records)) for file, write in wanted]
     for file, content in written:
         _leave(content, file)
-    if options.json:
-        print(write_json(records))
     return True
 
 

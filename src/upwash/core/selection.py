@@ -292,28 +292,30 @@ class Selection:
         current = self.current
         is_ready = server in self._selected and server.state is State.READY
         is_kept = (
-            self._settings.radios > 1
-            and current is not None
-            and current.state is State.READY
+            current is not None
+            and self._has_spare_radio()
             and self.estimates.mean_call_s(current.name) < self.estimates.mean_call_s()
         )
         if is_kept and not is_ready:
             return self._prepare(server, why, now_s)
-        commands: list[Command] = []
-        for other in [each for each in self._selected if each is not server]:
-            commands += self._deselect(other, f"{server.name} {why}", now_s)
+        commands = self._make_way(server, [each for each in self._selected if each is not server], why, now_s)
         return commands if self._selected else commands + self._check(server, why, now_s)
 
     def _prepare(self, server: Server, why: str, now_s: float) -> list[Command]:
         """Checks the server with a spare radio, while another one is in use; whatever that radio did is given up."""
-        current = self.current
-        is_spare = self._settings.radios > 1 and current is not None and current.state is State.READY
-        if not is_spare or server in self._selected or server.state is State.BLACKLISTED:
+        if not self._has_spare_radio() or server in self._selected or server.state is State.BLACKLISTED:
             return []
-        commands: list[Command] = []
-        for other in self._selected[1:]:
-            commands += self._deselect(other, f"{server.name} {why}", now_s)
-        return commands + self._check(server, why, now_s)
+        return self._make_way(server, self._selected[1:], why, now_s) + self._check(server, why, now_s)
+
+    def _has_spare_radio(self) -> bool:
+        """Whether a server may be checked while another one is in use."""
+        return self._settings.radios > 1 and self.current is not None and self.current.state is State.READY
+
+    def _make_way(self, server: Server, others: Sequence[Server], why: str, now_s: float) -> list[Command]:
+        """Leaves the others for the server."""
+        return [
+            command for other in others for command in self._deselect(other, f"{server.name} {why}", now_s)
+        ]
 
     def _check(self, server: Server, why: str, now_s: float) -> list[Command]:
         self._checks += 1
