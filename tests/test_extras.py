@@ -61,7 +61,13 @@ FILES = {
     "filmed.toml": "camera.device = 0" + DRONE,
     "measured.toml": 'metrics = "127.0.0.1:0"\ncamera.folder = "photos"' + DRONE,
     "networked.toml": 'network = { kind = "networkmanager", interfaces = ["wlan1"] }' + DRONE,
-    "daemon.toml": DAEMON.format(settings='metrics = "127.0.0.1:0"\nallow_without_certificates = true'),
+    "daemon.toml": DAEMON.format(
+        settings="""
+metrics = "127.0.0.1:0"
+allow_without_certificates = true
+runtime.sandbox_as_root = true
+"""
+    ),
     "containers.toml": DAEMON.format(
         settings="""
 runtime.kind = "lxd"

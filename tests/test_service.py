@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from upwash.core.estimates import Operation
 from upwash.errors import DeclarationError, GarbledReply, ServiceError, UsageError
-from upwash.service import Method, load_service, make_stub, service, spec_of
+from upwash.service import Method, load_service, make_stub, once, service, spec_of
 
 Mode = Literal["light", "heavy"]
 
@@ -41,6 +41,10 @@ class Box:
 class Detection(msgspec.Struct, frozen=True):
     box: Box
     score: float
+
+
+class OfUpwash(UsageError):
+    """A service's own that derives from one of upwash's."""
 
 
 class Overheated(Exception):
@@ -457,6 +461,48 @@ def test_an_exception_of_a_class_that_is_not_here_arrives_by_name_and_message() 
 )
 def test_only_exception_classes_are_made(type_path: str) -> None:
     assert isinstance(raised_by_reply(fault(type_path)), ServiceError)
+
+
+@pytest.mark.parametrize(
+    "type_path",
+    [
+        "upwash.drone:AutopilotOverruled",
+        "upwash.safety:AutopilotOverruled",
+        "upwash.mission:MissionStopped",
+        "upwash.errors:UpwashError",
+        "upwash.service:ServiceError",
+        f"{__name__}:OfUpwash",
+        f"{__name__}:GarbledReply",
+    ],
+)
+def test_a_reply_never_makes_an_error_of_upwash_itself_by_whatever_name(type_path: str) -> None:
+    importlib.import_module("upwash.drone")
+    seen = raised_by_reply(fault(type_path, "mission: the pilot has it"))
+    assert isinstance(seen, ServiceError)
+    assert seen.type_name == type_path.replace(":", ".")
+
+
+def test_what_a_fault_says_is_told_in_short() -> None:
+    method = METHODS["fail"]
+    assert method.raised(method.decode(fault("builtins:ValueError", "hot"))) == "builtins.ValueError: hot"
+    assert len(method.raised(method.decode(fault("x" * 10_000, "y" * 10_000)))) < 300
+    assert method.raised(method.decode(msgspec.msgpack.encode({"value": 1}))) == ""
+
+
+def test_a_method_is_declared_to_run_once() -> None:
+    @service
+    class Winch:
+        def look(self) -> int:
+            """Harmless."""
+            return 1
+
+        @once
+        def lower(self) -> int:
+            """Not harmless."""
+            return 2
+
+    methods = spec_of(Winch).methods
+    assert (methods["look"].once, methods["lower"].once) == (False, True)
 
 
 def test_a_constructor_of_an_exception_is_not_run() -> None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from upwash.service import service
+from upwash.service import once, service
 
 if TYPE_CHECKING:
     from upwash.drone import Drone
 
-__all__ = ["Drone", "service"]
+__all__ = ["Drone", "once", "service"]
 
 
 def __getattr__(name: str) -> object:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,9 +31,11 @@ from upwash.commands import (
     vehicle,
     view,
 )
-from upwash.errors import MissionFailed, MissionStopped, UpwashError, UsageError
+from upwash.errors import MissionFailed, MissionStopped, NotKept, UpwashError, UsageError
+from upwash.streams import forgiving_streams, give_up_output, open_closed_streams
+from upwash.text import escaped_lines
 
-_OK, _FAILURE, _USAGE, _INTERRUPTED = 0, 1, 2, 130
+_OK, _FAILURE, _USAGE, _NOT_KEPT, _INTERRUPTED = 0, 1, 2, 3, 130
 _COMMANDS = (
     fly,
     check,
@@ -58,7 +61,26 @@ _COMMANDS = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs one command; returns 0 when it did what it should, 2 for bad usage, 1 for any other failure."""
+    """Runs one command and returns how it ended, as docs/missions.md has it."""
+    open_closed_streams()
+    with forgiving_streams() as output:
+        try:
+            code = _run(arguments)
+        except SystemExit as end:  # of argparse, which has said why
+            output.flush()
+            if output.trouble is None:
+                raise
+            code = end.code if isinstance(end.code, int) else _OK if end.code is None else _FAILURE
+    if output.trouble is None:
+        return code
+    give_up_output()
+    is_told = code == _NOT_KEPT or isinstance(output.trouble, BrokenPipeError)  # who closed a pipe has enough
+    if not is_told:
+        _complain(UpwashError(f"standard output cannot be written ({output.trouble.strerror})"), code)
+    return code or _NOT_KEPT
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
     if "run" not in options:
@@ -70,17 +92,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UsageError as error:
         return _complain(error, _USAGE)
     except MissionStopped as error:
-        print(f"upwash: the mission was ended early: {error}", file=sys.stderr)
-        return _INTERRUPTED
+        return _complain(UpwashError(f"the mission was ended early: {error}"), _INTERRUPTED)
     except MissionFailed as error:
-        print(error.trace, file=sys.stderr)
+        print(escaped_lines(error.trace), file=sys.stderr)
         return _complain(error, _FAILURE)
+    except NotKept as error:
+        return _complain(error, _NOT_KEPT)
     except UpwashError as error:
         return _complain(error, _FAILURE)
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         return _complain(UpwashError(f"{place}{error.strerror or error}"), _FAILURE)
     except (KeyboardInterrupt, asyncio.CancelledError):
+        print("upwash: stopped at once", file=sys.stderr)
         return _INTERRUPTED
 
 
@@ -107,5 +131,6 @@ class _Version(argparse.Action):
 
 
 def _complain(error: UpwashError, code: int) -> int:
-    print(f"upwash: {error}", file=sys.stderr)
+    with contextlib.suppress(OSError):
+        print(f"upwash: {escaped_lines(str(error))}", file=sys.stderr)
     return code

@@ -12,13 +12,17 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
+from upwash import event_log
 from upwash.config import DroneConfig, read_drone_config
 from upwash.flying import fly_with_progress
 from upwash.narration import counted
+from upwash.output import write_file
 from upwash.real.credentials import keys_in, make_keys
 from upwash.running import ready_program, ready_vehicle
 from upwash.services import Detection
 from upwash.services.solar_park import TrueBox
+
+_RUNTIME = "[runtime]\nsandbox_as_root = true\n"  # whoever tries it out may be root
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +71,13 @@ def score_photos(log: Path) -> Score:
     """What the flight of that event log told its user, held against what its photos truly show."""
     truths: list[list[TrueBox]] = []
     told: list[list[Detection]] = []
-    with log.open("rb") as lines:
-        for event in map(msgspec.json.decode, lines):
-            match event:
-                case {"event": "photo", "truth": truth}:
-                    truths.append(msgspec.convert(truth, list[TrueBox]))
-                    told.append([])
-                case {"event": "notified", "message": message}:
-                    told[-1] = msgspec.convert(message, list[Detection])
+    for event in event_log.read(log):
+        match event:
+            case {"event": "photo", "truth": truth}:
+                truths.append(msgspec.convert(truth, list[TrueBox]))
+                told.append([])
+            case {"event": "notified", "message": message}:
+                told[-1] = msgspec.convert(message, list[Detection])
     found = false = 0
     for truth, detections in zip(truths, told, strict=True):
         found += sum(any(_is_hit(fault, each) for each in detections) for fault in truth)
@@ -120,12 +123,13 @@ def _daemon(name: str, folder: Path, runtime: str, daemons: Mapping[str, str]) -
         for peer, address in daemons.items()
         if peer != name
     )
-    config.write_text(
+    text = (
         f'listen = "{daemons[name]}"\n\n'
         f"[keys]\n"
         f'authority = "keys/authority.pem"\ncertificate = "keys/{name}.pem"\nkey = "keys/{name}.key"\n\n'
         f'[[service]]\nname = "detector"\n\n'
-        f'[[server]]\nname = "{name}"\n\n{peers}{runtime}'
+        f'[[server]]\nname = "{name}"\n\n{peers}{runtime or _RUNTIME}'
     )
+    write_file(config, text.encode())
     with ready_program(name, folder, "serve", "--config", str(config)):
         yield

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, TypeVar
@@ -10,12 +11,14 @@ from typing import Any, TypeVar
 import msgspec
 
 from upwash.config import DroneConfig, ending, geofence, server_area, waypoints
+from upwash.core.control import Control
 from upwash.core.estimates import Operation
-from upwash.core.geo import Position, Waypoint, ground_distance_m
-from upwash.core.geofence import Fence, breached_by_leg, breached_by_position
+from upwash.core.geo import Position, Waypoint
+from upwash.core.geofence import breached_by_leg, breached_by_position
 from upwash.core.happenings import Arrived, CourseLost, Happening, LegBegun
 from upwash.core.selection import Selection
 from upwash.errors import (
+    AutopilotError,
     AutopilotOverruled,
     AutopilotRefused,
     MissionStopped,
@@ -27,17 +30,34 @@ from upwash.mission import MissionThread, mission_failed
 from upwash.offloading import Offloading
 from upwash.onboard import OnboardServices
 from upwash.plans import Ending
-from upwash.ports import Autopilot, Camera, Dialer, InstanceSpec, Journal, Network, Notifier, Program, Runtime
+from upwash.ports import (
+    ArmingDelayed,
+    Autopilot,
+    Camera,
+    Dialer,
+    InstanceSpec,
+    Journal,
+    LinkChanged,
+    Network,
+    Notifier,
+    Program,
+    Runtime,
+    VehicleLimits,
+    VehicleNews,
+    VehicleSetting,
+    VehicleText,
+)
 from upwash.preparation import contacts, make_hedging, make_selection
-from upwash.safety import end_safely, reserve_reached
+from upwash.reserve import ReserveWatch
+from upwash.safety import end_safely, follow
 from upwash.service import Method, make_stub, spec_of
+from upwash.site import Site
+
+_WORDS_KEPT = 8  # of the vehicle's, to say with whom it was lost to
+_WORDS_BEFORE_S = 1.0  # they come with the report that shows the loss
 
 T = TypeVar("T")
 Mission = Callable[["Drone"], None]
-
-_FARTHEST_START_M = (
-    10_000.0  # from home; farther away, positions are no longer exact, and a wrong home is likely
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,18 +83,19 @@ class Pilot:
         thread: MissionThread,
         journal: Journal,
         *,
-        fences: Sequence[Fence] = (),
+        site: Site,
         tell: Callable[[Happening], None],
     ) -> None:
         self._autopilot = autopilot
         self._thread = thread
         self._journal = journal
-        self._fences = fences
+        self._site = site
         self._tell = tell
         self._in_the_air = False
         self._found_flying = False  # it has taken off before this program began, and not landed since
         self._coming_down = False
         self._ground_speed_m_s: float | None = None  # as it was last set
+        self._on_a_leg = False
         self._stands_at: Position | None = None  # where exactly it was sent, which is not quite where it is
 
     @property
@@ -97,21 +118,30 @@ class Pilot:
         """What is left in the battery, as last reported; None where the vehicle does not say."""
         return self._autopilot.battery_percent
 
+    @property
+    def on_a_leg(self) -> bool:
+        """Whether it is on its way to where the mission sent it."""
+        return self._on_a_leg
+
+    @property
+    def ground_speed_m_s(self) -> float | None:
+        """The speed of legs, as the mission last set it; None for that of the configuration."""
+        return self._ground_speed_m_s
+
     def found_flying(self) -> None:
         """The vehicle is in the air, where another program left it."""
         self._in_the_air = self._found_flying = True
 
     def arm(self) -> None:
-        """Waits until the vehicle is ready to fly, then arms its motors."""
+        """Waits until the vehicle is ready to fly, then arms its motors.
+
+        AutopilotRefused where the vehicle stands too far from the mission, or its own fence forbids a part of it.
+        """
         if not self._found_flying:  # arming would change the mode that it flies in
-            self._thread.call(self._logged(self._autopilot.arm, "armed"))
+            self._thread.call(self._logged(self._arm, "armed"))
 
     def takeoff(self, altitude_m: float) -> None:
-        """Climbs to the altitude above home; AutopilotRefused where the vehicle stands too far from the mission.
-
-        One that was found flying climbs where it is, if it is lower.
-        """
-        self._require_near_home()
+        """Climbs to the altitude above home; one that was found flying climbs where it is, if it is lower."""
         if self._found_flying:
             self._thread.call(self._climb(altitude_m))
             return
@@ -173,25 +203,37 @@ class Pilot:
         self._journal.record("leg", **where)
         self._tell(LegBegun(position, self._ground_speed_m_s))
         self._stands_at = None
-        await self._autopilot.goto(position)
+        self._on_a_leg = True
+        try:
+            await self._autopilot.goto(position)
+        finally:
+            self._on_a_leg = False
         self._stands_at = position
         self._tell(Arrived())
         self._journal.record("arrived", **where)
 
-    def _require_near_home(self) -> None:
-        away_m = ground_distance_m(self._autopilot.position, Position(0.0, 0.0))
-        if away_m > _FARTHEST_START_M:
-            raise AutopilotRefused(
-                "take-off",
-                f"the vehicle stands {away_m / 1000:.0f} km from the mission's home; "
-                "check mission.home and where the vehicle believes to be; nothing was sent",
-            )
+    async def _arm(self) -> None:
+        await self._autopilot.ready()
+        limits = await self._autopilot.limits()
+        self._record_limits(limits)
+        self._site.require_reachable(self._autopilot.position)
+        self._site.require_within(limits)
+        await self._autopilot.arm()
+
+    def _record_limits(self, limits: VehicleLimits) -> None:
+        self._journal.record(
+            "vehicle_limits",
+            home=rounded(limits.home) if limits.home else None,
+            highest_m=limits.highest_m,
+            fences=[fence.name for fence in limits.fences],
+        )
 
     def _require_allowed(self, target: Position) -> None:
         start = self._stands_at or self._autopilot.position
-        fence = breached_by_position(self._fences, target)
-        if fence is None and breached_by_position(self._fences, start) is None:  # else it has to come back in
-            fence = breached_by_leg(self._fences, start, target)
+        fences = self._site.fences
+        fence = breached_by_position(fences, target)
+        if fence is None and breached_by_position(fences, start) is None:  # else it has to come back in
+            fence = breached_by_leg(fences, start, target)
         if fence is not None:
             step = f"goto {target.east_m:.1f} m east, {target.north_m:.1f} m north"
             raise AutopilotRefused(
@@ -219,6 +261,13 @@ class Pilot:
 
     def _record(self, event: str, **facts: object) -> None:
         self._journal.record(event, **facts, position=rounded(self._autopilot.position))
+
+
+def _why(error: BaseException) -> str:
+    """What an error says, in words for those that say nothing."""
+    if isinstance(error, asyncio.CancelledError):
+        return "the program was stopped at once"
+    return str(error) or type(error).__name__
 
 
 def rounded(position: Position) -> dict[str, float]:
@@ -340,6 +389,8 @@ class Flight:
         self._done = done
         self._plan = tuple(each for each in self._waypoints if each.index not in (done or ()))
         self._stopped = ""  # why, once it is
+        self._stop_following = asyncio.Event()
+        self._last_words: deque[tuple[float, VehicleText]] = deque(maxlen=_WORDS_KEPT)  # with their times
         self._onboard = OnboardServices(
             [
                 InstanceSpec(config.name, service.name, programs[service.name], service.local_pace_s)
@@ -367,7 +418,11 @@ class Flight:
             world.autopilot,
             self._thread,
             world.journal,
-            fences=geofence(config.mission),
+            site=Site(
+                waypoints=self._plan,
+                fences=geofence(config.mission),
+                farthest_start_m=config.autopilot.farthest_start_m,
+            ),
             tell=self._offloading.tell,
         )
 
@@ -375,7 +430,8 @@ class Flight:
         """Flies the mission; raises what ended it, after the configured action where the vehicle obeys."""
         journal, config = self._world.journal, self._config
         try:
-            await self._find_vehicle()
+            self._world.autopilot.listen(self._hear_vehicle)
+            await self._take_vehicle()
             await self._start_services()
             journal.record("planned", **self._planned())
             journal.record(
@@ -389,9 +445,10 @@ class Flight:
                 await self._fly()
             journal.record("mission_completed")
         except (Exception, asyncio.CancelledError) as error:
-            journal.record("mission_ended", why=str(error) or type(error).__name__)
+            journal.record("mission_ended", why=_why(error))
             raise
         finally:
+            await self._release_dead_man()
             await self._onboard.close()
 
     def _planned(self) -> Mapping[str, object]:
@@ -409,51 +466,96 @@ class Flight:
         }
 
     def stop(self, why: str) -> None:
-        """Ends the mission early, in the configured action."""
+        """Ends the mission early, in the configured action; where the vehicle is not ours, ends following it."""
         self._stopped = self._stopped or why
         self._world.journal.record("stopping", why=why)
         self._thread.stop(why)
+        self._stop_following.set()
 
-    async def _find_vehicle(self) -> None:
+    def _hear_vehicle(self, news: VehicleNews) -> None:
+        journal = self._world.journal
+        match news:
+            case VehicleText(severity, text):
+                journal.record("vehicle_said", severity=severity, text=text)
+                self._last_words.append((asyncio.get_running_loop().time(), news))
+            case VehicleSetting(name, value, advice):
+                journal.record("vehicle_setting", name=name, value=value, advice=advice)
+            case LinkChanged(linked, silent_s):
+                journal.record("link_restored" if linked else "link_lost", silent_s=round(silent_s, 1))
+            case ArmingDelayed(reasons):
+                journal.record("arming_delayed", reasons=list(reasons))
+            case Control(owner, _, why):
+                journal.record("control", owner=owner, why=why)
+                if not news.is_ours:
+                    self._thread.stop(str(news))
+
+    async def _take_vehicle(self) -> None:
         """Refuses to begin a mission in the air, and takes up one that was broken off there."""
-        if not await self._world.autopilot.in_the_air():
-            return
-        if self._done is None:
+        autopilot = self._world.autopilot
+        flies = await autopilot.in_the_air()
+        if flies and self._done is None:
             raise AutopilotRefused(
                 "start",
                 "the vehicle is in the air: land it first, or take up the flight that was broken off with "
                 "--resume and its event log; nothing was sent",
             )
-        self._pilot.found_flying()
+        await autopilot.claim(resumes=self._done is not None)
+        if flies:
+            self._pilot.found_flying()
+        await self._set_dead_man(flies=flies)
+
+    async def _set_dead_man(self, *, flies: bool) -> None:
+        """Has the autopilot miss this program; where it cannot, only a vehicle that flies already goes on."""
+        settings, journal = self._config.autopilot, self._world.journal
+        if (
+            settings.dead_man_s is None or settings.on_failure == "hold"
+        ):  # the two together are refused in a file
+            return
+        try:
+            await self._world.autopilot.dead_man.watch(
+                silence_s=settings.dead_man_s, action=settings.on_failure
+            )
+            journal.record("dead_man_set", silence_s=settings.dead_man_s, action=settings.on_failure)
+        except AutopilotOverruled:
+            raise
+        except AutopilotError as error:
+            if not flies:
+                raise
+            journal.record("dead_man_failed", why=str(error))
+
+    async def _release_dead_man(self) -> None:
+        """Says goodbye, unless the vehicle is left hovering: then the autopilot is to bring it down."""
+        autopilot = self._world.autopilot
+        if autopilot.stands or not autopilot.control.is_ours:
+            await autopilot.dead_man.release()
 
     async def _start_services(self) -> None:
         try:
             await self._onboard.start()
         except (Exception, asyncio.CancelledError) as error:
-            await self._end_in_the_air(str(error) or type(error).__name__)
+            await self._end(_why(error))
             raise
 
     async def _fly(self) -> None:
         try:
             await self._run_mission()
-        except AutopilotOverruled as error:
-            self._world.journal.record("left_to_pilot", why=str(error))
-            raise
         except (Exception, asyncio.CancelledError) as error:
-            await self._end_in_the_air(str(error) or type(error).__name__)
+            await self._end(_why(error))
             raise
-        await self._end_in_the_air("the mission ended in the air")
+        await self._end("the mission ended in the air")
 
     async def _run_mission(self) -> None:
         watch = asyncio.create_task(self._watch_battery())
         try:
             await self._thread.run(lambda: self._program()(self._drone()))
         except UpwashError:
+            self._require_control()
             raise
         except Exception as error:
             raise mission_failed(error) from error
         finally:
             watch.cancel()
+        self._require_control()
         if self._stopped:  # though the mission made nothing of it
             raise MissionStopped(self._stopped)
 
@@ -462,21 +564,36 @@ class Flight:
             return self._mission
         return _come_down if self._pilot.in_the_air else _stay_down
 
-    async def _end_in_the_air(self, why: str) -> None:
-        if self._pilot.in_the_air:
-            action = self._config.autopilot.on_failure
-            await end_safely(self._world.autopilot, action, self._world.journal, why=why)
+    def _require_control(self) -> None:
+        """Says what ended the mission where the vehicle was lost to somebody: not what the verb then raised."""
+        control = self._world.autopilot.control
+        if not control.is_ours:
+            since_s = control.since_s - _WORDS_BEFORE_S
+            words = [text.text for said_s, text in self._last_words if said_s >= since_s]
+            raise AutopilotOverruled("mission", str(control), "; ".join(dict.fromkeys(words)))
+
+    async def _end(self, why: str) -> None:
+        """Ends what is under way safely, while the vehicle is ours; follows it to the ground otherwise."""
+        autopilot, journal = self._world.autopilot, self._world.journal
+        if autopilot.control.is_ours and (self._pilot.in_the_air or autopilot.armed):
+            self._stop_following.clear()
+            await end_safely(autopilot, self._config.autopilot.on_failure, journal, why=why)
+        if not autopilot.control.is_ours:
+            await follow(autopilot, journal, until=self._stop_following)
 
     async def _watch_battery(self) -> None:
         """Stops the mission at the reserve, unless it is bringing the vehicle to the ground already."""
-        reserve_percent = self._config.mission.reserve_percent
-        if reserve_percent is None:
-            return
-        left_percent = await reserve_reached(self._world.autopilot, reserve_percent, self._world.journal)
-        if not self._pilot.coming_down:
-            self.stop(
-                f"{left_percent:.0f} % is left in the battery, less than the reserve of {reserve_percent:g} %"
-            )
+        pilot, default_m_s = self._pilot, self._config.mission.ground_speed_m_s
+        watch = ReserveWatch(
+            self._config,
+            self._world.autopilot,
+            self._world.journal,
+            flying=lambda: pilot.in_the_air,
+            leg_speed_m_s=lambda: (pilot.ground_speed_m_s or default_m_s) if pilot.on_a_leg else None,
+        )
+        why = await watch.reached()
+        if not pilot.coming_down:
+            self.stop(why)
 
     def _drone(self) -> Drone:
         def invoke(operation: Operation, method: Method, request: bytes) -> Any:

@@ -21,6 +21,8 @@ UpwashError
 ├── InstanceError             a service instance did not start, or crashed
 │   └── EngineError             the container engine refused, failed, or does not answer
 ├── ServiceError              the service's own exception, of a class that is unknown here
+├── NotWritten                a file that was to be left could not be written: says what was kept
+├── NotKept                   what was to be done was done, but not everything of it could be written
 ├── MissionStopped            the mission is being ended from outside
 ├── MissionFailed             the mission program has a bug: it raised what is none of these
 └── TransitionError           a programming error: an event that a server's state does not allow
@@ -49,6 +51,8 @@ __all__ = [
     "MissionStopped",
     "ModelError",
     "NetworkError",
+    "NotKept",
+    "NotWritten",
     "Refused",
     "ServiceError",
     "TransitionError",
@@ -110,7 +114,7 @@ class AutopilotRefused(AutopilotError):
 
 
 class AutopilotOverruled(AutopilotRefused):
-    """The pilot or a fail-safe has taken the vehicle over; the program leaves it to them."""
+    """The vehicle is not the program's: a pilot or a fail-safe has it, and nothing was sent."""
 
 
 class AutopilotTimeout(AutopilotError):
@@ -169,6 +173,20 @@ class ServiceError(UpwashError):
         self.type_name = type_name
         self.message = message
         super().__init__(f"{type_name}: {message}")
+
+
+class NotWritten(UpwashError):
+    """A file that was to be left could not be written; `kept` says what there is of it or instead of it."""
+
+    def __init__(self, file: Path, error: OSError, kept: str) -> None:
+        self.file = file
+        super().__init__(
+            f"{file}: cannot be written ({error.strerror or error}): {kept}; make room, or name another place"
+        )
+
+
+class NotKept(UpwashError):
+    """What was to be done was done, but not everything of it could be written."""
 
 
 class MissionStopped(UpwashError):

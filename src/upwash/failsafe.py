@@ -42,9 +42,10 @@ class FailSafeOffloading:
     async def invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
         """Runs one call where it is decided to run, or on the drone; returns its decoded reply.
 
-        Raises InstanceError or ServiceError only when the drone's own service fails too.
+        Nothing is decided of a method that runs once, so that no defect has it run again. Raises InstanceError only
+        when the drone's own service fails too.
         """
-        if not self._failed:
+        if not self._failed and not method.once:
             try:
                 return await self._offloading.invoke(operation, method, request)
             except Exception as error:

@@ -11,15 +11,25 @@ from pathlib import Path
 
 from rich.console import Console
 
+from upwash import event_log
 from upwash.config import DroneConfig, waypoints
+from upwash.errors import MissionStopped, NotKept, UsageError
 from upwash.launch import fly
 from upwash.loading import extra
+from upwash.narration import counted
 from upwash.real.journal import read_events
+from upwash.real.log_file import Unwritten
 from upwash.report.exports import write_result
-from upwash.report.record import read_records
+from upwash.report.record import record_of
 from upwash.results import RunResult, read_result
 from upwash.running import ready_program
+from upwash.streams import forgiving_streams
 from upwash.terminal import Progress, print_result
+
+_AT_ONCE = (
+    "the program was stopped at once, and sends nothing more: a vehicle in the air goes on with what it was last "
+    "told, take over with the remote control"
+)
 
 
 class Show(Enum):
@@ -43,20 +53,47 @@ def fly_with_progress(
 
     With `resumes` it takes up the mission that the log is of, and shows what all of it came to. What the mission
     itself prints goes to standard error where one object is shown. With `live_port` a page on that port of this
-    machine shows the flight while it lasts; 0 is any port.
+    machine shows the flight while it lasts; 0 is any port. Raises NotKept where it was flown, but not
+    all of its log, or of what there was to print, could be written.
     """
-    console = Console(markup=False) if show is Show.PROGRESS else _silent_console()
-    progress = Progress(config, len(waypoints(config.mission)), console)
-    try:
-        with (
-            _shown_live(log, live_port, config.camera.folder, resumes=resumes),
-            progress,
-            contextlib.redirect_stdout(sys.stderr) if show is Show.JSON else contextlib.nullcontext(),
-        ):
-            asyncio.run(fly(config, program=program, log=log, resumes=resumes, watchers=(progress.follow,)))
-    finally:
-        if progress.started:
-            _show_result(config, log, show, console)
+    unwritten = Unwritten()
+    with forgiving_streams() as output:
+        console = Console(markup=False) if show is Show.PROGRESS else _silent_console()
+        progress = Progress(config, len(waypoints(config.mission)), console)
+
+        def what_is_not_kept() -> list[str]:
+            problems = _show_result(config, log, unwritten, show, console) if progress.started else []
+            output.flush()
+            if output.trouble:
+                problems.append(f"standard output could not be written ({output.trouble.strerror})")
+            return problems
+
+        try:
+            with (
+                _shown_live(log, live_port, config.camera.folder, resumes=resumes),
+                progress,
+                contextlib.redirect_stdout(sys.stderr) if show is Show.JSON else contextlib.nullcontext(),
+            ):
+                watching = (progress.follow,)
+                asyncio.run(
+                    fly(
+                        config,
+                        program=program,
+                        log=log,
+                        resumes=resumes,
+                        watchers=watching,
+                        unwritten=unwritten,
+                    )
+                )
+        except BaseException as error:
+            for problem in what_is_not_kept():
+                sys.stderr.write(f"upwash: {problem}\n")
+            if isinstance(error, asyncio.CancelledError):
+                raise MissionStopped(_AT_ONCE) from None
+            raise
+        problems = what_is_not_kept()
+    if problems:
+        raise NotKept(f"the mission was flown to its end, but {'; '.join(problems)}")
 
 
 def _silent_console() -> Console:
@@ -64,14 +101,27 @@ def _silent_console() -> Console:
     return Console(quiet=True, force_terminal=False)
 
 
-def _show_result(config: DroneConfig, log: Path, show: Show, console: Console) -> None:
-    if show is Show.JSON:
-        (record,) = read_records([log])
-        sys.stdout.write(write_result(record) + "\n")
-    elif (result := read_log(log)).calls:
-        paced = any(service.local_pace_s for service in config.services)
-        print_result(result, console, paced=paced)
-        console.print(f"event log: {log}", soft_wrap=True)
+def _show_result(
+    config: DroneConfig, log: Path, unwritten: Unwritten, show: Show, console: Console
+) -> list[str]:
+    """Shows what the flight came to, by its log and what that lacks; returns what is wrong with the log."""
+    problems = []
+    if unwritten.why:
+        problems.append(
+            f"the event log {log} lacks {counted(len(unwritten), 'event')} at its end ({unwritten.why}): "
+            "the result has them, nothing else does"
+        )
+    try:
+        events = [*read_events(log), *map(event_log.decode, unwritten.lines)]
+        if show is Show.JSON:
+            sys.stdout.write(write_result(record_of(events, log)) + "\n")
+        elif (result := read_result(events)).calls:
+            paced = any(service.local_pace_s for service in config.services)
+            print_result(result, console, paced=paced)
+            console.print(f"event log: {log}", soft_wrap=True)
+    except UsageError as error:
+        problems.append(f"its result cannot be told: {error}")
+    return problems
 
 
 @contextlib.contextmanager
@@ -94,4 +144,4 @@ def _shown_live(log: Path, port: int | None, photos: Path | None, *, resumes: bo
 
 def read_log(log: Path) -> RunResult:
     """The result of the run that wrote the event log."""
-    return read_result(read_events(log))
+    return read_result(event_log.stream(log))

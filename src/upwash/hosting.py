@@ -7,16 +7,14 @@ from collections.abc import AsyncIterator
 from ipaddress import IPv4Network
 
 from upwash.config import DaemonConfig, RuntimeConfig
-from upwash.real.credentials import Credentials
+from upwash.real.door import Lead
 from upwash.real.lxd.container import ContainerSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
 from upwash.real.lxd.runtime import ContainerRuntime
 
 
 @contextlib.asynccontextmanager
-async def container_runtime(
-    config: DaemonConfig, credentials: Credentials
-) -> AsyncIterator[ContainerRuntime]:
+async def container_runtime(config: DaemonConfig, lead: Lead) -> AsyncIterator[ContainerRuntime]:
     """The containers of the daemon's services, made if they are not there; none runs after the block."""
     runtime = ContainerRuntime(
         engine_of(config.runtime),
@@ -31,7 +29,7 @@ async def container_runtime(
             cpus=config.runtime.cpus,
         ),
         freezes=config.runtime.idle == "freeze",
-        credentials=credentials,
+        lead=lead,
         max_message_bytes=config.max_message_bytes,
     )
     try:

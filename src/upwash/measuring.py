@@ -15,8 +15,9 @@ from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from upwash.bundled import LoadedService
 from upwash.config import DroneConfig, ServerConfig
-from upwash.errors import UsageError
+from upwash.errors import NotWritten, UsageError
 from upwash.launch import profile_at, profile_on_this_computer
+from upwash.output import write_file
 from upwash.profile_report import call_table, server_table, service_table
 from upwash.profiling import Sample, Watch, calls_to_make, samples
 from upwash.service import spec_of
@@ -79,7 +80,11 @@ def _tell(table: object, text: str, out: Path | None) -> None:
     if out is None:
         console.print(text, end="", soft_wrap=True, highlight=False)
     else:
-        out.write_text(text)
+        try:
+            write_file(out, text.encode())
+        except NotWritten:  # what took minutes to measure is not lost for that
+            console.print(text, end="", soft_wrap=True, highlight=False)
+            raise
         console.print(f"written: {out}", soft_wrap=True)
 
 

@@ -8,9 +8,24 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from upwash.core.control import Owner
 from upwash.core.servers import State
+from upwash.ports import SEVERITIES
 
-_SAFE_ENDS = {"return": "returning to land", "land": "landing where it is", "hold": "stopping to hover"}
+_SAFE_ENDS = {
+    "return": "returning to land",
+    "land": "landing where it is",
+    "hold": "stopping to hover",
+    "disarm": "disarming on the ground",
+}
+WARNING = 4
+_OWNERS = {
+    Owner.NOBODY: "nobody",
+    Owner.PROGRAM: "the program",
+    Owner.PILOT: "the pilot",
+    Owner.FAILSAFE: "a fail-safe",
+    Owner.UNKNOWN: "nobody known",
+}
 LEFT_HOVERING = "The vehicle hovers where it is, and nobody flies it now: take over with the remote control."
 
 
@@ -37,7 +52,7 @@ class Tone(StrEnum):
     """How a sentence is meant."""
 
     PLAIN = "plain"
-    ASIDE = "aside"  # a step of a server that changes nothing for the mission
+    ASIDE = "aside"  # what changes nothing for the mission
     CHECKING = "checking"
     READY = "ready"
     REMOTE = "remote"  # a call that ran on a server
@@ -82,6 +97,7 @@ class Narrator:
         self.where = ""
         self.reached = 0  # waypoints
         self.started = False  # whether the mission has begun
+        self.control = ""  # who has the vehicle, since when and why; empty while the program has
 
     def tell(self, event: Mapping[str, Any]) -> Said | None:
         """What the event says; None for one that is not worth a sentence."""
@@ -102,7 +118,8 @@ class Narrator:
             case {"event": "notified", "message": message}:
                 return Said(f"told the user: {in_one_line(message)}", Tone.FOUND)
             case _:
-                return self._course(event) or _ending(event) or _failure(event)
+                said = self._course(event) or self._vehicle(event) or _vehicle_told(event)
+                return said or _ending(event) or _failure(event) or _clock(event)
 
     def _course(self, event: Mapping[str, Any]) -> Said | None:
         match event:
@@ -126,6 +143,63 @@ class Narrator:
                 return Said(LEFT_HOVERING, Tone.ALARM)
         return None
 
+    def _vehicle(self, event: Mapping[str, Any]) -> Said | None:
+        """Who has the vehicle, and how it gets into the air and down again."""
+        match event:
+            case {"event": "control", "owner": owner, "why": why}:
+                taken = f"{who_has_it(owner)} has the vehicle since {event['t']:.1f} s: {why}"
+                self.control = "" if owner == Owner.PROGRAM else taken
+                return _control(owner, why)
+            case {"event": "arming_delayed", "reasons": reasons}:
+                self.doing = "waiting until the vehicle can be armed"
+                said = "; ".join(reasons) or "it does not say why"
+                return Said(f"the vehicle cannot be armed yet: {said}", Tone.TROUBLE)
+            case {"event": "armed"}:
+                self.doing = "armed"
+                return Said("armed")
+            case {"event": "took_off", "altitude_m": altitude_m}:
+                self.doing = "in the air"
+                return Said(f"took off to {altitude_m:g} m")
+            case {"event": "stood"}:
+                self.doing = "on the ground"
+                return Said("the vehicle stands on the ground")
+        return None
+
+
+def _vehicle_told(event: Mapping[str, Any]) -> Said | None:
+    """What the vehicle says, but for its reasons not to arm, which are told when they change."""
+    match event:
+        case {"event": "vehicle_said", "severity": severity, "text": text} if severity <= WARNING:
+            if text.startswith(("PreArm: ", "Arm: ")):
+                return None
+            return Said(f"the vehicle says: {text} ({SEVERITIES[severity]})", Tone.TROUBLE)
+        case {"event": "vehicle_setting", "name": name, "value": value, "advice": advice}:
+            return Said(f"the vehicle's {name} is {value:g}: {advice}", Tone.TROUBLE)
+        case {"event": "unsigned_port", "why": why}:
+            return Said(why, Tone.TROUBLE)
+        case {"event": "link_lost", "silent_s": silent_s}:
+            return Said(f"the vehicle is not heard any more, for {silent_s:.1f} s", Tone.TROUBLE)
+        case {"event": "link_restored", "silent_s": silent_s}:
+            return Said(f"the vehicle is heard again, after {silent_s:.1f} s")
+        case {"event": "dead_man_set", "silence_s": silence_s, "action": action}:
+            doing = "returns" if action == "return" else "lands"
+            said = f"the autopilot {doing} if it does not hear this program for {silence_s:g} s"
+            return Said(said, Tone.ASIDE)
+        case {"event": "energy", "left_percent": left, "home_s": home_s, "margin_percent": spare}:
+            return Said(f"battery {left:.0f} %, home in {home_s:.0f} s, {spare:.0f} % to spare", Tone.ASIDE)
+    return None
+
+
+def who_has_it(owner: str) -> str:
+    """An owner of the vehicle, as a sentence names it."""
+    return _OWNERS[Owner(owner)]
+
+
+def _control(owner: str, why: str) -> Said:
+    if owner == Owner.PROGRAM:
+        return Said(f"the program has the vehicle: {why}", Tone.ASIDE)
+    return Said(f"{who_has_it(owner)} has the vehicle: {why}; nothing is sent to it any more", Tone.ALARM)
+
 
 def _ending(event: Mapping[str, Any]) -> Said | None:
     match event:
@@ -133,8 +207,22 @@ def _ending(event: Mapping[str, Any]) -> Said | None:
             return Said(
                 f"stopping ({why}); once more ends this at once, the vehicle left to itself", Tone.ALARM
             )
-        case {"event": "left_to_pilot" | "mission_ended" as ending, "why": why}:
+        case {"event": "left_to_pilot" | "mission_ended" | "following_ended" as ending, "why": why}:
             return Said(f"{ending.replace('_', ' ')}: {why}", Tone.ALARM)
+    return None
+
+
+def _clock(event: Mapping[str, Any]) -> Said | None:
+    match event:
+        case {"event": "waiting_for_the_time", "why": why}:
+            return Said(f"waiting for the vehicle's GPS to tell the time: {why}", Tone.TROUBLE)
+        case {"event": "clock_set", "before": before, "after": after}:
+            return Said(f"this computer's clock said {before}: set to {after}, as the vehicle's GPS has it")
+        case {"event": "clock_differs", "clock": clock, "gps": gps, "why": why}:
+            return Said(
+                f"this computer's clock says {clock}, the vehicle's GPS {gps}: left as it is, {why}",
+                Tone.TROUBLE,
+            )
     return None
 
 
@@ -142,6 +230,9 @@ def _failure(event: Mapping[str, Any]) -> Said | None:
     match event:
         case {"event": name, "why": why} if name.endswith("_failed"):
             return Said(f"{name.replace('_', ' ')}: {why}", Tone.TROUBLE)
+        case {"event": "remote_raised", "server": server, "operation": operation, "raised": raised}:
+            said = f"{server} says that {operation} raised {raised}; making the call on the drone"
+            return Said(said, Tone.TROUBLE)
         case {"event": "local_ended", "service": service, "how": how}:
             return Said(f"{service} on the drone ended ({how}); starting it again", Tone.TROUBLE)
     return None

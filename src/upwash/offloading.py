@@ -22,6 +22,8 @@ from upwash.core.happenings import (
     RemoteCallCut,
     RemoteCallEnded,
     RemoteCallFailed,
+    RemoteCallRaised,
+    RemoteFaultTested,
 )
 from upwash.core.hedging import Hedge, Hedging
 from upwash.core.orders import Check, Command, Leave, Order
@@ -53,6 +55,9 @@ class Outcome(msgspec.Struct, frozen=True, omit_defaults=True):
     fell_back: bool
     hedged_s: float | None = None  # into the remote call, when the drone's own service started on it too
     queued_s: float = 0.0  # of the delay, until the drone's own service was done with an earlier call
+    remote_fault: str = (
+        ""  # where a server said that the service raised: "confirmed" or "denied" by the drone's own
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,17 +70,39 @@ class _Answer:
     fell_back: bool = False
     hedged_s: float | None = None
     queued_s: float = 0.0
+    remote_fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Call:
+    """What the mission asked for."""
+
+    operation: Operation
+    method: Method
+    request: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class _Said:
+    """What a server says that the service raised in a call, and after how long."""
+
+    raised: str
+    delay_s: float
 
 
 @dataclass(slots=True)
 class _Attempt:
     """A call to a server, bound to the check that made it READY, and the drone's own service at the same call."""
 
+    call: _Call
+    server: str
     envoy: Envoy
     visit: Visit
     check: int
     deadline_s: float
     rival: asyncio.Task[Any] | None = None
+    said: _Said | None = None
+    verdict: str = ""  # on what it said, as an Outcome's `remote_fault`
 
     @property
     def late(self) -> bool:
@@ -155,10 +182,9 @@ class Offloading:
             wait = "paid off" if isinstance(decision, Remote) else "failed"
             why = f"{why}: {decision.why}"
         waited_s = self._now_s() - began_s
-        answer = await self._answer(decision, operation, method, request)
+        answer = await self._answer(decision, _Call(operation, method, request))
         if answer.place == PLACE and isinstance(decision, Remote):
-            lost = "no usable answer, so" if answer.fell_back else "late, and sooner"
-            why = f"{why}; {lost} on the drone"
+            why = f"{why}; {_lost(answer)} on the drone"
         self._report(
             Outcome(
                 operation,
@@ -172,17 +198,32 @@ class Offloading:
                 answer.fell_back,
                 answer.hedged_s,
                 answer.queued_s,
+                answer.remote_fault,
             )
         )
         return answer.reply
 
     async def invoke_alone(self, operation: Operation, method: Method, request: bytes) -> Any:
-        """Runs one call on the drone and decides nothing: what is left to do where deciding has failed."""
+        """Runs one call on the drone and decides nothing: where deciding has failed, or the method runs once."""
         began_s = self._now_s()
-        reply = await self._call_onboard(operation, method, request)
+        queued_s = await self._queue(operation.service)
+        reply = await self._call_onboard(_Call(operation, method, request))
         delay_s = self._now_s() - began_s
-        why = "offloading has failed"
-        self._report(Outcome(operation, PLACE, why, began_s, delay_s, 0.0, delay_s, "", fell_back=False))
+        why = "it runs once, and on the drone" if method.once else "offloading has failed"
+        self._report(
+            Outcome(
+                operation,
+                PLACE,
+                why,
+                began_s,
+                delay_s,
+                0.0,
+                delay_s - queued_s,
+                "",
+                fell_back=False,
+                queued_s=queued_s,
+            )
+        )
         return reply
 
     def _report(self, outcome: Outcome) -> None:
@@ -279,71 +320,97 @@ class Offloading:
 
     # --- calling --------------------------------------------------------------------------------------------
 
-    async def _answer(
-        self, decision: Decision, operation: Operation, method: Method, request: bytes
-    ) -> _Answer:
-        local_s = self._selection.estimates.local_s(operation)
+    async def _answer(self, decision: Decision, call: _Call) -> _Answer:
+        local_s = self._selection.estimates.local_s(call.operation)
         if self._hedging is not None and local_s is not None:
             self._hedging.count(local_s)
         if not isinstance(decision, Remote):
-            return await self._answer_onboard(operation, method, request)
-        if (hedge := self._plan_hedge(decision, operation)) is not None:
-            return await self._answer_hedged(decision, hedge, operation, method, request)
-        reply = await self._call_server(
-            decision, operation, method, request, self._attempt(decision.server, decision.deadline_s)
-        )
+            return await self._answer_onboard(call)
+        if (hedge := self._plan_hedge(decision, call.operation)) is not None:
+            return await self._answer_hedged(decision, hedge, call)
+        attempt = self._attempt(call, decision.server, decision.deadline_s)
+        reply = await self._call_server(attempt)
         if reply is not None:
             return _Answer(reply, decision.server)
-        return await self._answer_onboard(operation, method, request, fell_back=True)
+        return await self._answer_onboard(call, instead_of=attempt)
 
-    def _attempt(self, server: str, deadline_s: float) -> _Attempt:
+    def _attempt(self, call: _Call, server: str, deadline_s: float) -> _Attempt:
         envoy = self._sent[server]
         assert envoy.visit is not None  # noqa: S101 - a server is READY only by its visit
-        return _Attempt(envoy, envoy.visit, self._selection.servers[server].check, deadline_s)
+        return _Attempt(call, server, envoy, envoy.visit, self._selection.servers[server].check, deadline_s)
 
-    async def _call_server(
-        self, decision: Remote, operation: Operation, method: Method, request: bytes, attempt: _Attempt
-    ) -> Any | None:
-        """The decoded reply of a server, or None where it gave no usable one."""
-        began_s = self._now_s()
+    async def _call_server(self, attempt: _Attempt) -> Any | None:
+        """The decoded reply of a server that carries a value, or None where it gave no such reply."""
+        call, server, began_s = attempt.call, attempt.server, self._now_s()
+        operation, method = call.operation, call.method
         try:
             reply = method.decode(
                 await attempt.visit.call(
-                    operation.service, operation.method, request, deadline_s=attempt.deadline_s
+                    operation.service, operation.method, call.request, deadline_s=attempt.deadline_s
                 )
             )
         except LinkError as error:
-            self._journal.record("remote_failed", server=decision.server, why=str(error))
+            self._journal.record("remote_failed", server=server, why=str(error))
             if isinstance(error, DeadlineExceeded):
-                attempt.envoy.cut = RemoteCallCut(decision.server, operation, self._now_s() - began_s)
-            self.tell(RemoteCallFailed(decision.server, attempt.check, str(error), attempt.late))
+                attempt.envoy.cut = RemoteCallCut(server, operation, self._now_s() - began_s)
+            self.tell(RemoteCallFailed(server, attempt.check, str(error), attempt.late))
             return None
         delay_s = self._now_s() - began_s
+        if raised := method.raised(reply):
+            attempt.said = _Said(raised, delay_s)
+            self._doubt(attempt, attempt.said)
+            return None
         if attempt.late:
-            self._journal.record("dropped", operation=str(operation), place=decision.server)
+            self._journal.record("dropped", operation=str(operation), place=server)
         if self._hedging is not None:
-            self._hedging.answered(decision.server, operation, delay_s)
-        self.tell(RemoteCallEnded(decision.server, operation, delay_s, attempt.late))
+            self._hedging.answered(server, operation, delay_s)
+        self.tell(RemoteCallEnded(server, operation, delay_s, attempt.late))
         return reply
 
-    async def _answer_onboard(
-        self, operation: Operation, method: Method, request: bytes, *, fell_back: bool = False
-    ) -> _Answer:
-        queued_s = await self._queue(operation.service)
-        began_s = self._now_s()
-        reply = await self._call_onboard(operation, method, request)
-        delay_s = self._now_s() - began_s
-        self.tell(LocalCallEnded(operation, delay_s))
-        return _Answer(reply, PLACE, delay_s, fell_back, queued_s=queued_s)
+    def _doubt(self, attempt: _Attempt, said: _Said) -> None:
+        """Notes what the server says that the service raised; the mission hears only what the drone's own raises."""
+        server, rival = attempt.server, attempt.rival
+        operation = str(attempt.call.operation)
+        self._journal.record("remote_raised", server=server, operation=operation, raised=said.raised)
+        if rival is not None and attempt.late:
+            self._test(attempt, rival.result())
+        else:
+            self.tell(RemoteCallRaised(server, f"{server} says that {operation} raised {said.raised}"))
 
-    async def _call_onboard(self, operation: Operation, method: Method, request: bytes) -> Any:
-        expected_s = self._selection.estimates.local_s(operation) or 0.0
-        return method.decode(
+    def _test(self, attempt: _Attempt, onboard: Any) -> None:
+        """Holds what the server said, if it did, against what the drone's own service replied to the same call."""
+        if (said := attempt.said) is None or attempt.verdict:
+            return
+        server, operation = attempt.server, attempt.call.operation
+        confirmed = bool(attempt.call.method.raised(onboard))
+        attempt.verdict = "confirmed" if confirmed else "denied"
+        why = f"it says that {operation} raised {said.raised}, which did not raise on the drone"
+        if not confirmed:
+            self._journal.record("remote_failed", server=server, why=f"{server}: {why}")
+        elif self._hedging is not None:
+            self._hedging.answered(server, operation, said.delay_s)
+        self.tell(RemoteFaultTested(server, attempt.check, operation, said.delay_s, why, confirmed))
+
+    async def _answer_onboard(self, call: _Call, *, instead_of: _Attempt | None = None) -> _Answer:
+        queued_s = await self._queue(call.operation.service)
+        began_s = self._now_s()
+        reply = await self._call_onboard(call)
+        delay_s = self._now_s() - began_s
+        if instead_of is not None:
+            self._test(instead_of, reply)
+        self.tell(LocalCallEnded(call.operation, delay_s))
+        verdict = instead_of.verdict if instead_of else ""
+        return _Answer(reply, PLACE, delay_s, instead_of is not None, queued_s=queued_s, remote_fault=verdict)
+
+    async def _call_onboard(self, call: _Call) -> Any:
+        expected_s = self._selection.estimates.local_s(call.operation) or 0.0
+        return call.method.decode(
             await self._onboard.call(
-                operation.service,
-                operation.method,
-                request,
+                call.operation.service,
+                call.operation.method,
+                call.request,
                 timeout_s=max(_LOCAL_LEAST_S, _LOCAL_FACTOR * expected_s),
+                once=call.method.once,
             )
         )
 
@@ -356,35 +423,30 @@ class Offloading:
             return None
         return self._hedging.plan(decision.server, operation, local_s=local_s, deadline_s=decision.deadline_s)
 
-    async def _answer_hedged(
-        self, decision: Remote, hedge: Hedge, operation: Operation, method: Method, request: bytes
-    ) -> _Answer:
-        attempt = self._attempt(decision.server, hedge.deadline_s)
-        remote = asyncio.create_task(self._call_server(decision, operation, method, request, attempt))
+    async def _answer_hedged(self, decision: Remote, hedge: Hedge, call: _Call) -> _Answer:
+        attempt = self._attempt(call, decision.server, hedge.deadline_s)
+        remote = asyncio.create_task(self._call_server(attempt))
         try:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(hedge.after_s):
                     await asyncio.shield(remote)
             if not remote.done():
                 self._journal.record("hedged", server=decision.server, **msgspec.to_builtins(hedge))
-                attempt.rival = asyncio.create_task(self._call_onboard(operation, method, request))
-                return await self._race(decision, hedge, operation, remote, attempt.rival)
+                attempt.rival = asyncio.create_task(self._call_onboard(call))
+                return await self._race(decision, hedge, remote, attempt)
         except BaseException:
             await _end([each for each in (remote, attempt.rival) if each is not None])
             raise
         if (reply := remote.result()) is not None:
             return _Answer(reply, decision.server)
-        return await self._answer_onboard(operation, method, request, fell_back=True)
+        return await self._answer_onboard(call, instead_of=attempt)
 
     async def _race(
-        self,
-        decision: Remote,
-        hedge: Hedge,
-        operation: Operation,
-        remote: asyncio.Task[Any],
-        local: asyncio.Task[Any],
+        self, decision: Remote, hedge: Hedge, remote: asyncio.Task[Any], attempt: _Attempt
     ) -> _Answer:
         """The first answer; the loser runs on, as a computation cannot be broken off, and its answer is dropped."""
+        local, operation = attempt.rival, attempt.call.operation
+        assert local is not None  # noqa: S101 - there is no race without it
         began_s = self._now_s()
         if await _first_answered(remote, local) is remote:
             onboard_s = self._now_s() - began_s
@@ -393,9 +455,17 @@ class Offloading:
             self._loser = _Loser(asyncio.create_task(self._drop(operation, local)), operation.service)
             return _Answer(remote.result(), decision.server, onboard_s, hedged_s=hedge.after_s)
         reply, onboard_s = local.result(), self._now_s() - began_s
+        self._test(attempt, reply)
         self.tell(LocalCallEnded(operation, onboard_s))
         self._loser = _Loser(remote)
-        return _Answer(reply, PLACE, onboard_s, fell_back=_has_failed(remote), hedged_s=hedge.after_s)
+        return _Answer(
+            reply,
+            PLACE,
+            onboard_s,
+            fell_back=_has_failed(remote),
+            hedged_s=hedge.after_s,
+            remote_fault=attempt.verdict,
+        )
 
     async def _drop(self, operation: Operation, local: asyncio.Task[Any]) -> None:
         with contextlib.suppress(UpwashError):  # which is in the log
@@ -442,6 +512,13 @@ class Offloading:
 
     def _now_s(self) -> float:
         return asyncio.get_running_loop().time()
+
+
+def _lost(answer: _Answer) -> str:
+    """Why a call that was sent to a server was answered on the drone."""
+    if answer.remote_fault:
+        return f"it raised there, which was {answer.remote_fault}"
+    return "no usable answer, so" if answer.fell_back else "late, and sooner"
 
 
 async def _end(tasks: Sequence[asyncio.Task[Any]]) -> None:

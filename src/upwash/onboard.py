@@ -32,12 +32,14 @@ class OnboardServices:
         for service in self._services.values():
             await service.start()
 
-    async def call(self, service: str, method: str, request: bytes, *, timeout_s: float) -> bytes:
-        """Runs one call; a service that crashes or hangs in it is restarted and the call repeated once.
+    async def call(
+        self, service: str, method: str, request: bytes, *, timeout_s: float, once: bool = False
+    ) -> bytes:
+        """Runs one call; a service that crashes or hangs in it is restarted and the call repeated, unless `once`.
 
         Raises InstanceError when that fails too.
         """
-        return await self._services[service].call(method, request, timeout_s=timeout_s)
+        return await self._services[service].call(method, request, timeout_s=timeout_s, once=once)
 
     async def close(self) -> None:
         """Ends every service; returns when none is left."""
@@ -69,13 +71,18 @@ class _OnboardService:
         first = await self._launch()
         self._life = asyncio.create_task(self._live(first))
 
-    async def call(self, method: str, request: bytes, *, timeout_s: float) -> bytes:
+    async def call(self, method: str, request: bytes, *, timeout_s: float, once: bool) -> bytes:
         try:
             return await self._attempt(method, request, timeout_s)
         except Refused as error:  # it is well, and would refuse again
             raise InstanceError(f"{self._spec.service} on the drone: {error}") from error
         except LinkError as error:
             self._journal.record("local_failed", service=self._spec.service, method=method, why=str(error))
+            if once:
+                raise InstanceError(
+                    f"{self._spec.service} failed on the drone in {method}, which may have run and must not run "
+                    f"twice: {error}"
+                ) from error
         try:
             return await self._attempt(method, request, timeout_s)
         except LinkError as error:

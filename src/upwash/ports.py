@@ -9,13 +9,103 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, Protocol, TypeAlias
 
-from upwash.core.geo import Circle, Position
+from upwash.core.control import Control
+from upwash.core.energy import EnergyFacts
+from upwash.core.geo import Circle, Position, Velocity
+from upwash.core.geofence import Fence
+
+SEVERITIES = (
+    "emergency",
+    "alert",
+    "critical",
+    "error",
+    "warning",
+    "notice",
+    "info",
+    "debug",
+)  # MAVLink's, from 0
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleText:
+    """What the vehicle said in words; the severity is one of `SEVERITIES`, by its number."""
+
+    severity: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class ArmingDelayed:
+    """Why the vehicle cannot be armed yet, in its own words; empty where it does not say."""
+
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleSetting:
+    """A parameter of the vehicle that the user should know before the flight, and why."""
+
+    name: str
+    value: float
+    advice: str
+
+
+@dataclass(frozen=True, slots=True)
+class LinkChanged:
+    """The vehicle is not heard any more, or again; either after a silence of so long."""
+
+    linked: bool
+    silent_s: float
+
+
+VehicleNews: TypeAlias = Control | VehicleText | ArmingDelayed | VehicleSetting | LinkChanged
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleLimits:
+    """Where the vehicle returns to and what its own fence allows, relative to the mission's home.
+
+    `home` is None while it does not say, `highest_m` where no altitude is forbidden.
+    """
+
+    home: Position | None = None
+    fences: Sequence[Fence] = ()
+    highest_m: float | None = None
+
+
+DeadManAction: TypeAlias = Literal["return", "land"]
+
+
+class DeadMan(Protocol):
+    """What brings a vehicle down whose program has fallen silent: it runs in the autopilot.
+
+    It acts in flight in the program's own mode alone. Each verb raises AutopilotError where it cannot be done.
+    """
+
+    async def missing(self) -> str:
+        """What it lacks to watch, and the remedy; empty where it is ready."""
+
+    async def install(self) -> str:
+        """Puts it into the autopilot of a vehicle that is claimed and stands; returns what is left to do by hand."""
+
+    async def watch(self, *, silence_s: float, action: DeadManAction) -> None:
+        """Has it act after so long a silence of the program; returns once it says that it will.
+
+        The wish stands until `release`, confirmed or not, while the vehicle is the program's.
+        """
+
+    async def release(self) -> None:
+        """Says goodbye: it is not to miss the program any more. Returns once it says so, or does not answer."""
 
 
 class Autopilot(Protocol):
-    """A vehicle that can be flown. Each verb returns when it is true, and raises AutopilotError otherwise."""
+    """A vehicle that can be flown. Each verb returns when it is true, and raises AutopilotError otherwise.
+
+    No verb sends a command unless the vehicle is the program's, which it is from `claim` on until a report says
+    otherwise (`core.control`); AutopilotOverruled then.
+    """
 
     @property
     def position(self) -> Position:
@@ -25,11 +115,57 @@ class Autopilot(Protocol):
     def battery_percent(self) -> float | None:
         """What is left in the battery, as last reported; None where the vehicle does not say."""
 
+    @property
+    def velocity(self) -> Velocity | None:
+        """How it moves over the ground, as last reported; None where the vehicle does not say."""
+
+    @property
+    def wind(self) -> Velocity | None:
+        """How the air moves over the ground, as last reported; None where the vehicle does not say."""
+
+    @property
+    def energy(self) -> EnergyFacts:
+        """What the vehicle says of its battery's stages and of its way home."""
+
+    @property
+    def control(self) -> Control:
+        """Who has the vehicle, by its last report."""
+
+    @property
+    def dead_man(self) -> DeadMan:
+        """What brings it down when the program falls silent."""
+
+    @property
+    def armed(self) -> bool:
+        """Whether its motors run, by its last report."""
+
+    @property
+    def stands(self) -> bool:
+        """Whether it stands on the ground, by its last report."""
+
+    def listen(self, hear: Callable[[VehicleNews], None]) -> None:
+        """Has `hear` called with all news of the vehicle, and first with those since it was connected."""
+
     async def in_the_air(self) -> bool:
-        """Whether the vehicle flies at the program's command; AutopilotOverruled if at somebody else's."""
+        """Whether the vehicle flies."""
+
+    async def claim(self, *, resumes: bool) -> None:
+        """Takes the vehicle for the program: one that is disarmed or, where it `resumes`, in the program's own mode.
+
+        AutopilotOverruled for any other, and for one that was lost to somebody since this program began.
+        """
+
+    async def stood(self) -> None:
+        """Returns once the vehicle stands disarmed, whoever flies it; AutopilotLost if it falls silent."""
+
+    async def limits(self) -> VehicleLimits:
+        """What the vehicle says of its home and its fence."""
+
+    async def ready(self) -> None:
+        """Returns once the vehicle can be armed; AutopilotRefused has its reasons where that takes too long."""
 
     async def arm(self) -> None:
-        """Waits until the vehicle is ready to fly, then arms its motors."""
+        """Starts the motors."""
 
     async def takeoff(self, altitude_m: float) -> None:
         """Climbs to the altitude above home; returns when it is reached."""
@@ -141,6 +277,9 @@ class InstanceSpec:
     program: Program
     pace_s: Mapping[str, float] = field(default_factory=dict)  # least time a call takes, by profile key
     start_pace_s: float = 0.0  # least time a start takes
+    methods: frozenset[str] = (
+        frozenset()
+    )  # that it declares, as far as known: answers of others are not believed
 
     @property
     def name(self) -> str:
@@ -183,5 +322,6 @@ class Runtime(Protocol):
     ) -> Instance:
         """Returns when the instance is ready to serve; raises InstanceError.
 
-        `called(drone)` when a drone calls, `answered(method, took_s)` at the end of each call.
+        `called(drone)` when a drone that is admitted calls, known by `Visitor.key`, `answered(method, took_s)` at the
+        end of each call. Both are the instance's word, which a service may forge.
         """

@@ -36,7 +36,7 @@ def make_selection(
             retry_s=policy.retry_s,
             radios=config.network.radios,
         ),
-        mission=_mission_beliefs(config, estimates, plan),
+        mission=_mission_beliefs(config, specs, estimates, plan),
     )
 
 
@@ -76,7 +76,8 @@ def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Est
                     operation: delay_s
                     for service in config.services
                     for operation, key in profiled[service.name].items()
-                    if (delay_s := _remote_s(server, service, key)) is not None
+                    if not specs[service.name].methods[operation.method].once
+                    and (delay_s := _remote_s(server, service, key)) is not None
                 },
             )
             for server in config.servers
@@ -90,7 +91,7 @@ def contacts(config: DroneConfig, estimates: Estimates) -> dict[str, Contact]:
         server.name: Contact(
             name=server.name,
             network=server.network,
-            address=server.address or server.name,
+            address=server.address or "",
             services=tuple(
                 service.name
                 for service in config.services
@@ -105,10 +106,19 @@ def contacts(config: DroneConfig, estimates: Estimates) -> dict[str, Contact]:
     }
 
 
-def _mission_beliefs(config: DroneConfig, estimates: Estimates, plan: Sequence[Waypoint]) -> MissionBeliefs:
-    """The plan, and a first stop with a photo and a call of each operation in the mission's mode."""
+def _mission_beliefs(
+    config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates, plan: Sequence[Waypoint]
+) -> MissionBeliefs:
+    """The plan, and a first stop with a photo and a call of each operation in the mission's mode.
+
+    But for those that run once, as nothing is decided of them.
+    """
     mission = config.mission
-    operations = [each for each in estimates.operations if each.key in ("", mission.mode)]
+    operations = [
+        each
+        for each in estimates.operations
+        if each.key in ("", mission.mode) and not specs[each.service].methods[each.method].once
+    ]
     pauses_s = (config.camera.photo_s, *(0.0 for _ in operations[1:]))
     return MissionBeliefs(
         plan=plan,

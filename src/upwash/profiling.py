@@ -101,7 +101,7 @@ def samples(spec: ServiceSpec, photos: Sequence[bytes]) -> list[Sample]:
             tuple(method.encode((), {name: photo, **arguments})[1] for photo in photos),
         )
         for method in spec.methods.values()
-        if (name := _photo_parameter(method)) is not None
+        if not method.once and (name := _photo_parameter(method)) is not None
         for key, arguments in _keys(method)
     ]
     if not found:

@@ -3,17 +3,26 @@
 Each message is one MessagePack map; each exchange is one request and one reply on a gRPC path, so that a client
 or a server in another language needs nothing but gRPC and MessagePack. Who the drone is says its certificate,
 not the message.
+
+Neither end believes the other more than it must: every field has its bounds where it is declared, every text is
+escaped as it arrives, and a message that breaks a bound is none.
 """
 
 from __future__ import annotations
 
+import math
+import os
+import re
 from datetime import datetime
+from pathlib import Path
 from typing import Annotated, TypeVar
 
 import msgspec
+from msgspec import Meta
 
 from upwash.core.visitors import RefusalStatus, ServerStatus
-from upwash.errors import GarbledReply
+from upwash.errors import GarbledReply, Refused
+from upwash.text import LONGEST_TEXT, escaped, printable
 from upwash.wire import decode
 
 AVAILABILITY = "/upwash.Daemon/Availability"
@@ -23,10 +32,24 @@ PREPARE = "/upwash.Daemon/Prepare"
 HOLD = "/upwash.Daemon/Hold"
 STATUS = "/upwash.Daemon/Status"
 
+LONGEST_REPLY_BYTES = 2**16  # of a daemon to a drone: results come from instances
+LONGEST_STATUS_BYTES = 2**20  # of a daemon to an operator
+LEAST_LEASE_S = 2.0  # a drone renews it three times as often
+
 T = TypeVar("T")
-NameText = Annotated[str, msgspec.Meta(max_length=255)]  # it stands in logs and refusals
-Names = Annotated[list[NameText], msgspec.Meta(max_length=255)]
-Seconds = Annotated[float, msgspec.Meta(ge=0)]
+_PLAIN = msgspec.msgpack.Decoder()
+_MOST_S = 86_400.0
+_LONGEST_UP_S = 1e10
+_PORT = re.compile(r":([1-9][0-9]{0,4})\Z")
+_MOST_PORT = 65_535
+
+NameText = Annotated[str, Meta(max_length=255)]  # it stands in logs and refusals
+Names = Annotated[list[NameText], Meta(max_length=255)]
+Reason = Annotated[str, Meta(max_length=LONGEST_TEXT)]
+Endpoint = Annotated[str, Meta(max_length=255)]
+Endpoints = Annotated[dict[NameText, Endpoint], Meta(max_length=255)]
+Seconds = Annotated[float, Meta(ge=0, le=_MOST_S)]
+Lease = Annotated[float, Meta(ge=LEAST_LEASE_S, le=_MOST_S)]
 
 
 class AvailabilityRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -39,15 +62,15 @@ class AvailabilityRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
 class AvailabilityReply(msgspec.Struct, frozen=True):
     """Yes, with the endpoints of those that run and the length of the lease; or no, with the reason.
 
-    An endpoint that begins with a colon is a port of the host that the daemon was reached at. `peers` are the servers
-    that it can have prepared.
+    An endpoint is a port of the host that the daemon was reached at, such as ":40000" (`resolve`). `peers` are the
+    servers that it can have prepared.
     """
 
     available: bool
-    reason: str = ""
-    endpoints: dict[str, str] = {}
-    lease_s: float = 0.0
-    peers: list[str] = []
+    reason: Reason = ""
+    endpoints: Endpoints = {}
+    lease_s: Lease = LEAST_LEASE_S
+    peers: Names = []
 
 
 class StartRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -60,8 +83,8 @@ class StartRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class StartReply(msgspec.Struct, frozen=True):
     """The endpoint to call; or why there is none."""
 
-    endpoint: str = ""
-    reason: str = ""
+    endpoint: Endpoint = ""
+    reason: Reason = ""
 
 
 class LeaveRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -98,7 +121,7 @@ class HoldReply(msgspec.Struct, frozen=True):
     """The slot is held and the services start or run; or why not."""
 
     held: bool
-    reason: str = ""
+    reason: Reason = ""
 
 
 class StatusRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -108,18 +131,18 @@ class StatusRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class CertificateStatus(msgspec.Struct, frozen=True):
     """A certificate that the daemon relies on, and until when it can."""
 
-    holder: str
-    expires: datetime
+    holder: NameText
+    expires: Annotated[datetime, Meta(tz=True)]
 
 
 class StatusReply(msgspec.Struct, frozen=True):
     """The daemon's servers, its last refusals and its certificates; and for how long it has run."""
 
-    up_s: float
+    up_s: Annotated[float, Meta(ge=0, le=_LONGEST_UP_S)]
     servers: list[ServerStatus]
     refusals: list[RefusalStatus]
     certificates: list[CertificateStatus]
-    closing: str = ""
+    closing: Reason = ""
 
 
 def service_path(service: str, method: str) -> str:
@@ -128,23 +151,63 @@ def service_path(service: str, method: str) -> str:
 
 
 def decode_reply(reply: bytes, expected: type[T], *, sender: str) -> T:
-    """A daemon's reply as a value; raises GarbledReply naming the sender."""
+    """A daemon's reply as a value, its texts escaped; raises GarbledReply naming the sender."""
     try:
-        return decode(reply, msgspec.msgpack.Decoder(expected))
+        return _decode(reply, expected)
     except msgspec.MsgspecError as error:
-        raise GarbledReply(f"{sender} sent a reply that cannot be decoded: {error}") from error
+        raise GarbledReply(
+            f"{sender} sent a reply that cannot be decoded: {printable(str(error))}"
+        ) from error
+
+
+def decode_request(request: bytes, expected: type[T]) -> T:
+    """A request to a daemon as a value, its texts escaped; raises Refused."""
+    try:
+        return _decode(request, expected)
+    except msgspec.MsgspecError as error:
+        raise Refused(f"undecodable request: {printable(str(error))}") from error
+
+
+def _decode(message: bytes, expected: type[T]) -> T:
+    try:
+        return msgspec.convert(_clean(decode(message, _PLAIN)), expected)
+    except RecursionError as error:
+        raise msgspec.DecodeError("nested too deeply") from error
+
+
+def _clean(value: object) -> object:
+    """Plain values, lists and maps included, with each text in them escaped; refuses what is no finite number."""
+    match value:
+        case str():
+            return escaped(value)
+        case float() if not math.isfinite(value):
+            raise msgspec.ValidationError("Expected a finite number")
+        case list():
+            return [_clean(each) for each in value]
+        case dict():
+            return {_clean(key): _clean(each) for key, each in value.items()}
+    return value
 
 
 def resolve(endpoint: str, daemon_address: str) -> str:
-    """The address of an endpoint that a daemon gave: a bare port is one of the daemon's host.
+    """The address of an endpoint that a daemon gave: a port of its own host, and no other place.
 
-    Raises GarbledReply for a socket of this machine where the daemon is not on one: it would be called without
-    certificates.
+    Of a daemon on a unix socket it is a socket in the same folder, or below it. Raises GarbledReply for anything
+    else: who is called, and how its name is looked up, is not for a server to choose.
     """
-    if endpoint.startswith(":"):
+    if daemon_address.startswith("unix:"):
+        if endpoint.startswith("unix:") and _folder(daemon_address) in _path(endpoint).parents:
+            return endpoint
+    elif (port := _PORT.match(endpoint)) and int(port[1]) <= _MOST_PORT:
         return daemon_address.rpartition(":")[0] + endpoint
-    if endpoint.startswith("unix:") and not daemon_address.startswith("unix:"):
-        raise GarbledReply(
-            f"the daemon at {daemon_address} gave the endpoint {endpoint}, which is not its own"
-        )
-    return endpoint
+    raise GarbledReply(
+        f"the daemon at {daemon_address} gave the endpoint {printable(endpoint)}, which is not its own"
+    )
+
+
+def _folder(address: str) -> Path:
+    return _path(address).parent
+
+
+def _path(address: str) -> Path:
+    return Path(os.path.abspath(address.removeprefix("unix:")))  # noqa: PTH100 - which takes out what goes up again

@@ -8,9 +8,14 @@ from typing import Any
 
 from upwash.core.servers import Event
 from upwash.narration import ran_on
-from upwash.results import last_run
+from upwash.results import Beginning, last_run
 
 _TOLD = {Event.SELECTED, Event.CHECK_FAILED, Event.CALL_FAILED_IN_RANGE, Event.CALL_FAILED_OUT_OF_RANGE}
+_FELL_BACK = {
+    "": "no usable answer came, so the drone did it itself",
+    "confirmed": "the server said that it raised, so the drone did it itself, and it raised there too",
+    "denied": "the server said that it raised, so the drone did it itself, and nothing was wrong with it",
+}
 _LEFT = {Event.DESELECTED, Event.DESELECTED_AFTER_START}
 
 
@@ -28,17 +33,16 @@ class Reasons:
     """Gathers, event by event, why each call of a run ran where it ran; times become seconds of the mission."""
 
     def __init__(self) -> None:
-        self._began_s: float | None = None
+        self._began = Beginning()
         self._waypoint: int | None = None
         self._decisions: list[Mapping[str, Any]] = []
         self._changes: list[Mapping[str, Any]] = []
 
     def take(self, event: Mapping[str, Any]) -> ExplainedCall | None:
         """Takes in the next event; the call, where it ends one."""
-        now_s = event["t"] - (self._began_s or 0.0)
+        self._began.take(event)
+        now_s = event["t"] - (self._began.at_s or 0.0)
         match event["event"]:
-            case "mission_started" if self._began_s is None:
-                self._began_s = event["t"]
             case "arrived":
                 self._waypoint = event["waypoint"]
             case "decided":
@@ -82,7 +86,7 @@ def told(call: ExplainedCall) -> Iterator[str]:
     if outcome.get("queued_s"):
         yield f"    the drone was busy with an earlier call for {outcome['queued_s']:.2f} s"
     if outcome["fell_back"]:
-        yield "no usable answer came, so the drone did it itself"
+        yield _FELL_BACK.get(outcome.get("remote_fault", ""), _FELL_BACK[""])
 
 
 def told_decision(decision: Mapping[str, Any]) -> Iterator[str]:

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import NoReturn, TypeVar
+from typing import NoReturn
 
 import msgspec
 
@@ -46,22 +46,23 @@ from upwash.protocol import (
     StatusReply,
     StatusRequest,
     decode_reply,
+    decode_request,
 )
-from upwash.wire import decode
+from upwash.text import printable
 
 _log = logging.getLogger("upwash.server")
 _LEAST_LOOK_S = 1.0  # between two looks at what has come to its end
 _PEER_S = 3.0  # a peer answers at once, over a wire, or is in trouble
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """A service that can be started: its program, and the least times that its calls and its start take."""
+    """A service that can be started: its program, the least times of its calls and its start, and its methods."""
 
     program: Program
     pace_s: Mapping[str, float] = field(default_factory=dict)
     start_pace_s: float = 0.0
+    methods: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,26 +111,34 @@ class EdgeServer:
         match path:
             case _ if path == AVAILABILITY:
                 return msgspec.msgpack.encode(
-                    await self._availability(_decode(body, AvailabilityRequest), visitor)
+                    await self._availability(decode_request(body, AvailabilityRequest), visitor)
                 )
             case _ if path == START:
-                return msgspec.msgpack.encode(await self._start(_decode(body, StartRequest), visitor))
+                return msgspec.msgpack.encode(await self._start(decode_request(body, StartRequest), visitor))
             case _ if path == LEAVE:
-                return msgspec.msgpack.encode(await self._leave(_decode(body, LeaveRequest), visitor))
+                return msgspec.msgpack.encode(await self._leave(decode_request(body, LeaveRequest), visitor))
             case _ if path == PREPARE:
-                return msgspec.msgpack.encode(await self._prepare(_decode(body, PrepareRequest), visitor))
+                return msgspec.msgpack.encode(
+                    await self._prepare(decode_request(body, PrepareRequest), visitor)
+                )
             case _ if path == HOLD:
-                return msgspec.msgpack.encode(await self._hold(_decode(body, HoldRequest), visitor))
+                return msgspec.msgpack.encode(await self._hold(decode_request(body, HoldRequest), visitor))
             case _ if path == STATUS:
-                _decode(body, StatusRequest)
+                decode_request(body, StatusRequest)
                 return msgspec.msgpack.encode(self._status(visitor))
             case _:
-                raise Refused(f"no such request: {path}")
+                raise Refused(f"no such request: {printable(path)}")
 
     async def reload(
-        self, offers: Mapping[str, ServerOffer], *, images: Mapping[str, Image], revoked: frozenset[str]
+        self,
+        offers: Mapping[str, ServerOffer],
+        *,
+        images: Mapping[str, Image],
+        revoked: frozenset[str],
+        certificates: Sequence[CertificateStatus] = (),
     ) -> None:
         """From now on the same servers offer this, with these images, to all but the revoked certificates."""
+        self._certificates = certificates
         replaced = frozenset(name for name, image in images.items() if self._images.get(name, image) != image)
         self._images = images
         await self._perform(self._host.revoke(revoked))
@@ -140,6 +149,10 @@ class EdgeServer:
         return Standing(
             self._host.servers(now_s=self._now_s()), dict(self._host.refused_times), self._certificates
         )
+
+    def seen(self, server: str, drone: str) -> None:
+        """The daemon saw for itself that the drone, known by `Visitor.key`, is calling: its lease is renewed."""
+        self._host.seen(server, drone, now_s=self._now_s())
 
     async def drain(self, why: str) -> None:
         """Refuses whatever is new for that reason; returns when the calls under way have ended, or had their time."""
@@ -184,7 +197,7 @@ class EdgeServer:
                 )
             case Denied(why):
                 _log.info("%s: no place for %s: %s", request.server, drone.name, why)
-                return AvailabilityReply(available=False, reason=why)
+                return AvailabilityReply(available=False, reason=printable(why))
 
     async def _start(self, request: StartRequest, drone: Visitor) -> StartReply:
         while True:
@@ -194,13 +207,13 @@ class EdgeServer:
                 case Running(endpoint):
                     return StartReply(endpoint=endpoint)
                 case Denied(why):
-                    return StartReply(reason=why)
+                    return StartReply(reason=printable(why))
                 case Pending(number, stopping):
                     settled = self._settled.get(number)
                     why = await asyncio.shield(settled) if settled else ""
                     if why and not stopping:
                         self._host.refused(request.server, drone.name, why, now_s=self._now_s())
-                        return StartReply(reason=why)
+                        return StartReply(reason=printable(why))
 
     async def _leave(self, request: LeaveRequest, drone: Visitor) -> LeaveReply:
         await self._perform(self._host.leave(request.server, drone))
@@ -214,12 +227,12 @@ class EdgeServer:
         )
         await self._perform(commands)
         if denied is not None:
-            return HoldReply(held=False, reason=denied.why)
+            return HoldReply(held=False, reason=printable(denied.why))
         hold = HoldRequest(request.peer, drone.name, drone.certificate, request.services, for_s)
         try:
             reply = await self._ask_peer(hold)
         except LinkError as error:  # it may have heard it all the same
-            return HoldReply(held=False, reason=str(error))
+            return HoldReply(held=False, reason=printable(str(error)))
         if not reply.held:
             self._host.not_held(request.peer, drone)
         return reply
@@ -244,7 +257,7 @@ class EdgeServer:
         await self._perform(commands)
         if isinstance(answer, Denied):
             _log.info("%s: nothing held for %s: %s", request.server, request.drone, answer.why)
-            return HoldReply(held=False, reason=answer.why)
+            return HoldReply(held=False, reason=printable(answer.why))
         self._held.set()
         _log.info("%s: a slot is held for %s, as %s asked", request.server, request.drone, peer.name)
         return HoldReply(held=True)
@@ -298,20 +311,32 @@ class EdgeServer:
             life.cancel()
 
     async def _admit(self, command: Admit) -> None:
-        for start, instance in list(self._instances.items()):
-            if start.server != command.server:
-                continue
-            try:
-                await instance.admit(command.drones)
-            except InstanceError as error:
-                _log.warning("stopping an instance that cannot be told whom to serve: %s", error)
-                self._cut(start.number)
+        """Tells all instances at once: one that takes its time over it holds up no other."""
+        await asyncio.gather(
+            *(
+                self._tell_whom(start, instance, command.drones)
+                for start, instance in self._instances.items()
+                if start.server == command.server
+            )
+        )
+
+    async def _tell_whom(self, start: StartInstance, instance: Instance, drones: frozenset[str]) -> None:
+        try:
+            await instance.admit(drones)
+        except InstanceError as error:
+            _log.warning("stopping an instance that cannot be told whom to serve: %s", error)
+            self._cut(start.number)
 
     async def _live(self, start: StartInstance) -> None:
         """The life of one instance, from its start to its end."""
         image = self._images[start.service]
         spec = InstanceSpec(
-            start.server, start.service, image.program, pace_s=image.pace_s, start_pace_s=image.start_pace_s
+            start.server,
+            start.service,
+            image.program,
+            pace_s=image.pace_s,
+            start_pace_s=image.start_pace_s,
+            methods=image.methods,
         )
         instance: Instance | None = None
         why = ""  # of its end; none where it was stopped, and whoever waits for it should ask again
@@ -350,10 +375,3 @@ class EdgeServer:
 
     def _now_s(self) -> float:
         return asyncio.get_running_loop().time()
-
-
-def _decode(body: bytes, expected: type[T]) -> T:
-    try:
-        return decode(body, msgspec.msgpack.Decoder(expected))
-    except msgspec.MsgspecError as error:
-        raise Refused(f"undecodable request: {error}") from error

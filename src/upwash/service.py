@@ -6,7 +6,11 @@
         def process_photo(self, photo: bytes, mode: Mode) -> list[Detection]: ...
 
 Arguments and results travel as MessagePack, built and checked by the type hints: a request is a map from
-parameter name to value, a reply a map with either `value` or `fault`. Services keep no state between calls.
+parameter name to value, a reply a map with either `value` or `fault`. Services keep no state between calls, and a
+call may be made twice: on a server and, where that gives no usable answer, on the drone. What must not says so:
+
+        @once
+        def drop_parcel(self) -> None: ...                                # on the drone alone, never again
 """
 
 from __future__ import annotations
@@ -18,7 +22,7 @@ import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType, ModuleType
-from typing import Any, TypeVar, cast, overload
+from typing import Any, ParamSpec, TypeVar, cast, overload
 
 import msgspec
 from msgspec import UNSET, UnsetType
@@ -27,11 +31,16 @@ from upwash.core.estimates import Operation
 from upwash.errors import DeclarationError, GarbledReply, ServiceError, UpwashError, UsageError
 from upwash.loading import load
 from upwash.settings import describe_settings
+from upwash.text import printable
 from upwash.wire import decode, require_sendable
 
 T = TypeVar("T")
+P = ParamSpec("P")
+R = TypeVar("R")
 _PLAIN = (str, int, float, bool, type(None))
 _SPEC = "__upwash_service__"
+_ONCE = "__upwash_once__"
+_TOLD_LENGTH = 200  # characters of what a fault says, where it is told and not raised
 
 
 class Fault(msgspec.Struct, frozen=True):
@@ -44,7 +53,10 @@ class Fault(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Method:
-    """One operation's wire form: what a stub sends and what an instance does with it."""
+    """One operation's wire form: what a stub sends and what an instance does with it.
+
+    `once` where a call must run on the drone alone, and never a second time.
+    """
 
     name: str
     signature: inspect.Signature
@@ -52,6 +64,7 @@ class Method:
     request: msgspec.msgpack.Decoder[Any]
     reply_type: Callable[..., Any]
     reply: msgspec.msgpack.Decoder[Any]
+    once: bool = False
 
     def encode(self, args: tuple[object, ...], kwargs: Mapping[str, object]) -> tuple[str, bytes]:
         """The profile key and the request of a call with these arguments; raises TypeError as the call would."""
@@ -85,6 +98,12 @@ class Method:
         if decoded.value is UNSET and decoded.fault is UNSET:
             raise GarbledReply(f"{self.name}(): the reply carries neither a value nor a fault")
         return decoded
+
+    def raised(self, decoded: Any) -> str:
+        """The exception that a decoded reply carries, in short; "" where it carries a value."""
+        if decoded.fault is UNSET:
+            return ""
+        return printable(f"{decoded.fault.type.replace(':', '.')}: {decoded.fault.message}", _TOLD_LENGTH)
 
     def result(self, decoded: Any) -> object:
         """What a decoded reply means to the caller: its value, or the service's exception, raised."""
@@ -137,6 +156,15 @@ def service(
         return cls
 
     return declare if declared is None else declare(declared)
+
+
+def once(method: Callable[P, R], /) -> Callable[P, R]:
+    """Declares a method of a service as one whose calls run on the drone alone, and never a second time.
+
+    For what acts on the world: neither a server nor a repetition after a failure ever sees such a call.
+    """
+    setattr(method, _ONCE, True)
+    return method
 
 
 def spec_of(cls: type) -> ServiceSpec:
@@ -231,6 +259,7 @@ def _describe_method(cls: type, function: Callable[..., object], profile_by: str
         request=msgspec.msgpack.Decoder(request_type),
         reply_type=reply_type,
         reply=msgspec.msgpack.Decoder(reply_type),
+        once=getattr(function, _ONCE, False),
     )
 
 
@@ -279,14 +308,14 @@ def _exception_class(type_path: str) -> type[Exception] | None:
     """The exception class of that path, if this process has it already.
 
     Nothing is imported and no module's own code looks it up: a reply must not choose what runs here. Nor may it pass
-    for an error of upwash itself.
+    for an error of upwash itself, by whatever name that is known: those say what became of the vehicle.
     """
     module_name, _, qualname = type_path.partition(":")
-    if module_name == UpwashError.__module__:
-        return None
     found: object = sys.modules.get(module_name)
     for name in qualname.split("."):
         if not isinstance(found, (type, ModuleType)):
             return None
         found = vars(found).get(name)
-    return found if isinstance(found, type) and issubclass(found, Exception) else None
+    if not isinstance(found, type) or not issubclass(found, Exception) or issubclass(found, UpwashError):
+        return None
+    return found

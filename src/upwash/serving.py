@@ -6,31 +6,31 @@ import asyncio
 import contextlib
 import logging
 import os
+import socket
 import tempfile
 from collections.abc import AsyncIterator, Callable, Coroutine
-from datetime import UTC, datetime, timedelta
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
-
-import msgspec
-from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 
 from upwash.bundled import load_services
 from upwash.config import DaemonConfig
 from upwash.core.instances import Host, HostSettings, ServerOffer
 from upwash.core.visitors import Visitor
-from upwash.errors import CredentialsError, Refused, UpwashError, UsageError
+from upwash.daemon_keys import DaemonKeys, watch_expiry
+from upwash.errors import Refused, UpwashError, UsageError
 from upwash.loading import extra
 from upwash.ports import InstanceSpec, Program, Runtime
-from upwash.protocol import CertificateStatus
-from upwash.real.credentials import Credentials, read_credentials, read_revoked
-from upwash.real.link import GrpcDialer
-from upwash.real.listener import Caller, Listener
+from upwash.real.announced import Inside
+from upwash.real.door import Door, Seen, door_limits, leading, opened_door, raise_limit_of_files
+from upwash.real.listener import Caller, Health, Listener, cannot_listen
 from upwash.real.runtime import ProcessRuntime, sockets_in
 from upwash.real.sandbox import Limits, Sandbox, find_sandbox
 from upwash.real.service_manager import ServiceManager
-from upwash.real.signals import on_hangup, stopping_politely
+from upwash.real.signals import ending_in_time, on_hangup, stopping_politely
+from upwash.real.streams import listening_socket
 from upwash.server import EdgeServer, Image
+from upwash.service import spec_of
 
 if TYPE_CHECKING:
     from upwash.metrics.daemon import DaemonMetrics
@@ -41,8 +41,12 @@ Handle = Callable[[str, bytes, Visitor], Coroutine[Any, Any, bytes]]
 _CONCURRENT_REQUESTS = 128  # most take no time, a start as long as the service needs
 _REQUESTS_PER_DRONE = 8
 _LONGEST_REQUEST_BYTES = 2**20  # photos go to instances
-_EXPIRY_WARNING = timedelta(days=30)
-_EXPIRY_LOOK_S = 86_400.0
+_LONGEST_ANSWER_S = 600.0  # to who sets no deadline
+_ENDING_S = 30.0  # for all that follows the calls under way
+_ROOT = (
+    "the daemon is root, and so is whatever breaks out of a sandbox that root made: "
+    "run it as a user of its own (docs/operators.md), or say runtime.sandbox_as_root = true"
+)
 _CLOSING = "this edge server is shutting down"
 
 
@@ -58,12 +62,21 @@ async def serve(
     SIGHUP has the configuration read again.
     """
     images = _images(config)
-    credentials = _credentials(config)
-    revoked = _revoked(config)
+    keys = DaemonKeys(config)
     sandbox, weakness = await asyncio.to_thread(_sandbox, config)
+    loop = asyncio.get_running_loop()
+
+    def seen(server: str, drone: str) -> None:  # by the door, in its own thread
+        loop.call_soon_threadsafe(edge.seen, server, drone)
+
     async with contextlib.AsyncExitStack() as stack:
-        sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="upwash-")))
-        runtime = await stack.enter_async_context(_runtime(config, credentials, sockets, sandbox))
+        in_time = stack.enter_context(ending_in_time())
+        outside = stack.enter_context(_listening(config.listen)) if keys.credentials else None
+        sockets = Path(
+            stack.enter_context(tempfile.TemporaryDirectory(prefix="u-", dir=_socket_folder(config)))
+        )
+        door = await stack.enter_async_context(_door(keys, seen))
+        runtime = await stack.enter_async_context(_runtime(config, door, sockets, sandbox))
         metrics = _metrics(config)
         edge = EdgeServer(
             Host(
@@ -73,24 +86,23 @@ async def serve(
             ),
             images=images,
             runtime=metrics.runtime(runtime) if metrics else runtime,
-            dialer=GrpcDialer(
-                config.identities[0].name, credentials, max_message_bytes=config.max_message_bytes
-            ),
+            dialer=keys,
             peers={peer.name: peer.address for peer in config.peers},
             start_timeout_s=config.start_timeout_s,
             drain_s=config.drain_s,
-            certificates=_certificates(credentials),
+            certificates=keys.certificates,
         )
-        await edge.reload(_offers(config), images=images, revoked=revoked)
+        await edge.reload(
+            _offers(config), images=images, revoked=keys.revoked, certificates=keys.certificates
+        )
         handle = metrics.daemon(edge.handle) if metrics else edge.handle
-        listener = _listener(config, credentials, handle)
-        health = _health(config, listener)
         hung_up, stopped = asyncio.Event(), asyncio.Event()
         stack.enter_context(stopping_politely(lambda _: stopped.set()))
         stack.enter_context(on_hangup(hung_up.set))
-        listener.start()
         stack.push_async_callback(edge.close)
-        stack.push_async_callback(asyncio.to_thread, listener.stop)
+        address = await stack.enter_async_context(
+            _answering(config, door, outside, sockets, handle, serving=lambda: not stopped.is_set())
+        )
         if metrics and config.metrics:
             from upwash.metrics.exposition import exposed
 
@@ -98,29 +110,64 @@ async def serve(
             await stack.enter_async_context(exposed(metrics.registry, config.metrics))
         if weakness:
             _log.warning("%s", weakness)
-        ready(listener.address)
+        ready(address)
         manager.ready()
         for work in (
             edge.run(),
-            _reload_at(hung_up, config, read_again=read_again, edge=edge, manager=manager),
-            _watch_expiry(_certificates(credentials)),
+            _reload_at(
+                hung_up, config, read_again=read_again, edge=edge, keys=keys, door=door, manager=manager
+            ),
+            watch_expiry(keys),
         ):
             stack.callback(asyncio.create_task(work).cancel)
         await stopped.wait()
-        health.enter_graceful_shutdown()
+        in_time(config.drain_s + _ENDING_S)
         manager.stopping("waiting for the calls under way")
         await edge.drain(_CLOSING)
+
+
+@contextlib.asynccontextmanager
+async def _answering(
+    config: DaemonConfig,
+    door: Door | None,
+    outside: socket.socket | None,
+    sockets: Path,
+    handle: Handle,
+    *,
+    serving: Callable[[], bool],
+) -> AsyncIterator[str]:
+    """Has requests answered until the end of the block, through the door if there is one; yields the address."""
+    inside = Inside(f"{sockets}/daemon.sock") if door else None
+    listener = _listener(config, inside, handle)
+    listener.add(Health([each.name for each in config.identities], serving=serving))
+    listener.start()
+    try:
+        if door and inside and outside:
+            passage = await door.lead(outside, inside.connect)
+            yield passage.address
+            await passage.close()
+        else:
+            yield listener.address
+    finally:
+        await asyncio.to_thread(listener.stop)
 
 
 def _images(config: DaemonConfig) -> dict[str, Image]:
     """What each service is; in a container its program is the image's, and checks its settings there."""
     if config.runtime.kind == "lxd":
-        programs = {
-            each.name: Program("", each.settings.values if each.settings else {}) for each in config.images
+        known = {
+            each.name: Image(Program("", each.settings.values if each.settings else {}))
+            for each in config.images
         }
     else:
-        programs = {name: service.program for name, service in load_services(config.images).items()}
-    return {each.name: Image(programs[each.name], each.pace_s, each.start_pace_s) for each in config.images}
+        known = {
+            name: Image(service.program, methods=frozenset(spec_of(service.cls).methods))
+            for name, service in load_services(config.images).items()
+        }
+    return {
+        each.name: replace(known[each.name], pace_s=each.pace_s, start_pace_s=each.start_pace_s)
+        for each in config.images
+    }
 
 
 def _offers(config: DaemonConfig) -> dict[str, ServerOffer]:
@@ -134,6 +181,9 @@ def _sandbox(config: DaemonConfig) -> tuple[Sandbox | None, str]:
         return None, ""
     if runtime.sandbox == "off":
         return None, "services run without a sandbox, as runtime.sandbox says"
+    is_root = os.geteuid() == 0
+    if is_root and not runtime.sandbox_as_root:
+        raise UsageError(_ROOT)
     limits = Limits(runtime.memory_bytes, runtime.processes, runtime.disk_bytes)
     try:
         sandbox = find_sandbox(limits, readable=runtime.readable)
@@ -141,28 +191,46 @@ def _sandbox(config: DaemonConfig) -> tuple[Sandbox | None, str]:
         if runtime.sandbox == "required":
             raise
         return None, f"services run without a sandbox: {error}"
-    if os.geteuid() == 0:
+    if is_root:
         return sandbox, "the daemon is root: services in their sandbox may start processes without limit"
     return sandbox, ""
 
 
 @contextlib.asynccontextmanager
+async def _door(keys: DaemonKeys, seen: Seen) -> AsyncIterator[Door | None]:
+    """Where certificates are looked at, if there are any."""
+    if keys.credentials is None:
+        yield None
+        return
+    async with opened_door(keys.trust(), door_limits(raise_limit_of_files()), seen=seen) as door:
+        yield door
+
+
+@contextlib.asynccontextmanager
 async def _runtime(
-    config: DaemonConfig, credentials: Credentials | None, sockets: Path, sandbox: Sandbox | None
+    config: DaemonConfig, door: Door | None, sockets: Path, sandbox: Sandbox | None
 ) -> AsyncIterator[Runtime]:
+    lead = leading(door, config.listen.rpartition(":")[0]) if door else None
     if config.runtime.kind == "lxd":
         from upwash.hosting import container_runtime
 
-        assert credentials is not None  # noqa: S101 - the configuration was checked for that
-        async with container_runtime(config, credentials) as containers:
+        assert lead is not None  # noqa: S101 - the configuration was checked for certificates
+        async with container_runtime(config, lead) as containers:
             yield containers
     else:
         yield ProcessRuntime(
-            _beside(config.listen, sockets),
-            credentials=credentials,
+            sockets_in(sockets) if lead else _beside(config.listen, sockets),
+            lead=lead,
             max_message_bytes=config.max_message_bytes,
             sandbox=sandbox,
         )
+
+
+def _socket_folder(config: DaemonConfig) -> Path | None:
+    """The folder of the daemon's own socket, if it has one: drones call no other sockets than those below it."""
+    if not config.listen.startswith("unix:"):
+        return None
+    return Path(config.listen.removeprefix("unix:")).absolute().parent
 
 
 def _beside(listen: str, sockets: Path) -> Callable[[InstanceSpec], str]:
@@ -173,37 +241,35 @@ def _beside(listen: str, sockets: Path) -> Callable[[InstanceSpec], str]:
     return lambda _: f"{host}:0"
 
 
+def _listening(address: str) -> socket.socket:
+    try:
+        return listening_socket(address)
+    except OSError:
+        raise cannot_listen(address) from None
+
+
 # --- requests -----------------------------------------------------------------------------------------------
 
 
-def _listener(config: DaemonConfig, credentials: Credentials | None, handle: Handle) -> Listener:
+def _listener(config: DaemonConfig, inside: Inside | None, handle: Handle) -> Listener:
     loop = asyncio.get_running_loop()
 
     def answer_in_time(path: str, body: bytes, caller: Caller) -> bytes:
         answer = asyncio.run_coroutine_threadsafe(handle(path, body, caller.visitor), loop)
         try:
-            return answer.result(timeout=caller.time_left_s())
+            return answer.result(timeout=min(caller.time_left_s() or _LONGEST_ANSWER_S, _LONGEST_ANSWER_S))
         except TimeoutError:
             answer.cancel()
             raise Refused("the drone's deadline is over") from None
 
     return Listener(
-        config.listen,
+        f"unix:{inside.path}" if inside else config.listen,
         answer_in_time,
-        credentials=credentials,
+        who_is=inside.visitor if inside else None,
         max_message_bytes=min(config.max_message_bytes, _LONGEST_REQUEST_BYTES),
         concurrent_requests=_CONCURRENT_REQUESTS,
         requests_per_drone=_REQUESTS_PER_DRONE,
     )
-
-
-def _health(config: DaemonConfig, listener: Listener) -> health.HealthServicer:
-    """The standard health service, for the daemon and for each of its servers."""
-    servicer = health.HealthServicer()
-    health_pb2_grpc.add_HealthServicer_to_server(servicer, listener.grpc_server)
-    for name in ("", *(each.name for each in config.identities)):
-        servicer.set(name, health_pb2.HealthCheckResponse.SERVING)
-    return servicer
 
 
 # --- metrics -----------------------------------------------------------------------------------------------
@@ -217,48 +283,6 @@ def _metrics(config: DaemonConfig) -> DaemonMetrics | None:
     return DaemonMetrics()
 
 
-# --- certificates -------------------------------------------------------------------------------------------
-
-
-def _credentials(config: DaemonConfig) -> Credentials | None:
-    if config.keys is None:
-        return None
-    credentials = read_credentials(config.keys.authority, config.keys.certificate, config.keys.key)
-    names = ",".join(identity.name for identity in config.identities)
-    remedy = f"make one with `upwash keys DIR --server {names}`"
-    for identity in config.identities:
-        if identity.name not in credentials.names:
-            raise CredentialsError(
-                f"the certificate is for {', '.join(credentials.names)}, but this daemon acts as "
-                f"{identity.name}: {remedy}"
-            )
-    if not credentials.is_for("serving") or (config.peers and not credentials.is_for("calling")):
-        raise CredentialsError(f"{config.keys.certificate}: not a certificate for a daemon: {remedy}")
-    return None if config.listen.startswith("unix:") else credentials
-
-
-def _revoked(config: DaemonConfig) -> frozenset[str]:
-    file = config.keys.revoked if config.keys else None
-    return read_revoked(file) if file else frozenset()
-
-
-def _certificates(credentials: Credentials | None) -> list[CertificateStatus]:
-    expiries = credentials.expiries if credentials else {}
-    return [CertificateStatus(holder, expires) for holder, expires in expiries.items()]
-
-
-async def _watch_expiry(certificates: list[CertificateStatus]) -> NoReturn:
-    """Warns of certificates that end soon, every day."""
-    while True:
-        for each in certificates:
-            left = each.expires - datetime.now(UTC)
-            level = logging.WARNING if left < _EXPIRY_WARNING else logging.INFO
-            _log.log(
-                level, "the certificate of %s ends in %d days, on %s", each.holder, left.days, each.expires
-            )
-        await asyncio.sleep(_EXPIRY_LOOK_S)
-
-
 # --- another configuration ----------------------------------------------------------------------------------
 
 
@@ -268,6 +292,8 @@ async def _reload_at(
     *,
     read_again: Callable[[], DaemonConfig],
     edge: EdgeServer,
+    keys: DaemonKeys,
+    door: Door | None,
     manager: ServiceManager,
 ) -> NoReturn:
     """Has the edge server follow the configuration, at each hang-up; one that cannot be followed changes nothing."""
@@ -278,13 +304,17 @@ async def _reload_at(
         try:
             new = await asyncio.to_thread(read_again)
             _refuse_restart(config, new)
-            revoked = _revoked(new)
             images = await asyncio.to_thread(_images, new)
+            keys.renew(new)
         except UpwashError as error:
             _log.error("the old configuration stays: %s", error)
         else:
-            await edge.reload(_offers(new), images=images, revoked=revoked)
-            _log.info("the configuration was read again; %d certificates are revoked", len(revoked))
+            if door:
+                await door.trust(keys.trust())
+            await edge.reload(
+                _offers(new), images=images, revoked=keys.revoked, certificates=keys.certificates
+            )
+            _log.info("the configuration was read again; %d certificates are revoked", len(keys.revoked))
         manager.ready()
 
 
@@ -292,10 +322,8 @@ def _refuse_restart(old: DaemonConfig, new: DaemonConfig) -> None:
     """Raises UsageError where the two differ in what a running daemon cannot change."""
     if [each.name for each in old.identities] != [each.name for each in new.identities]:
         raise UsageError("another server cannot join a daemon that runs, nor leave it: restart it")
-    if (old.keys and msgspec.structs.replace(old.keys, revoked=None)) != (
-        new.keys and msgspec.structs.replace(new.keys, revoked=None)
-    ):
-        raise UsageError("keys cannot change while the daemon runs, but for keys.revoked: restart it")
+    if (old.keys is None) != (new.keys is None):
+        raise UsageError("a daemon that runs cannot begin or cease to use certificates: restart it")
     if old.runtime.kind == "lxd" and old.images != new.images:
         raise UsageError("the services of containers are prepared at the start: restart it")
     for name in sorted(set(old.__struct_fields__) - {"images", "identities", "keys"}):

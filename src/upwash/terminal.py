@@ -15,6 +15,7 @@ from rich.text import Text
 from upwash.config import DroneConfig
 from upwash.narration import LEFT_HOVERING, Narrator, Tone, counted, spans
 from upwash.results import RunResult
+from upwash.text import printable
 
 _RECENT = 10
 _WIDE = 400  # columns, where nobody sees them: a row is to be one line of a log
@@ -65,11 +66,13 @@ class Progress:
         """Takes in one event."""
         match event:
             case {"server": server, "before": _, "after": after, "why": why}:
-                self._states[server] = (after, why)
+                self._states[server] = (after, printable(why))
         said = self._narrator.tell(event)
         if said is None:
             return
-        line = Text(f"{event['t']:7.1f} s  ") + Text(said.text, style=_TONE_STYLES.get(said.tone, ""))
+        line = Text(f"{event['t']:7.1f} s  ") + Text(
+            printable(said.text), style=_TONE_STYLES.get(said.tone, "")
+        )
         self._recent.append(line)
         if not self._console.is_terminal:
             self._console.print(line, soft_wrap=True)
@@ -83,7 +86,8 @@ class Progress:
         for name, (state, why) in self._states.items():
             servers.add_row(name, Text(state, style=_STATE_STYLES.get(state, "")), why)
         head = Text(f"{now.doing} · {now.reached} of {self._waypoints} waypoints reached · {now.where}")
-        return Group(head, servers, *self._recent)
+        taken = [Text(printable(now.control), style="bold red")] if now.control else []
+        return Group(head, *taken, servers, *self._recent)
 
 
 def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
@@ -127,11 +131,13 @@ def _print_calls(result: RunResult, console: Console) -> None:
         place = "drone" if call.place == "local" else call.place
         waited = f"{call.waited_s:.1f} s" if call.waited_s >= _WORTH_SHOWING_S else ""
         cells = (waypoint, *operation, place, f"{call.delay_s:.2f} s", waited, call.decision)
-        table.add_row(*(Text(cell) for cell in cells))  # as text: [heavy] is no markup
+        table.add_row(*(Text(printable(cell)) for cell in cells))  # as text: [heavy] is no markup
     console.print(table, width=None if console.is_terminal else _WIDE)
 
 
 def _print_times(result: RunResult, console: Console, *, paced: bool) -> None:
+    if result.arming_s >= _WORTH_SHOWING_S:
+        console.print(f"waited {result.arming_s:.1f} s until the vehicle could be armed", soft_wrap=True)
     ended = "" if result.completed else ", not completed"
     local_only_s = result.local_only_time_s()
     if local_only_s is None or not result.totals.remote or not result.completed:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from dataclasses import dataclass
+from typing import NoReturn
 
 import msgspec
 
@@ -12,6 +13,7 @@ from upwash.errors import LinkError, Refused, Unreachable, UpwashError
 from upwash.ports import Dialer, Link, Network
 from upwash.protocol import (
     AVAILABILITY,
+    LEAST_LEASE_S,
     LEAVE,
     PREPARE,
     START,
@@ -58,7 +60,7 @@ class Visit:
         self._dialer = dialer
         self._daemon: Link | None = None
         self._instances: dict[str, Link] = {}
-        self._lease_s = 0.0
+        self._lease_s = LEAST_LEASE_S
         self._lost = ""  # why, once the network is
         self._calls = 0
         self._quiet = asyncio.Event()
@@ -78,8 +80,9 @@ class Visit:
         """Asks for the services; raises LinkError where the server is not available."""
         self._daemon = self._dialer.dial(self._contact.address, server=self._contact.name)
         answer = await self._availability()
-        for service, endpoint in answer.endpoints.items():
-            self._dial(service, endpoint)
+        for service in self._contact.services:
+            if service in answer.endpoints:
+                self._dial(service, answer.endpoints[service])
         running = all(service in self._instances for service in self._contact.services)
         return Answer(running, tuple(answer.peers))
 
@@ -107,9 +110,9 @@ class Visit:
         if not reply.held:
             raise Refused(reply.reason)
 
-    async def keep_lease(self) -> None:
+    async def keep_lease(self) -> NoReturn:
         """Renews the lease, as the drone may be busy flying for longer than it lasts; until cancelled."""
-        while self._lease_s > 0:
+        while True:
             await asyncio.sleep(self._lease_s / 3)
             with contextlib.suppress(
                 UpwashError

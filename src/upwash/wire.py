@@ -9,14 +9,20 @@ import msgspec
 from msgspec import inspect as types
 
 from upwash.errors import DeclarationError
+from upwash.text import printable
 
 T = TypeVar("T")
 
 
 def decode(data: bytes, decoder: msgspec.msgpack.Decoder[T]) -> T:
-    """The value, checked against the decoder's type; raises msgspec.MsgspecError for anything else."""
+    """The value, checked against the decoder's type; raises msgspec.MsgspecError for anything else.
+
+    What the error says can be shown: it may quote a name or a value of the other side's.
+    """
     try:
         return decoder.decode(data)
+    except msgspec.MsgspecError as error:
+        raise type(error)(printable(str(error))) from error
     except UnicodeDecodeError as error:
         raise msgspec.DecodeError(f"text that is not UTF-8: {error}") from error
     except RecursionError as error:

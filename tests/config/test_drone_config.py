@@ -43,7 +43,12 @@ def test_every_printed_value_is_read(tmp_path: Path) -> None:
     assert config.mission.grid == GridConfig(columns=11, rows=11, spacing_m=20.0)
     assert config.mission.home is not None
     assert config.mission.home.longitude_deg == 22.9507
-    assert config.autopilot == AutopilotConfig(connection="udpout:127.0.0.1:14550", on_failure="land")
+    assert config.autopilot == AutopilotConfig(
+        connection="udpout:127.0.0.1:14550",
+        signing_key=tmp_path / "keys" / "signing.key",
+        on_failure="land",
+        dead_man_s=20.0,
+    )
     assert config.mission.reserve_percent == 25.0
     assert config.network.kind == "wired"
     assert config.services[0].local_call_s == {"light": 3.0, "heavy": 10.0}
@@ -54,6 +59,16 @@ def test_every_printed_value_is_read(tmp_path: Path) -> None:
     assert server.truth.remote_call_s == {"detector": {"light": 0.3, "heavy": 7.7}}
     assert config.heat is not None
     assert config.faults[0].to_s == 420.0
+
+
+def test_a_reserve_of_seconds_leaves_something_to_fly(tmp_path: Path) -> None:
+    vehicle = "\n[vehicle]\nendurance_s = 1200.0\n"
+    text = SHORT.replace("[mission]", "[mission]\nreserve_s = 60.0") + vehicle
+    assert read(tmp_path, text).mission.reserve_s == 60.0
+    with pytest.raises(
+        ConfigError, match=r"mission.reserve_s: 1200 is no less than vehicle.endurance_s = 1200"
+    ):
+        read(tmp_path, text.replace("60.0", "1200.0"))
 
 
 def test_what_a_file_leaves_out_has_the_printed_defaults(tmp_path: Path) -> None:
@@ -220,8 +235,11 @@ REFUSED = [
     ("grid = {", "waypoints_m = [[0, 0]]\ngrid = {", "mission", "found grid, waypoints_m"),
     ("grid = {", "#", "mission", "give one of grid, waypoints_m, plan, found none"),
     ("reserve_percent = 25.0", "reserve_percent = 100", "mission.reserve_percent", "above 0 and below 100"),
+    ("reserve_percent = 25.0", "reserve_s = -1", "mission.reserve_s", "at least 0"),
     ("reserve_percent = 25.0", "reserve_percent = 0", "mission.reserve_percent", "above 0 and below 100"),
     ('on_failure = "land"', 'on_failure = "dance"', "autopilot.on_failure", '"return"'),
+    ('on_failure = "land"', 'on_failure = "hold"', "autopilot.dead_man_s", "hover for ever"),
+    ("dead_man_s = 20.0", "dead_man_s = 2.0", "autopilot.dead_man_s", "from 5 to 600"),
     ("grid = {", "waypoints_m = [] #", "mission.waypoints_m", "at least one"),
     ("grid = {", "waypoints_m = [[0, 0], [1]] #", "mission.waypoints_m[1]", "[east, north] in metres"),
     ('mode = "heavy"', 'mode = "hevy"', "mission.mode", 'did you mean "heavy"? allowed: light, heavy'),

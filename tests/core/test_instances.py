@@ -129,7 +129,7 @@ def test_a_denied_request_still_ends_the_leases_that_are_over() -> None:
     assert commands == [admit()]
 
 
-def test_every_request_renews_the_lease() -> None:
+def test_every_request_renews_the_lease_and_what_the_daemon_sees_and_nothing_that_an_instance_says() -> None:
     machine = host()
     machine.availability("s1", ["detector"], Visitor("d1"), now_s=0.0)
     machine.availability("s1", ["detector"], Visitor("d1"), now_s=20.0)
@@ -137,15 +137,34 @@ def test_every_request_renews_the_lease() -> None:
     machine.start("s1", "detector", Visitor("d1"), now_s=49.9)
     assert machine.look(now_s=79.8) == []
     machine.ready("s1", "detector", 1, "10.0.0.1:9000", now_s=79.8)
-    machine.called("s1", "detector", "d1", now_s=79.8)
+    machine.seen("s1", "d1", now_s=79.8)
     assert machine.look(now_s=109.7) == []
+    machine.called("s1", "detector", "d1", now_s=109.7)
     assert machine.look(now_s=109.8) == [admit()]
 
 
 def test_a_call_gives_no_lease_to_a_drone_without_one() -> None:
     machine = with_detector_running(slots=2)
     machine.called("s1", "detector", "d2", now_s=9.0)
+    machine.seen("s1", "d2", now_s=9.0)
     assert machine.leases("s1") == {"d1"}
+
+
+def test_drones_are_seen_by_their_certificates_and_no_others_lease_is_renewed() -> None:
+    machine = host(slots=2)
+    machine.availability("s1", ["detector"], Visitor("d1", "f1"), now_s=0.0)
+    machine.seen("s1", "d1", now_s=20.0)
+    assert machine.look(now_s=30.0) == [admit()]
+    machine.availability("s1", ["detector"], Visitor("d1", "f1"), now_s=30.0)
+    machine.seen("s1", "f1", now_s=50.0)
+    assert machine.look(now_s=79.9) == []
+
+
+def test_calls_of_drones_without_a_lease_keep_no_instance_from_being_stopped() -> None:
+    machine = with_detector_running()
+    machine.leave("s1", Visitor("d1"))
+    machine.called("s1", "detector", "d1", now_s=500.0)
+    assert machine.look(now_s=608.0) == [StopInstance("s1", "detector", 1)]
 
 
 def test_a_drone_that_leaves_frees_its_slot_at_once() -> None:
@@ -235,10 +254,11 @@ def test_what_is_told_of_an_earlier_instance_changes_nothing() -> None:
 
 def test_an_instance_that_nobody_uses_is_stopped_once() -> None:
     machine = with_detector_running()
-    machine.called("s1", "detector", "d1", now_s=100.0)
+    machine.availability("s1", ["detector"], Visitor("d1"), now_s=30.0)
+    machine.called("s1", "detector", "d1", now_s=50.0)
     machine.leave("s1", Visitor("d1"))
-    assert machine.look(now_s=699.9) == []
-    assert machine.look(now_s=700.0) == [StopInstance("s1", "detector", 1)]
+    assert machine.look(now_s=649.9) == []
+    assert machine.look(now_s=650.0) == [StopInstance("s1", "detector", 1)]
     assert machine.look(now_s=800.0) == []
     assert machine.state("s1", "detector") is STOPPING
 

@@ -121,7 +121,20 @@ class Daemon(RuleBasedStateMachine):
             server, wanted, Visitor(drone), peer=PEER, for_s=for_s, now_s=self.now_s
         )
         is_held = isinstance(answer, Held)
-        self.answered(server, wanted, drone, granted=is_held, before=before, commands=commands)
+        others = sum(
+            each == server and name != drone and self.has_lease(each, name) for each, name in self.expected
+        )
+        is_half = others >= max(1, self.slots[server] // 2)
+        in_vain = isinstance(answer, Denied) and answer.why.endswith("expected did not come")
+        self.answered(
+            server,
+            wanted,
+            drone,
+            granted=is_held,
+            before=before,
+            commands=commands,
+            allowed=not (is_half or in_vain),
+        )
         if is_held:
             self.lease_ends_s[server, drone] = max(known_s, end_s) if has_come else end_s
             if not has_come:
@@ -138,9 +151,18 @@ class Daemon(RuleBasedStateMachine):
     def drone_calls(self, data: st.DataObject, drone: str) -> None:
         server, service = data.draw(st.sampled_from(sorted(self.serving)))
         self.host.called(server, service, drone, now_s=self.now_s)
-        self.used_s[server, service] = self.now_s
-        if self.lease_ends_s.get((server, drone), self.now_s) > self.now_s:  # a lease that is over stays over
-            self.lease_ends_s[server, drone] = self.now_s + SETTINGS.lease_s
+        if self.has_lease(server, drone):
+            self.used_s[server, service] = self.now_s
+
+    @rule(server=servers, drone=drones)
+    def daemon_sees_the_drone(self, server: str, drone: str) -> None:
+        self.host.seen(server, drone, now_s=self.now_s)
+        if self.has_lease(server, drone):  # one that is over stays over
+            ends_s = self.now_s + SETTINGS.lease_s
+            self.lease_ends_s[server, drone] = max(ends_s, self.lease_ends_s[server, drone])
+
+    def has_lease(self, server: str, drone: str) -> bool:
+        return self.lease_ends_s.get((server, drone), self.now_s) > self.now_s
 
     @precondition(lambda self: self.born)
     @rule(data=st.data())
@@ -181,12 +203,13 @@ class Daemon(RuleBasedStateMachine):
         granted: bool,
         before: tuple[Host, list[Command]],
         commands: list[Command],
+        allowed: bool = True,
     ) -> None:
         """A request is granted where there are images and a slot; one that is denied only ends leases."""
         looked, expected = before
         holders = looked.leases(server)
         room = drone in holders or len(holders) < self.slots[server]
-        assert granted == (room and set(wanted) <= set(OFFERED[server]))
+        assert granted == (allowed and room and set(wanted) <= set(OFFERED[server]))
         self.carry_out(commands)
         if granted:
             self.lease_ends_s[server, drone] = self.now_s + SETTINGS.lease_s

@@ -107,6 +107,35 @@ def test_it_is_refused_where_the_drone_itself_would_be() -> None:
     assert hold(machine) == (Denied("shutting down"), [])
 
 
+def test_a_peer_gets_half_of_the_slots_and_leaves_the_others_to_drones_that_are_here() -> None:
+    machine = peer_host(slots=4)
+    invented = [Visitor(f"x{number}", f"x{number}") for number in range(4)]
+    answers = [hold(machine, drone)[0] for drone in invented]
+    assert answers == [Held(), Held(), *[Denied("s1 has 2 slots held, half of all")] * 2]
+    assert hold(machine, invented[0])[0] == Held(), "again, for the same drone"
+    assert isinstance(machine.availability("s2", [], D1, now_s=1.0)[0], Available)
+    assert hold(machine, D2, peer=Visitor("s3", "53", Role.SERVER))[0] == Held()
+
+
+def test_a_peer_whose_drones_never_come_is_refused_for_a_while() -> None:
+    machine = peer_host()
+    for number in range(3):
+        assert hold(machine, Visitor(f"x{number}", f"x{number}"), now_s=50.0 * number)[0] == Held()
+    assert hold(machine, now_s=150.0)[0] == Denied("the last 3 drones that s1 expected did not come")
+    assert isinstance(hold(machine, now_s=749.0)[0], Denied)
+    assert hold(machine, now_s=751.0)[0] == Held()
+
+
+def test_a_drone_that_comes_clears_the_peer() -> None:
+    machine = peer_host()
+    for number in range(6):
+        invented = Visitor(f"x{number}", f"x{number}")
+        assert hold(machine, invented, now_s=50.0 * number)[0] == Held()
+        if number == 2:
+            machine.availability("s2", [], invented, now_s=50.0 * number + 1)
+            machine.leave("s2", invented)
+
+
 def test_a_peer_takes_no_lease_from_a_drone_that_is_here() -> None:
     machine = peer_host()
     machine.availability("s2", [], D1, now_s=0.0)

@@ -16,6 +16,8 @@ from upwash.core.happenings import (
     Prepared,
     RemoteCallEnded,
     RemoteCallFailed,
+    RemoteCallRaised,
+    RemoteFaultTested,
     ServicesStarted,
 )
 from upwash.core.orders import Check, Command, Leave, Start
@@ -311,6 +313,40 @@ def test_a_failed_call_of_the_last_visit_does_not_end_the_check_of_this_one() ->
     machine.handle(Looked(), now_s=21.0, position=UNDER_S1)
     assert machine.handle(RemoteCallFailed("s1", 1, "deadline"), now_s=22.0, position=UNDER_S1) == []
     assert machine.is_checking(2)
+
+
+def raised_on_s1(machine: Selection, *, check: int = 1, confirmed: bool) -> list[Command]:
+    """What is to be done when s1 has said that a call raised, and the drone's own service has had it too."""
+    doubted = machine.handle(RemoteCallRaised("s1", "raised"), now_s=19.0, position=UNDER_BOTH)
+    assert doubted == []
+    tested = RemoteFaultTested("s1", check, HEAVY, 1.75, "did not raise on the drone", confirmed)
+    return machine.handle(tested, now_s=27.0, position=UNDER_BOTH)
+
+
+def test_a_server_that_invents_an_exception_is_left_like_one_that_fails() -> None:
+    machine = with_s1_ready(selection(), position=UNDER_BOTH)
+    assert written(raised_on_s1(machine, confirmed=False)) == [
+        "s1 READY BLACKLISTED",
+        "leave s1",
+        "s2 AVL CHECK",
+        "check s2 2",
+    ]
+
+
+def test_an_exception_that_the_drone_confirms_is_an_answer_like_any_other() -> None:
+    machine = with_s1_ready(selection(), position=UNDER_BOTH)
+    counted = machine.estimates.mean_call_s()
+    assert raised_on_s1(machine, confirmed=True) == []
+    assert machine.servers["s1"].state is State.READY
+    assert machine.estimates.remote_s("s1", HEAVY) == (0.75 + 0.75 + 1.75) / 3
+    assert not machine.estimates.is_first_call("s1", HEAVY)
+    assert machine.estimates.mean_call_s() == counted, "the call is counted when it ends on the drone"
+
+
+def test_an_invented_exception_of_an_earlier_visit_changes_nothing() -> None:
+    machine = with_s1_ready(selection(), position=UNDER_BOTH)
+    assert raised_on_s1(machine, check=0, confirmed=False) == []
+    assert machine.servers["s1"].state is State.READY
 
 
 def test_a_server_whose_calls_became_slower_than_local_is_left_even_with_nothing_better() -> None:

@@ -30,6 +30,8 @@ from upwash.core.happenings import (
     Prepared,
     RemoteCallEnded,
     RemoteCallFailed,
+    RemoteCallRaised,
+    RemoteFaultTested,
     ServicesStarted,
 )
 from upwash.core.itinerary import MissionBeliefs, Step
@@ -221,6 +223,15 @@ class Flights(RuleBasedStateMachine):
             self.happens(RemoteCallFailed(call.server, call.check, "deadline"))
         else:
             self.happens(RemoteCallEnded(call.server, call.operation, delay_s))
+
+    @precondition(lambda self: self.calls)
+    @rule(back=BACK, delay_s=delays_s, confirmed=st.booleans())
+    def remote_call_raises(self, back: int, delay_s: float, *, confirmed: bool) -> None:
+        call = self.calls.pop(-1 - back % len(self.calls))
+        self.happens(RemoteCallRaised(call.server, "raised"))
+        tested = RemoteFaultTested(call.server, call.check, call.operation, delay_s, "raised", confirmed)
+        self.happens(tested)
+        self.happens(LocalCallEnded(call.operation, delay_s))
 
     @precondition(lambda self: len(self.checks) > 5)
     @rule()

@@ -66,7 +66,7 @@ def test_the_page_on_containers_shows_a_runtime_that_is_understood(tmp_path: Pat
     known = {
         name for table in (runtime, runtime.engine, runtime.network) for name in msgspec.structs.asdict(table)
     }
-    of_processes = {"sandbox", "readable"}
+    of_processes = {"sandbox", "sandbox_as_root", "readable"}
     assert written == known - {"engine", "network"} - of_processes
     servers = (ROOT / "docs/servers.md").read_text()
     assert all(f"`runtime.{name}`" in servers for name in of_processes)
@@ -104,7 +104,7 @@ def test_the_readme_shows_the_example_that_is_tested() -> None:
 
 
 def test_the_public_names_are_these() -> None:
-    assert upwash.__all__ == ["Drone", "service"]
+    assert upwash.__all__ == ["Drone", "once", "service"]
     assert all(hasattr(upwash, name) for name in upwash.__all__)
 
 

@@ -22,6 +22,7 @@ from upwash import event_log
 from upwash.config import read_drone_config
 from upwash.config.daemon import read_daemon_config
 from upwash.errors import CredentialsError, GarbledReply, Refused, UsageError
+from upwash.mavlink_signing import Signing
 from upwash.plans.reading import read_plan
 from upwash.protocol import (
     AvailabilityReply,
@@ -31,12 +32,14 @@ from upwash.protocol import (
     StartRequest,
     StatusReply,
     decode_reply,
+    decode_request,
 )
 from upwash.real.control import Called, Ended, Ready, Said, from_instance, line
-from upwash.real.copter import Telemetry
 from upwash.real.credentials import keys_in, make_keys, read_credentials
-from upwash.real.mavlink import _Line
-from upwash.server import _decode
+from upwash.real.mavlink.arducopter import ARDUCOPTER
+from upwash.real.mavlink.hearing import Hearing, from_autopilot
+from upwash.real.mavlink.peer import Peer
+from upwash.real.mavlink.telemetry import Telemetry
 from upwash.service import spec_of
 from upwash.services import Detector
 from upwash.services.darknet.layers import read_network
@@ -85,11 +88,15 @@ _PROCESS = spec_of(Detector).methods["process_photo"]
 
 def _messages_of_a_vehicle(data: bytes) -> None:
     telemetry = Telemetry()
-    heard = _Line(telemetry.take)
-    for start in range(0, len(data), 97):  # as a serial line delivers them
-        heard.data_received(data[start : start + 97])
-    heard.datagram_received(data, ("127.0.0.1", 1))
-    assert telemetry.mode_name is not None
+    for signing in None, Signing(bytes(32)):
+        hearing = Hearing(lambda message: telemetry.take(message, 0.0), from_autopilot, signing)
+        reader = hearing.reader()
+        for start in range(0, len(data), 97):  # as a serial line delivers them
+            hearing.take(data[start : start + 97], reader)
+        peer = Peer(hearing, moved_after_s=0.0, signed=signing is not None)
+        for second in range(2):
+            peer.take(data, ("127.0.0.1", second), float(second))
+    assert telemetry.mode is None or ARDUCOPTER.mode_name(telemetry.mode)
     assert telemetry.said_since(0) is not None
     assert telemetry.battery_percent is None or 0 <= telemetry.battery_percent <= 100
 
@@ -141,6 +148,7 @@ def _credentials(file: Path) -> None:
     """In the place of each of the three files."""
     files = keys_in(_keys(), "drone")
     authority, certificate, key = files.authority, files.certificate, files.key
+    file.chmod(0o600)
     for given in ((file, certificate, key), (authority, file, key), (authority, certificate, file)):
         with contextlib.suppress(CredentialsError):
             read_credentials(*given)
@@ -242,7 +250,7 @@ def decoders() -> Mapping[str, Decoder]:
         "requests to a daemon": Decoder(
             _in_turn(
                 *(
-                    partial(_decode, expected=kind)
+                    partial(decode_request, expected=kind)
                     for kind in (AvailabilityRequest, StartRequest, LeaveRequest)
                 ),
                 refuses=Refused,

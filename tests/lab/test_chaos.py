@@ -9,13 +9,14 @@ import sys
 import tomllib
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import get_args
 
 import msgspec
 import pytest
 from tests.sim.planted import deadline_ignored
 
 from upwash.cli import main
-from upwash.config import drone_config
+from upwash.config import Lie, drone_config
 from upwash.lab import chaos
 from upwash.lab.chaos_display import Summary, judge_all
 from upwash.lab.worlds import SEEDS_PER_SCENARIO, World, as_toml, configs
@@ -72,10 +73,20 @@ def test_worlds_have_faults_of_every_kind_everywhere() -> None:
         for fault in World(seed).faulty(seed, [])[0]["fault"]
     }
     moving = {"off", "stuck", "slow", "flapping"}
-    on_servers = moving | {"garbage", "wrong", "full", "crash"}
+    on_servers = moving | {"garbage", "wrong", "lying", "full", "crash"}
     assert drawn == {("s", kind) for kind in on_servers} | {
         (target, kind) for target in ("link", "autopilot") for kind in moving
+    } | {("autopilot", "pilot"), ("autopilot", "fail-safe")}
+
+
+def test_servers_tell_every_lie_somewhere() -> None:
+    told = {
+        fault["lie"]
+        for seed in range(1, 400, SEEDS_PER_SCENARIO)
+        for fault in World(seed).faulty(seed, [])[0]["fault"]
+        if fault["kind"] == "lying"
     }
+    assert told == set(get_args(Lie))
 
 
 def test_a_broken_promise_is_named_with_its_first_bad_event(capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ import http.client
 import itertools
 import json
 import re
+import socket
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -268,6 +269,43 @@ def test_they_are_offered_until_the_end_and_no_longer(drone: DroneMetrics) -> No
 
     with pytest.raises(ConnectionRefusedError):
         fetch(asyncio.run(story()))
+
+
+def asked(request: bytes) -> bytes:
+    """What is answered to these bytes, to the end of the connection."""
+
+    def ask(address: str) -> bytes:
+        host, _, port = address.rpartition(":")
+        with socket.create_connection((host, int(port)), timeout=10.0) as connection:
+            connection.sendall(request.replace(b"ADDRESS", address.encode()))
+            with connection.makefile("rb") as answer:
+                return answer.read()
+
+    async def story() -> bytes:
+        async with exposed(CollectorRegistry(), "127.0.0.1:0") as address:
+            return await asyncio.to_thread(ask, address)
+
+    return asyncio.run(story())
+
+
+@pytest.mark.parametrize(
+    ("request_", "status"),
+    [
+        (b"GET /metrics HTTP/1.1\r\nHost: ADDRESS\r\n\r\n", 200),
+        (b"GET /metrics?name[]=up HTTP/1.0\r\nhost:localhost\r\n\r\n", 200),
+        (b"HEAD / HTTP/1.1\r\nHost: ADDRESS\r\n\r\n", 200),
+        (b"GET /metrics HTTP/1.1\r\nHost: evil.example\r\n\r\n", 421),
+        (b"GET /metrics HTTP/1.1\r\nHost: ADDRESS\r\nHost: evil.example\r\n\r\n", 400),
+        (b"GET /metrics HTTP/1.1\r\n\r\n", 400),
+        (b"GET /else HTTP/1.1\r\nHost: ADDRESS\r\n\r\n", 404),
+        (b"POST /metrics HTTP/1.1\r\nHost: ADDRESS\r\n\r\n", 405),
+        (b"\x16\x03\x01\r\n\r\n", 400),
+        (b"GET /metrics HTTP/1.1\r\nHost: \xff\xfe\r\n\r\n", 421),
+        (b"GET /metrics HTTP/1.1\r\n" + b"A: b\r\n" * 10_000, 400),
+    ],
+)
+def test_only_who_means_this_machine_is_answered(request_: bytes, status: int) -> None:
+    assert asked(request_).startswith(f"HTTP/1.1 {status} ".encode())
 
 
 def test_an_address_in_use_is_named() -> None:

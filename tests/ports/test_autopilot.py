@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import os
 import socket
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.ports.steps import claim_and_arm, take_off
 
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, distance_m
 from upwash.errors import (
@@ -22,9 +23,7 @@ from upwash.errors import (
     UsageError,
 )
 from upwash.ports import Autopilot
-from upwash.real.autopilot import FlightSettings, MavlinkAutopilot, connect_autopilot
-from upwash.real.copter import Patience
-from upwash.real.mavlink import MavlinkLink
+from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, MavlinkLink, Patience, connect_autopilot
 from upwash.vehicle.copter import VehicleSettings
 from upwash.vehicle.server import VehicleServer, serve_vehicle
 
@@ -73,11 +72,6 @@ async def connected(
             await autopilot.close()
     finally:
         await vehicle.close()
-
-
-async def take_off(autopilot: Autopilot, altitude_m: float = 5.0) -> None:
-    await autopilot.arm()
-    await autopilot.takeoff(altitude_m)
 
 
 def near(position: Position, expected: Position) -> bool:
@@ -141,7 +135,7 @@ def test_it_waits_until_the_vehicle_can_be_armed() -> None:
     async def mission() -> None:
         settings = VehicleSettings(home=HOME, armable_after_s=0.5)
         async with connected(vehicle_settings=settings) as (_, autopilot):
-            await autopilot.arm()
+            await claim_and_arm(autopilot)
             await autopilot.disarm()
 
     asyncio.run(mission())
@@ -153,10 +147,9 @@ def test_a_refusal_to_arm_says_the_vehicles_reason() -> None:
         patience = FlightSettings(arm_again_s=0.1, ready_timeout_s=0.15)
         async with connected(vehicle_settings=never, settings=patience) as (_, autopilot):
             with pytest.raises(AutopilotRefused) as caught:
-                await autopilot.arm()
+                await claim_and_arm(autopilot)
         assert caught.value.step == "arm"
-        assert caught.value.vehicle_said == "PreArm: Need Position Estimate"
-        assert "MAV_CMD_COMPONENT_ARM_DISARM" in caught.value.problem
+        assert "System not initialised" in caught.value.vehicle_said
 
     asyncio.run(mission())
 
@@ -166,7 +159,7 @@ def test_a_flight_that_takes_too_long_is_given_up() -> None:
         soon = FlightSettings(margin_s=0.5, slowest_vertical_m_s=1e6)
         slow = VehicleSettings(home=HOME, armable_after_s=0.0, climb_m_s=0.1)
         async with connected(vehicle_settings=slow, settings=soon) as (_, autopilot):
-            await autopilot.arm()
+            await claim_and_arm(autopilot)
             with pytest.raises(AutopilotTimeout, match=r"takeoff to 20 m: .*GUIDED"):
                 await autopilot.takeoff(20.0)
 
@@ -181,15 +174,78 @@ def test_when_the_pilot_takes_over_the_leg_ends_and_the_vehicle_is_left_to_the_p
             leg = asyncio.create_task(autopilot.goto(Position(500.0, 0.0, 3.0)))
             await asyncio.sleep(0.2)
             pilot.send(mavlink.MAVLink_set_mode_message(1, 1, mavlink.COPTER_MODE_LOITER))
-            with pytest.raises(AutopilotRefused, match="LOITER"):
+            with pytest.raises(AutopilotOverruled, match=r"goto .*the pilot has the vehicle.*LOITER"):
                 await leg
-            with pytest.raises(AutopilotRefused, match="LOITER"):
-                await autopilot.goto(Position(0.0, 0.0, 3.0))
-            with pytest.raises(AutopilotOverruled, match=r"start: .*LOITER"):
-                await autopilot.in_the_air()
+            pilot.send(mavlink.MAVLink_set_mode_message(1, 1, mavlink.COPTER_MODE_GUIDED))
+            here = Position(0.0, 0.0, 3.0)
+            verbs: tuple[Callable[[], Awaitable[None]], ...] = (
+                lambda: autopilot.goto(here),
+                autopilot.hold,
+                autopilot.land,
+                autopilot.return_home_and_land,
+                autopilot.disarm,
+                lambda: autopilot.claim(resumes=True),
+            )
+            for verb in verbs:
+                with pytest.raises(AutopilotOverruled, match="nothing was sent"):
+                    await verb()
             await pilot.close()
 
     asyncio.run(mission())
+
+
+def test_no_command_goes_out_on_a_report_from_before_the_pilot_took_over() -> None:
+    async def mission() -> None:
+        async with connected() as (vehicle, autopilot):
+            await take_off(autopilot, 3.0)
+            pilot, modes = await pilot_of(connection(vehicle))
+            pilot.send(mavlink.MAVLink_set_mode_message(1, 1, mavlink.COPTER_MODE_LOITER))
+            with pytest.raises(AutopilotOverruled, match=r"the pilot has the vehicle.*nothing was sent"):
+                await autopilot.return_home_and_land()
+            assert await reported(modes) == mavlink.COPTER_MODE_LOITER
+            await pilot.close()
+
+    asyncio.run(mission())
+
+
+def test_after_a_silence_it_asks_whose_the_vehicle_is_before_it_repeats_a_command() -> None:
+    async def mission() -> None:
+        async with connected_through_a_relay() as (relay, autopilot):
+            await take_off(autopilot, 3.0)
+            pilot, modes = await pilot_of(f"udpout:{relay.vehicle[0]}:{relay.vehicle[1]}")
+            relay.broken = True
+            returning = asyncio.create_task(autopilot.return_home_and_land())
+            await asyncio.sleep(0.1)
+            pilot.send(mavlink.MAVLink_set_mode_message(1, 1, mavlink.COPTER_MODE_LOITER))
+            await asyncio.sleep(0.4)
+            relay.broken = False
+            with pytest.raises(AutopilotOverruled, match="the pilot has the vehicle"):
+                await returning
+            assert await reported(modes) == mavlink.COPTER_MODE_LOITER
+            await pilot.close()
+
+    asyncio.run(mission())
+
+
+async def pilot_of(connection: str) -> tuple[MavlinkLink, list[int]]:
+    """A ground station of the pilot's, and the modes that the vehicle reports to it from now on."""
+    modes: list[int] = []
+
+    def hear(message: Any) -> None:
+        if message.get_type() == "HEARTBEAT":
+            modes.append(message.custom_mode)
+
+    link = MavlinkLink(connection, hear)
+    await link.opened.wait()
+    return link, modes
+
+
+async def reported(modes: list[int]) -> int:
+    """The mode that it reports next."""
+    modes.clear()
+    while not modes:  # noqa: ASYNC110
+        await asyncio.sleep(0.05)
+    return modes[-1]
 
 
 def test_entering_and_leaving_a_circle_is_noticed() -> None:
@@ -218,18 +274,18 @@ class Relay(asyncio.DatagramProtocol):
 
     def __init__(self, vehicle: tuple[str, int]) -> None:
         self.broken = False
-        self._vehicle = vehicle
+        self.vehicle = vehicle
         self._drone: Any = None
 
     def connection_made(self, transport: asyncio.DatagramTransport) -> None:  # type: ignore[override]
         self.transport = transport
 
     def datagram_received(self, data: bytes, sender: Any) -> None:
-        from_vehicle = sender == self._vehicle
+        from_vehicle = sender == self.vehicle
         if not from_vehicle:
             self._drone = sender
         if not self.broken:
-            self.transport.sendto(data, self._drone if from_vehicle else self._vehicle)
+            self.transport.sendto(data, self._drone if from_vehicle else self.vehicle)
 
 
 @asynccontextmanager
@@ -304,11 +360,10 @@ def test_a_connection_that_cannot_be_meant_is_refused_at_once(wrong: str) -> Non
 def test_over_tcp_it_comes_back_after_the_connection_broke() -> None:
     async def mission() -> None:
         async with connected("tcp:127.0.0.1:0", settings=IMPATIENT) as (vehicle, autopilot):
-            await autopilot.arm()
             address = vehicle.address
             await vehicle.close()
             again = await serve_vehicle(address, AGILE)
-            await autopilot.arm()
+            await claim_and_arm(autopilot)
             await autopilot.takeoff(1.0)
             await again.close()
 
@@ -328,12 +383,36 @@ def test_udpin_answers_the_vehicle_that_speaks_first() -> None:
         async with asyncio.timeout(2.0):
             await link.opened.wait()
             await other.opened.wait()
-            other.send(beat)
+            other.send_bytes(beat.pack(mavlink.MAVLink(None, srcSystem=7, srcComponent=1)))
             await heard.get()
             link.send(beat)
             assert (await peer.get()).get_type() == "HEARTBEAT"
         await link.close()
         await other.close()
+
+    asyncio.run(mission())
+
+
+def test_an_autopilot_that_cannot_be_flown_is_named() -> None:
+    async def mission() -> None:
+        plane = mavlink.MAVLink_heartbeat_message(1, 3, 81, 4, 3, 3)
+        said = bytes(plane.pack(mavlink.MAVLink(None, srcSystem=7, srcComponent=1)))
+        writers: list[asyncio.StreamWriter] = []
+
+        def speak(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            writer.write(said)
+            writers.append(writer)
+
+        server = await asyncio.start_server(speak, "127.0.0.1", 0)
+        port = server.sockets[0].getsockname()[1]
+        with pytest.raises(AutopilotError, match=r"MAV_TYPE_FIXED_WING was heard on tcp:.*only multicopters"):
+            await connect_autopilot(
+                f"tcp:127.0.0.1:{port}", frame=FRAME, ground_speed_m_s=4.0, heartbeat_timeout_s=0.5
+            )
+        for writer in writers:
+            writer.close()
+        server.close()
+        await server.wait_closed()
 
     asyncio.run(mission())
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
+import errno
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -26,9 +28,20 @@ from cryptography.hazmat.primitives.serialization import (
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from upwash.core.visitors import Role
-from upwash.errors import CredentialsError, UsageError
+from upwash.errors import CredentialsError, NotWritten, Unreachable, UsageError
 from upwash.real import credentials as module
-from upwash.real.credentials import Credentials, make_keys, read_credentials, read_revoked, revoke, role_of
+from upwash.real.credentials import (
+    Credentials,
+    drop_former_authorities,
+    make_keys,
+    read_credentials,
+    read_revoked,
+    renew_authority,
+    revoke,
+    role_of,
+)
+from upwash.real.link import GrpcDialer
+from upwash.real.secrets import exposure
 
 
 def read(folder: Path, name: str, *, authority: Path | None = None) -> Credentials:
@@ -175,6 +188,52 @@ def test_a_missing_or_unreadable_or_foreign_file_is_named(keys: Path, name: str)
         read(keys, "heron")
 
 
+def test_a_key_that_others_can_read_is_refused_with_the_remedy(keys: Path) -> None:
+    key = keys / "heron.key"
+    key.chmod(0o644)
+    with pytest.raises(CredentialsError) as refused:
+        read(keys, "heron")
+    assert str(refused.value) == f"{key}: others can read it (mode 0644): chmod 600 {key}"
+    key.chmod(0o600)
+    assert read(keys, "heron").names == ("heron",)
+    (keys / "authority.key").chmod(0o604)
+    with pytest.raises(CredentialsError, match=r"authority\.key: others can read it \(mode 0604\)"):
+        make_keys(keys, drones=["stork"])
+    assert not (keys / "stork.key").exists()
+
+
+def test_a_key_of_roots_may_be_read_by_the_group_of_a_service_and_nobody_elses() -> None:
+    root, user = 0, 1000
+    for mode in (0o400, 0o600, 0o700):
+        assert exposure(mode, owner=root) == exposure(mode, owner=user) == ""
+    for mode in (0o440, 0o640):
+        assert exposure(mode, owner=root) == ""
+        assert exposure(mode, owner=user) == f"its group can read it (mode {mode:04o})"
+    for mode in (0o620, 0o660, 0o650):
+        assert exposure(mode, owner=root).startswith("its group can change it")
+    for mode in (0o644, 0o606, 0o604):
+        assert exposure(mode, owner=root).startswith("others can read it")
+    assert exposure(0o601, owner=root).startswith("others can change it")
+
+
+@pytest.mark.parametrize("name", ["authority.pem", "heron.pem", "heron.key"])
+def test_what_is_no_file_or_endless_is_refused_at_once(keys: Path, name: str) -> None:
+    file = keys / name
+    file.unlink()
+    os.mkfifo(file, 0o600)
+    with pytest.raises(CredentialsError, match=rf"{name}: cannot be read \(not a file\)"):
+        read(keys, "heron")
+    file.unlink()
+    file.symlink_to("/dev/zero")
+    with pytest.raises(CredentialsError, match=rf"{name}: cannot be read \(not a file\)"):
+        read(keys, "heron")
+    file.unlink()
+    file.touch(0o600)
+    os.truncate(file, 2**40)
+    with pytest.raises(CredentialsError, match=rf"{name}: more than 1 MiB"):
+        read(keys, "heron")
+
+
 def test_a_key_with_a_password_is_refused(keys: Path) -> None:
     key = load_pem_private_key((keys / "heron.key").read_bytes(), None)
     locked = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, BestAvailableEncryption(b"secret"))
@@ -286,6 +345,61 @@ def test_a_server_that_shows_a_drones_certificate_is_not_believed(keys: Path) ->
         assert answer(port, client(read(keys, "heron")), "stork") is grpc.StatusCode.UNAVAILABLE
 
 
+def unreachable(port: int, shown: Credentials, server: str) -> str:
+    """Why a drone's link with that certificate reaches nobody there."""
+
+    async def ask() -> str:
+        link = GrpcDialer("heron", shown, max_message_bytes=1000).dial(f"127.0.0.1:{port}", server=server)
+        try:
+            await link.request("/upwash/echo", b"hello", timeout_s=10.0)
+        except Unreachable as error:
+            return str(error)
+        finally:
+            await link.close()
+        return ""
+
+    return asyncio.run(ask())
+
+
+def dated(folder: Path, monkeypatch: pytest.MonkeyPatch, *, begun: timedelta, lasts: timedelta) -> None:
+    """Makes s9 and egret, whose certificates are valid from `begun` before now on for so long from now."""
+    monkeypatch.setattr(module, "_CLOCKS_MAY_DIFFER", begun)
+    monkeypatch.setattr(module, "_CERTIFICATE_LASTS", lasts)
+    make_keys(folder, servers=[["s9"]], drones=["egret"])
+
+
+def read_undated(folder: Path, name: str) -> Credentials:
+    return read_credentials(
+        folder / "authority.pem", folder / f"{name}.pem", folder / f"{name}.key", valid_now=False
+    )
+
+
+@pytest.mark.parametrize(
+    ("begun", "lasts", "trouble"),
+    [
+        (timedelta(days=-1), timedelta(days=9), "is not valid yet"),
+        (timedelta(days=9), timedelta(days=-1), "has expired"),
+    ],
+)
+def test_a_link_that_fails_for_dates_names_them_and_the_computers_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begun: timedelta, lasts: timedelta, trouble: str
+) -> None:
+    make_keys(tmp_path, servers=[["s1"]], drones=["heron"])
+    dated(tmp_path, monkeypatch, begun=begun, lasts=lasts)
+    year = datetime.now(UTC).year
+    with echo_server(read_undated(tmp_path, "s9")) as port:
+        said = unreachable(port, read_undated(tmp_path, "heron"), "s9")
+        assert f"its certificate {trouble}; this computer's clock says {year}" in said
+        assert "heron" not in said
+    egret = read_undated(tmp_path, "egret")
+    with echo_server(read_undated(tmp_path, "s1")) as port:
+        said = unreachable(port, egret, "s1")
+    assert (
+        f"the certificate of egret {trouble}: it is valid from {egret.lifetimes[0].starts:%Y-%m-%d}" in said
+    )
+    assert f"this computer's clock says {year}" in said
+
+
 def test_a_daemon_may_call_another_with_its_own_certificate(keys: Path) -> None:
     make_keys(keys, servers=[["s3"]])
     with echo_server(read(keys, "s1")) as port:
@@ -314,6 +428,142 @@ def test_what_is_revoked_is_listed_once_by_its_fingerprint(tmp_path: Path) -> No
     assert len(read_revoked(tmp_path / "revoked.txt")) == 2
     with pytest.raises(UsageError, match=r"egret.pem: no such certificate"):
         revoke(tmp_path, ["egret"])
+
+
+def test_a_list_without_room_for_another_stays_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_keys(tmp_path, drones=["heron", "stork"])
+    revoke(tmp_path, ["heron"])
+    before = (tmp_path / "revoked.txt").read_bytes()
+    monkeypatch.setattr(os, "write", _full_after(100))
+    with pytest.raises(
+        NotWritten, match=r"revoked\.txt: cannot be written \(No space left on device\): what was"
+    ):
+        revoke(tmp_path, ["stork"])
+    monkeypatch.undo()
+    assert (tmp_path / "revoked.txt").read_bytes() == before
+    revoke(tmp_path, ["stork"])
+    assert (tmp_path / "revoked.txt").read_bytes().startswith(before)
+
+
+def test_a_list_whose_last_line_was_not_ended_by_hand_is_added_to(tmp_path: Path) -> None:
+    make_keys(tmp_path, drones=["heron", "stork"])
+    (tmp_path / "revoked.txt").write_text(
+        "# by hand\n" + certificate(tmp_path, "stork").fingerprint(hashes.SHA256()).hex()
+    )
+    revoke(tmp_path, ["heron"])
+    assert len(read_revoked(tmp_path / "revoked.txt")) == 2
+
+
+def _full_after(most_bytes: int) -> Callable[[int, bytes], int]:
+    """`os.write` on a disk that has room for that many bytes more."""
+    write, room_bytes = os.write, [most_bytes]
+
+    def limited(file: int, data: bytes) -> int:
+        if not room_bytes[0]:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        written = write(file, data[: room_bytes[0]])
+        room_bytes[0] -= written
+        return written
+
+    return limited
+
+
+# --- another authority --------------------------------------------------------------------------------------
+
+
+def test_a_new_authority_signs_and_the_former_is_still_believed(keys: Path) -> None:
+    former = certificate(keys, "authority")
+    former_key = (keys / "authority.key").read_bytes()
+    written = renew_authority(keys)
+    kept = keys / f"authority-{former.fingerprint(hashes.SHA256()).hex()[:8]}.key"
+    assert written == [keys / "authority.pem", keys / "authority.key", kept]
+    assert kept.read_bytes() == former_key
+    assert [file.stat().st_mode & 0o777 for file in written] == [0o644, 0o600, 0o600]
+    new, old = x509.load_pem_x509_certificates((keys / "authority.pem").read_bytes())
+    assert old == former != new
+    make_keys(keys, servers=[["s5"]], drones=["stork"])
+    for name, issuer in (("heron", old), ("s1", old), ("stork", new), ("s5", new)):
+        certificate(keys, name).verify_directly_issued_by(issuer)
+        assert read(keys, name).expiries["authority"] == issuer.not_valid_after_utc
+    with echo_server(read(keys, "s1")) as port:
+        assert answer(port, client(read(keys, "stork")), "s1") == b"hello"
+    with echo_server(read(keys, "s5")) as port:
+        assert answer(port, client(read(keys, "heron")), "s5") == b"hello"
+        assert answer(port, client(read(keys, "stork")), "s5") == b"hello"
+
+
+def test_an_authority_that_is_dropped_is_believed_no_more(keys: Path) -> None:
+    heron = read(keys, "heron")
+    renew_authority(keys)
+    make_keys(keys, servers=[["s5"]], drones=["stork"])
+    both = (keys / "authority.pem").read_bytes()
+    assert drop_former_authorities(keys) == keys / "authority.pem"
+    alone = (keys / "authority.pem").read_bytes()
+    assert both.startswith(alone) and len(alone) < len(both)
+    with pytest.raises(CredentialsError, match=r"heron\.pem: not issued by .*authority\.pem"):
+        read(keys, "heron")
+    with echo_server(read(keys, "s5")) as port:
+        believing = Credentials(both, heron.certificate, heron.key)
+        assert answer(port, client(believing), "s5") is grpc.StatusCode.UNAVAILABLE
+        assert answer(port, client(read(keys, "stork")), "s5") == b"hello"
+
+
+def test_an_authority_that_has_expired_can_be_followed_by_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_AUTHORITY_LASTS", timedelta(hours=-1))
+    make_keys(tmp_path, drones=["heron"])
+    monkeypatch.undo()
+    with pytest.raises(CredentialsError, match=r"authority\.pem: expired since"):
+        make_keys(tmp_path, drones=["stork"])
+    renew_authority(tmp_path)
+    make_keys(tmp_path, drones=["stork"])
+    assert read(tmp_path, "stork").problem_at(datetime.now(UTC)) == ""
+    with pytest.raises(CredentialsError, match=r"authority\.pem: expired since"):
+        read(tmp_path, "heron")
+
+
+def test_no_authority_is_made_anew_where_there_is_none_or_no_room(
+    keys: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(CredentialsError, match=r"nothing/authority\.pem: no such file"):
+        renew_authority(tmp_path / "nothing")
+    before = {file: file.read_bytes() for file in keys.iterdir()}
+    monkeypatch.setattr(module, "flush_to_disk", _failing(at=3))
+    with pytest.raises(NotWritten, match="none of the files were made"):
+        renew_authority(keys)
+    assert {file: file.read_bytes() for file in keys.iterdir()} == before
+
+
+@pytest.mark.parametrize("at", [1, 2, 5])
+def test_without_room_for_all_keys_there_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
+) -> None:
+    monkeypatch.setattr(module, "flush_to_disk", _failing(at))
+    with pytest.raises(
+        NotWritten, match=r"cannot be written \(Input/output error\): none of the files were made"
+    ):
+        make_keys(tmp_path / "new", servers=[["s1"]], drones=["heron"])
+    assert not (tmp_path / "new").exists()
+    monkeypatch.undo()
+    assert len(make_keys(tmp_path / "new", servers=[["s1"]], drones=["heron"])) == 7
+
+
+def _failing(at: int) -> Callable[[int], None]:
+    """A disk that fails at the file of that number."""
+    files: list[int] = []
+
+    def flush(file: int) -> None:
+        files.append(file)
+        if len(files) == at:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    return flush
+
+
+# --- what certificates say ----------------------------------------------------------------------------------
 
 
 def test_a_list_that_names_no_fingerprint_is_refused(tmp_path: Path) -> None:

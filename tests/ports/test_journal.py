@@ -16,7 +16,10 @@ import pytest
 
 from upwash.core.geo import Position
 from upwash.errors import UsageError
+from upwash.real import journal as journal_module
+from upwash.real import log_file as log_file_module
 from upwash.real.journal import FileJournal, JournalNotifier, read_events
+from upwash.real.log_file import Unwritten
 
 
 class Found(msgspec.Struct):
@@ -133,10 +136,184 @@ def test_a_disk_that_fills_up_in_flight_does_not_end_the_flight(
     assert seen[-1]["event"] == "safe_return"
 
 
+def cut_at(most_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From now on a write has room for that many bytes, and the next for none, as on a disk that is nearly full."""
+    write, room = os.write, [most_bytes]
+
+    def cut(file: int, data: bytes) -> int:
+        if not room[0]:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        written = write(file, data[: room[0]])
+        room[0] -= written
+        return written
+
+    monkeypatch.setattr(os, "write", cut)
+
+
+@pytest.mark.parametrize("room_bytes", [0, 1, 12, 40])
+def test_a_write_that_was_cut_is_taken_back_and_its_events_come_when_there_is_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room_bytes: int
+) -> None:
+    log, unwritten = tmp_path / "log", Unwritten()
+
+    def write(journal: FileJournal) -> None:
+        journal.record("armed")
+        before = log.read_bytes()
+        cut_at(room_bytes, monkeypatch)
+        for waypoint in range(3):
+            journal.record("arrived", waypoint=waypoint)
+        assert log.read_bytes() == before
+        assert (len(unwritten), unwritten.why) == (3, "No space left on device")
+        monkeypatch.undo()
+        monkeypatch.setattr(journal_module, "_TRY_AGAIN_S", 0.0)
+        journal.record("landed")
+
+    journalled(log, write, unwritten=unwritten)
+    names = [each["event"] for each in events(log)]
+    assert names == ["log_opened", "armed", "arrived", "arrived", "arrived", "landed"]
+    assert (len(unwritten), unwritten.why) == (0, "")
+
+
+def test_what_never_found_room_is_in_memory_in_its_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, unwritten = tmp_path / "log", Unwritten()
+
+    def write(journal: FileJournal) -> None:
+        cut_at(10, monkeypatch)
+        journal.record("armed")
+        journal.record("landed")
+
+    journalled(log, write, unwritten=unwritten)
+    assert [each["event"] for each in events(log)] == ["log_opened"]
+    assert [msgspec.json.decode(line)["event"] for line in unwritten.lines] == ["armed", "landed"]
+    assert unwritten.why == "No space left on device"
+
+
+def test_a_full_disk_is_not_tried_at_every_event(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tries: list[int] = []
+
+    def full(file: int, _: bytes) -> int:
+        tries.append(file)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def write(journal: FileJournal) -> None:
+        monkeypatch.setattr(os, "write", full)
+        for _ in range(1000):
+            journal.record("position")
+
+    journalled(tmp_path / "log", write)
+    assert len(tries) < 10
+
+
+def test_what_is_too_much_for_memory_is_counted_and_told_in_the_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log_file_module, "_MOST_BYTES", 200)
+    log, unwritten = tmp_path / "log", Unwritten()
+
+    def write(journal: FileJournal) -> None:
+        cut_at(0, monkeypatch)
+        for waypoint in range(50):
+            journal.record("arrived", waypoint=waypoint)
+        assert len(unwritten) == 50 and unwritten.lost > 40
+        monkeypatch.undo()
+
+    journalled(log, write, unwritten=unwritten)
+    *_, last = events(log)
+    assert (last["event"], last["count"]) == ("events_lost", 50 - (len(events(log)) - 2))
+
+
+def test_a_cut_line_that_cannot_be_taken_back_is_closed_by_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    log = tmp_path / "log"
+
+    def refuse(_file: int, _length: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    def write(journal: FileJournal) -> None:
+        cut_at(12, monkeypatch)
+        monkeypatch.setattr(os, "ftruncate", refuse)
+        journal.record("armed")
+        monkeypatch.undo()
+
+    journalled(log, write)
+    assert [each["event"] for each in read_events(log)] == ["log_opened", "armed"]
+    assert f"{log}: line 2 is torn" in caplog.text
+    journalled(log, lambda journal: journal.record("landed"), resumes=True)
+    names = [each["event"] for each in read_events(log)]
+    assert names == ["log_opened", "armed", "log_resumed", "landed"]
+
+
+def test_a_log_that_ends_with_a_torn_line_is_added_to_on_a_line_of_its_own(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    journalled(log, lambda journal: journal.record("first"))
+    log.write_bytes(log.read_bytes() + b'{"t":7.0,"eve')
+    journalled(log, lambda journal: journal.record("second"))
+    assert [each["event"] for each in read_events(log)] == ["log_opened", "first", "log_opened", "second"]
+
+
+@pytest.mark.parametrize(
+    ("torn", "left"),
+    [
+        (b'{"t":7.0,"eve', []),
+        (b'{"t":7.0,"eve{"t":8.0,"event":"arrived"}', ["arrived"]),  # as releases before this one left it
+        (b'{"t"', []),
+        (b"", []),
+        (bytes(4096), []),
+        (b'{"t":7.0,"event":"arr' + bytes(100) + b"}", []),
+    ],
+)
+def test_a_torn_line_costs_itself_and_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, torn: bytes, left: list[str]
+) -> None:
+    log = tmp_path / "log"
+    journalled(log, lambda journal: journal.record("armed"))
+    log.write_bytes(log.read_bytes() + torn + b'\n{"t":9.0,"event":"landed"}\n')
+    assert [each["event"] for each in read_events(log)] == ["log_opened", "armed", *left, "landed"]
+    assert caplog.text.count(f"{log}: line 3 is torn") == 1
+
+
+@pytest.mark.parametrize("line", [b"photo", b'{"t":7.0}', b'{"t":"7","event":"arrived"}', b'[{"t":7.0}]'])
+def test_a_line_that_no_log_could_have_is_not_taken_for_a_torn_one(tmp_path: Path, line: bytes) -> None:
+    log = tmp_path / "log"
+    journalled(log, lambda journal: journal.record("armed"))
+    log.write_bytes(log.read_bytes() + line + b"\n")
+    with pytest.raises(UsageError, match="is not an event log"):
+        read_events(log)
+
+
+def test_a_disk_that_fails_as_the_log_is_closed_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unwritten, close = Unwritten(), os.close
+
+    def fail(file: int) -> None:
+        close(file)
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    async def use() -> None:
+        journal = FileJournal(tmp_path / "log", unwritten=unwritten)
+        monkeypatch.setattr(os, "close", fail)
+        journal.close()
+        monkeypatch.undo()
+
+    asyncio.run(use())
+    assert (len(unwritten), unwritten.why) == (0, "Input/output error")
+
+
 def test_a_text_that_is_not_unicode_does_not_end_the_flight(tmp_path: Path) -> None:
     name = os.fsdecode(b"photo\xff.jpg")
     journalled(tmp_path / "log", lambda journal: journal.record("remote_failed", why=f"{name} is missing"))
     assert events(tmp_path / "log")[-1]["event"] == "remote_failed"
+
+
+def test_no_control_character_is_in_the_file_and_each_comes_back(tmp_path: Path) -> None:
+    raw = "\x1b[2J\x9b31m\u202e\u2028\r\n\U000e0041"
+    journalled(tmp_path / "log", lambda journal: journal.record("notified", message=[raw]))
+    assert all(line.isprintable() for line in (tmp_path / "log").read_text().split("\n"))
+    assert events(tmp_path / "log")[-1]["message"] == [raw]
 
 
 def test_the_user_is_told_through_the_log(tmp_path: Path) -> None:

@@ -8,17 +8,20 @@ import socket
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 from typing import Any
 
 import grpc
 import pytest
+from tests.doors import behind_door
 
 from upwash.errors import DeadlineExceeded, LinkError, Refused, Unreachable, UpwashError, UsageError
+from upwash.protocol import AVAILABILITY, LONGEST_REPLY_BYTES, START, STATUS
 from upwash.real.credentials import Credentials
 from upwash.real.link import DRONE_METADATA, GrpcDialer, GrpcLink
-from upwash.real.listener import Caller, Gate, Handler, Listener
+from upwash.real.listener import Caller, Gate, Handler, Listener, WhoIs
 
 MAX_MESSAGE_BYTES = 100_000
 PATH = "/upwash.test/echo"
@@ -38,17 +41,29 @@ def listening(
     listen: str = "127.0.0.1:0",
     concurrently: int = 16,
     each: int = 16,
-    **gated: Gate,
-) -> Iterator[Listener]:
-    listener = Listener(
-        listen,
-        handler,
-        credentials=shown,
-        max_message_bytes=MAX_MESSAGE_BYTES,
-        concurrent_requests=concurrently,
-        requests_per_drone=each,
-        **gated,
-    )
+    gate: Gate = lambda _path, _caller: None,
+) -> Iterator[str]:
+    def make(listen: str, who_is: WhoIs | None = None) -> Listener:
+        return Listener(
+            listen,
+            handler,
+            max_message_bytes=MAX_MESSAGE_BYTES,
+            concurrent_requests=concurrently,
+            requests_per_drone=each,
+            who_is=who_is,
+            gate=gate,
+        )
+
+    if shown is not None:
+        with behind_door(make, shown, listen=listen) as (_, _, address):
+            yield address
+        return
+    with started(make(listen)) as listener:
+        yield listener.address
+
+
+@contextmanager
+def started(listener: Listener) -> Iterator[Listener]:
     listener.start()
     try:
         yield listener
@@ -99,9 +114,9 @@ class Stuck:
 @contextmanager
 def stuck() -> Iterator[tuple[Stuck, str]]:
     handler = Stuck()
-    with listening(handler) as listener:
+    with listening(handler) as address:
         try:
-            yield handler, listener.address
+            yield handler, address
         finally:
             handler.let_go.set()
 
@@ -123,21 +138,21 @@ def entering(handler: Stuck) -> Coroutine[Any, Any, bool]:
 
 @pytest.mark.parametrize("body", [b"", b"\x00\xff" * 40_000])
 def test_a_request_gets_its_reply(body: bytes) -> None:
-    with listening(echo) as listener:
-        assert request(listener.address, body) == body
+    with listening(echo) as address:
+        assert request(address, body) == body
 
 
 def test_a_request_gets_its_reply_over_a_unix_socket(tmp_path: Path) -> None:
-    with listening(echo, listen=f"unix:{tmp_path}/socket") as listener:
-        assert listener.address == f"unix:{tmp_path}/socket"
-        assert request(listener.address) == b"photo"
+    with listening(echo, listen=f"unix:{tmp_path}/socket") as address:
+        assert address == f"unix:{tmp_path}/socket"
+        assert request(address) == b"photo"
 
 
 def test_a_unix_socket_carries_no_certificates_even_for_a_drone_that_has_some(
     tmp_path: Path, credentials: ReadCredentials
 ) -> None:
-    with listening(echo, listen=f"unix:{tmp_path}/socket") as listener:
-        assert request(listener.address, shown=credentials("heron")) == b"photo"
+    with listening(echo, listen=f"unix:{tmp_path}/socket") as address:
+        assert request(address, shown=credentials("heron")) == b"photo"
 
 
 def test_requests_on_one_link_do_not_wait_for_each_other() -> None:
@@ -160,8 +175,8 @@ def test_the_handler_learns_how_much_time_is_left() -> None:
         left_s.append(caller.time_left_s())
         return body
 
-    with listening(handler) as listener:
-        request(listener.address, timeout_s=4.0)
+    with listening(handler) as address:
+        request(address, timeout_s=4.0)
     assert left_s[0] is not None
     assert 2.0 < left_s[0] <= 4.1
 
@@ -192,7 +207,14 @@ def test_nobody_at_the_address_is_said_at_once(tmp_path: Path) -> None:
 def test_a_server_that_stops_ends_the_request_under_way() -> None:
     async def ask() -> None:
         handler = Stuck()
-        with listening(handler) as listener:
+        stuck = Listener(
+            "127.0.0.1:0",
+            handler,
+            max_message_bytes=MAX_MESSAGE_BYTES,
+            concurrent_requests=4,
+            requests_per_drone=4,
+        )
+        with started(stuck) as listener:
             async with linked(listener.address) as link:
                 asking = asyncio.create_task(link.request(PATH, b"", timeout_s=30.0))
                 await entering(handler)
@@ -262,16 +284,16 @@ def test_a_refusal_arrives_with_its_reason() -> None:
     def refuse(_path: str, _body: bytes, caller: Caller) -> bytes:
         raise Refused(f"drone {caller.visitor.name} has no lease here")
 
-    with listening(refuse) as listener, pytest.raises(Refused, match="drone heron has no lease here"):
-        request(listener.address)
+    with listening(refuse) as address, pytest.raises(Refused, match="drone heron has no lease here"):
+        request(address)
 
 
 def test_another_error_of_upwash_arrives_as_a_refusal_too() -> None:
     def fail(_path: str, _body: bytes, _caller: Caller) -> bytes:
         raise UpwashError("no room on the disk")
 
-    with listening(fail) as listener, pytest.raises(Refused, match="no room on the disk"):
-        request(listener.address)
+    with listening(fail) as address, pytest.raises(Refused, match="no room on the disk"):
+        request(address)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("the password is 1234"), SystemExit("the password is 1234")])
@@ -283,28 +305,87 @@ def test_a_bug_of_the_handler_is_logged_and_its_text_kept_from_the_caller(
 
     with (
         caplog.at_level(logging.ERROR, "upwash.listener"),
-        listening(fail) as listener,
+        listening(fail) as address,
         pytest.raises(LinkError) as caught,
     ):
-        request(listener.address, timeout_s=2.0)
+        request(address, timeout_s=2.0)
     assert isinstance(caught.value, Refused)
     assert "1234" not in str(caught.value)
     assert "1234" in caplog.text
 
 
 def test_a_path_that_is_not_upwashs_is_refused() -> None:
-    with listening(echo) as listener, pytest.raises(Refused, match="UNIMPLEMENTED"):
-        request(listener.address, path="/another.package/echo")
+    with listening(echo) as address, pytest.raises(Refused, match="UNIMPLEMENTED"):
+        request(address, path="/another.package/echo")
 
 
 def test_a_message_that_is_too_large_is_refused_by_either_end() -> None:
     def grow(_path: str, _body: bytes, _caller: Caller) -> bytes:
         return bytes(3 * MAX_MESSAGE_BYTES)
 
-    with listening(grow) as listener:
+    with listening(grow) as address:
         for body in (bytes(MAX_MESSAGE_BYTES + 1), bytes(2 * MAX_MESSAGE_BYTES + 1), b"grow"):
             with pytest.raises(Refused, match="larger than max"):
-                request(listener.address, body)
+                request(address, body)
+
+
+@pytest.mark.parametrize(
+    ("path", "most"),
+    [(AVAILABILITY, LONGEST_REPLY_BYTES), (START, LONGEST_REPLY_BYTES), (STATUS, MAX_MESSAGE_BYTES)],
+)
+def test_a_daemons_reply_is_not_received_beyond_what_one_may_be(path: str, most: int) -> None:
+    def grow(_path: str, body: bytes, _caller: Caller) -> bytes:
+        return bytes(int(body))
+
+    with listening(grow) as address:
+        assert len(request(address, str(most).encode(), path=path)) == most
+        with pytest.raises(Refused, match="larger than max"):
+            request(address, str(most + 1).encode(), path=path)
+
+
+ESCAPES = "\x1b[2J\x9b31m\u202e\r\nall is well"
+SHOWN = "\\x1b[2J\\x9b31m\\u202e\\r\\nall is well"
+
+
+class Rude(grpc.GenericRpcHandler):  # type: ignore[misc]
+    """Refuses all requests in a way that no listener would."""
+
+    def service(self, _: Any) -> Any:
+        def refuse(_: bytes, context: grpc.ServicerContext) -> bytes:
+            context.abort(grpc.StatusCode.FAILED_PRECONDITION, ESCAPES * 20)
+            return b""
+
+        return grpc.unary_unary_rpc_method_handler(refuse)
+
+
+def test_a_refusal_arrives_in_print_and_is_no_longer_than_a_reason() -> None:
+    server = grpc.server(ThreadPoolExecutor(1))
+    server.add_generic_rpc_handlers((Rude(),))
+    address = f"127.0.0.1:{server.add_insecure_port('127.0.0.1:0')}"
+    server.start()
+    try:
+        with pytest.raises(Refused) as refused:
+            request(address)
+    finally:
+        server.stop(None).wait()
+    assert SHOWN in str(refused.value)
+    assert str(refused.value).isprintable()
+    assert len(str(refused.value)) < 1100
+
+
+def test_who_is_refused_and_what_for_is_logged_in_print(caplog: pytest.LogCaptureFixture) -> None:
+    def refuse(_path: str, body: bytes, _caller: Caller) -> bytes:
+        raise Refused(f"there is no {body.decode()}")
+
+    with (
+        caplog.at_level(logging.WARNING, "upwash.listener"),
+        listening(refuse) as address,
+        pytest.raises(Refused) as refused,
+    ):
+        request(address, ESCAPES.encode())
+    assert SHOWN in str(refused.value)
+    assert SHOWN in caplog.messages[0]
+    assert all(each.isprintable() for each in caplog.messages)
 
 
 def test_more_requests_than_the_listener_takes_are_refused_at_once() -> None:
@@ -318,8 +399,8 @@ def test_more_requests_than_the_listener_takes_are_refused_at_once() -> None:
             await asking
 
     handler = Stuck()
-    with listening(handler, concurrently=1) as listener:
-        asyncio.run(ask(handler, listener.address))
+    with listening(handler, concurrently=1) as address:
+        asyncio.run(ask(handler, address))
 
 
 # --- who is who ---------------------------------------------------------------------------------------------
@@ -330,8 +411,8 @@ def test_a_request_is_refused_at_the_gate_before_its_body_is_there() -> None:
         raise Refused(f"{caller.visitor.name} may not {path}")
 
     with (
-        listening(echo, gate=gate) as listener,
-        grpc.insecure_channel(listener.address, [("grpc.enable_http_proxy", 0)]) as channel,
+        listening(echo, gate=gate) as address,
+        grpc.insecure_channel(address, [("grpc.enable_http_proxy", 0)]) as channel,
     ):
         let_go = threading.Event()
         call = channel.stream_unary(PATH).future(
@@ -345,13 +426,13 @@ def test_a_request_is_refused_at_the_gate_before_its_body_is_there() -> None:
 
 def test_a_request_that_does_not_end_holds_up_no_other() -> None:
     with (
-        listening(echo, concurrently=2) as listener,
-        grpc.insecure_channel(listener.address, [("grpc.enable_http_proxy", 0)]) as channel,
+        listening(echo, concurrently=2) as address,
+        grpc.insecure_channel(address, [("grpc.enable_http_proxy", 0)]) as channel,
     ):
         let_go = threading.Event()
         channel.stream_unary(PATH).future(iter(let_go.wait, True), timeout=10.0)
         try:
-            assert request(listener.address) == b"photo"
+            assert request(address) == b"photo"
         finally:
             let_go.set()
 
@@ -370,8 +451,8 @@ def test_no_drone_has_more_requests_under_way_than_its_share(caplog: pytest.LogC
             assert await waiting == b"photo"
             assert await heron.request(PATH, b"quick", timeout_s=5.0) == b"quick"
 
-    with listening(handler, each=1) as listener:
-        asyncio.run(crowd(listener.address))
+    with listening(handler, each=1) as address:
+        asyncio.run(crowd(address))
     assert "refused /upwash.test/echo to heron: this drone has 1" in caplog.text
 
 
@@ -390,15 +471,15 @@ def test_requests_beyond_what_the_server_takes_are_refused_in_the_log(
             assert await waiting == b"photo"
             assert await stork.request(PATH, b"quick", timeout_s=5.0) == b"quick"
 
-    with listening(handler, concurrently=1) as listener:
-        asyncio.run(crowd(listener.address))
+    with listening(handler, concurrently=1) as address:
+        asyncio.run(crowd(address))
     assert "refused /upwash.test/echo to stork: 1 requests are under way already" in caplog.text
 
 
 def test_a_request_that_is_too_large_is_refused_in_the_log_too(caplog: pytest.LogCaptureFixture) -> None:
-    with listening(echo) as listener:
+    with listening(echo) as address:
         with pytest.raises(Refused, match="larger than max"):
-            request(listener.address, bytes(MAX_MESSAGE_BYTES + 1))
+            request(address, bytes(MAX_MESSAGE_BYTES + 1))
         until(lambda: f"larger than {MAX_MESSAGE_BYTES} bytes" in caplog.text)
 
 
@@ -407,21 +488,21 @@ def name_of_caller(_path: str, _body: bytes, caller: Caller) -> bytes:
 
 
 def test_the_drone_is_who_its_certificate_says_whatever_it_calls_itself(credentials: ReadCredentials) -> None:
-    with listening(name_of_caller, shown=credentials("s1")) as listener:
+    with listening(name_of_caller, shown=credentials("s1")) as address:
         for server in ("s1", "s2"):
             shown = credentials("heron")
-            assert request(listener.address, drone="stork", server=server, shown=shown) == b"heron"
+            assert request(address, drone="stork", server=server, shown=shown) == b"heron"
 
 
 def test_without_certificates_the_drone_is_who_it_says() -> None:
-    with listening(name_of_caller) as listener:
-        assert request(listener.address, drone="stork") == b"stork"
+    with listening(name_of_caller) as address:
+        assert request(address, drone="stork") == b"stork"
 
 
 def test_strangers_and_impostors_get_no_answer(credentials: ReadCredentials) -> None:
     ours, theirs = credentials("heron"), credentials("other/heron")
     believing = Credentials(ours.authority, theirs.certificate, theirs.key)
-    with listening(echo, shown=credentials("s1")) as listener:
+    with listening(echo, shown=credentials("s1")) as address:
         for dialled in (
             {"shown": ours, "server": "s3"},  # the server is another one
             {"shown": theirs},  # of another authority, which does not believe the server
@@ -429,38 +510,38 @@ def test_strangers_and_impostors_get_no_answer(credentials: ReadCredentials) -> 
             {"shown": None},
         ):
             with pytest.raises(Unreachable):
-                request(listener.address, timeout_s=2.0, **dialled)
-        assert request(listener.address, shown=ours) == b"photo"
+                request(address, timeout_s=2.0, **dialled)
+        assert request(address, shown=ours) == b"photo"
 
 
 def test_a_server_of_another_authority_is_not_believed(credentials: ReadCredentials) -> None:
-    with listening(echo, shown=credentials("other/s1")) as listener, pytest.raises(Unreachable):
-        request(listener.address, timeout_s=2.0, shown=credentials("heron"))
+    with listening(echo, shown=credentials("other/s1")) as address, pytest.raises(Unreachable):
+        request(address, timeout_s=2.0, shown=credentials("heron"))
 
 
 def test_an_unreachable_server_is_told_in_plain_words(credentials: ReadCredentials) -> None:
     heron = credentials("heron")
-    with listening(echo, shown=credentials("s1")) as listener:
+    with listening(echo, shown=credentials("s1")) as address:
         with pytest.raises(Unreachable, match=r"^s3 at \S+: its certificate is .* another server's$"):
-            request(listener.address, timeout_s=2.0, server="s3", shown=heron)
+            request(address, timeout_s=2.0, server="s3", shown=heron)
         with pytest.raises(Unreachable, match=r"^s1 at \S+: (?!failed to connect)"):
-            request(listener.address, timeout_s=2.0)
+            request(address, timeout_s=2.0)
     with pytest.raises(Unreachable, match=r"^s1 at \S+: connection refused: nobody serves there$"):
-        request(listener.address, timeout_s=2.0, shown=heron)
+        request(address, timeout_s=2.0, shown=heron)
 
 
 # --- listening ----------------------------------------------------------------------------------------------
 
 
 def test_an_address_in_use_is_named(credentials: ReadCredentials) -> None:
-    with listening(echo) as listener:
+    with listening(echo) as address:
         for shown in (None, credentials("s1")):
             with (
-                pytest.raises(UsageError, match=rf"cannot listen on {listener.address}: .*in use"),
-                listening(echo, shown=shown, listen=listener.address),
+                pytest.raises(UsageError, match=rf"cannot listen on {address}: .*in use"),
+                listening(echo, shown=shown, listen=address),
             ):
                 """Not reached."""
-        assert request(listener.address) == b"photo"
+        assert request(address) == b"photo"
 
 
 def test_a_unix_socket_in_use_is_not_taken_over(tmp_path: Path) -> None:
@@ -482,5 +563,5 @@ def test_an_address_that_is_not_this_machines_is_named() -> None:
 
 
 def test_an_ipv6_address_is_told_as_it_can_be_dialled() -> None:
-    with listening(echo, listen="[::1]:0") as listener:
-        assert request(listener.address) == b"photo"
+    with listening(echo, listen="[::1]:0") as address:
+        assert request(address) == b"photo"

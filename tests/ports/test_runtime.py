@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 from tests.children import expect_no_child, is_alive
+from tests.doors import certified_processes, reached
 
 from upwash.errors import InstanceError, Refused, Unreachable
 from upwash.ports import InstanceSpec, Program
@@ -33,9 +34,7 @@ HERON = frozenset({"heron"})
 
 def runtime(folder: Path) -> ProcessRuntime:
     """Starts instances that listen at unix sockets in the folder, which need no certificates."""
-    return ProcessRuntime(
-        lambda spec: f"unix:{folder}/{spec.name}.sock", credentials=None, max_message_bytes=MAX_MESSAGE_BYTES
-    )
+    return ProcessRuntime(lambda spec: f"unix:{folder}/{spec.name}.sock", max_message_bytes=MAX_MESSAGE_BYTES)
 
 
 def spec(
@@ -131,19 +130,18 @@ def test_an_instance_with_certificates_is_told_by_its_port(
     services: Path, credentials: Callable[[str], Credentials]
 ) -> None:
     async def use() -> None:
-        certified = ProcessRuntime(
-            lambda _: "127.0.0.1:0", credentials=credentials("s1"), max_message_bytes=MAX_MESSAGE_BYTES
-        )
-        instance = await certified.start(spec(services), called=lambda _: None)
-        dialer = GrpcDialer("stork", credentials("heron"), max_message_bytes=MAX_MESSAGE_BYTES)
-        link = dialer.dial(f"127.0.0.1{instance.endpoint}", server="s1")
-        try:
-            assert int(instance.endpoint.removeprefix(":")) > 0
-            await instance.admit(frozenset({fingerprint(credentials("heron").certificate)}))
-            assert await Bench(instance, link, spec(services).program.path).call("echo", b"photo") == b"photo"
-        finally:
-            await link.close()
-            await instance.stop()
+        async with certified_processes(credentials("s1"), max_message_bytes=MAX_MESSAGE_BYTES) as certified:
+            instance = await certified.start(spec(services), called=lambda _: None)
+            dialer = GrpcDialer("stork", credentials("heron"), max_message_bytes=MAX_MESSAGE_BYTES)
+            link = dialer.dial(reached(instance.endpoint), server="s1")
+            try:
+                assert int(instance.endpoint.removeprefix(":")) > 0
+                await instance.admit(frozenset({fingerprint(credentials("heron").certificate)}))
+                bench = Bench(instance, link, spec(services).program.path)
+                assert await bench.call("echo", b"photo") == b"photo"
+            finally:
+                await link.close()
+                await instance.stop()
 
     asyncio.run(use())
 
@@ -465,7 +463,7 @@ from upwash.ports import InstanceSpec, Program
 from upwash.real.runtime import ProcessRuntime
 
 async def run(folder, program):
-    runtime = ProcessRuntime(lambda _: f"unix:{folder}/socket", credentials=None, max_message_bytes=1_000_000)
+    runtime = ProcessRuntime(lambda _: f"unix:{folder}/socket", max_message_bytes=1_000_000)
     instance = await runtime.start(InstanceSpec("s1", "workbench", Program(program)), called=print)
     await instance.admit(frozenset({"heron"}))
     print(instance.endpoint, flush=True)

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import mmap
 import os
+import platform
+import signal
 import socket
+import struct
+import subprocess
 import sys
+import tempfile
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -14,18 +20,23 @@ from typing import Any
 import pytest
 from tests.children import expect_no_child
 
-from upwash.errors import InstanceError, Unreachable, UsageError
+from upwash.errors import InstanceError, LinkError, UsageError
 from upwash.ports import InstanceSpec, Program
 from upwash.protocol import service_path
 from upwash.real.link import GrpcDialer
 from upwash.real.runtime import ProcessInstance, ProcessRuntime
 from upwash.real.sandbox import Limits, Sandbox, code_of, files_in, find_sandbox
+from upwash.real.syscalls import call_filter
 from upwash.service import load_service, spec_of
+
+pytestmark = pytest.mark.sandbox
 
 PROGRAM = f"{Path(__file__).parents[1] / 'mischief.py'}:Mischief"
 SPEC = InstanceSpec("s1", "mischief", Program(PROGRAM))
-LIMITS = Limits(memory_bytes=2**28, processes=48, disk_bytes=2**22)
+LIMITS = Limits(memory_bytes=2**28, processes=96, disk_bytes=2**22)
 MAX_MESSAGE_BYTES = 2**20
+CALL_S = 8.0
+NOBODY = ("setpriv", "--reuid=65534", "--regid=65534", "--clear-groups")
 
 Call = Callable[..., Awaitable[Any]]
 
@@ -47,7 +58,6 @@ def in_sandbox(
         numbers = iter(range(100))
         runtime = ProcessRuntime(
             lambda _: f"unix:{folder}/{next(numbers)}.sock",
-            credentials=None,
             max_message_bytes=MAX_MESSAGE_BYTES,
             sandbox=sandbox,
         )
@@ -56,10 +66,10 @@ def in_sandbox(
         instances = [await runtime.start(SPEC, called=lambda _: None) for _ in range(2)]
         links = [dialer.dial(instance.endpoint, server="s1") for instance in instances]
 
-        async def call(name: str, *arguments: object, at: int = 0) -> Any:
+        async def call(name: str, *arguments: object, at: int = 0, **named: object) -> Any:
             method = methods[name]
-            _, request = method.encode(arguments, {})
-            reply = await links[at].request(service_path("mischief", name), request, timeout_s=30.0)
+            _, request = method.encode(arguments, named)
+            reply = await links[at].request(service_path("mischief", name), request, timeout_s=CALL_S)
             return method.result(method.decode(reply))
 
         try:
@@ -85,10 +95,31 @@ def test_it_gets_no_more_memory_than_its_limit_and_goes_on(sandbox: Sandbox, tmp
     in_sandbox(sandbox, tmp_path, eat)
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="a user without rights has run them already")
+@pytest.mark.usefixtures("sandbox")
+def test_all_that_follows_holds_for_a_daemon_of_a_user_without_rights() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        os.chown(folder, 65534, 65534)
+        environment = {**os.environ, "HOME": folder, "PYTHONDONTWRITEBYTECODE": "1"}
+        python = (
+            *NOBODY,
+            "env",
+            sys.executable,
+        )  # setpriv itself has root's rights until it has run something
+        if subprocess.run((*python, "-c", "import upwash"), env=environment, check=False).returncode != 0:
+            pytest.skip("a user without rights cannot read this Python, or upwash")
+        pytest_alone = ("-m", "pytest", "-q", "-p", "no:cacheprovider", "--basetemp", f"{folder}/tests")
+        done = subprocess.run(
+            (*python, *pytest_alone, __file__), env=environment, capture_output=True, text=True, check=False
+        )
+    assert done.returncode == 0, done.stdout
+    assert "may not make a sandbox" not in done.stdout
+
+
 @pytest.mark.skipif(os.geteuid() == 0, reason="Linux does not limit the processes of root")
 def test_it_gets_no_more_processes_than_its_limit(sandbox: Sandbox, tmp_path: Path) -> None:
     async def fork(call: Call, _: ProcessInstance) -> None:
-        with contextlib.suppress(Unreachable):  # gRPC in it could start no thread any more, and ended it
+        with contextlib.suppress(LinkError):  # gRPC in it could start no thread any more, or ended it
             assert await call("fork", 500) < LIMITS.processes
         assert await call("fork", 10, at=1) == 10, "its neighbour has processes of its own"
 
@@ -176,11 +207,128 @@ def test_it_sees_no_process_and_no_variable_of_the_daemon(
     in_sandbox(sandbox, tmp_path, look)
 
 
+def test_it_sees_nothing_of_the_daemons_environment_in_any_process(
+    sandbox: Sandbox, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SECRET_TOKEN", "1234")
+
+    async def look(call: Call, _: ProcessInstance) -> None:
+        for process in await call("processes"):
+            assert not any("SECRET" in each for each in await call("environment_of", process)), process
+        assert set(await call("environment_of", 1)) <= {""}
+
+    in_sandbox(sandbox, tmp_path, look)
+
+
+def test_it_can_write_nothing_of_the_kernels_and_sees_none_of_its_secrets(
+    sandbox: Sandbox, tmp_path: Path
+) -> None:
+    async def write(call: Call, _: ProcessInstance) -> None:
+        assert await call("writable", "/proc/sys") == []
+        assert [each for each in await call("writable", "/proc") if "/fd/" not in each] == []
+        assert await call("writable", "/sys") == []
+        for name in ("kcore", "keys", "kmsg", "kallsyms", "sysrq-trigger", "timer_list"):
+            assert await call("read", f"/proc/{name}") in ("", "FileNotFoundError", "PermissionError"), name
+
+    in_sandbox(sandbox, tmp_path, write)
+
+
+def test_it_inherits_what_it_needs_and_nothing_else(sandbox: Sandbox, tmp_path: Path) -> None:
+    async def look(call: Call, _: ProcessInstance) -> None:
+        files = [each for each in await call("open_files") if not each.startswith(("anon_inode:", "socket:"))]
+        assert not [each for each in files if not each.startswith(("pipe:", "/dev/null", "/proc/"))]
+        assert (await call("limits")) == [(1, 1), (4096, 4096)]
+        assert await call("first_to_be_killed") == 1000
+
+    with (tmp_path / "secret").open("w") as secret:
+        os.set_inheritable(secret.fileno(), True)
+        in_sandbox(sandbox, tmp_path, look)
+
+
+NUMBERS = {  # on x86_64 and on aarch64
+    "ptrace": (101, 117),
+    "keyctl": (250, 219),
+    "add_key": (248, 217),
+    "io_uring_setup": (425, 425),
+    "userfaultfd": (323, 282),
+    "bpf": (321, 280),
+    "perf_event_open": (298, 241),
+    "unshare": (272, 97),
+    "setns": (308, 268),
+    "clone3": (435, 435),
+    "memfd_create": (319, 279),
+    "memfd_secret": (447, 447),
+    "shmget": (29, 194),
+    "process_vm_readv": (310, 270),
+    "syslog": (103, 116),
+}
+COLUMN = ["x86_64", "aarch64"].index(platform.machine())
+CLONE, GETPID = (56, 220)[COLUMN], (39, 172)[COLUMN]
+CLONE_NEWUSER = 0x10000000
+
+
+def test_it_may_not_ask_the_kernel_for_what_no_service_needs(sandbox: Sandbox, tmp_path: Path) -> None:
+    async def ask(call: Call, _: ProcessInstance) -> None:
+        assert await call("ask_kernel", GETPID, []) == "done"
+        for name, numbers in NUMBERS.items():
+            arguments = [CLONE_NEWUSER if name == "unshare" else 0] * 6
+            assert await call("ask_kernel", numbers[COLUMN], arguments) in ("EPERM", "ENOSYS"), name
+        assert await call("ask_kernel", CLONE, [CLONE_NEWUSER | signal.SIGCHLD, 0, 0, 0, 0]) == "EPERM"
+        if platform.machine() == "x86_64":  # the numbers of another kind of processor's calls
+            assert await call("ask_kernel", 0x40000000 + GETPID, []) == "ENOSYS"
+
+    in_sandbox(sandbox, tmp_path, ask)
+
+
+def test_its_sockets_are_of_families_that_its_network_holds_in(sandbox: Sandbox, tmp_path: Path) -> None:
+    stream, raw = int(socket.SOCK_STREAM), int(socket.SOCK_RAW)
+    vsock, alg, packet, netlink = 40, 38, 17, 16
+
+    async def open_sockets(call: Call, _: ProcessInstance) -> None:
+        for named in (socket.AF_UNIX, socket.AF_INET, socket.AF_INET6):
+            assert await call("open_socket", int(named), stream, 0, pair=False) == "done"
+        assert await call("open_socket", int(socket.AF_UNIX), stream, 0, pair=True) == "done"
+        assert await call("open_socket", netlink, raw, 0, pair=False) == "done"
+        assert await call("look_up", "127.0.0.1") > 0
+        refused = [(vsock, stream, 0), (alg, 5, 0), (packet, raw, 0), (netlink, raw, 9), (30, stream, 0)]
+        for family, kind, protocol in refused:
+            for pair in (False, True):
+                assert await call("open_socket", family, kind, protocol, pair=pair) == "EAFNOSUPPORT", family
+
+    in_sandbox(sandbox, tmp_path, open_sockets)
+
+
+def test_it_gets_no_memory_that_its_limit_does_not_count(sandbox: Sandbox, tmp_path: Path) -> None:
+    shared, private, grows_down = mmap.MAP_SHARED, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS, 0x100
+
+    async def take(call: Call, _: ProcessInstance) -> None:
+        assert await call("map_memory", shared | mmap.MAP_ANONYMOUS, "") == "ENOMEM"
+        assert await call("map_memory", private | grows_down, "") == "ENOMEM"
+        assert await call("map_memory", private, "") == "ENOMEM", "as much as its limit counts"
+        assert await call("map_memory", shared, "/dev/zero") == "ENODEV"
+
+    in_sandbox(sandbox, tmp_path, take)
+
+
+def test_a_processor_of_which_no_calls_are_known_gets_no_sandbox() -> None:
+    with pytest.raises(UsageError, match="a processor of the kind mips"):
+        call_filter("mips")
+
+
+@pytest.mark.parametrize("machine", ["x86_64", "aarch64"])
+def test_a_filter_goes_forward_and_ends_in_an_answer(machine: str) -> None:
+    steps = list(struct.iter_unpack("HBBI", call_filter(machine)))
+    assert len(steps) < 100
+    for place, (operation, if_so, if_not, _) in enumerate(steps):
+        if operation & 0x07 == 0x05:
+            assert place + 1 + max(if_so, if_not) < len(steps)
+    assert steps[-1] == (0x06, 0, 0, 0x7FFF0000)
+
+
 def test_a_crash_in_it_is_explained_as_outside(sandbox: Sandbox, services: Path, tmp_path: Path) -> None:
     async def run() -> None:
         runtime = ProcessRuntime(
             lambda _: f"unix:{tmp_path}/s.sock",
-            credentials=None,
             max_message_bytes=MAX_MESSAGE_BYTES,
             sandbox=sandbox,
         )

@@ -102,6 +102,13 @@ def test_a_mission_is_predicted_to_its_end_whatever_the_reserve(file: Path) -> N
     assert again_s == times_s
     assert found.usable_s == 75.0 < times_s[AS_CONFIGURED]
     assert [each.kind for each in found.concerns] == ["battery"]
+    file.write_text(
+        SCENARIO.replace("[mission]", "[mission]\nreserve_s = 75.0") + "[vehicle]\nendurance_s = 150.0\n"
+    )
+    found, again_s = checked(file)
+    assert again_s == times_s
+    assert found.usable_s == 75.0
+    assert [each.kind for each in found.concerns] == ["battery", "too-far"]
 
 
 def test_a_drone_that_never_offloads_has_one_case(file: Path) -> None:
@@ -169,13 +176,28 @@ def test_a_person_reads_coverage_predictions_and_warnings(
     assert "warning: s2 covers no waypoint" in capsys.readouterr().out
 
 
+def test_a_person_reads_how_far_home_is_where_a_reserve_counts_it(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    vehicle = '\n[vehicle]\nprofile = "arducopter"\nendurance_s = 1000.0\n'
+    file.write_text(SCENARIO.replace("[mission]", "[mission]\nreserve_s = 60.0") + vehicle)
+    assert main(["check", str(file), "--workers", "1"]) == 0
+    printed = capsys.readouterr().out
+    assert (
+        "from waypoint 5, 330 m from home, it takes longest to the ground at home: 81 s, 8 % of the"
+        in printed
+    )
+    assert "battery left" in printed
+
+
 def test_json_is_one_object_and_the_figure_is_drawn(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     figures = file.parent / "figures"
     assert main(["check", str(file), "--json", "--workers", "1", "--figures", str(figures)]) == 0
     found = json.loads(capsys.readouterr().out)
     assert list(found) == [
-        "config", "waypoints", "uncovered", "servers", "predictions", "usable_s", "concerns", "places",
+        "config", "waypoints", "uncovered", "servers", "predictions", "usable_s", "farthest", "concerns",
+        "places",
     ]  # fmt: skip
     assert [each["case"] for each in found["predictions"]] == [LOCAL_ONLY, AS_CONFIGURED, without("s1")]
     assert (figures / "coverage.png").is_file()

@@ -12,6 +12,7 @@ from upwash.config import DroneConfig, drone_config
 from upwash.preflight.concerns import Belief, concerns, usable_s
 from upwash.preflight.coverage import Coverage
 from upwash.preflight.prediction import ALONE, AS_CONFIGURED, LOCAL_ONLY, Prediction, without
+from upwash.preflight.way_home import farthest
 
 OPERATION = "detector.process_photo[heavy]"
 
@@ -128,6 +129,62 @@ def test_without_an_endurance_nothing_is_said_of_the_battery() -> None:
     assert usable_s(configured(mission={"reserve_percent": 20.0})) is None
 
 
+def test_of_two_reserves_the_higher_counts_before_the_flight_too() -> None:
+    seconds = configured(vehicle={"endurance_s": 200.0}, mission={"reserve_percent": 20.0, "reserve_s": 60.0})
+    assert usable_s(seconds) == pytest.approx(140.0)
+    percent = configured(vehicle={"endurance_s": 200.0}, mission={"reserve_percent": 40.0, "reserve_s": 60.0})
+    assert usable_s(percent) == pytest.approx(120.0)
+    (concern,) = concerns(seconds, [covered()], [believed()], predicted(local=150.0, configured=50.0))
+    assert "140 s above the reserve of 60 s" in concern.text
+
+
+def far_away(away_m: float, **mission: Any) -> DroneConfig:
+    return configured(
+        vehicle={"endurance_s": 300.0, "profile": "arducopter"},
+        mission={"waypoints_m": [[0, 0], [away_m, 0], [10, 0]], "reserve_s": 60.0, **mission},
+    )
+
+
+def test_a_waypoint_from_which_the_drone_could_not_return_is_named() -> None:
+    assert kinds(far_away(400.0)) == []
+    (concern,) = concerns(far_away(700.0), [covered()], [believed()], GOOD)
+    assert concern.kind == "too-far"
+    assert "waypoint 1 is 700 m from home: 183 s there and 118 s back" in concern.text
+    assert kinds(far_away(690.0, reserve_s=0.0)) == []
+    assert kinds(far_away(700.0, ground_speed_m_s=8.0)) == []
+
+
+def test_a_drone_that_lands_where_it_is_needs_the_way_down_only() -> None:
+    config = far_away(700.0)
+    landing = msgspec.structs.replace(
+        config, autopilot=msgspec.structs.replace(config.autopilot, on_failure="land")
+    )
+    assert kinds(landing) == []
+    assert farthest(landing).home_s < 40.0 < farthest(config).home_s
+
+
+def test_a_reserve_in_seconds_asks_for_the_endurance() -> None:
+    (concern,) = concerns(configured(mission={"reserve_s": 60.0}), [covered()], [believed()], GOOD)
+    assert concern.kind == "endurance"
+
+
+def test_a_reserve_below_the_autopilots_own_stage_is_named_before_a_flight() -> None:
+    def kinds_for(**mission: Any) -> list[str]:
+        return kinds(
+            with_addresses(
+                "127.0.0.1:1",
+                camera=FLIGHT["camera"],
+                mission={**FLIGHT["mission"], "reserve_s": 60.0, **mission},
+                vehicle={"endurance_s": 1200.0},
+            )
+        )
+
+    assert kinds_for() == ["low-battery-stage"]
+    assert kinds_for(reserve_percent=15.0) == []
+    assert kinds_for(reserve_s=180.0) == []
+    assert "low-battery-stage" not in kinds(far_away(100.0)), "a scenario has no autopilot"
+
+
 def test_missions_that_fail_alike_are_said_once() -> None:
     failed = [
         Prediction(case=case, missions=2, mission_time_s=None, margin_s=None, failures=("lost",))
@@ -171,3 +228,23 @@ def test_a_drone_that_never_offloads_is_not_told_of_servers() -> None:
     assert (
         kinds(configured(policy={"name": "local-only"}), covered(waypoints=()), believed(local_s=0.5)) == []
     )
+
+
+@pytest.mark.parametrize(
+    ("connection", "signing_key", "warned"),
+    [
+        ("udpin:0.0.0.0:14550", None, True),
+        ("udpin:192.168.1.7:14550", None, True),
+        ("udpin:drone.local:14550", None, True),
+        ("udpin:0.0.0.0:14550", "signing.key", False),
+        ("udpin:127.0.0.1:14550", None, False),
+        ("udpin:localhost:14550", None, False),
+        ("udpout:192.168.1.7:14550", None, False),
+        ("serial:/dev/ttyAMA0:921600", None, False),
+    ],
+)
+def test_a_port_that_networks_reach_is_named_unless_messages_are_signed(
+    connection: str, signing_key: str | None, warned: bool
+) -> None:
+    autopilot = {"connection": connection} | ({"signing_key": signing_key} if signing_key else {})
+    assert ("unsigned-port" in kinds(configured(autopilot=autopilot))) is warned

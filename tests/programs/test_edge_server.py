@@ -47,8 +47,10 @@ class Instance:
         self.deaf = False
         self.refuses = ""  # every further call, for this reason
         self.call_ends_in_s = 0.0
+        self.admits_in_s = 0.0
 
     async def admit(self, drones: frozenset[str]) -> None:
+        await asyncio.sleep(self.admits_in_s)
         if self.deaf:
             raise InstanceError("does not answer its runtime")
         self.admitted = drones
@@ -97,11 +99,14 @@ class Daemon:
         self.runtime = Runtime()
         self.edge = EdgeServer(
             Host(
-                {"s1": ServerOffer(frozenset({"detector"}), slots)},
+                {"s1": ServerOffer(frozenset({"detector", "counter"}), slots)},
                 HostSettings(lease_s=30, idle_stop_s=100),
                 peers=["s2"],
             ),
-            images={"detector": Image(Program("somewhere:Detector"))},
+            images={
+                "detector": Image(Program("somewhere:Detector")),
+                "counter": Image(Program("somewhere:Counter")),
+            },
             runtime=self.runtime,
             dialer=ModelDialer("s1", Switchboard({}), Wire()),
             start_timeout_s=start_timeout_s,
@@ -113,8 +118,8 @@ class Daemon:
         reply = await self.edge.handle(AVAILABILITY, msgspec.msgpack.encode(request), Visitor(drone))
         return msgspec.msgpack.decode(reply, type=AvailabilityReply)
 
-    async def start(self, drone: str = "d1") -> StartReply:
-        request = StartRequest("s1", "detector")
+    async def start(self, drone: str = "d1", service: str = "detector") -> StartReply:
+        request = StartRequest("s1", service)
         reply = await self.edge.handle(START, msgspec.msgpack.encode(request), Visitor(drone))
         return msgspec.msgpack.decode(reply, type=StartReply)
 
@@ -190,15 +195,32 @@ def test_a_slot_that_a_peer_has_held_ends_in_its_time_also_where_that_is_less_th
     serve(story, slots=2)
 
 
-def test_calls_keep_a_lease_alive() -> None:
+def test_what_the_daemon_sees_keeps_a_lease_alive_and_what_an_instance_says_does_not() -> None:
     async def story(daemon: Daemon) -> None:
         await daemon.start("d1")
         for _ in range(10):
             await asyncio.sleep(20)
-            daemon.runtime.called[0]("d1")
+            daemon.edge.seen("s1", "d1")
         assert daemon.runtime.instances[0].admitted == {"d1"}
+        for _ in range(2):
+            await asyncio.sleep(20)
+            daemon.runtime.called[0]("d1")
+        assert daemon.runtime.instances[0].admitted == set()
 
     serve(story)
+
+
+def test_an_instance_that_confirms_slowly_holds_up_no_other() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        await daemon.start("d1", "counter")
+        for instance in daemon.runtime.instances:
+            instance.admits_in_s = 4.0
+        began_s = asyncio.get_running_loop().time()
+        assert (await daemon.ask("d2")).available
+        assert asyncio.get_running_loop().time() - began_s == pytest.approx(4.0)
+
+    serve(story, slots=2)
 
 
 def test_without_a_free_slot_the_answer_is_no_with_the_reason() -> None:

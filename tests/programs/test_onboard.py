@@ -54,11 +54,13 @@ class Onboard:
         self.diary = diary
         self._methods = spec_of(load_service(program)).methods
 
-    async def call(self, name: str, *arguments: object, timeout_s: float = 10.0) -> Any:
+    async def call(self, name: str, *arguments: object, timeout_s: float = 10.0, once: bool = False) -> Any:
         method = self._methods[name]
         _, request = method.encode(arguments, {})
         return method.result(
-            method.decode(await self.services.call("workbench", name, request, timeout_s=timeout_s))
+            method.decode(
+                await self.services.call("workbench", name, request, timeout_s=timeout_s, once=once)
+            )
         )
 
 
@@ -71,7 +73,7 @@ async def onboard(services: Path, folder: Path, cls: str = "Workbench") -> Async
         [InstanceSpec("heron", cls.lower(), Program(program))],
         drone="heron",
         runtime=ProcessRuntime(
-            lambda _: f"unix:{folder}/{next(sockets)}", credentials=None, max_message_bytes=MAX_MESSAGE_BYTES
+            lambda _: f"unix:{folder}/{next(sockets)}", max_message_bytes=MAX_MESSAGE_BYTES
         ),
         dialer=GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES),
         journal=diary,
@@ -109,6 +111,18 @@ def test_a_service_that_crashes_in_a_call_is_restarted_and_the_call_repeated(
         assert await drone.call("crash_once", str(tmp_path / "crashed")) == "survived"
         assert [name for name, _ in drone.diary.events].count("local_failed") == 1
         assert ("local_ended", {"service": "workbench", "how": "ended with code 3"}) in drone.diary.events
+
+    with_started(services, tmp_path, use)
+
+
+@pytest.mark.parametrize(("name", "timeout_s"), [("crash_once", 10.0), ("hang_once", 1.0)])
+def test_what_must_run_once_is_not_repeated(
+    services: Path, tmp_path: Path, name: str, timeout_s: float
+) -> None:
+    async def use(drone: Onboard) -> None:
+        with pytest.raises(InstanceError, match=f"{name}, which may have run and must not run twice"):
+            await drone.call(name, str(tmp_path / "failed"), timeout_s=timeout_s, once=True)
+        assert await drone.call("echo", b"photo") == b"photo"
 
     with_started(services, tmp_path, use)
 

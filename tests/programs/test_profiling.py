@@ -117,13 +117,13 @@ class Computer:
         self.paths.append(path)
         await asyncio.sleep(LATENCY_S + len(body) / self.bytes_per_s)
         if path == AVAILABILITY:
-            endpoints = {"viewer": "here"} if self.running else {}
+            endpoints = {"viewer": ":1"} if self.running else {}
             return msgspec.msgpack.encode(
                 AvailabilityReply(available=True, endpoints=endpoints, lease_s=30.0)
             )
         if path == START:
             await self.start(InstanceSpec("s1", "viewer", Program("x:Viewer")), called=lambda _: None)
-            return msgspec.msgpack.encode(StartReply(endpoint="here"))
+            return msgspec.msgpack.encode(StartReply(endpoint=":1"))
         if path == LEAVE:
             return msgspec.msgpack.encode(LeaveReply())
         method = spec_of(self.cls).methods[path.rpartition("/")[2]]

@@ -7,15 +7,15 @@ import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import pytest
 from rich.console import Console
 
-from upwash.config import DroneConfig, FaultConfig, SafeEnd, waypoints
+from upwash.config import AutopilotConfig, DroneConfig, FaultConfig, SafeEnd, waypoints
 from upwash.config.drone_file import drone_config
-from upwash.core.geo import Position
+from upwash.core.control import Control, Owner
 from upwash.drone import Drone, Flight, World
 from upwash.errors import (
     AutopilotOverruled,
@@ -26,11 +26,11 @@ from upwash.errors import (
     Unreachable,
 )
 from upwash.missions.survey import survey
-from upwash.ports import Program
+from upwash.ports import DeadManAction, Program, VehicleNews, VehicleText
 from upwash.results import RunResult, read_result
 from upwash.service import spec_of
 from upwash.services import Detector
-from upwash.sim.autopilot import ModelAutopilot, Plain
+from upwash.sim.autopilot import ModelAutopilot, ModelDeadMan, Plain
 from upwash.sim.camera import ModelCamera
 from upwash.sim.chance import Chance
 from upwash.sim.faults import Faults
@@ -123,6 +123,7 @@ def make_scene(config: DroneConfig, mission: Callable[[Drone], None], kind: type
             return_and_land_s=vehicle.return_and_land_s,
         ),
         fault=lambda: faults.now("autopilot"),
+        takeovers=faults.takeovers,
         endurance_s=vehicle.endurance_s,
     )
     computer = DroneComputer(config.services, heat=None, noise=0.0, chance=Chance(1))
@@ -286,27 +287,100 @@ def test_a_mission_that_swallows_the_stop_was_still_stopped() -> None:
     assert_ended_in("return", scene)
 
 
-def test_a_vehicle_that_the_pilot_has_taken_is_left_to_the_pilot() -> None:
-    class Taken(ModelAutopilot):
-        async def goto(self, position: Position) -> None:
-            if position.east_m == 200.0:
-                raise AutopilotOverruled("goto", "the pilot has taken over")
-            await super().goto(position)
+def taken(kind: Literal["pilot", "fail-safe"], from_s: float, to_s: float = 1e6) -> DroneConfig:
+    fault = FaultConfig(target="autopilot", kind=kind, from_s=from_s, to_s=to_s)
+    return msgspec.structs.replace(scenario(), faults=(fault,))
 
-    scene, error = fly(scenario(), autopilot=Taken)
+
+# From 0 to 10 s it takes off, from 21 to 50 s it flies to waypoint 1, then it takes a photo and calls.
+MOMENTS_S = {"in the take-off": 5.0, "in a leg": 40.0, "in a photo": 50.5, "in a call": 55.0}
+
+
+@pytest.mark.parametrize("owner", ["pilot", "fail-safe"])
+@pytest.mark.parametrize("at_s", MOMENTS_S.values(), ids=MOMENTS_S)
+def test_a_vehicle_that_somebody_else_takes_is_left_to_them_and_followed_to_the_ground(
+    owner: Literal["pilot", "fail-safe"], at_s: float
+) -> None:
+    scene, error = fly(taken(owner, at_s))
     assert isinstance(error, AutopilotOverruled)
+    assert f"{owner} has the vehicle" in str(error)
     assert not scene.events("safe_end")
-    assert [event["event"] for event in scene.journal.events[-2:]] == ["left_to_pilot", "mission_ended"]
-    assert scene.autopilot.position.altitude_m == 20.0
+    names = [event["event"] for event in scene.journal.events if event["event"] != "control"]
+    assert names[-3:] == ["left_to_pilot", "stood", "mission_ended"]
+    owners = [(event["t"], event["owner"]) for event in scene.events("control")]
+    assert owners[:2] == [(0.0, "program"), (at_s, owner)]
+    assert {then for _, then in owners[1:]} == {owner}
+    assert scene.autopilot.stands and not scene.autopilot.armed
 
 
-def test_a_pilot_who_takes_over_during_the_safe_end_is_left_alone() -> None:
-    class Taken(ModelAutopilot):
-        async def return_home_and_land(self) -> None:
-            raise AutopilotOverruled("return", "the pilot has taken over")
+class Talkative(ModelAutopilot):
+    """Says why a fail-safe took it, as ArduCopter does right after the report that shows it."""
 
-    scene, _ = fly(scenario(), happens=interrupt, autopilot=Taken)
-    assert [event["event"] for event in scene.journal.events[-2:]] == ["left_to_pilot", "mission_ended"]
+    def listen(self, hear: Callable[[VehicleNews], None]) -> None:
+        def heard(news: VehicleNews) -> None:
+            hear(news)
+            if isinstance(news, Control) and news.owner is Owner.FAILSAFE:
+                hear(VehicleText(4, "Battery Failsafe"))
+
+        super().listen(heard)
+
+
+def test_what_the_vehicle_says_as_it_is_lost_is_told() -> None:
+    _, error = fly(taken("fail-safe", 55.0), autopilot=Talkative)
+    assert str(error).endswith('the vehicle last said: "Battery Failsafe"')
+
+
+def test_a_pilot_who_switches_back_to_our_mode_has_not_given_the_vehicle_back() -> None:
+    scene, error = fly(taken("pilot", 40.0, 45.0))
+    assert isinstance(error, AutopilotOverruled)
+    first, *others = [event["owner"] for event in scene.events("control")]
+    assert first == "program" and set(others) == {"pilot"}
+    assert any("GUIDED" in event["why"] for event in scene.events("control")[1:])
+    assert not scene.events("safe_end")
+
+
+def test_a_pilot_who_flies_before_the_mission_is_armed_is_left_alone() -> None:
+    def slow_to_arm(drone: Drone) -> None:
+        drone.camera.take_photo()
+        survey(drone)
+
+    scene, error = fly(taken("pilot", 0.5), slow_to_arm)
+    assert isinstance(error, AutopilotOverruled)
+    assert not scene.events("armed") and not scene.events("safe_end")
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+def test_a_pilot_who_takes_over_during_the_safe_end_is_left_alone(action: SafeEnd) -> None:
+    config = msgspec.structs.replace(taken("pilot", 42.0), autopilot=AutopilotConfig(on_failure=action))
+    scene, error = fly(config, happens=interrupt)
+    names = [
+        each["event"] for each in scene.journal.events if each["t"] >= 40.0 and each["event"] != "control"
+    ]
+    if action == "hold":  # which takes no time
+        assert isinstance(error, MissionStopped)
+        return
+    assert isinstance(error, MissionStopped)
+    assert names[-4:] == ["safe_end", "left_to_pilot", "stood", "mission_ended"]
+    assert "landed" not in names
+
+
+def test_ctrl_c_after_a_takeover_sends_nothing_and_ends_following_the_vehicle() -> None:
+    scene, error = fly(taken("pilot", 35.0), happens=interrupt)
+    assert isinstance(error, AutopilotOverruled)
+    names = [event["event"] for event in scene.journal.events if event["t"] >= 35.0]
+    assert names[-5:] == ["control", "left_to_pilot", "stopping", "following_ended", "mission_ended"]
+    assert not scene.events("safe_end")
+
+
+def test_a_vehicle_that_has_not_left_the_ground_is_disarmed() -> None:
+    def ponder(drone: Drone) -> None:
+        drone.autopilot.arm()
+        drone.camera.take_photo()
+        raise ValueError("the mission has a bug")
+
+    scene, _ = fly(scenario(), ponder)
+    assert scene.events("safe_end")[0]["action"] == "disarm"
+    assert not scene.autopilot.armed
 
 
 def test_a_vehicle_that_refuses_at_first_is_asked_again() -> None:
@@ -336,3 +410,97 @@ def test_a_person_is_told_in_words(action: SafeEnd) -> None:
     assert {"return": "returning to land", "land": "landing where it is", "hold": "stopping"}[action] in told
     assert "1 of 4 waypoints reached, left undone: 1-3" in told
     assert (told.count("hovers where it is, and nobody flies it") == 2) == (action == "hold")
+
+
+def test_nothing_in_an_event_moves_the_cursor_of_a_persons_terminal() -> None:
+    raw = "\x1b[2J\x9b31m\u202e\rall is well"
+    console = Console(width=300, file=io.StringIO())
+    progress = Progress(scenario(), 4, console)
+    for facts in (
+        {"event": "selected", "server": "s1", "before": "AVL", "after": "CHECK", "why": raw},
+        {"event": "vehicle_said", "severity": 3, "text": raw},
+        {"event": "remote_failed", "server": "s1", "why": raw},
+        {"event": "notified", "message": raw},
+    ):
+        progress.follow({"t": 1.0, **facts})
+    told = console.file.getvalue()  # type: ignore[attr-defined]
+    assert told.count(r"\x1b[2J\x9b31m\u202e\rall is well") == 4
+    assert told.replace("\n", "").isprintable()
+
+
+class SlyDeadMan(ModelDeadMan):
+    """Remembers what it is told, and refuses to watch if it is to."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+        self.refuses = False
+
+    async def watch(self, *, silence_s: float, action: DeadManAction) -> None:
+        self.told.append(f"{action} after {silence_s:g} s")
+        if self.refuses:
+            raise AutopilotRefused("dead man", "it is not there")
+
+    async def release(self) -> None:
+        self.told.append("goodbye")
+
+
+class WatchedAutopilot(ModelAutopilot):
+    """With a dead man that is looked at afterwards."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self.watcher = SlyDeadMan()
+
+    @property
+    def dead_man(self) -> SlyDeadMan:
+        return self.watcher
+
+
+class FaithlessAutopilot(WatchedAutopilot):
+    """Its dead man cannot be set."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self.watcher.refuses = True
+
+
+def told_to_dead_man(scene: Scene) -> list[str]:
+    assert isinstance(scene.autopilot, WatchedAutopilot)
+    return scene.autopilot.watcher.told
+
+
+def test_the_dead_man_is_set_before_take_off_and_released_at_the_end() -> None:
+    scene, error = fly(scenario(autopilot={"dead_man_s": 20.0}), autopilot=WatchedAutopilot)
+    assert error is None
+    assert told_to_dead_man(scene) == ["return after 20 s", "goodbye"]
+    names = [event["event"] for event in scene.journal.events]
+    assert names.index("dead_man_set") < names.index("armed")
+
+
+def test_it_is_released_where_the_flight_ends_early_too() -> None:
+    config = scenario(autopilot={"dead_man_s": 20.0, "on_failure": "land"})
+    scene, error = fly(config, happens=lambda scene: scene.flight.stop("Ctrl-C"), autopilot=WatchedAutopilot)
+    assert isinstance(error, MissionStopped)
+    assert told_to_dead_man(scene) == ["land after 20 s", "goodbye"]
+
+
+def test_it_is_not_released_where_the_vehicle_is_left_hovering() -> None:
+    """Nobody else would bring it down: the program is ended while the vehicle does not obey."""
+    silent = FaultConfig(target="autopilot", kind="off", from_s=30.0)
+    config = msgspec.structs.replace(scenario(autopilot={"dead_man_s": 20.0}), faults=(silent,))
+    scene, error = fly(config, happens=lambda scene: scene.flight.stop("Ctrl-C"), autopilot=WatchedAutopilot)
+    assert error is not None
+    assert told_to_dead_man(scene) == ["return after 20 s"]
+
+
+def test_without_it_nothing_takes_off_that_was_to_be_watched() -> None:
+    scene, error = fly(scenario(autopilot={"dead_man_s": 20.0}), autopilot=FaithlessAutopilot)
+    assert isinstance(error, AutopilotRefused) and "it is not there" in str(error)
+    assert not scene.events("armed")
+    assert told_to_dead_man(scene)[-1] == "goodbye"
+
+
+def test_a_flight_that_does_not_ask_for_it_does_without() -> None:
+    scene, error = fly(scenario(), autopilot=FaithlessAutopilot)
+    assert error is None
+    assert told_to_dead_man(scene) == ["goodbye"]

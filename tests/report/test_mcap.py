@@ -150,7 +150,7 @@ def test_the_fixes_are_the_drones_way(simulated: tuple[list[Read], Record]) -> N
     assert record.plan.home is not None
     frame = LocalFrame(record.plan.home)
     fixes = kind(messages, "LocationFix")
-    assert len(fixes) == len(record.track)
+    assert len(fixes) == len(list(record.track))
     for fix, told in zip(record.track, fixes, strict=True):
         place = frame.position(GeoPosition(told.fields["latitude"], told.fields["longitude"]))
         assert (place.east_m, place.north_m) == pytest.approx(

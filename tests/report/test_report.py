@@ -322,7 +322,9 @@ def test_geojson_is_as_rfc_7946_has_it_and_lies_where_the_mission_was(
     told = [feature["properties"]["delay_s"] for feature in kinds["call"]]
     assert told == [call.delay_s for call in record.result.calls]
     (track,) = kinds["track"]
-    assert len(track["geometry"]["coordinates"]) == len(track["properties"]["at_s"]) == len(record.track)
+    assert (
+        len(track["geometry"]["coordinates"]) == len(track["properties"]["at_s"]) == len(list(record.track))
+    )
 
 
 def position(frame: LocalFrame, coordinates: Sequence[float]) -> Any:

@@ -6,6 +6,7 @@ import asyncio
 import subprocess
 import sys
 from collections.abc import Awaitable, Callable
+from contextlib import AbstractAsyncContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,13 @@ import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper
+from tests.doors import certified_processes, reached
 from tests.services.darknet_models import small, write_labels, write_model, yolov3_tiny
 
 from upwash.bundled import load_services
 from upwash.config import read_daemon_config
 from upwash.errors import ConfigError, InstanceError, ModelError, UsageError
-from upwash.ports import InstanceSpec, Program
+from upwash.ports import Instance, InstanceSpec, Program
 from upwash.protocol import service_path
 from upwash.real.credentials import Credentials, fingerprint
 from upwash.real.link import GrpcDialer
@@ -112,6 +114,7 @@ def test_detections_travel() -> None:
 # --- from an instance ---------------------------------------------------------------------------------------
 
 Call = Callable[..., Awaitable[list[Detection]]]
+Runtimes = Callable[[], AbstractAsyncContextManager[ProcessRuntime]]
 
 
 def program(**settings: Any) -> Program:
@@ -122,7 +125,7 @@ def program(**settings: Any) -> Program:
 
 def with_instance(
     what: Program,
-    runtime: ProcessRuntime,
+    runtimes: Runtimes,
     dialer: GrpcDialer,
     drone: str,
     use: Callable[[Call], Awaitable[None]],
@@ -131,9 +134,11 @@ def with_instance(
     method = spec_of(Detector).methods["process_photo"]
 
     async def run() -> None:
-        instance = await runtime.start(InstanceSpec("s1", "detector", what), called=lambda _: None)
-        endpoint = instance.endpoint
-        link = dialer.dial(endpoint if endpoint.startswith("unix:") else f"127.0.0.1{endpoint}", server="s1")
+        async with runtimes() as runtime:
+            await at(await runtime.start(InstanceSpec("s1", "detector", what), called=lambda _: None))
+
+    async def at(instance: Instance) -> None:
+        link = dialer.dial(reached(instance.endpoint), server="s1")
 
         async def call(*arguments: object) -> list[Detection]:
             path, (_, request) = service_path("detector", "process_photo"), method.encode(arguments, {})
@@ -153,19 +158,17 @@ def with_instance(
 @pytest.fixture(params=["unix socket", "TLS"])
 def way(
     request: pytest.FixtureRequest, tmp_path: Path, credentials: Callable[[str], Credentials]
-) -> tuple[ProcessRuntime, GrpcDialer, str]:
+) -> tuple[Runtimes, GrpcDialer, str]:
     """How an instance is started, called, and told of the drone: as on the drone, and as on a server."""
     if request.param == "TLS":
         return (
-            ProcessRuntime(
-                lambda _: "127.0.0.1:0", credentials=credentials("s1"), max_message_bytes=MAX_MESSAGE_BYTES
-            ),
+            lambda: certified_processes(credentials("s1"), max_message_bytes=MAX_MESSAGE_BYTES),
             GrpcDialer("heron", credentials("heron"), max_message_bytes=MAX_MESSAGE_BYTES),
             fingerprint(credentials("heron").certificate),
         )
     return (
-        ProcessRuntime(
-            lambda _: f"unix:{tmp_path}/socket", credentials=None, max_message_bytes=MAX_MESSAGE_BYTES
+        lambda: nullcontext(
+            ProcessRuntime(lambda _: f"unix:{tmp_path}/socket", max_message_bytes=MAX_MESSAGE_BYTES)
         ),
         GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES),
         "heron",
@@ -173,7 +176,7 @@ def way(
 
 
 def test_an_instance_finds_exactly_what_the_object_finds_and_lives_through_wrong_files(
-    model: ModelFiles, photo: bytes, way: tuple[ProcessRuntime, GrpcDialer, str]
+    model: ModelFiles, photo: bytes, way: tuple[Runtimes, GrpcDialer, str]
 ) -> None:
     detector = Detector(model=model, threads=2)
     giant = cv2.imencode(".jpg", np.zeros((10_000, 10_000), np.uint8))[1].tobytes()
@@ -203,7 +206,7 @@ def test_an_instance_finds_exactly_what_the_object_finds_and_lives_through_wrong
 
 
 def test_an_instance_whose_model_is_damaged_does_not_start_and_says_where(
-    model: ModelFiles, tmp_path: Path, way: tuple[ProcessRuntime, GrpcDialer, str]
+    model: ModelFiles, tmp_path: Path, way: tuple[Runtimes, GrpcDialer, str]
 ) -> None:
     assert model.weights is not None
     cut = tmp_path / "cut.weights"

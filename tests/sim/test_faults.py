@@ -55,8 +55,44 @@ def test_a_check_of_a_faulty_server_fails(kind: str, after_s: float, why: str) -
 def test_a_lying_server_is_found_out_by_its_first_call() -> None:
     run = fly(fault("s1", "wrong"))
     assert first(run, "found_running")["t"] == 3.5
-    assert "nobody.invalid:1: nobody answers" in first(run, "remote_failed")["why"]
+    assert "s1:1: nobody answers" in first(run, "remote_failed")["why"]
     assert first(run, "call_failed_in_range")["after"] == "BLACKLISTED"
+
+
+@pytest.mark.parametrize(
+    ("lie", "from_s", "why"),
+    [
+        ("elsewhere", 0.0, "the endpoint xds:///nobody, which is not its own"),
+        ("oversized", 0.0, "a reply that cannot be decoded: Expected `str` of length"),
+        ("oversized", 0.002, "a reply that cannot be decoded: Expected `array` of length <= 255"),
+        ("lease", 0.0, "a reply that cannot be decoded: Expected a finite number"),
+        ("lease", 0.005, "a reply that cannot be decoded: Expected `float` >= 2.0"),
+        (
+            "control",
+            0.002,
+            r"s1 is unavailable: \x1b[2J\x1b]0;nobody\x07\x9b31m\u202e\u2066\r\nupwash: all is well",
+        ),
+    ],
+)
+def test_a_lie_is_a_failed_check(lie: str, from_s: float, why: str) -> None:
+    failed = first(fly(fault("s1", "lying", lie=lie, from_s=from_s)), "check_failed")
+    assert failed["after"] == "BLACKLISTED"
+    assert why in failed["why"]
+
+
+@pytest.mark.parametrize("lie", ["types", "control"])
+def test_a_lie_in_a_result_costs_the_call_and_the_server(lie: str) -> None:
+    run = fly(fault("s1", "lying", lie=lie, from_s=22.0))
+    failed = first(run, "call_failed_in_range")
+    assert failed["after"] == "BLACKLISTED"
+    assert failed["why"].isprintable()
+    assert events(run, "call")[-1]["place"] == "local"
+
+
+def test_what_nobody_asked_for_is_not_taken() -> None:
+    run = fly(fault("s1", "lying", lie="unwanted"))
+    assert run.result.totals.fallbacks == 0
+    assert run.result.totals.remote["s1"] > 0
 
 
 def test_a_slow_server_answers_later() -> None:

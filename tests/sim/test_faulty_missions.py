@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 import pytest
@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.sim.scenarios_for_tests import fault, scenario, server
 
-from upwash.config import DroneConfig
+from upwash.config import DroneConfig, Lie
 from upwash.lab.promises import History, broken_promises
 from upwash.lab.run import Run, simulate, simulate_fleet
 from upwash.sim.journal import MemoryJournal
@@ -51,6 +51,15 @@ def test_without_faults_the_servers_are_used() -> None:
 def test_a_mission_goes_on_among_faulty_servers(prefix: str, kind: str, from_s: float, to_s: float) -> None:
     faults = [fault(f"{prefix}{name}", kind, from_s=from_s, to_s=to_s) for name in ("s1", "s2")]
     fly(scenario(*SERVERS, faults=faults), alone(6, 3))
+
+
+@pytest.mark.parametrize("from_s", [0.0, 0.001, 0.002, 0.003, 0.004, 0.005, 30.0, 60.0])
+@pytest.mark.parametrize("lie", get_args(Lie))
+def test_a_mission_goes_on_among_liars(lie: str, from_s: float) -> None:
+    """Each way to tell the lie comes first in one of these."""
+    faults = [fault(name, "lying", lie=lie, from_s=from_s) for name in ("s1", "s2")]
+    run = fly(scenario(*SERVERS, faults=faults, policy={"blacklist_s": 5.0}), alone(6, 3))
+    assert run.result.totals.calls == 18
 
 
 @pytest.mark.parametrize("from_s", [0.0, 5.0, 20.0, 43.0, 1e6])

@@ -18,6 +18,7 @@ def test_it_can_always_be_disarmed_after_landing() -> None:
         autopilot = ModelAutopilot(Position(0.0, 0.0), ground_speed_m_s=4.0, manner=manner)
         await asyncio.sleep(chance.uniform(0.0, 50.0))
         for come_down in (autopilot.land, autopilot.return_home_and_land):
+            await autopilot.claim(resumes=False)
             await autopilot.arm()
             await autopilot.takeoff(5.0)
             await autopilot.goto(Position(chance.uniform(0.0, 99.0), chance.uniform(0.0, 99.0), 5.0))

@@ -38,6 +38,7 @@ from upwash.service import load_service, spec_of
 T = TypeVar("T")
 MAX_MESSAGE_BYTES = 1_000_000
 
+ROOT = Path(__file__).parents[2]
 CONFIG = """
 [[service]]
 name = "workbench"
@@ -59,9 +60,17 @@ name = "s2"
 """
 
 
-def config(keys: Path | None, listen: str = "127.0.0.1:0", *, sandbox: str = "off", **settings: Any) -> str:
+def config(
+    keys: Path | None,
+    listen: str = "127.0.0.1:0",
+    *,
+    sandbox: str = "off",
+    as_root: bool = True,
+    **settings: Any,
+) -> str:
     """A daemon that is s1 and s2; without a folder of keys it lets anyone of this machine in."""
     lines = [f'listen = "{listen}"', f'runtime.sandbox = "{sandbox}"']
+    lines += [f"runtime.sandbox_as_root = {str(as_root).lower()}"]
     lines += [f"{name} = {value}" for name, value in settings.items()]
     if keys is None:
         lines.append("allow_without_certificates = true")
@@ -76,7 +85,8 @@ def started(folder: Path, text: str, *options: str, path: str = os.environ["PATH
     environment = {
         **os.environ,
         "PATH": path,
-        "PYTHONPATH": str(Path(__file__).parents[1]),  # where services_for_tests lies
+        # Where services_for_tests lies, and this checkout's own upwash.
+        "PYTHONPATH": os.pathsep.join(str(ROOT / each) for each in ("tests", "src")),
         "PROCESS_ID_FILE": str(folder / "process_id"),
     }
     environment.pop(
@@ -156,7 +166,7 @@ class Guest:
         self._dialer = dialer
         self._server = server
         self._address = address
-        self._methods = spec_of(load_service(program)).methods
+        self._service = spec_of(load_service(program))
         self.daemon = dialer.dial(address, server=server)
         self.instances: dict[str, GrpcLink] = {}
 
@@ -172,13 +182,13 @@ class Guest:
         return await self._tell(LEAVE, LeaveRequest(self._server), LeaveReply)
 
     async def call(self, endpoint: str, name: str, *arguments: object) -> Any:
-        """A call of the workbench that listens at the endpoint."""
+        """A call of the service that listens at the endpoint."""
         if endpoint not in self.instances:
             address = resolve(endpoint, self._address)
             self.instances[endpoint] = self._dialer.dial(address, server=self._server)
-        method = self._methods[name]
+        method = self._service.methods[name]
         _, request = method.encode(arguments, {})
-        path = service_path("workbench", name)
+        path = service_path(self._service.name, name)
         reply = await self.instances[endpoint].request(path, request, timeout_s=10.0)
         return method.result(method.decode(reply))
 

@@ -12,6 +12,8 @@ import contextlib
 import os
 import socket
 import ssl
+import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -22,10 +24,10 @@ from statistics import median
 
 import grpc
 from bench.results import leave
-from tests.system.daemons import Daemon, Guest, config, daemon, guests, memory_bytes
+from tests.system.daemons import ROOT, Daemon, Guest, config, daemon, guests, memory_bytes
 
 from upwash.protocol import AVAILABILITY, service_path
-from upwash.real.credentials import Credentials, keys_in, make_keys, read_credentials
+from upwash.real.credentials import Credentials, keys_in, make_keys, read_credentials, revoke
 
 HALF_OPEN = 1000
 LONGEST = 2**62
@@ -59,7 +61,7 @@ Attack = Callable[[Target], contextlib.AbstractContextManager[None]]
 def random_bytes(at: Target) -> Iterator[None]:
     """Ten times a megabyte."""
     for _ in range(10):
-        with _connected(at.daemon_port) as connection, contextlib.suppress(OSError):
+        with connected(at.daemon_port) as connection, contextlib.suppress(OSError):
             connection.sendall(os.urandom(GARBAGE_BYTES))
     yield
 
@@ -69,14 +71,14 @@ def half_open_connections(at: Target) -> Iterator[None]:
     """A thousand that say nothing."""
     with contextlib.ExitStack() as stack:
         for _ in range(HALF_OPEN):
-            stack.enter_context(_connected(at.daemon_port))
+            stack.enter_context(connected(at.daemon_port))
         yield
 
 
 @contextlib.contextmanager
 def stream_without_certificate(at: Target) -> Iterator[None]:
     """300 MB of nothing."""
-    with _connected(at.daemon_port) as connection, contextlib.suppress(OSError):
+    with connected(at.daemon_port) as connection, contextlib.suppress(OSError):
         for _ in range(STREAMED_BYTES // GARBAGE_BYTES):
             connection.sendall(bytes(GARBAGE_BYTES))
     yield
@@ -89,8 +91,8 @@ def stream_without_certificate(at: Target) -> Iterator[None]:
 def declared_lengths(at: Target) -> Iterator[None]:
     """A body of 2^62 bytes, a message and values in it of 2^32 - 1: declared, and not sent."""
     with _spoken_to(at, at.daemon_port, "stork") as connection:
-        connection.sendall(_head(AVAILABILITY, length=LONGEST))
-        connection.sendall(_frame(0, 0, b"\0\xff\xff\xff\xff"))
+        connection.sendall(head(AVAILABILITY, length=LONGEST))
+        connection.sendall(frame(0, 0, b"\0\xff\xff\xff\xff"))
         connection.settimeout(5.0)
         with contextlib.suppress(OSError):
             while connection.recv(4096):
@@ -108,11 +110,11 @@ def slow_reader(at: Target) -> Iterator[None]:
     """Reads a long reply at one byte a second."""
     with _spoken_to(at, at.instance_port, "heron") as connection:
         message = b"\x81\xa4data\xc5\xea\x60" + bytes(60_000)
-        connection.sendall(_head(ECHO))
+        connection.sendall(head(ECHO))
         body = b"\0" + len(message).to_bytes(4) + message
         pieces = [body[start : start + 16_000] for start in range(0, len(body), 16_000)]
         for piece in pieces:
-            connection.sendall(_frame(0, 1 if piece is pieces[-1] else 0, piece))
+            connection.sendall(frame(0, 1 if piece is pieces[-1] else 0, piece))
         over = threading.Event()
         reading = threading.Thread(target=_read_slowly, args=(connection.fileno(), over))
         reading.start()
@@ -168,6 +170,40 @@ def stream_with_certificate(at: Target) -> Iterator[None]:
                 call.cancel()
 
 
+# --- by programs of their own -------------------------------------------------------------------------------
+
+
+def program(name: str, drone: str, *, at_instance: bool = False) -> Attack:
+    """The program of that name in tests/system/attacks, with the keys of that drone."""
+
+    @contextlib.contextmanager
+    def attack(at: Target) -> Iterator[None]:
+        port = at.instance_port if at_instance else at.daemon_port
+        # What it takes of this machine itself is not what it does to the daemon.
+        command = [
+            "nice",
+            "-n",
+            "19",
+            sys.executable,
+            "-m",
+            f"tests.system.attacks.{name}",
+            str(port),
+            str(at.keys),
+            drone,
+        ]
+        with subprocess.Popen(
+            command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        ) as process:
+            try:
+                assert process.stdout is not None
+                assert process.stdout.readline() == b"attacking\n"
+                yield
+            finally:
+                process.kill()
+
+    return attack
+
+
 ATTACKS: dict[str, Attack] = {
     "10 x 1 MB of random bytes": random_bytes,
     "1,000 half-open connections": half_open_connections,
@@ -176,13 +212,28 @@ ATTACKS: dict[str, Attack] = {
     "a drone that reads one byte a second": slow_reader,
     "requests that begin and never end": unfinished_requests,
     "300 MB streamed by a drone": stream_with_certificate,
+    "health watches opened and cancelled by a drone": program("health_watches", "stork"),
+    "health watches opened and cancelled by a revoked drone": program("health_watches", "vulture"),
+    "rapid reset by a drone": program("rapid_reset", "stork"),
+    "rapid reset by a drone, at an instance": program("rapid_reset", "stork", at_instance=True),
+    "rapid reset by a revoked drone": program("rapid_reset", "vulture"),
+    "1,200 silent strangers": program("silent_strangers", "stork"),
+    "1,200 silent strangers, at an instance": program("silent_strangers", "stork", at_instance=True),
 }
+
+
+def attacked_site(folder: Path) -> tuple[str, Path]:
+    """The configuration of a daemon and its keys: heron and stork are its drones, vulture was one."""
+    keys = folder / "keys"
+    make_keys(keys, servers=[["s1", "s2"]], drones=["heron", "stork", "vulture"])
+    listed = revoke(keys, ["vulture"])
+    return config(keys).replace("[keys]", f'[keys]\nrevoked = "{listed}"'), keys
 
 
 # --- HTTP/2 as nobody sends it ------------------------------------------------------------------------------
 
 
-def _connected(port: int) -> socket.socket:
+def connected(port: int) -> socket.socket:
     return socket.create_connection(("127.0.0.1", port), timeout=10.0)
 
 
@@ -193,16 +244,16 @@ def _spoken_to(at: Target, port: int, drone: str) -> Iterator[ssl.SSLSocket]:
     context = ssl.create_default_context(cafile=str(files.authority))
     context.load_cert_chain(files.certificate, files.key)
     context.set_alpn_protocols(["h2"])
-    with _connected(port) as plain, context.wrap_socket(plain, server_hostname="s1") as connection:
-        connection.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + _frame(4, 0, b"", stream=0))
+    with connected(port) as plain, context.wrap_socket(plain, server_hostname="s1") as connection:
+        connection.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + frame(4, 0, b"", stream=0))
         yield connection
 
 
-def _frame(kind: int, flags: int, payload: bytes, *, stream: int = 1) -> bytes:
+def frame(kind: int, flags: int, payload: bytes, *, stream: int = 1) -> bytes:
     return len(payload).to_bytes(3) + bytes([kind, flags]) + stream.to_bytes(4) + payload
 
 
-def _head(path: str, *, length: int | None = None) -> bytes:
+def head(path: str, *, length: int | None = None, stream: int = 1) -> bytes:
     """The frame of headers that begins a request."""
     headers = {
         ":method": "POST",
@@ -218,7 +269,7 @@ def _head(path: str, *, length: int | None = None) -> bytes:
         b"\0" + bytes([len(name)]) + name.encode() + bytes([len(value)]) + value.encode()
         for name, value in headers.items()
     )
-    return _frame(1, 4, b"".join(literals))
+    return frame(1, 4, b"".join(literals), stream=stream)
 
 
 def _read_slowly(descriptor: int, over: threading.Event) -> None:
@@ -281,6 +332,8 @@ async def attacked(at: Daemon, keys: Path, services: Path, attack: Attack, *, ca
         await asyncio.to_thread(attacking.__enter__)
         try:
             attacked_s = await _served(heron, endpoint, 2 * calls)
+            async with guests(at, services, ("heron", believed, "s1")) as (newcomer,):
+                assert (await newcomer.availability("workbench")).available
         finally:
             await asyncio.to_thread(attacking.__exit__, None, None, None)
         usual_s += await _served(
@@ -316,14 +369,16 @@ def main() -> None:
     services = Path(__file__).parents[1] / "services_for_tests.py"
     parser = argparse.ArgumentParser(prog="python -m tests.system.hostile", description=__doc__)
     parser.add_argument("--out", type=Path, help="leave the figures there as JSON")
+    parser.add_argument("--only", default="", metavar="TEXT", help="attacks with this in their names")
     options = parser.parse_args()
     figures = []
     print("| attack | usual, ms | attacked, ms | ratio | memory, MB |\n|---|---|---|---|---|")
     for name, attack in ATTACKS.items():
+        if options.only not in name:
+            continue
         with tempfile.TemporaryDirectory() as folder:
-            keys = Path(folder, "keys")
-            make_keys(keys, servers=[["s1", "s2"]], drones=["heron", "stork"])
-            with daemon(Path(folder), config(keys)) as at:
+            text, keys = attacked_site(Path(folder))
+            with daemon(Path(folder), text) as at:
                 outcome = asyncio.run(attacked(at, keys, services, attack, calls=150))
         ratio = outcome.attacked_s / outcome.usual_s
         print(

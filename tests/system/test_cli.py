@@ -323,6 +323,18 @@ def test_keys_of_a_second_run_are_of_the_same_authority_and_nothing_is_overwritt
     assert "heron.key: already there" in complaint(upwash("keys", ".", "--drone", "heron", folder=tmp_path))
 
 
+def test_keys_says_what_is_left_to_do_with_a_list_and_with_another_authority(tmp_path: Path) -> None:
+    assert upwash("keys", "keys", "--drone", "heron", folder=tmp_path).returncode == 0
+    for option, file, said in (
+        (("--revoke", "heron"), "keys/revoked.txt", "no daemon knows of it yet: copy revoked.txt to each"),
+        (("--new-authority",), "keys/authority.pem", "copy authority.pem to every drone and server"),
+        (("--drop-former-authorities",), "keys/authority.pem", "as yet they believe the former too"),
+    ):
+        done = upwash("keys", "keys", *option, folder=tmp_path)
+        assert (done.returncode, done.stdout.splitlines()[0]) == (0, file)
+        assert said in done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

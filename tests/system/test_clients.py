@@ -17,13 +17,14 @@ import pytest
 pytestmark = pytest.mark.system
 
 CLIENTS = Path(__file__).parent / "clients"
-SPEEDUP = 20
+SPEEDUPS = {"arducopter": 20, "px4": 5}  # a PX4 sends hundreds of messages a second by itself
 
 
 @contextmanager
-def vehicle(listen: str) -> Iterator[str]:
+def vehicle(listen: str, autopilot: str) -> Iterator[str]:
     """Its host and port."""
-    command = [sys.executable, "-m", "upwash", "vehicle", "--listen", listen, "--speedup", str(SPEEDUP)]
+    command = [sys.executable, "-m", "upwash", "vehicle", "--listen", listen, "--autopilot", autopilot]
+    command += ["--speedup", str(SPEEDUPS[autopilot])]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stderr is not None
@@ -37,20 +38,24 @@ def vehicle(listen: str) -> Iterator[str]:
 
 
 @pytest.mark.parametrize(
-    ("client", "needs", "listen", "scheme"),
+    ("client", "needs", "listen", "scheme", "autopilot"),
     [
-        ("bare_pymavlink", "pymavlink", "udp", "udpout:"),
-        ("bare_pymavlink", "pymavlink", "tcp", "tcp:"),
-        ("mavsdk_square", "mavsdk", "udp", "udpout://"),
-        ("mavsdk_square", "mavsdk", "tcp", "tcpout://"),
-        ("dronekit_square", "dronekit", "udp", "udpout:"),
-        ("dronekit_square", "dronekit", "tcp", "tcp:"),
+        ("bare_pymavlink", "pymavlink", "udp", "udpout:", "arducopter"),
+        ("bare_pymavlink", "pymavlink", "tcp", "tcp:", "arducopter"),
+        ("mavsdk_square", "mavsdk", "udp", "udpout://", "arducopter"),
+        ("mavsdk_square", "mavsdk", "tcp", "tcpout://", "arducopter"),
+        ("bare_px4", "pymavlink", "udp", "udpout:", "px4"),
+        ("bare_px4", "pymavlink", "tcp", "tcp:", "px4"),
+        ("mavsdk_square", "mavsdk", "udp", "udpout://", "px4"),
+        ("mavsdk_square", "mavsdk", "tcp", "tcpout://", "px4"),
+        ("dronekit_square", "dronekit", "udp", "udpout:", "arducopter"),
+        ("dronekit_square", "dronekit", "tcp", "tcp:", "arducopter"),
     ],
 )
-def test_a_square_is_flown_by(client: str, needs: str, listen: str, scheme: str) -> None:
+def test_a_square_is_flown_by(client: str, needs: str, listen: str, scheme: str, autopilot: str) -> None:
     if importlib.util.find_spec(needs) is None:
         pytest.skip(f"{needs} is not installed: pip install --group clients")
-    with vehicle(f"{listen}:127.0.0.1:0") as place:
+    with vehicle(f"{listen}:127.0.0.1:0", autopilot) as place:
         done = subprocess.run(
             [sys.executable, str(CLIENTS / f"{client}.py"), scheme + place],
             capture_output=True,

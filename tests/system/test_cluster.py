@@ -10,6 +10,7 @@ from ipaddress import IPv4Network
 from pathlib import Path
 
 import pytest
+from tests.doors import led, reached
 from tests.engines import Kind, OwnEngine
 from tests.system.cluster import OwnCluster, own_cluster
 
@@ -61,7 +62,7 @@ def test_what_a_lost_member_ran_runs_on_another_and_the_rest_goes_on(
     echo = spec_of(load_service(f"{services}:Workbench")).methods["echo"]
 
     async def call(instance: ContainerInstance, server: str) -> object:
-        link = dialer.dial(instance.endpoint, server=server)
+        link = dialer.dial(reached(instance.endpoint), server=server)
         try:
             _, request = echo.encode((b"photo",), {})
             reply = await link.request(service_path("workbench", "echo"), request, timeout_s=5.0)
@@ -125,17 +126,18 @@ async def with_runtime(
         for url in cluster.urls
     ]
     engine = Engine(addresses, project="default")
-    runtime = ContainerRuntime(
-        engine,
-        ContainerSettings(IPv4Network(cluster.site.services), interface="eth0"),
-        freezes=False,
-        credentials=credentials,
-        max_message_bytes=MAX_MESSAGE_BYTES,
-    )
-    try:
-        await engine.connect()
-        await engine.import_image(image)
-        await runtime.prepare(SERVERS, [(server, "workbench") for server in SERVERS])
-        await use(runtime)
-    finally:
-        await runtime.close()
+    async with led(credentials) as lead:
+        runtime = ContainerRuntime(
+            engine,
+            ContainerSettings(IPv4Network(cluster.site.services), interface="eth0"),
+            freezes=False,
+            lead=lead,
+            max_message_bytes=MAX_MESSAGE_BYTES,
+        )
+        try:
+            await engine.connect()
+            await engine.import_image(image)
+            await runtime.prepare(SERVERS, [(server, "workbench") for server in SERVERS])
+            await use(runtime)
+        finally:
+            await runtime.close()

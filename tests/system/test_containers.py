@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.doors import led, reached
 from tests.engines import OwnEngine
 from tests.system.daemons import Guest
 
@@ -25,9 +26,12 @@ from upwash.packaging.image import Recipe, package
 from upwash.ports import Instance, InstanceSpec, Program
 from upwash.protocol import service_path
 from upwash.real.credentials import Credentials, fingerprint
+from upwash.real.door import Lead
+from upwash.real.leash import SERVICE_PORT
 from upwash.real.link import GrpcDialer
 from upwash.real.lxd.container import ContainerSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
+from upwash.real.lxd.instance import ContainerInstance
 from upwash.real.lxd.runtime import ContainerRuntime
 from upwash.service import load_service, spec_of
 
@@ -67,7 +71,7 @@ class Site:
         )
         method = spec_of(load_service(f"{self.services}:{cls}")).methods[name]
         _, request = method.encode(arguments, {})
-        link = self.dialer.dial(instance.endpoint, server=server)
+        link = self.dialer.dial(reached(instance.endpoint), server=server)
         try:
             reply = await link.request(service_path(cls.lower(), name), request, timeout_s=timeout_s)
         finally:
@@ -97,6 +101,11 @@ def open_site(
 ) -> OpenSite:
     @asynccontextmanager
     async def site(*, freezes: bool = False) -> AsyncIterator[Site]:
+        async with led(credentials("s1")) as lead, site_behind(lead, freezes=freezes) as there:
+            yield there
+
+    @asynccontextmanager
+    async def site_behind(lead: Lead, *, freezes: bool) -> AsyncIterator[Site]:
         engine = Engine([EngineAddress(f"unix:{lxd.socket}")], project="default")
         runtime = ContainerRuntime(
             engine,
@@ -107,7 +116,7 @@ def open_site(
                 disk_bytes=DISK_BYTES,
             ),
             freezes=freezes,
-            credentials=credentials("s1"),
+            lead=lead,
             max_message_bytes=MAX_MESSAGE_BYTES,
         )
         await engine.connect()
@@ -147,8 +156,9 @@ def test_a_service_has_no_rights_and_reaches_nobody(open_site: OpenSite) -> None
         vandal, neighbour = await site.start("s1", "vandal"), await site.start("s2", "workbench")
         user, capabilities = await site.call(vandal, "s1", "identity")
         assert (user, capabilities) == (1000, 0)
-        host, _, port = neighbour.endpoint.partition(":")
-        assert await site.call(vandal, "s1", "reach", host, int(port)) != "connected"
+        assert isinstance(neighbour, ContainerInstance)
+        host = neighbour.container.address
+        assert await site.call(vandal, "s1", "reach", host, SERVICE_PORT) != "connected"
         assert await site.call(vandal, "s1", "reach", "169.254.0.1", 22) == "TimeoutError"
         assert await site.call(neighbour, "s2", "echo", b"photo") == b"photo"
         for instance in (vandal, neighbour):

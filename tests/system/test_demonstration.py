@@ -10,7 +10,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,21 @@ class Process:
     command: str
 
 
+def running() -> Iterator[tuple[Process, bytes]]:
+    """Every process of this machine, and its environment."""
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            environment = (entry / "environ").read_bytes()
+            command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+            state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
+        except OSError:
+            continue
+        if state != "Z":
+            yield Process(int(entry.name), int(parent), command), environment
+
+
 @dataclass
 class Demonstration:
     """`upwash demo` as a process, and everything that descends from it."""
@@ -43,6 +58,7 @@ class Demonstration:
     folder: Path
     mark: str
     process: subprocess.Popen[bytes]
+    seen: set[int] = field(default_factory=set)  # instances
 
     def events(self) -> list[dict[str, Any]]:
         log = self.folder / "events.jsonl"
@@ -55,32 +71,23 @@ class Demonstration:
             time.sleep(0.05)
 
     def processes(self) -> list[Process]:
-        """What runs of the demonstration, known by a mark in its environment."""
-        found = []
-        for entry in Path("/proc").iterdir():
-            if not entry.name.isdigit():
-                continue
-            try:
-                if f"{MARK}={self.mark}".encode() not in (entry / "environ").read_bytes():
-                    continue
-                command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-                state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
-            except OSError:
-                continue
-            if state != "Z":
-                found.append(Process(int(entry.name), int(parent), command))
-        return found
+        """What runs of the demonstration, known by a mark in its environment, but for what is in a sandbox."""
+        mark = f"{MARK}={self.mark}".encode()
+        return [process for process, environment in running() if mark in environment]
 
     def daemons(self) -> list[Process]:
         return [process for process in self.processes() if " serve " in process.command]
 
     def instances(self, *, of: list[Process]) -> list[Process]:
+        """Their children that are instances; one in a sandbox has nothing of the environment."""
         parents = {process.pid for process in of}
-        return [
+        found = [
             process
-            for process in self.processes()
+            for process, _ in running()
             if "upwash.real.instance" in process.command and process.parent in parents
         ]
+        self.seen.update(process.pid for process in found)
+        return found
 
     def finish(self) -> RunResult:
         """Waits for the end; checks that the mission was whole and that nothing is left."""
@@ -88,6 +95,7 @@ class Demonstration:
         assert self.process.returncode == 0, output
         assert "Traceback" not in output
         assert self.processes() == []
+        assert not self.seen & {process.pid for process, _ in running()}
         result = read_log(self.folder / "events.jsonl")
         assert result.completed
         assert [call.waypoint for call in result.calls] == list(range(WAYPOINTS)), (

@@ -72,6 +72,7 @@ remote_call_s = { light = CALL_S, heavy = CALL_S, pause = CALL_S }
 
 DAEMON = """
 listen = "10.91.1.1:7070"
+runtime = { sandbox_as_root = true }
 [keys]
 authority = "keys/authority.pem"
 certificate = "keys/s1.pem"

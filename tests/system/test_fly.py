@@ -10,6 +10,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,8 +18,8 @@ from pathlib import Path
 import pytest
 
 from upwash.cli import main
-from upwash.real.autopilot import FlightSettings
-from upwash.real.copter import Patience
+from upwash.errors import AutopilotError
+from upwash.real.mavlink import FlightSettings, Patience
 
 pytestmark = pytest.mark.system
 
@@ -95,8 +96,8 @@ def test_a_vehicle_that_refuses_to_arm_is_quoted(fly: Fly) -> None:
     with vehicle("--armable-after", "0", "--fault", "arming") as connection:
         code, said = fly(connection)
     assert code == 1
-    assert said.startswith("upwash: arm: the vehicle answered MAV_RESULT_FAILED")
-    assert said.endswith('the vehicle last said: "PreArm: Hardware safety switch"\n')
+    assert said.startswith("upwash: arm: the vehicle was not ready within 0.3 s")
+    assert said.endswith('the vehicle last said: "Hardware safety switch"\n')
     assert said.count("\n") == 1
 
 
@@ -106,6 +107,11 @@ def test_a_vehicle_that_falls_silent_half_way_is_named_with_the_step(fly: Fly) -
     assert code == 1
     assert said.startswith("upwash: goto 200.0 m east, 0.0 m north: nothing was heard on tcp:")
     assert said.count("\n") == 1
+    (log,) = Path("runs").glob("*/events.jsonl")
+    told = [json.loads(line) for line in log.read_text().splitlines() if '"link_' in line]
+    assert [event["event"] for event in told] == ["link_lost", "link_restored"]
+    assert told[0]["silent_s"] < 1.0
+    assert 3.0 < told[1]["silent_s"] < 8.0
 
 
 BRIEF = """
@@ -193,6 +199,73 @@ def test_a_flight_goes_on_when_its_terminal_is_closed() -> None:
             flight.send_signal(signal.SIGHUP)
             assert flight.wait(60.0) == 0
     assert "mission_completed" in Path("log").read_text()
+
+
+@pytest.mark.usefixtures("brief")
+def test_a_flight_with_signed_messages_needs_the_vehicles_key(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("signing.key", "another.key"):
+        assert main(["keys", "--signing", name]) == 0
+    with_key = CONFIG.replace("[autopilot]", '[autopilot]\nsigning_key = "signing.key"')
+    Path("drone.toml").write_text(with_key)
+    fly = ["fly", "brief.py:look", "--config", "drone.toml", "--quiet", "--autopilot"]
+    with vehicle("--armable-after", "0", "--signing-key", "signing.key") as connection:
+        assert main([*fly, connection]) == 0
+        Path("drone.toml").write_text(with_key.replace("signing.key", "another.key"))
+        assert main([*fly, connection]) == 1
+    assert "its messages are signed with another key" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("brief")
+def test_a_port_that_anyone_reaches_is_warned_of_at_the_start(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def nobody(*_: object, **__: object) -> None:
+        raise AutopilotError("connect", "nobody is there")
+
+    monkeypatch.setattr("upwash.launch.connect_autopilot", nobody)
+    fly = ["fly", "brief.py:look", "--config", "drone.toml", "--log", "flight.jsonl"]
+    assert main([*fly, "--autopilot", "udpin:0.0.0.0:14550"]) == 1
+    assert "udpin:0.0.0.0:14550 listens to networks, and messages are not signed" in capsys.readouterr().out
+    assert "unsigned_port" in Path("flight.jsonl").read_text()
+
+
+def test_after_the_second_ctrl_c_it_says_that_the_vehicle_is_left_to_itself(fly: Fly) -> None:
+    Path("far.py").write_text(FAR)
+    with vehicle("--armable-after", "0", "--acceleration", "5") as connection:
+        command = ["fly", "far.py:far", "--config", "drone.toml", "--autopilot", connection, "--log", "log"]
+        with subprocess.Popen(
+            [sys.executable, "-m", "upwash", *command],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as flight:
+            assert flight.stdout is not None
+            assert flight.stderr is not None
+            stopped = [line for line in iter(flight.stdout.readline, "") if _stop_at(flight, line)]
+            said = flight.stderr.read()
+            assert flight.wait(20.0) == 130
+    assert stopped
+    assert said.endswith(
+        "a vehicle in the air goes on with what it was last told, take over with the remote control\n"
+    )
+
+
+FAR = """
+def far(drone):
+    drone.autopilot.arm()
+    drone.autopilot.takeoff(2.0)
+    print("in the air", flush=True)
+    drone.autopilot.goto(drone.plan[1])
+"""
+
+
+def _stop_at(flight: subprocess.Popen[str], line: str) -> bool:
+    """Stops the flight politely once it is in the air, and at once when it is on its way home."""
+    stops = "in the air" in line or "returning to land" in line
+    if stops:
+        time.sleep(0.6)  # within less, a second Ctrl-C is taken for the first one's echo
+        flight.send_signal(signal.SIGINT)
+    return stops
 
 
 WATCHED = """

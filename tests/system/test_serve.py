@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import grpc
 import pytest
@@ -35,7 +36,14 @@ from upwash.protocol import (
     LEAVE,
     START,
 )
-from upwash.real.credentials import Credentials, make_keys, read_credentials, revoke
+from upwash.real.credentials import (
+    Credentials,
+    drop_former_authorities,
+    make_keys,
+    read_credentials,
+    renew_authority,
+    revoke,
+)
 from upwash.real.sandbox import Limits, find_sandbox
 
 pytestmark = pytest.mark.system
@@ -98,7 +106,7 @@ def test_a_slot_serves_one_drone_until_it_leaves_and_each_server_has_its_own(
         asyncio.run(visit(at))
 
 
-def test_a_lease_ends_by_itself_and_calls_keep_it(
+def test_a_lease_ends_by_itself_and_asking_keeps_it(
     tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
 ) -> None:
     who = [(name, credentials(name), "s1") for name in ("heron", "stork")]
@@ -108,6 +116,7 @@ def test_a_lease_ends_by_itself_and_calls_keep_it(
             endpoint = (await heron.start()).endpoint
             for _ in range(6):  # for longer than a lease
                 await heron.call(endpoint, "pause", 0.5)
+                await heron.availability()
             assert not (await stork.availability()).available
             await eventually(stork.availability, lambda answer: answer.available)
             with pytest.raises(Refused, match="heron has no lease"):
@@ -400,10 +409,75 @@ def read_own(folder: Path, holder: str) -> Credentials:
     return read_credentials(folder / "authority.pem", folder / f"{holder}.pem", folder / f"{holder}.key")
 
 
-def test_a_revoked_drone_is_refused_by_the_daemon_and_by_what_runs_until_it_shows_another_certificate(
+def test_drones_of_the_former_authority_and_of_the_present_one_are_served(
     tmp_path: Path, services: Path, own_keys: Path
 ) -> None:
-    text = config(own_keys).replace("[keys]", f'[keys]\nrevoked = "{own_keys}/revoked.txt"')
+    renew_authority(own_keys)
+    make_keys(own_keys, drones=["egret"])
+
+    async def visit(at: Daemon) -> None:
+        former, present = read_own(own_keys, "heron"), read_own(own_keys, "egret")
+        async with guests(at, services, ("heron", former, "s1"), ("egret", present, "s2")) as both:
+            for each in both:
+                assert await each.call((await each.start()).endpoint, "echo", b"photo") == b"photo"
+
+    with daemon(tmp_path, config(own_keys)) as at:
+        asyncio.run(visit(at))
+
+
+def test_an_authority_is_changed_without_a_restart_and_without_a_call_that_fails(
+    tmp_path: Path, services: Path, own_keys: Path
+) -> None:
+    text, read_again = config(own_keys), "the configuration was read again"
+
+    def make_anew(names: dict[str, dict[str, Any]]) -> None:
+        for name, wanted in names.items():
+            for ending in ("pem", "key"):
+                (own_keys / f"{name}.{ending}").unlink()
+            make_keys(own_keys, **wanted)
+
+    async def visit(at: Daemon) -> None:
+        async with guests(at, services, ("stork", read_own(own_keys, "stork"), "s1")) as (stork,):
+            endpoint = (await stork.start()).endpoint
+            renew_authority(own_keys)
+            await asyncio.to_thread(reloaded, at, tmp_path, text, read_again)
+            assert await stork.call(endpoint, "echo", b"photo") == b"photo"
+            make_anew({"s1": {"servers": [["s1", "s2"]]}, "heron": {"drones": ["heron"]}})
+            await asyncio.to_thread(reloaded, at, tmp_path, text, read_again)
+            assert await stork.call(endpoint, "echo", b"photo") == b"photo"  # on a connection of before
+            await stork.leave()
+        of_the_former = read_own(own_keys, "stork")  # which believes both by now
+        async with guests(at, services, ("stork", of_the_former, "s1")) as (stork,):
+            assert (await stork.availability()).available
+            await stork.leave()
+            drop_former_authorities(own_keys)
+            await asyncio.to_thread(reloaded, at, tmp_path, text, read_again)
+            for _ in range(2):
+                with pytest.raises(Unreachable):
+                    await stork.availability()
+        async with guests(at, services, ("heron", read_own(own_keys, "heron"), "s1")) as (heron,):
+            assert await heron.call((await heron.start()).endpoint, "echo", b"photo") == b"photo"
+
+    with daemon(tmp_path, text) as at:
+        asyncio.run(visit(at))
+
+
+def test_a_daemon_that_reads_no_list_of_revoked_certificates_says_so(tmp_path: Path, own_keys: Path) -> None:
+    (own_keys / "revoked.txt").unlink()
+    with daemon(tmp_path, config(own_keys)):
+        until(
+            lambda: (
+                f"revoked.txt of `upwash keys` beside {own_keys}/authority.pem"
+                in (tmp_path / "stderr").read_text()
+            )
+        )
+
+
+@pytest.mark.parametrize("named", ["", 'revoked = "{}/revoked.txt"'])
+def test_a_revoked_drone_is_refused_by_the_daemon_and_by_what_runs_until_it_shows_another_certificate(
+    tmp_path: Path, services: Path, own_keys: Path, named: str
+) -> None:
+    text = config(own_keys).replace("[keys]", f"[keys]\n{named.format(own_keys)}")
     stolen = read_own(own_keys, "heron")
 
     async def visit(at: Daemon) -> None:
@@ -412,16 +486,18 @@ def test_a_revoked_drone_is_refused_by_the_daemon_and_by_what_runs_until_it_show
             assert await thief.call(endpoint, "echo", b"photo") == b"photo"
             revoke(own_keys, ["heron"])
             await asyncio.to_thread(reloaded, at, tmp_path, text, "1 certificates are revoked")
-            with pytest.raises(Refused, match="heron has no lease"):
-                await thief.call(endpoint, "echo", b"photo")
-            assert (await thief.availability()).reason == "the certificate of heron is revoked"
+            for _ in range(2):  # the first on connections that were there
+                with pytest.raises(Unreachable):
+                    await thief.call(endpoint, "echo", b"photo")
+                with pytest.raises(Unreachable):
+                    await thief.availability()
             for ending in ("pem", "key"):
                 (own_keys / f"heron.{ending}").unlink()
             make_keys(own_keys, drones=["heron"])
             async with guests(at, services, ("heron", read_own(own_keys, "heron"), "s1")) as (heron,):
                 assert (await heron.start()).endpoint == endpoint
                 assert await heron.call(endpoint, "echo", b"photo") == b"photo"
-                with pytest.raises(Refused, match="heron has no lease"):
+                with pytest.raises(Unreachable, match="it hung up;"):
                     await thief.call(endpoint, "echo", b"photo")
 
     with daemon(tmp_path, text) as at:
@@ -567,6 +643,7 @@ def descendants(process_id: int) -> list[int]:
     return [each for child in children(process_id) for each in (child, *descendants(child))]
 
 
+@pytest.mark.sandbox
 @pytest.mark.usefixtures("_sandbox")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_a_drone_calls_into_a_sandbox_which_ends_with_the_daemon(
@@ -586,6 +663,13 @@ def test_a_drone_calls_into_a_sandbox_which_ends_with_the_daemon(
         inside = asyncio.run(visit(at))
         at.end(number)
         until(lambda: not any(map(is_alive, inside)))
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="of root alone")
+@pytest.mark.parametrize("sandbox", ["auto", "required"])
+def test_root_makes_no_sandbox_unless_it_is_told_to(tmp_path: Path, keys: Path, sandbox: str) -> None:
+    said = refused(tmp_path, config(keys, sandbox=sandbox, as_root=False))
+    assert "run it as a user of its own (docs/operators.md), or say runtime.sandbox_as_root = true" in said
 
 
 def test_without_bubblewrap_it_serves_and_says_so_unless_a_sandbox_is_required(

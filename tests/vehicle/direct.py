@@ -9,24 +9,29 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from upwash.mavlink_px4 import understood
 from upwash.vehicle.clock import Clock
 from upwash.vehicle.conversation import Conversation, Vehicle
-from upwash.vehicle.copter import Copter, VehicleSettings
+from upwash.vehicle.copter import VehicleSettings
+from upwash.vehicle.px4.vehicle import Px4Settings
+from upwash.vehicle.server import firmware
 
 Hear = Callable[[Any], None]
 
 
 @asynccontextmanager
-async def directly_linked(settings: VehicleSettings, hear: Hear) -> AsyncIterator[tuple[Vehicle, Hear]]:
+async def directly_linked(
+    settings: VehicleSettings | Px4Settings, hear: Hear
+) -> AsyncIterator[tuple[Vehicle, Hear]]:
     """The vehicle, and how to say something to it; what it says, packed and parsed, goes to `hear`.
 
     What is said is heard in the loop's next turn, so that one can say something and then wait for the answer.
     """
     clock, codec = Clock(settings.speedup), mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
-    vehicle = Vehicle(Copter(settings, now_s=clock.now_s()), clock)
+    vehicle = Vehicle(firmware(settings, now_s=clock.now_s()), clock)
 
     def parsed(data: bytes) -> list[Any]:
-        return mavlink.MAVLink(None).parse_buffer(data) or []
+        return [understood(message) for message in mavlink.MAVLink(None).parse_buffer(data) or ()]
 
     def write(data: bytes) -> None:
         for message in parsed(data):

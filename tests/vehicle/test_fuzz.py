@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import random
+from collections.abc import Callable
 from contextlib import AsyncExitStack
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.ports.steps import claim_and_arm
 from tests.vehicle.absurd import absurd_orders, every_message, garbage, orders_for_others
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position, distance_m
-from upwash.real.autopilot import connect_autopilot
-from upwash.real.copter import Copter, Patience
-from upwash.real.mavlink import MavlinkLink
+from upwash.mavlink_px4 import Mode
+from upwash.real.mavlink import MavlinkLink, Patience, connect_autopilot
+from upwash.real.mavlink.arducopter import ARDUCOPTER
+from upwash.real.mavlink.vehicle import MavlinkVehicle
 from upwash.vehicle.copter import VehicleSettings
+from upwash.vehicle.px4.vehicle import Px4Settings
 from upwash.vehicle.server import serve_vehicle
 
 HOME = GeoPosition(39.3666, 22.9507)
@@ -31,6 +36,64 @@ def collect_errors() -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("kind", ["udp", "tcp"])
+def test_a_px4_is_not_moved_by_nonsense(kind: str) -> None:
+    async def scenario() -> None:
+        errors, chance = collect_errors(), random.Random(3)
+        async with AsyncExitStack() as stack:
+            vehicle = await serve_vehicle(
+                f"{kind}:127.0.0.1:0", Px4Settings(home=HOME, armable_after_s=0.0, speedup=10.0)
+            )
+            stack.push_async_callback(vehicle.close)
+            places: list[Any] = []
+            modes: list[int] = []
+
+            def hear(message: Any) -> None:
+                if message.get_type() == "GLOBAL_POSITION_INT":
+                    places.append(message)
+                elif message.get_type() == "HEARTBEAT":
+                    modes.append(message.custom_mode)
+
+            link = MavlinkLink(vehicle.address.replace("udp:", "udpout:"), hear)
+            stack.push_async_callback(link.close)
+            await link.opened.wait()
+            long = mavlink.MAVLink_command_long_message
+            nan = math.nan
+
+            async def until(condition: Callable[[], Any]) -> None:
+                async with asyncio.timeout(20.0):
+                    while not condition():  # noqa: ASYNC110
+                        await asyncio.sleep(0.01)
+
+            link.send(long(1, 1, 511, 0, 30, -1, 0, 0, 0, 0, 0))
+            await until(lambda: places)
+            link.send(long(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
+            link.send(long(1, 1, 22, 0, nan, 0, 0, nan, nan, nan, 10.0))
+            await until(lambda: places[-1].alt > 9_900 and abs(places[-1].vz) < 5)
+            before = places[-1]
+
+            vandal = MavlinkLink(vehicle.address.replace("udp:", "udpout:"), lambda _: None)
+            stack.push_async_callback(vandal.close)
+            await vandal.opened.wait()
+            for piece in garbage(BYTES // 4, chance):
+                vandal.send_bytes(piece)
+                await asyncio.sleep(0)
+            for message in (*every_message(chance), *absurd_orders(chance), *orders_for_others()):
+                vandal.send(message)
+                await asyncio.sleep(0)
+            await asyncio.sleep(0.3)
+
+            assert errors == []
+            assert modes[-1] == Mode.LOITER
+            after = places[-1]
+            assert abs(after.lat - before.lat) < 50 and abs(after.lon - before.lon) < 50
+            assert abs(after.alt - before.alt) < 500
+            link.send(long(1, 1, 176, 0, 1, Mode.RTL.main, Mode.RTL.sub, 0, 0, 0, 0))
+            await until(lambda: modes[-1] == Mode.RTL)  # it is still there and obeys
+
+    asyncio.run(scenario())
+
+
+@pytest.mark.parametrize("kind", ["udp", "tcp"])
 def test_a_flying_vehicle_is_not_moved_by_nonsense(kind: str) -> None:
     async def scenario() -> None:
         errors, chance = collect_errors(), random.Random(1)
@@ -40,7 +103,7 @@ def test_a_flying_vehicle_is_not_moved_by_nonsense(kind: str) -> None:
             connection = vehicle.address.replace("udp:", "udpout:")
             autopilot = await connect_autopilot(connection, frame=LocalFrame(HOME), ground_speed_m_s=20.0)
             stack.push_async_callback(autopilot.close)
-            await autopilot.arm()
+            await claim_and_arm(autopilot)
             await autopilot.takeoff(10.0)
             before = autopilot.position
 
@@ -88,7 +151,9 @@ def test_a_driver_that_hears_nonsense_goes_on_and_tells_nobody_to_move() -> None
         transport, fake = await asyncio.get_running_loop().create_datagram_endpoint(
             FakeVehicle, local_addr=("127.0.0.1", 0)
         )
-        copter = Copter(f"udpout:127.0.0.1:{transport.get_extra_info('sockname')[1]}", Patience())
+        copter = MavlinkVehicle(
+            f"udpout:127.0.0.1:{transport.get_extra_info('sockname')[1]}", Patience(), [ARDUCOPTER]
+        )
         while fake.peer is None:  # noqa: ASYNC110
             await asyncio.sleep(0.01)
         beat = mavlink.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3)

@@ -93,7 +93,7 @@ def test_a_browser_is_told_to_load_and_run_nothing_else(address: str, path: str)
 @pytest.mark.parametrize("path", ["/", "/events", "/photos/0/1/0.jpg"])
 def test_a_name_of_elsewhere_is_turned_away(address: str, host: str, path: str) -> None:
     response, body = ask(address, path, Host=host)
-    assert response.status == 400
+    assert response.status == 421
     assert b"fact" not in body
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from upwash.config import DroneConfig
+
     Commands = argparse._SubParsersAction[argparse.ArgumentParser]  # what `add` adds its command to
 
 LIVE_PORT = 8720
@@ -64,6 +66,16 @@ def add_live(parser: argparse.ArgumentParser) -> None:
         metavar="PORT",
         help=f"show it on a page on this machine meanwhile (default: {LIVE_PORT}; 0: any port)",
     )
+
+
+def flown_by(config: DroneConfig, connection: str | None) -> DroneConfig:
+    """The configuration with another connection to the vehicle, where one is given."""
+    import msgspec
+
+    if connection is None:
+        return config
+    autopilot = msgspec.structs.replace(config.autopilot, connection=connection)
+    return msgspec.structs.replace(config, autopilot=autopilot)
 
 
 def new_run_folder() -> Path:

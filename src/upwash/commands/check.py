@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.commands.arguments import count
+from upwash.commands.arguments import count, flown_by
 
 if TYPE_CHECKING:
     from upwash.commands.arguments import Commands
@@ -32,6 +32,17 @@ def add(commands: Commands) -> None:
     what.add_argument(
         "--networks", action="store_true", help="only see whether each server's network can be joined"
     )
+    what.add_argument(
+        "--vehicle",
+        action="store_true",
+        help="only connect to the vehicle, and see whether its dead man is ready",
+    )
+    what.add_argument(
+        "--install-dead-man",
+        action="store_true",
+        help="connect to the vehicle, which stands disarmed, and put the dead man into its autopilot",
+    )
+    check.add_argument("--autopilot", metavar="CONNECTION", help="the vehicle, instead of the configured one")
     check.set_defaults(run=run)
 
 
@@ -44,6 +55,15 @@ def run(options: argparse.Namespace) -> bool:
         from upwash.preflight.networks import check_networks
 
         return check_networks(read_drone_config(options.config), Console(markup=False))
+    if options.vehicle or options.install_dead_man:
+        from rich.console import Console
+
+        from upwash.config import read_drone_config
+        from upwash.preflight.vehicle import check_vehicle
+
+        config = flown_by(read_drone_config(options.config), options.autopilot)
+        console = Console(markup=False)
+        return check_vehicle(config, console, install_dead_man=options.install_dead_man)
     from upwash.lab.campaign import here_first
     from upwash.preflight.display import show_check
 

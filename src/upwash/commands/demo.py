@@ -12,6 +12,8 @@ from upwash.commands.arguments import add_live, add_policy, new_run_folder
 if TYPE_CHECKING:
     from upwash.commands.arguments import Commands
 
+_MOST_RUNTIME_BYTES = 100_000
+
 
 def add(commands: Commands) -> None:
     """Adds the command."""
@@ -32,8 +34,18 @@ def run(options: argparse.Namespace) -> bool:
 
     with extra("detector"):
         from upwash.demo import fly_demonstration
-    runtime = options.runtime.read_text() if options.runtime else ""
+    runtime = _read(options.runtime) if options.runtime else ""
     fly_demonstration(
         options.folder or new_run_folder(), runtime=runtime, policy=options.policy, live_port=options.live
     )
     return True
+
+
+def _read(file: Path) -> str:
+    from upwash.errors import UsageError
+    from upwash.user_files import read_file
+
+    try:
+        return read_file(file, most_bytes=_MOST_RUNTIME_BYTES).decode()
+    except (OSError, ValueError) as error:
+        raise UsageError(f"--runtime {file} cannot be read: {error}") from None

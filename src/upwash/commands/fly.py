@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.commands.arguments import add_live, new_run_folder
+from upwash.commands.arguments import add_live, flown_by, new_run_folder
 
 if TYPE_CHECKING:
     from upwash.commands.arguments import Commands
@@ -41,15 +41,10 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> bool:
     """Flies; returns when the mission is over."""
     os.environ.setdefault("GRPC_VERBOSITY", "ERROR")  # what matters is in the event log, once
-    import msgspec
-
     from upwash.config import read_drone_config
     from upwash.flying import Show, fly_with_progress
 
-    config = read_drone_config(options.config)
-    if options.autopilot:
-        autopilot = msgspec.structs.replace(config.autopilot, connection=options.autopilot)
-        config = msgspec.structs.replace(config, autopilot=autopilot)
+    config = flown_by(read_drone_config(options.config), options.autopilot)
     log = options.resume or options.log or new_run_folder() / "events.jsonl"
     fly_with_progress(
         config,

@@ -8,6 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from upwash.output import write_file
+from upwash.streams import print_bytes
+
 if TYPE_CHECKING:
     from upwash.commands.arguments import Commands
     from upwash.report.record import Record
@@ -67,11 +70,9 @@ def run(options: argparse.Namespace) -> bool:
 
 def _leave(content: bytes, file: Path) -> None:
     if file == _PRINTED:
-        sys.stdout.buffer.write(content)
-        sys.stdout.buffer.flush()
+        print_bytes(content)
         return
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_bytes(content)
+    write_file(file, content)
     print(f"written: {file}", file=sys.stderr)
 
 

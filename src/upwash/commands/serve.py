@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import logging
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +13,9 @@ from upwash.commands.arguments import announce
 
 if TYPE_CHECKING:
     from upwash.commands.arguments import Commands
+    from upwash.config import DaemonConfig
+
+_log = logging.getLogger("upwash.serve")
 
 
 def add(commands: Commands) -> None:
@@ -42,13 +46,25 @@ def run(options: argparse.Namespace) -> bool:
     # Each connection is an open file: as many as the system allows, or a thousand strangers would keep drones out.
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    _say_if_none_is_refused(config)
     names = ", ".join(identity.name for identity in config.identities)
     asyncio.run(
         serve(
             config,
-            read_again=lambda: read_daemon_config(options.config),
+            read_again=lambda: _say_if_none_is_refused(read_daemon_config(options.config)),
             ready=lambda address: announce(f"{names} ready at {address}"),
             manager=ServiceManager(service_manager),
         )
     )
     return True
+
+
+def _say_if_none_is_refused(config: DaemonConfig) -> DaemonConfig:
+    """Warns where no list of revoked certificates is read, so that revoking one changes nothing here."""
+    if config.keys and not config.keys.revoked:
+        _log.warning(
+            "no list of revoked certificates is read: put the revoked.txt of `upwash keys` beside %s, or name it as "
+            "keys.revoked; until then no certificate can be taken back",
+            config.keys.authority,
+        )
+    return config

@@ -34,5 +34,5 @@ def run(options: argparse.Namespace) -> bool:
     reply = asyncio.run(
         ask_status(options.address, server=options.server, operator=options.operator, keys=options.keys)
     )
-    print_status(reply, Console())
+    print_status(reply, Console(markup=False))
     return True

@@ -19,6 +19,7 @@ from upwash.config.drone import (
     HeatConfig,
     HedgeConfig,
     HomeConfig,
+    Lie,
     MissionConfig,
     NetworkConfig,
     NoiseConfig,
@@ -34,6 +35,7 @@ from upwash.config.drone import (
     server_area,
     server_position,
     server_truth,
+    unsigned_port,
     waypoints,
 )
 from upwash.config.drone_file import drone_config, read_drone_config
@@ -57,6 +59,7 @@ __all__ = [
     "IdentityConfig",
     "ImageConfig",
     "KeysConfig",
+    "Lie",
     "MissionConfig",
     "NetworkConfig",
     "NoiseConfig",
@@ -83,5 +86,6 @@ __all__ = [
     "server_area",
     "server_position",
     "server_truth",
+    "unsigned_port",
     "waypoints",
 ]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from upwash.config.drone import (
     RADIOS,
+    AutopilotConfig,
     CameraConfig,
     DroneConfig,
     FaultConfig,
@@ -35,6 +36,8 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
     """Everything about the configuration that cannot be, though each value by itself could."""
     yield from metrics_problems(config.metrics)
     yield from _mission_problems(config.mission, config.services)
+    yield from _autopilot_problems(config.autopilot)
+    yield from _reserve_problems(config)
     yield from _camera_problems(config.camera)
     for index, name in repeated([service.name for service in config.services]):
         yield f"service[{index}].name", f'a second service named "{name}": give each its own name'
@@ -63,11 +66,30 @@ def _mission_problems(mission: MissionConfig, services: tuple[ServiceConfig, ...
         yield "mission.mode", unknown("profile key", mission.mode, keys)
 
 
+def _reserve_problems(config: DroneConfig) -> Iterator[Problem]:
+    mission, endurance_s = config.mission, config.vehicle.endurance_s
+    if mission.reserve_s is None or endurance_s is None:
+        return
+    if mission.reserve_s >= endurance_s:
+        yield (
+            "mission.reserve_s",
+            f"{mission.reserve_s:g} is no less than vehicle.endurance_s = {endurance_s:g}: nothing is left to fly",
+        )
+
+
 def _camera_problems(camera: CameraConfig) -> Iterator[Problem]:
     sources = {"folder": camera.folder, "device": camera.device, "park_seed": camera.park_seed}
     found = [key for key, value in sources.items() if value is not None]
     if len(found) > 1:
         yield "camera", f"photos from several places: give one of {listed(sources)}, found {listed(found)}"
+
+
+def _autopilot_problems(autopilot: AutopilotConfig) -> Iterator[Problem]:
+    if autopilot.dead_man_s is not None and autopilot.on_failure == "hold":
+        yield (
+            "autopilot.dead_man_s",
+            'nobody is to hover for ever: set on_failure to "return" or "land", or leave dead_man_s out',
+        )
 
 
 def _network_problems(network: NetworkConfig) -> Iterator[Problem]:

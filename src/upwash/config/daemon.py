@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 
 from upwash.config.problems import Document, Problem, metrics_problems, refuse_first, unknown
 from upwash.config.reading import convert, read_document
@@ -30,6 +31,7 @@ from upwash.config.values import (
 )
 from upwash.errors import ConfigError
 
+_REVOKED = "revoked.txt"
 _MOST_BYTES = 2**31 - 1  # gRPC counts a message's bytes in 32 bits
 MessageBytes = Annotated[
     int, Meta(ge=1024, le=_MOST_BYTES, description=f"an integer from 1024 to {_MOST_BYTES}, in bytes")
@@ -40,7 +42,10 @@ LeaseSeconds = Annotated[float, Meta(ge=2, description="a number of at least 2, 
 
 
 class DaemonKeysConfig(KeysConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A daemon's certificates and key, and the list of the certificates that it refuses, if there is one."""
+    """A daemon's certificates and key, and the list of the certificates that it refuses, if there is one.
+
+    A list that lies beside the authority, where `upwash keys` makes it, is meant without being named.
+    """
 
     revoked: FilePath | None = None
 
@@ -116,7 +121,18 @@ def daemon_config(document: Document, file: Path) -> DaemonConfig:
     tables = _written_out(document, file.absolute().parent)
     config = convert(tables, DaemonConfig, file=file, as_written=document)
     refuse_first(file, _problems(config))
-    return config
+    return _with_list_beside(config)
+
+
+def _with_list_beside(config: DaemonConfig) -> DaemonConfig:
+    keys = config.keys
+    if (
+        keys is None
+        or keys.revoked is not None
+        or not (beside := keys.authority.with_name(_REVOKED)).exists()
+    ):
+        return config
+    return replace(config, keys=replace(keys, revoked=beside))
 
 
 def _written_out(document: Document, folder: Path) -> Document:

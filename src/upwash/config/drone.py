@@ -34,15 +34,18 @@ from upwash.config.values import (
     Share,
     Text,
     VideoSource,
+    is_on_this_machine,
 )
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.geofence import Fence
 from upwash.plans import Ending, Plan
 
 AtLeastOneSecond = Annotated[float, Meta(ge=1, description="a number of at least 1, in seconds")]
+DeadManSilence = Annotated[float, Meta(ge=5, le=600, description="a number from 5 to 600, in seconds")]
 PairInMetres = Annotated[tuple[float, float], Meta(description="a pair [east, north] in metres")]
 Radios = Annotated[int, Meta(ge=1, le=2, description="1 or 2")]
 SafeEnd = Literal["return", "hold", "land"]
+Lie = Literal["elsewhere", "unwanted", "oversized", "lease", "types", "faults", "control"]
 Corner = Literal["top-left", "top-right", "bottom-left", "bottom-right"]
 RADIOS = ("fixed", "disc54", "disc12")  # or a csv file of goodput by distance
 
@@ -67,7 +70,8 @@ class GridConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is flown: a program (bundled, or `/a/file.py:function`) over a grid, a list of waypoints or a plan.
 
-    Below `reserve_percent` of its battery the drone ends the mission early.
+    The drone ends the mission early below `reserve_percent` of its battery, and where the way home would leave less
+    than `reserve_s` seconds of flight.
     """
 
     program: Text = "survey"
@@ -85,15 +89,17 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     ) = None
     plan: PlanPath | None = None
     reserve_percent: Percent | None = None
+    reserve_s: NotNegative | None = None
 
 
 class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How the simulated vehicle flies: as these numbers say, or as a measured profile.
 
-    Its battery is empty `endurance_s` after take-off; without that it reports none.
+    Its battery is empty `endurance_s` after take-off; without that it reports none. A real one's battery is not
+    believed to last longer either.
     """
 
-    profile: Literal["arducopter"] | None = None
+    profile: Literal["arducopter", "px4"] | None = None
     acceleration_m_s2: Positive = 1.0
     takeoff_s: NotNegative = 10.0
     return_and_land_s: NotNegative = 16.0
@@ -101,10 +107,20 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How a real vehicle is reached, a MAVLink connection string, and what it does when the mission fails."""
+    """How a real vehicle is reached, a MAVLink connection string, and what it does when the mission fails.
+
+    A mission is refused that begins more than `farthest_start_m` from where the vehicle stands, and goes on after a
+    silence of the vehicle's link of at most `link_patience_s`. With `dead_man_s` the autopilot itself does what
+    `on_failure` says once it has not heard this program for so long. With the key in `signing_key` all messages are
+    signed, both ways, and no other is believed.
+    """
 
     connection: Text | None = None
+    signing_key: FilePath | None = None
     on_failure: SafeEnd = "return"
+    farthest_start_m: Positive = 500.0
+    link_patience_s: Positive = 120.0
+    dead_man_s: DeadManSilence | None = None
     arrival_distance_m: Positive = 1.0
     arrival_speed_m_s: Positive = 0.5
 
@@ -243,10 +259,16 @@ class NoiseConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Something that goes wrong for a while: at a server, at a link ("link:s1") or at the autopilot."""
+    """Something that goes wrong for a while: at a server, at a link ("link:s1") or at the autopilot.
+
+    `lie` is what a server that is "lying" lies about.
+    """
 
     target: Text
-    kind: Literal["off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash"]
+    kind: Literal[
+        "off", "stuck", "slow", "garbage", "wrong", "lying", "flapping", "full", "crash", "pilot", "fail-safe"
+    ]
+    lie: Lie = "elsewhere"
     from_s: NotNegative = 0.0
     to_s: NotNegative = math.inf
     extra_s: NotNegative = 5.0
@@ -280,6 +302,18 @@ class DroneConfig(
     heat: HeatConfig | None = None
     noise: NoiseConfig = NoiseConfig()
     faults: Annotated[tuple[FaultConfig, ...], Meta(description="tables that each begin with [[fault]]")] = ()
+
+
+def unsigned_port(autopilot: AutopilotConfig) -> str:
+    """What anyone can do who reaches the port that the vehicle's messages come to; "" where that is nobody."""
+    kind, _, place = (autopilot.connection or "").partition(":")
+    if kind != "udpin" or autopilot.signing_key is not None or is_on_this_machine(place):
+        return ""
+    return (
+        f"autopilot.connection = {autopilot.connection} listens to networks, and messages are not signed: who sends "
+        "there before the vehicle does, or with its address, is taken for it. Listen on 127.0.0.1, or sign "
+        "(autopilot.signing_key, made by `upwash keys --signing FILE`)"
+    )
 
 
 def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:

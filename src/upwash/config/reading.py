@@ -6,7 +6,6 @@ msgspec checks the types; `explanation` puts its errors into words.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TypeVar
@@ -16,26 +15,26 @@ import msgspec
 from upwash.config.problems import Document, Problem, refuse_first
 from upwash.config.values import PlanFile, SettingsTable
 from upwash.errors import ConfigError
+from upwash.user_files import read_file, read_toml
 
 T = TypeVar("T")
 
+_MOST_BYTES = 1_000_000  # some 40,000 waypoints
 _MOST_NESTED = 12
 
 
 def read_document(file: Path) -> Document:
     """The file's tables as plain values; every number in them is finite and fits 64 bits."""
     try:
-        text = file.read_bytes().decode()
+        text = read_file(file, most_bytes=_MOST_BYTES).decode()
     except FileNotFoundError:
         raise ConfigError(str(file), "", "no such file: check the path") from None
     except (OSError, ValueError) as error:
         raise ConfigError(str(file), "", _unreadable(error)) from None
     try:
-        document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        document = read_toml(text)
+    except ValueError as error:
         raise ConfigError(str(file), "", f"not valid TOML: {error}") from None
-    except (ValueError, RecursionError):
-        raise ConfigError(str(file), "", "a number is too long, or arrays are nested too deeply") from None
     refuse_first(file, impossible_values(document, ""))
     return document
 

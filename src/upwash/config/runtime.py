@@ -44,6 +44,7 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     kind: Literal["process", "lxd"] = "process"
     sandbox: Literal["auto", "required", "off"] = "auto"
+    sandbox_as_root: bool = False
     readable: Files = ()
     memory_bytes: MemoryBytes = 2**31
     processes: Processes = 256

@@ -17,10 +17,23 @@ Name = Annotated[
     str,
     Meta(pattern=r"^[A-Za-z0-9._-]+\Z", description="a name of letters, digits, '.', '_' and '-'"),
 ]
+# No control characters, and nothing that turns the direction of writing: the text stands in logs and on terminals.
+_PRINTED = r"[^\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]"
 InterfaceName = Annotated[
-    str, Meta(pattern=r"^[^\s/]{1,15}\Z", description='the name of a network interface like "wlan1"')
+    str,
+    Meta(
+        pattern=rf"^((?!\s|/){_PRINTED}){{1,15}}\Z",
+        description='the name of a network interface like "wlan1"',
+    ),
 ]
-Text = Annotated[str, Meta(min_length=1, description="a string that is not empty")]
+Text = Annotated[
+    str,
+    Meta(
+        min_length=1,
+        pattern=rf"^{_PRINTED}*\Z",
+        description="a string that is not empty, without control characters",
+    ),
+]
 Names = Annotated[tuple[str, ...], Meta(description="an array of names")]
 ImportPath = Annotated[
     str,

@@ -24,6 +24,20 @@ class Position:
 
 
 @dataclass(frozen=True, slots=True)
+class Velocity:
+    """Where to and how fast."""
+
+    east_m_s: float = 0.0
+    north_m_s: float = 0.0
+    up_m_s: float = 0.0
+
+    @property
+    def speed_m_s(self) -> float:
+        """Its length."""
+        return math.hypot(self.east_m_s, self.north_m_s, self.up_m_s)
+
+
+@dataclass(frozen=True, slots=True)
 class GeoPosition:
     """A place on the Earth, in degrees, and metres above home."""
 

@@ -88,6 +88,29 @@ class RemoteCallFailed:
 
 
 @dataclass(frozen=True, slots=True)
+class RemoteCallRaised:
+    """A server says that the service raised in a call, which is made on the drone before that is believed."""
+
+    server: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteFaultTested:
+    """A call that raised on a server, as that says, was made on the drone; `confirmed` where it raised there too.
+
+    `check` is the check that made the server READY, and `delay_s` how long it took to say so.
+    """
+
+    server: str
+    check: int
+    operation: Operation
+    delay_s: float
+    why: str
+    confirmed: bool
+
+
+@dataclass(frozen=True, slots=True)
 class RemoteCallCut:
     """A call was cut off by its deadline after `waited_s`, on a server that turned out to be alive: it is slow."""
 
@@ -129,6 +152,8 @@ Happening = (
     | LocalCallEnded
     | RemoteCallEnded
     | RemoteCallFailed
+    | RemoteCallRaised
+    | RemoteFaultTested
     | RemoteCallCut
     | LegBegun
     | Arrived

@@ -7,6 +7,7 @@ of the server that a drone comes from, a peer, may ask for one beforehand, with 
 Laws:
 - a server gives no lease while it has as many as slots, and only drones with a lease are admitted to its instances;
 - a certificate that is revoked holds no lease, and a daemon that closes gives none;
+- what a drone tells the daemon renews its lease, and what the daemon sees of it; what an instance says does not;
 - a peer gets a lease for a drone where the drone itself would, for a bounded time, and nothing else;
 - a drone may have peers hold one slot at a time, and only while it has a lease here;
 - an instance goes absent, starting, running, stopping, absent; it may fall back to absent at any time;
@@ -16,6 +17,7 @@ Laws:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -32,6 +34,8 @@ from upwash.core.visitors import (
 
 _ROLES = {Role.OPERATOR: "an operator", Role.SERVER: "a server"}
 _ELSEWHERE = ""  # where a request is counted that is for no server here
+_MOST_MISSED = 3  # drones in a row that a peer expected in vain
+_MISTRUST_HOLDS = 10  # for how many times the longest hold it is refused then
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +143,14 @@ class _Lease:
     held_by: str = ""  # the peer that asked for it, until the drone comes itself
 
 
+@dataclass(slots=True)
+class _Missed:
+    """How many drones in a row that a peer expected did not come, and when that was noticed last."""
+
+    times: int = 0
+    last_s: float = -math.inf
+
+
 @dataclass(frozen=True, slots=True)
 class _SentAhead:
     """A peer was asked to hold a slot for a drone until then; without that it holds one until `otherwise_s`."""
@@ -171,6 +183,7 @@ class Host:
         self._number = 0
         self._closing = ""  # why nobody is served any more
         self._revoked: frozenset[str] = frozenset()
+        self._missed: dict[str, _Missed] = {}  # by peer
         self._refusals = Refusals()
         self._refused = dict.fromkeys([*offers, _ELSEWHERE], 0)  # how often, by server
         self._servers = {
@@ -257,6 +270,9 @@ class Host:
         denied = self._deny(server, wanted, drone, now_s) or self._impostor(server, drone, now_s)
         if denied is not None:
             return denied, commands
+        why = self._too_many(server, drone, peer.name, now_s)
+        if why:
+            return self._denied(server, peer.name, why, now_s), commands
         commands += self._hold(server, drone, peer.name, now_s + min(self.settings.hold_s, for_s))
         for service in wanted:
             commands += self._begin(server, service)
@@ -280,12 +296,15 @@ class Host:
             instance.endpoint = ""
 
     def called(self, server: str, service: str, drone: str, *, now_s: float) -> None:
-        """The drone called the service: its lease is renewed."""
-        state = self._servers[server]
-        state.instances[service].used_s = now_s
-        lease = state.leases.get(drone)
-        if lease is not None and lease.until_s > now_s:
-            lease.until_s = now_s + self.settings.lease_s
+        """The instance says that the drone, known by `Visitor.key`, called: with a lease, it uses the service."""
+        if self._lease_by_key(server, drone, now_s) is not None:
+            self._servers[server].instances[service].used_s = now_s
+
+    def seen(self, server: str, drone: str, *, now_s: float) -> None:
+        """The daemon saw that the drone, known by `Visitor.key`, is there: a lease that it has is renewed."""
+        lease = self._lease_by_key(server, drone, now_s)
+        if lease is not None:
+            lease.until_s = max(lease.until_s, now_s + self.settings.lease_s)
 
     def leave(self, server: str, drone: Visitor) -> list[Command]:
         """The drone needs the server no more: its slot is free."""
@@ -436,11 +455,26 @@ class Host:
             return f"{name} has no free slot: {len(server.leases)} of {server.offer.slots} in use"
         return ""
 
+    def _lease_by_key(self, name: str, key: str, now_s: float) -> _Lease | None:
+        leases = self._servers[name].leases.values()
+        return next((each for each in leases if each.drone.key == key and each.until_s > now_s), None)
+
     def _renew(self, name: str, drone: Visitor, now_s: float) -> list[Command]:
         leases = self._servers[name].leases
         known = leases.get(drone.name)
+        if known is not None and known.held_by and known.drone == drone:
+            self._missed.pop(known.held_by, None)  # it came
         leases[drone.name] = _Lease(drone, now_s + self.settings.lease_s)
         return [] if known is not None and known.drone == drone else [self._admission(name)]
+
+    def _too_many(self, name: str, drone: Visitor, peer: str, now_s: float) -> str:
+        """Why nothing more is held for that peer: its key may be stolen, and its drones invented."""
+        server, missed = self._servers[name], self._missed.get(peer, _Missed())
+        if missed.times >= _MOST_MISSED and now_s < missed.last_s + _MISTRUST_HOLDS * self.settings.hold_s:
+            return f"the last {missed.times} drones that {peer} expected did not come"
+        others = sum(lease.held_by == peer for each, lease in server.leases.items() if each != drone.name)
+        most = max(1, server.offer.slots // 2)
+        return f"{peer} has {others} slots held, half of all" if others >= most else ""
 
     def _hold(self, name: str, drone: Visitor, peer: str, until_s: float) -> list[Command]:
         """A lease until then; one that the drone has itself is not made shorter by it."""
@@ -463,6 +497,11 @@ class Host:
 
     def _end_leases(self, now_s: float) -> list[Command]:
         self._sent_ahead = {drone: each for drone, each in self._sent_ahead.items() if each.until_s > now_s}
+        for server in self._servers.values():
+            for lease in server.leases.values():
+                if lease.held_by and lease.until_s <= now_s:
+                    missed = self._missed.setdefault(lease.held_by, _Missed())
+                    missed.times, missed.last_s = missed.times + 1, now_s
         return [
             command
             for name, server in self._servers.items()

@@ -4,6 +4,7 @@ Laws:
 - every change of a state is one of `servers.TRANSITIONS`; no more servers are selected than there are radios;
 - the first of them is in use: calls go there alone; a second one is in preparation, and follows when that one goes;
 - a check is known by its number, and what arrives for a check that is over changes nothing;
+- what a server says a service raised counts as an answer where it raised on the drone too, and as a failed call else;
 - after whatever it is told, the selection is looked at again at once; a decision only leaves, it selects nothing;
 - commands are to be carried out in their order; without a spare radio a server is selected after the old one is left.
 """
@@ -30,6 +31,8 @@ from upwash.core.happenings import (
     RemoteCallCut,
     RemoteCallEnded,
     RemoteCallFailed,
+    RemoteCallRaised,
+    RemoteFaultTested,
     ServicesStarted,
 )
 from upwash.core.herald import Herald
@@ -191,19 +194,27 @@ class Selection:
                 self.estimates.services_started(name)
                 self._meet()
                 return [change]
-            case RemoteCallFailed(name, check, why) if (
-                server := self._checked(check, (State.READY,))
-            ) and server.name == name:
+            case RemoteCallFailed(name, check, why) | RemoteFaultTested(
+                name, check, why=why, confirmed=False
+            ) if (server := self._checked(check, (State.READY,))) and server.name == name:
                 return self._call_failed(server, why, now_s)
+            case MissionEnded():
+                self._ended = True
+            case _:
+                self._learn(happening, now_s)
+        return []
+
+    def _learn(self, happening: Happening, now_s: float) -> None:
+        """Learns what calls take."""
+        match happening:
             case RemoteCallCut(name, operation, waited_s):
                 self.estimates.observe_remote_cut(name, operation, waited_s, now_s=now_s)
             case LocalCallEnded(operation, delay_s):
                 self.estimates.observe_local(operation, delay_s)
             case RemoteCallEnded(name, operation, delay_s, late):
                 self.estimates.observe_remote(name, operation, delay_s, now_s=now_s, late=late)
-            case MissionEnded():
-                self._ended = True
-        return []
+            case RemoteFaultTested(name, _, operation, delay_s, confirmed=True):
+                self.estimates.observe_remote(name, operation, delay_s, now_s=now_s, late=True)
 
     def _follow(self, happening: Happening, now_s: float, position: Position) -> None:
         """Follows the mission over its legs and calls."""
@@ -221,7 +232,7 @@ class Selection:
             case LocalCallEnded() | RemoteCallEnded():
                 self._itinerary.call_ends(now_s)
                 self._under_way = None
-            case RemoteCallFailed(_, _, why):
+            case RemoteCallFailed(why=why) | RemoteCallRaised(why=why):
                 self._under_way = Local(why)
         self._changed = True
 

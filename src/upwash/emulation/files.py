@@ -22,6 +22,7 @@ from upwash.config import (
 )
 from upwash.config.values import PlanFile
 from upwash.emulation.order import server_paces
+from upwash.output import write_file
 
 
 def write_drone_file(file: Path, config: DroneConfig) -> None:
@@ -60,7 +61,7 @@ def daemon_config(
 
 def _write(file: Path, config: DroneConfig | DaemonConfig) -> None:
     tables = _without_nothing(msgspec.to_builtins(config, enc_hook=_as_text))
-    file.write_bytes(tomli_w.dumps(tables).encode())
+    write_file(file, tomli_w.dumps(tables).encode())
 
 
 def _as_text(value: object) -> str:

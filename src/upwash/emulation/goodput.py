@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
@@ -13,6 +14,7 @@ from statistics import fmean, pstdev
 
 from upwash.emulation.native import WifiSettings, native_program
 from upwash.errors import UpwashError
+from upwash.output import write_file
 
 _COLUMNS = (
     *("distance_m", "runs", "ok", "goodput_mbit_s", "goodput_std", "goodput_min", "goodput_max"),
@@ -82,11 +84,12 @@ def _run(program: Path, measurement: Measurement, distance_m: float) -> Transfer
 
 def write_table(file: Path, measurement: Measurement, table: Sequence[Transfers]) -> None:
     """Writes a csv file that a scenario can name as its radio, with what it depends on in comments."""
-    with file.open("w", newline="", encoding="utf-8") as lines:
-        lines.writelines(f"# {line}\n" for line in _header(measurement))
-        writer = csv.writer(lines, lineterminator="\n")
-        writer.writerow(_COLUMNS)
-        writer.writerows(map(_row, table))
+    lines = io.StringIO()
+    lines.writelines(f"# {line}\n" for line in _header(measurement))
+    writer = csv.writer(lines, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    writer.writerows(map(_row, table))
+    write_file(file, lines.getvalue().encode())
 
 
 def _header(measurement: Measurement) -> Iterator[str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 
 from upwash.emulation.order import RadioKind
+from upwash.output import write_file
 
 RADIO_LAG_LIMIT_S = 0.02  # more, and the radio's times mean nothing
 POSITION_LAG_LIMIT_S = 0.5  # more, and a drone is metres away from where its radio believes it to be
@@ -41,7 +42,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     def write(self, folder: Path) -> None:
         """Leaves it in the folder."""
         record = msgspec.structs.asdict(self) | {"valid": self.valid}
-        (folder / _FILE).write_bytes(msgspec.json.format(msgspec.json.encode(record)) + b"\n")
+        write_file(folder / _FILE, msgspec.json.format(msgspec.json.encode(record)) + b"\n")
 
 
 def read_outcome(folder: Path) -> Outcome | None:

@@ -55,7 +55,7 @@ def drone_file(drone: DroneConfig, field: Field, folder: Path, *, vehicle: str) 
         file,
         replace(
             drone,
-            autopilot=replace(drone.autopilot, connection=vehicle),
+            autopilot=replace(drone.autopilot, connection=vehicle, signing_key=None),
             camera=_camera(drone.camera),
             keys=keys_in(folder / "keys", drone.name),
             servers=servers,

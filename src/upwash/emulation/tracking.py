@@ -9,7 +9,7 @@ from functools import partial
 from upwash.core.geo import LocalFrame, Position
 from upwash.emulation.namespaces import enter
 from upwash.emulation.threads import on_a_loop
-from upwash.real.autopilot import connect_autopilot
+from upwash.real.mavlink import connect_autopilot
 
 
 @contextlib.contextmanager

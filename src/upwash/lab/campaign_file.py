@@ -8,15 +8,15 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import msgspec
 
-from upwash.errors import UsageError
+from upwash.errors import NotWritten, UsageError
 from upwash.lab.sweep import Sweep
 from upwash.loading import extra
+from upwash.output import append_whole, flush_to_disk, write_file
 
 
 class Row(msgspec.Struct, frozen=True):
@@ -91,19 +91,20 @@ class CampaignFile:
     def append(self, rows: Iterable[Row]) -> None:
         """Keeps these rows: from now on no interruption loses them."""
         new = list(rows)
+        try:
+            _write(self._csv_file, [_cells(row) for row in new])
+        except OSError as error:
+            kept = f"it has the {len(self.rows)} runs before, and the same command goes on from there"
+            raise NotWritten(self._csv_file, error, kept) from error
         self.rows += new
-        _write(self._csv_file, [_cells(row) for row in new])
 
     def finish(self) -> None:
         """Sorts the rows by combination and seed, and writes the Parquet file where one is wanted."""
         order = {each.values: number for number, each in enumerate(self.sweep.combinations)}
         self.rows.sort(key=lambda row: (order[row.values], row.seed))
-        sorted_file = self._csv_file.with_suffix(".csv.sorted")
-        sorted_file.unlink(missing_ok=True)
-        _write(sorted_file, [self._header(), *(_cells(row) for row in self.rows)])
-        sorted_file.replace(self._csv_file)
+        write_file(self._csv_file, _as_csv([self._header(), *(_cells(row) for row in self.rows)]))
         if self._parquet_file is not None:
-            _write_parquet(self._csv_file, self._parquet_file)
+            write_file(self._parquet_file, _as_parquet(self._csv_file))
 
     def _header(self) -> list[str]:
         return [*self.sweep.keys, *_COLUMNS]
@@ -121,8 +122,7 @@ class CampaignFile:
                 raise UsageError(
                     f"{self._csv_file} is of {_described(found)}: name another file with --out, or remove it"
                 )
-        self._csv_file.parent.mkdir(parents=True, exist_ok=True)
-        note_file.write_bytes(msgspec.json.format(msgspec.json.encode(note)) + b"\n")
+        write_file(note_file, msgspec.json.format(msgspec.json.encode(note)) + b"\n")
 
 
 def _described(note: Note | None) -> str:
@@ -162,11 +162,15 @@ def _cell(value: object) -> str:
 
 
 def _write(csv_file: Path, rows: Iterable[Sequence[str]]) -> None:
+    with csv_file.open("ab", buffering=0) as file:
+        append_whole(file.fileno(), _as_csv(rows))  # at once, so that a kill tears a row at most
+        flush_to_disk(file.fileno())
+
+
+def _as_csv(rows: Iterable[Sequence[str]]) -> bytes:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
-    with csv_file.open("ab", buffering=0) as file:
-        file.write(text.getvalue().encode())  # at once, so that a kill tears a row at most
-        os.fsync(file.fileno())
+    return text.getvalue().encode()
 
 
 def _drop_torn_row(csv_file: Path) -> None:
@@ -180,9 +184,12 @@ def _check_parquet() -> None:
         import pyarrow  # noqa: F401
 
 
-def _write_parquet(csv_file: Path, parquet_file: Path) -> None:
+def _as_parquet(csv_file: Path) -> bytes:
+    from pyarrow import BufferOutputStream, parquet, string
     from pyarrow import csv as arrow_csv
-    from pyarrow import parquet, string
 
     texts = arrow_csv.ConvertOptions(column_types={"policy": string(), "failure": string()})
-    parquet.write_table(arrow_csv.read_csv(csv_file, convert_options=texts), parquet_file)
+    written = BufferOutputStream()
+    parquet.write_table(arrow_csv.read_csv(csv_file, convert_options=texts), written)
+    content: bytes = written.getvalue().to_pybytes()
+    return content

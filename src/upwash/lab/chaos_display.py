@@ -17,6 +17,7 @@ from upwash.lab.chaos import Flown, Verdict, fly_world, judge
 from upwash.lab.processes import in_processes
 from upwash.lab.promises import Broken
 from upwash.lab.worlds import as_toml
+from upwash.output import write_file
 
 _CHUNK = 20  # worlds that one process flies in one go
 _REPLAYED_EVERY = 20  # worlds, of which one is flown again and must leave the same log
@@ -80,7 +81,7 @@ def show_chaos(
     summary.took_s = time.monotonic() - began_s
     _show_summary(summary, console)
     if out is not None:
-        out.write_bytes(msgspec.json.format(msgspec.json.encode(summary)) + b"\n")
+        write_file(out, msgspec.json.format(msgspec.json.encode(summary)) + b"\n")
     return not summary.broken
 
 
@@ -127,17 +128,16 @@ def replay(seed: int, log: Path | None) -> bool:
 
 
 def _write(flown: Flown, log: Path) -> Iterator[Path]:
-    log.parent.mkdir(parents=True, exist_ok=True)
     for document, run in zip(flown.documents, flown.runs, strict=True):
         first = run is flown.runs[0]
         own = log if first else log.with_name(f"{log.stem}-{document['name']}{log.suffix}")
-        own.write_bytes(run.log())
+        write_file(own, run.log())
         yield own
         scenario = own.with_suffix(".toml")
-        scenario.write_text(as_toml(document))
+        write_file(scenario, as_toml(document).encode())
         yield scenario
     seen = log.with_name(f"{log.stem}-seen{log.suffix}")
-    seen.write_bytes(b"".join(msgspec.json.encode(fact) + b"\n" for fact in flown.seen))
+    write_file(seen, b"".join(msgspec.json.encode(fact) + b"\n" for fact in flown.seen))
     yield seen
 
 

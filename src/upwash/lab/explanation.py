@@ -16,6 +16,7 @@ from upwash.lab.simulation import read_scenario
 from upwash.narration import ran_on
 from upwash.reasons import explained_calls, told
 from upwash.results import CallResult, read_result
+from upwash.text import escaped_lines
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ def show_explanation(log: Path, *, scenario: Path | None = None) -> None:
     events = read_log(log)
     console = Console(markup=False, highlight=False)
     for line in explain(events, replay(events, scenario)):
-        console.print(line, soft_wrap=True)
+        console.print(escaped_lines(line), soft_wrap=True)
 
 
 def read_log(log: Path) -> list[dict[str, Any]]:

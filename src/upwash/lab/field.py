@@ -29,17 +29,24 @@ class Software:
     objects: Mapping[str, object]
 
 
+def daemon_address(server: str) -> str:
+    """Where the daemon of a simulated server is reached."""
+    return f"{server}:7070"
+
+
 @contextlib.asynccontextmanager
 async def serving(
     config: DroneConfig, software: Software, *, witness: Journal | None
 ) -> AsyncIterator[Switchboard]:
     """Runs the configured servers; drones reach them through the switchboard."""
     switchboard, chance, faults = Switchboard({}), Chance(config.seed), Faults(config.faults)
-    addresses = {server.name: server.address or server.name for server in config.servers}
+    addresses = {server.name: daemon_address(server.name) for server in config.servers}
     async with contextlib.AsyncExitStack() as stack:
         for server in config.servers:
             truth = server_truth(server, config.services)
-            outside = FaultyServer(server.name, switchboard, faults=faults, slots=truth.slots)
+            outside = FaultyServer(
+                server.name, addresses[server.name], switchboard, faults=faults, slots=truth.slots
+            )
             computer = ServerComputer(
                 server.name, truth, faults=faults, noise=config.noise.call, chance=chance
             )
@@ -77,7 +84,7 @@ def _edge_server(
         drain_s=10.0,
     )
     handle = witness.daemon(edge.handle) if witness else edge.handle
-    outside.plug_daemon(addresses[server.name], handle, crash=runtime.crash)
+    outside.plug_daemon(handle, crash=runtime.crash)
     return edge
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,6 +16,7 @@ from upwash.core.geo import Circle, Position
 from upwash.core.servers import CHECKING
 from upwash.lab.run import Run
 from upwash.loading import extra
+from upwash.output import write_file
 
 with extra("figures"):
     from matplotlib.axes import Axes
@@ -222,5 +224,6 @@ def _finish(figure: Figure, axes: Axes, title: str, file: Path, *, legend_column
     figure.legend(
         loc="outside lower center", ncols=legend_columns, frameon=False, fontsize=9, handlelength=1.8
     )
-    file.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(file, dpi=_DOTS_PER_INCH)
+    drawn = io.BytesIO()
+    figure.savefig(drawn, dpi=_DOTS_PER_INCH, format=file.suffix[1:])
+    write_file(file, drawn.getvalue())

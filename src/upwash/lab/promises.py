@@ -7,7 +7,7 @@ witness saw of drones and servers (`witness.py`), and by the same mission flown 
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -16,12 +16,14 @@ from typing import Any
 import msgspec
 
 from upwash.config import DroneConfig, server_area, waypoints
+from upwash.core.control import Owner
 from upwash.core.geo import Position
 from upwash.core.instances import HostSettings
 from upwash.core.servers import SELECTED, TRANSITIONS, Event, State
 from upwash.lab import probing
+from upwash.lab.field import daemon_address
 from upwash.lab.run import Run
-from upwash.protocol import LEAVE
+from upwash.protocol import AVAILABILITY, LEAVE
 
 Fact = Mapping[str, Any]  # an event of a log
 Breach = tuple[Fact | None, str]  # the bad event, where one can be named, and what is bad about it
@@ -33,6 +35,9 @@ _ROUNDING_S = 2e-6  # of the times in a log
 _FAREWELL_S = 0.5  # a drone says goodbye to its last server
 _LOOK_S = 1.0  # a daemon looks no more often at what has come to its end
 _LEASE_S, _HOLD_S = HostSettings().lease_s, HostSettings().hold_s
+_MOST_ASKED = 10  # in a second, by a drone that renews a lease of 2 s and checks again and again
+_LONGEST_TEXT = 3000  # of a log, where reasons are put together
+_DONE = {"return": "landed", "land": "landed", "hold": "left_hovering", "disarm": "disarmed"}
 _KEEP_TRYING_S = 600.0  # a safe end is given up no earlier
 _REMOTE_LEAST_S, _REMOTE_FACTOR = 1.0, 4.0  # of the deadline of a remote call
 
@@ -51,6 +56,8 @@ class Promise(IntEnum):
     REPRODUCIBLE = 9
     ADMISSION = 11
     VEHICLE_FIRST = 13
+    PILOT_WINS = 14
+    LIARS = 15
 
     def __str__(self) -> str:
         return f"promise {self.value} ({self.name.lower().replace('_', ' ')})"
@@ -211,13 +218,17 @@ def bounded_calls(history: History) -> Iterator[Breach]:
 def _first_calls(events: Iterable[Fact]) -> Iterator[Fact]:
     """The decisions for a server whose service has answered no call since services were last started there."""
     warm: dict[str, set[str]] = {}  # services by server
+    asked = ""  # the server that a call was last sent to
     for event in events:
         match event:
+            case {"event": "call", "remote_fault": "confirmed"}:
+                warm.setdefault(asked, set()).add(_service(event))
             case {"event": "started" | "prepared", "server": server}:
                 warm[server] = set()
             case {"event": "call", "place": place}:
                 warm.setdefault(place, set()).add(_service(event))
             case {"event": "decided", "decision": "remote", "server": server}:
+                asked = server
                 if _service(event) not in warm.get(server, set()):
                     yield event
 
@@ -283,7 +294,9 @@ def _unbelievable(call: Call) -> Iterator[Breach]:
 
 
 def truthful_errors(history: History) -> Iterator[Breach]:
-    """The service's own exception for the calls that raise it, and no other."""
+    """The service's own exception for the calls that raise it, and no other; each was raised on the drone."""
+    if _is_probing(history.config):
+        yield from _raised_afar(history.run.events)
     for event, heard in _told(history):
         wanted = _expected(history.config, heard.asked)
         if heard.raised != wanted.raised:
@@ -293,6 +306,19 @@ def truthful_errors(history: History) -> Iterator[Breach]:
             )
     if not may_be_cut_short(history.config) and history.run.failure:
         yield None, f"the mission met an error: {history.run.failure}"
+
+
+def _raised_afar(events: Iterable[Fact]) -> Iterator[Breach]:
+    """Exceptions that the mission heard of calls that were answered by a server."""
+    place = ""  # of the last call
+    for event in events:
+        if event["event"] == "call":
+            place = event["place"]
+        elif event["event"] == "notified" and event["message"]["raised"] and place != "local":
+            yield (
+                event,
+                f"the mission heard what {place} said was raised; the drone's own service was not asked",
+            )
 
 
 def _told(history: History) -> list[tuple[Fact, probing.Heard]]:
@@ -421,6 +447,8 @@ def _hedged_too_much(history: History) -> Iterator[Breach]:
     hedge = history.config.policy.hedge
     calls_s = extra_s = 0.0
     for call in calls_of(history.run.events):
+        if not call.decisions:  # it runs once, and on the drone
+            continue
         decided = call.decisions[-1]
         calls_s += decided["local_s"] or 0.0
         if call.hedged is None:
@@ -511,7 +539,10 @@ def _leases(facts: Sequence[Fact], *, end_s: float) -> Iterator[Breach]:
 
 
 def vehicle_first(history: History) -> Iterator[Breach]:
-    """A mission that ends early in the air ends in the configured action, or has tried for long enough."""
+    """A mission that ends early in the air ends in the configured action, or has tried for long enough.
+
+    One that ends on the ground disarms the vehicle. A vehicle that somebody else has taken is theirs to end with.
+    """
     events = {event["event"]: event for event in history.run.events}  # the last of each kind
     for over in history.own("flight_over"):
         if "landed" in events and over["altitude_m"] > 0:
@@ -521,14 +552,95 @@ def vehicle_first(history: History) -> Iterator[Breach]:
     last = history.run.events[-1]
     if last["event"] != "mission_ended":
         yield last, "the mission failed, and its end is not in the log"
-    begun = events.get("safe_end")
-    if begun is None or begun["action"] != history.config.autopilot.on_failure:
-        yield begun or last, f"the mission failed in the air without {history.config.autopilot.on_failure}"
+    if events["control"]["owner"] != Owner.PROGRAM:
+        return
+    wanted = history.config.autopilot.on_failure
+    begun = next((event for event in history.run.events if event["event"] == "safe_end"), None)
+    if begun is None or begun["action"] not in (wanted, "disarm"):
+        yield begun or last, f"the mission failed in the air without {wanted}"
     elif given_up := events.get("left_to_pilot"):
         if given_up["t"] - begun["t"] < _KEEP_TRYING_S:
             yield given_up, f"the vehicle was given up after {given_up['t'] - begun['t']:.0f} s"
-    elif ("left_hovering" if begun["action"] == "hold" else "landed") not in events:
+    elif _DONE[events["safe_end"]["action"]] not in events:
         yield last, f"{begun['action']} neither succeeded nor was given up"
+
+
+# --- 14: the pilot wins -------------------------------------------------------------------------------------
+
+
+def pilot_wins(history: History) -> Iterator[Breach]:
+    """From the moment that a pilot or a fail-safe has the vehicle, no command reaches it, and it is not taken back.
+
+    While its link is silent the program cannot know, but it sends nothing then either. A pilot who takes it and gives
+    it back within one silence leaves nothing that the program could hear of: that turn does not count.
+    """
+    taken: Fact | None = None
+    for fact in history.own("taken", "given_back_unheard", "commanded"):
+        if fact["event"] == "taken":
+            taken = taken or fact
+        elif fact["event"] == "given_back_unheard":
+            taken = None
+        elif taken is not None:
+            yield (
+                fact,
+                f"{fact['command']} was commanded {fact['t'] - taken['t']:.3f} s after a {taken['by']} took over",
+            )
+    owners = [event["owner"] for event in history.run.events if event["event"] == "control"]
+    if Owner.PROGRAM in owners[1:]:
+        yield None, f"the vehicle was the {' then the '.join(owners)}'s: it was taken back"
+
+
+# --- 15: liars ----------------------------------------------------------------------------------------------
+
+
+def unswayed(history: History) -> Iterator[Breach]:
+    """Whom the drone calls, how often it asks, and what its log can hold is not for a server to choose."""
+    yield from _dialled_elsewhere(history)
+    yield from _asked_too_often(history)
+    for event in history.run.events:
+        if event["event"] != "notified":  # which is the mission's own
+            yield from _unfit_texts(event)
+
+
+def _dialled_elsewhere(history: History) -> Iterator[Breach]:
+    """At each visit the daemon, and a port of its host for each service that is wanted."""
+    services = len(history.config.services)
+    dialled: Counter[str] = Counter()  # of a server, since its daemon was
+    for fact in history.own("dialled"):
+        server, address = fact["server"], fact["address"]
+        if address == daemon_address(server):
+            dialled[server] = 0
+            continue
+        host, _, port = address.rpartition(":")
+        if host != daemon_address(server).rpartition(":")[0] or not port.isdecimal():
+            yield fact, f"{server} had the drone call {address!r:.100}"
+        dialled[server] += 1
+        if dialled[server] > services:
+            yield fact, f"{server} had the drone call {dialled[server]} addresses for {services} services"
+
+
+def _asked_too_often(history: History) -> Iterator[Breach]:
+    asked: dict[str, deque[float]] = {}  # the last times, by server
+    for fact in history.own("sent"):
+        if fact["path"] != AVAILABILITY:
+            continue
+        times = asked.setdefault(fact["server"], deque(maxlen=_MOST_ASKED))
+        times.append(fact["t"])
+        if len(times) == _MOST_ASKED and times[-1] - times[0] < 1.0:
+            yield fact, f"{fact['server']} was asked {_MOST_ASKED} times within a second"
+
+
+def _unfit_texts(event: Fact) -> Iterator[Breach]:
+    for name, fact in event.items():
+        if (
+            name != "trace"
+            and isinstance(fact, str)
+            and not (fact.isprintable() and len(fact) <= _LONGEST_TEXT)
+        ):
+            yield (
+                {"t": event["t"], "event": event["event"]},
+                f"its {name} is {len(fact)} characters: {fact!r:.100}",
+            )
 
 
 CHECKS: Mapping[Promise, Callable[[History], Iterator[Breach]]] = {
@@ -542,4 +654,6 @@ CHECKS: Mapping[Promise, Callable[[History], Iterator[Breach]]] = {
     Promise.NO_HARM: no_harm,
     Promise.ADMISSION: admission,
     Promise.VEHICLE_FIRST: vehicle_first,
+    Promise.PILOT_WINS: pilot_wins,
+    Promise.LIARS: unswayed,
 }

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 
 from upwash.bundled import load_mission, load_services
-from upwash.config import CameraConfig, DroneConfig, server_area, server_truth, waypoints
+from upwash.config import CameraConfig, DroneConfig, VehicleConfig, server_area, server_truth, waypoints
 from upwash.core.geo import Position
 from upwash.drone import Flight, World
 from upwash.errors import MissionFailed, UpwashError, UsageError
-from upwash.lab.field import Software, serving
+from upwash.lab.field import Software, daemon_address, serving
 from upwash.lab.stays import Stay, observe
 from upwash.lab.witness import DroneWitness
 from upwash.ports import Camera, Dialer, Network
@@ -32,8 +32,10 @@ from upwash.sim.loop import run_virtually
 from upwash.sim.network import Cell, ModelNetwork
 from upwash.sim.runtime import Computer, ModelRuntime
 from upwash.sim.sleeping import sleeps_reported
+from upwash.sim.vehicle import Manner
 from upwash.sim.world import DroneComputer, Radio, Wire
 from upwash.vehicle import arducopter
+from upwash.vehicle.px4 import airframe as px4
 
 _LONGEST_S = 48 * 3600.0  # of virtual time: a mission that takes longer never ends
 
@@ -73,6 +75,7 @@ def simulate_fleet(
     With `computing` the services really compute, in no time, instead of returning empty results; the witness
     notes what it sees of drones and servers.
     """
+    fleet = [_at_hosts_of_their_own(config) for config in fleet]
     journals = [MemoryJournal() for _ in fleet]
     stays: list[list[Stay]] = [[] for _ in fleet]
     failures = [""] * len(fleet)
@@ -87,6 +90,14 @@ def simulate_fleet(
         Run(journal.events, read_result(journal.events), its_stays, failure)
         for journal, its_stays, failure in zip(journals, stays, failures, strict=True)
     ]
+
+
+def _at_hosts_of_their_own(config: DroneConfig) -> DroneConfig:
+    """The same with servers that are reached by their names, wherever they really are."""
+    servers = tuple(
+        msgspec.structs.replace(server, address=daemon_address(server.name)) for server in config.servers
+    )
+    return msgspec.structs.replace(config, servers=servers)
 
 
 async def _fly(
@@ -142,7 +153,20 @@ async def _fly_one(
 ) -> str:
     """Returns why the mission was not completed, or ""."""
     chance, faults = Chance(config.seed), Faults(config.faults)
-    autopilot = _autopilot(config, chance, faults)
+    witness: DroneWitness | None = None
+
+    def saw(event: str, **facts: object) -> None:
+        if witness:
+            witness.record(event, **facts)
+
+    autopilot = _autopilot(
+        config,
+        chance,
+        faults,
+        commanded=lambda command: saw("commanded", command=command),
+        taken=lambda by: saw("taken", by=by),
+        given_back_unheard=lambda: saw("given_back_unheard"),
+    )
     witness = DroneWitness(config.name, seen_by, lambda: autopilot.position) if seen_by else None
     networks, dialer = _radios(config, autopilot, switchboard, faults)
     heat = Heat(config.heat.ambient_c, config.heat.load_w) if config.heat else None
@@ -179,8 +203,8 @@ async def _fly_one(
         return str(error)
     finally:
         observer.cancel()
-        if witness:
-            witness.record("flight_over", altitude_m=autopilot.position.altitude_m)
+        saw("flight_over", altitude_m=autopilot.position.altitude_m)
+        await autopilot.close()
     return ""
 
 
@@ -220,19 +244,38 @@ def _camera(config: CameraConfig) -> Camera:
     return RenderedCamera(config.park_seed, photo_s=config.photo_s, in_thread=False)
 
 
-def _autopilot(config: DroneConfig, chance: Chance, faults: Faults) -> ModelAutopilot:
+def _manner(vehicle: VehicleConfig) -> Manner:
+    match vehicle.profile:
+        case "arducopter":
+            return arducopter
+        case "px4":
+            return px4
+    return Plain(
+        acceleration_m_s2=vehicle.acceleration_m_s2,
+        takeoff_s=vehicle.takeoff_s,
+        return_and_land_s=vehicle.return_and_land_s,
+    )
+
+
+def _autopilot(
+    config: DroneConfig,
+    chance: Chance,
+    faults: Faults,
+    *,
+    commanded: Callable[[str], None],
+    taken: Callable[[str], None],
+    given_back_unheard: Callable[[], None],
+) -> ModelAutopilot:
     vehicle = config.vehicle
     return ModelAutopilot(
         Position(0.0, 0.0) if config.mission.plan else waypoints(config.mission)[0].position,
         ground_speed_m_s=config.mission.ground_speed_m_s,
-        manner=arducopter
-        if vehicle.profile == "arducopter"
-        else Plain(
-            acceleration_m_s2=vehicle.acceleration_m_s2,
-            takeoff_s=vehicle.takeoff_s,
-            return_and_land_s=vehicle.return_and_land_s,
-        ),
+        manner=_manner(vehicle),
         stretch=lambda: chance.factor("leg", config.noise.leg),
         fault=lambda: faults.now("autopilot"),
+        takeovers=faults.takeovers,
         endurance_s=vehicle.endurance_s,
+        commanded=commanded,
+        taken=taken,
+        given_back_unheard=given_back_unheard,
     )

@@ -13,6 +13,7 @@ from upwash.core.bound import Bound
 from upwash.errors import UpwashError
 from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run, simulate
+from upwash.output import write_file
 from upwash.results import CallResult, Totals
 from upwash.terminal import print_result
 
@@ -56,11 +57,10 @@ def simulate_scenario(
     """Simulates the scenario and prints its result; raises UpwashError afterwards if it was not completed."""
     config = read_scenario(file, policy=policy, seed=seed)
     run = simulate(config)
-    if log is not None:
-        log.parent.mkdir(parents=True, exist_ok=True)
-        named = {"t": 0.0, "event": "simulated", "scenario": str(file.resolve()), "seed": config.seed}
-        log.write_bytes(msgspec.json.encode(named) + b"\n" + run.log())
     _print(run, config, file.stem, as_json=as_json)
+    if log is not None:
+        named = {"t": 0.0, "event": "simulated", "scenario": str(file.resolve()), "seed": config.seed}
+        write_file(log, msgspec.json.encode(named) + b"\n" + run.log())
     if figures is not None:
         _draw(run, config, figures)
     if run.failure:

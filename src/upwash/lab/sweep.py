@@ -5,11 +5,10 @@ from __future__ import annotations
 import copy
 import hashlib
 import itertools
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 
@@ -17,6 +16,7 @@ from upwash.bundled import load_mission, load_services
 from upwash.config import Document, drone_config, impossible_values, read_document
 from upwash.config.values import repeated
 from upwash.errors import ConfigError, UsageError
+from upwash.user_files import read_toml
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,8 +166,7 @@ def _read_value(written: str) -> object:
 
 
 def _toml_array(items: str) -> list[object]:
-    values: list[object] = tomllib.loads(f"values = [{items}]")["values"]
-    return values
+    return cast(list[object], read_toml(f"values = [{items}]")["values"])
 
 
 def _written(value: object) -> str:

@@ -4,6 +4,7 @@ A witness stands between a program and a port and lets everything through as it 
 
 | event | with |
 |---|---|
+| `dialled` | a drone opens a link: server, and the address |
 | `sent` | a drone sends a request: server, path, and where the drone is |
 | `joined`, `left` | a drone, a network, and by which radio |
 | `computed` | a drone's own service has done a call: the operation, and how long it took |
@@ -12,6 +13,8 @@ A witness stands between a program and a port and lets everything through as it 
 | `instance_started`, `instance_ended` | server, service, endpoint; from the first moment of its start |
 | `admitted` | the drones that an instance answers from now on |
 | `served` | an instance begins a drone's call |
+| `commanded`, `taken` | a command of the drone's program reaches its vehicle; a pilot or a fail-safe takes it |
+| `given_back_unheard` | a pilot gives it back, all of whose turn lay within one silence of the vehicle's link |
 | `flight_over` | the drone, and how high it is |
 """
 
@@ -94,6 +97,7 @@ class _Dialer:
     witness: DroneWitness
 
     def dial(self, address: str, *, server: str) -> Link:
+        self.witness.record("dialled", server=server, address=address)
         return _Link(self.seen.dial(address, server=server), server, self.witness)
 
 

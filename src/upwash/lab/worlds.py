@@ -10,14 +10,15 @@ from __future__ import annotations
 import random
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
-from upwash.config import DroneConfig, drone_config
+from upwash.config import DroneConfig, Lie, drone_config
 from upwash.config.problems import Document
 from upwash.lab import probing
 
 _SERVER_KINDS = ("off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash")
 _MOVING_KINDS = ("off", "stuck", "slow", "flapping")
+_LIES = get_args(Lie)
 _LONGEST_FAULT_S = 10_000.0  # longer than any of these missions
 SEEDS_PER_SCENARIO = 4  # so that most of the time goes into flights with faults
 _MOMENTS = (
@@ -53,6 +54,8 @@ class World:
         ]
         if chance.random() < 0.15:
             faults += [_autopilot_fault(chance, events) for _ in range(chance.randint(1, 2))]
+        faults += _takeovers(seed, events)
+        faults += _lies(seed, names, moments)
         return [{**document, "fault": faults} for document in self._documents]
 
 
@@ -270,6 +273,27 @@ def _fault(
 def _autopilot_fault(chance: random.Random, events: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     from_s = (chance.choice(events)["t"] if events else 0.0) + chance.uniform(-1.0, 1.0)
     return {"target": "autopilot", "kind": chance.choice(_MOVING_KINDS), **_spell(chance, from_s)}
+
+
+def _takeovers(seed: int, events: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """In every tenth world a pilot or a fail-safe takes the vehicle, at any moment."""
+    chance = random.Random(f"takeovers/{seed}")  # noqa: S311 - not for secrets
+    if chance.random() > 0.1:
+        return []
+    kinds = chance.choice((["pilot"], ["fail-safe"], ["fail-safe", "pilot"]))
+    return [{**_autopilot_fault(chance, events), "kind": kind} for kind in kinds]
+
+
+def _lies(seed: int, servers: Sequence[str], moments: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """In every third world servers lie."""
+    chance = random.Random(f"lies/{seed}")  # noqa: S311 - not for secrets
+    if chance.random() > 1 / 3:
+        return []
+    aimed = (_fault(chance, servers, moments) for _ in range(chance.randint(1, 3)))
+    return [
+        {**each, "target": each["target"].removeprefix("link:"), "kind": "lying", "lie": chance.choice(_LIES)}
+        for each in aimed
+    ]
 
 
 def _spell(chance: random.Random, from_s: float) -> dict[str, float]:

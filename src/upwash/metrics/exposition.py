@@ -1,24 +1,39 @@
-"""Offers metrics over HTTP, as Prometheus fetches them."""
+"""Offers metrics over HTTP, as Prometheus fetches them.
+
+One thread answers everybody on an event loop of its own: whoever asks slowly, reads slowly or never goes holds up
+neither the program nor Prometheus. Of too many the one that came first has to go.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import logging
+import socket
+import threading
 from collections.abc import AsyncIterator
-from wsgiref.simple_server import WSGIServer
+from email.parser import BytesParser
+from http import HTTPStatus
 
-from prometheus_client import CollectorRegistry, start_http_server
+from prometheus_client import CollectorRegistry
+from prometheus_client.exposition import choose_encoder
 
 from upwash.config import is_on_this_machine
 from upwash.errors import UsageError
+from upwash.hosts import names_this_machine
+
+_PATHS = ("/metrics", "/")
+_LARGEST_REQUEST_BYTES = 2**14
+_REQUEST_S = 5.0  # for a request to be whole
+_READING_S = 10.0  # for its answer to be read
+_CONNECTIONS = 64
 
 _log = logging.getLogger("upwash.metrics")
 
 
 @contextlib.asynccontextmanager
 async def exposed(registry: CollectorRegistry, listen: str) -> AsyncIterator[str]:
-    """Offers the registry's metrics at `host:port`, from threads of their own; yields the address that came of it.
+    """Offers the registry's metrics at `host:port`, from a thread of its own; yields the address that came of it.
 
     Raises UsageError where nothing can listen there.
     """
@@ -28,19 +43,124 @@ async def exposed(registry: CollectorRegistry, listen: str) -> AsyncIterator[str
         )
     host, _, port = listen.rpartition(":")
     try:
-        server, _ = await asyncio.to_thread(start_http_server, int(port), host.strip("[]"), registry)
+        listener = await asyncio.to_thread(_listener, host.strip("[]"), int(port))
     except OSError as error:
         raise UsageError(
             f"metrics cannot be offered at {listen}: {error.strerror}; choose another address, or end who uses it"
         ) from error
-    address = f"{host}:{server.server_port}"
+    address = f"{host}:{listener.getsockname()[1]}"
+    server = _Server(registry, listener, host)
+    thread = threading.Thread(target=server.run, name="metrics", daemon=True)
+    thread.start()
     _log.info("metrics at http://%s/metrics", address)
     try:
         yield address
     finally:
-        await asyncio.to_thread(_close, server)
+        server.stop()
+        await asyncio.to_thread(thread.join)
 
 
-def _close(server: WSGIServer) -> None:
-    server.shutdown()
-    server.server_close()
+def _listener(host: str, port: int) -> socket.socket:
+    family, *_, address = socket.getaddrinfo(
+        host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+    )[0]
+    return socket.create_server((address[0], port), family=family)
+
+
+class _Server:
+    """Answers each connection once, and closes it."""
+
+    def __init__(self, registry: CollectorRegistry, listener: socket.socket, host: str) -> None:
+        self._registry = registry
+        self._listener = listener
+        self._host = host
+        self._loop = asyncio.new_event_loop()
+        self._stopped = asyncio.Event()
+        self._connections: dict[
+            asyncio.Task[None], asyncio.StreamWriter
+        ] = {}  # in the order in which they came
+
+    def run(self) -> None:
+        """Serves until it is stopped; to be the whole of a thread."""
+        with contextlib.closing(self._loop), self._listener:
+            self._loop.run_until_complete(self._serve())
+
+    def stop(self) -> None:
+        """Ends it, with every connection; from any thread."""
+        self._loop.call_soon_threadsafe(self._stopped.set)
+
+    async def _serve(self) -> None:
+        server = await asyncio.start_server(self._admit, sock=self._listener, limit=_LARGEST_REQUEST_BYTES)
+        async with server:
+            await self._stopped.wait()
+            server.close()
+            for writer in self._connections.values():
+                writer.transport.abort()
+            await asyncio.gather(*self._connections, return_exceptions=True)
+
+    async def _admit(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None  # noqa: S101 - it runs in one
+        if len(self._connections) >= _CONNECTIONS:
+            next(iter(self._connections.values())).transport.abort()
+        self._connections[task] = writer
+        try:
+            await self._converse(reader, writer)
+        except (OSError, TimeoutError, asyncio.IncompleteReadError):
+            pass  # it has gone, or is too slow
+        finally:
+            del self._connections[task]
+            writer.transport.abort()
+
+    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        async with asyncio.timeout(_REQUEST_S):
+            try:
+                request = await reader.readuntil(b"\r\n\r\n")
+            except asyncio.LimitOverrunError:
+                request = b""
+        writer.write(self._answer(request, reached_at=writer.get_extra_info("sockname")[0]))
+        writer.write_eof()
+        async with asyncio.timeout(_READING_S):
+            await writer.drain()
+            while await reader.read(_LARGEST_REQUEST_BYTES):  # until it has hung up, so that it has read all
+                pass
+
+    def _answer(self, request: bytes, *, reached_at: str) -> bytes:
+        first, _, rest = request.partition(b"\r\n")
+        match first.decode("latin-1").split(" "):
+            case [method, target, "HTTP/1.0" | "HTTP/1.1"]:
+                headers = BytesParser().parsebytes(rest, headersonly=True)
+            case _:
+                return _response(HTTPStatus.BAD_REQUEST)
+        hosts = headers.get_all("Host", [])
+        if len(hosts) != 1:
+            return _response(HTTPStatus.BAD_REQUEST)
+        if not names_this_machine(str(hosts[0]), listens_at=self._host, reached_at=reached_at):
+            return _response(HTTPStatus.MISDIRECTED_REQUEST)
+        if method not in ("GET", "HEAD"):
+            return _response(HTTPStatus.METHOD_NOT_ALLOWED)
+        if target.partition("?")[0] not in _PATHS:
+            return _response(HTTPStatus.NOT_FOUND)
+        encode, content_type = choose_encoder(str(headers.get("Accept", "")))
+        try:
+            body = encode(self._registry)
+        except Exception:  # noqa: BLE001 - whatever a collector raises is not the end of this
+            _log.exception("the metrics cannot be told")
+            return _response(HTTPStatus.INTERNAL_SERVER_ERROR)
+        return _response(HTTPStatus.OK, body, content_type=content_type, with_body=method == "GET")
+
+
+def _response(
+    status: HTTPStatus,
+    body: bytes | None = None,
+    *,
+    content_type: str = "text/plain; charset=utf-8",
+    with_body: bool = True,
+) -> bytes:
+    if body is None:
+        body = f"{status.phrase}\n".encode()
+    head = (
+        f"HTTP/1.1 {status.value} {status.phrase}\r\nContent-Type: {content_type}\r\n"
+        f"Content-Length: {len(body)}\r\nX-Content-Type-Options: nosniff\r\nConnection: close\r\n\r\n"
+    )
+    return head.encode() + (body if with_body else b"")

@@ -6,6 +6,7 @@ import compileall
 import hashlib
 import json
 import platform
+import shutil
 import tempfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from upwash.bundled import LoadedService
+from upwash.errors import UpwashError
 from upwash.packaging.archive import write_archive
 from upwash.packaging.base import Base, lay_base
 from upwash.packaging.contents import LIBRARY, PROGRAM, copy_distributions, copy_program, copy_setting
@@ -40,7 +42,24 @@ class Recipe:
 
 
 def package(recipe: Recipe, folder: Path, *, report: Callable[[str], None]) -> Path:
-    """Makes the image in the folder and returns its file, named after the service and the file's own hash."""
+    """Makes the image in the folder and returns its file, named after the service and the file's own hash.
+
+    Raises UpwashError where a file cannot be copied or written; then nothing is left in the folder.
+    """
+    try:
+        return _package(recipe, folder, report)
+    except shutil.Error as error:  # of many files
+        (_, _, why), *_ = error.args[0]
+        raise UpwashError(
+            f"{folder}: the image was not made, and nothing of it is left there: {why}"
+        ) from error
+    except OSError as error:
+        raise UpwashError(
+            f"{folder}: the image was not made, and nothing of it is left there: {error}"
+        ) from error
+
+
+def _package(recipe: Recipe, folder: Path, report: Callable[[str], None]) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="upwash-image-", dir=folder) as scratch:
         tree = Path(scratch) / "tree"
@@ -83,7 +102,14 @@ def _compile(root: Path) -> None:
 
 def _describe(tree: Path, recipe: Recipe, program: Program, distributions: Iterable[str]) -> None:
     """What the engine shows of the image, and the daemon knows it by. JSON is YAML too."""
-    image = ServiceImage(recipe.name, program, recipe.base, platform.python_version(), version("upwash"))
+    image = ServiceImage(
+        recipe.name,
+        program,
+        recipe.base,
+        platform.python_version(),
+        version("upwash"),
+        methods=frozenset(spec_of(recipe.service.cls).methods),
+    )
     metadata = {
         "architecture": platform.machine(),
         "creation_date": _CREATED_S,

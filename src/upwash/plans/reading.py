@@ -8,6 +8,7 @@ from upwash.errors import ConfigError
 from upwash.plans.items import Refusal
 from upwash.plans.plan import Plan
 from upwash.plans.waypoint_list import HEADER, parse_waypoint_list
+from upwash.user_files import read_file
 
 _MOST_BYTES = 10_000_000
 
@@ -31,14 +32,11 @@ def read_plan(file: Path) -> Plan:
 
 def _text(file: Path) -> str:
     try:
-        if not file.is_file():
-            raise ConfigError(str(file), "", "no such file: check the path")
-        with file.open("rb") as stream:
-            content = stream.read(_MOST_BYTES + 1)
-    except (OSError, ValueError) as error:  # ValueError: a path with a NUL
+        content = read_file(file, most_bytes=_MOST_BYTES)
+    except FileNotFoundError:
+        raise ConfigError(str(file), "", "no such file: check the path") from None
+    except (OSError, ValueError) as error:
         raise ConfigError(str(file), "", f"cannot be read ({error}): name a readable file") from None
-    if len(content) > _MOST_BYTES:
-        raise ConfigError(str(file), "", f"larger than {_MOST_BYTES // 1_000_000} MB: no plan is")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

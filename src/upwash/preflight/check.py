@@ -16,6 +16,7 @@ from upwash.preflight.concerns import Belief, Concern, concerns, is_for_flight, 
 from upwash.preflight.coverage import Coverage, coverage, uncovered
 from upwash.preflight.placement import Place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, cases, changed, predict
+from upwash.preflight.way_home import Farthest, farthest
 from upwash.preparation import make_estimates
 from upwash.service import spec_of
 
@@ -31,7 +32,8 @@ class Plan(Struct, frozen=True):
 class Check(Struct, frozen=True, kw_only=True):
     """What was found: the one object that `upwash check --json` prints.
 
-    `usable_s` is how long the battery lasts above the mission's reserve, None where the file does not say.
+    `usable_s` is how long the battery lasts above the mission's reserve, None where the file does not say, and
+    `farthest` the waypoint from which the way home takes longest.
     """
 
     config: str
@@ -40,6 +42,7 @@ class Check(Struct, frozen=True, kw_only=True):
     servers: tuple[Coverage, ...]
     predictions: tuple[Prediction, ...]
     usable_s: float | None
+    farthest: Farthest
     concerns: tuple[Concern, ...]
     places: tuple[Place, ...] = ()
 
@@ -78,6 +81,7 @@ def check(plan: Plan, *, seeds: int, fly: Fly, flown: Callable[[int], None] = la
         servers=covered,
         predictions=tuple(predictions),
         usable_s=usable_s(plan.config),
+        farthest=farthest(plan.config),
         concerns=(
             *concerns(plan.config, covered, list(_beliefs(plan.config, alone)), predictions),
             *_certificate_concerns(plan.config),

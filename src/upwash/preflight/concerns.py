@@ -6,10 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from msgspec import Struct
 
-from upwash.config import DroneConfig, PolicyConfig, ServerConfig, is_on_this_machine
+from upwash.config import DroneConfig, PolicyConfig, ServerConfig, is_on_this_machine, unsigned_port
 from upwash.core.policy import WaitRule
 from upwash.preflight.coverage import Coverage
 from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, without
+from upwash.preflight.way_home import PX4_LOW_PERCENT, farthest, reserve_percent
 
 _WORTH_SAYING = 0.01  # of a mission time: less is the luck of when a check happened to begin
 
@@ -33,7 +34,7 @@ def usable_s(config: DroneConfig) -> float | None:
     """How long the battery lasts above the mission's reserve; None where the configuration does not say."""
     if config.vehicle.endurance_s is None:
         return None
-    return config.vehicle.endurance_s * (1 - (config.mission.reserve_percent or 0.0) / 100)
+    return config.vehicle.endurance_s * (1 - (reserve_percent(config) or 0.0) / 100)
 
 
 def concerns(
@@ -50,9 +51,12 @@ def concerns(
         found += _gain_concerns(config, predictions)
     found += _failure_concerns(predictions)
     found += _battery_concerns(config, predictions)
+    found += _way_home_concerns(config)
     found += _address_concerns(config.servers)
     if is_for_flight(config):
+        found += _port_concerns(config)
         found += _flight_concerns(config)
+        found += _stage_concerns(config)
     return found
 
 
@@ -175,13 +179,55 @@ def _battery_concerns(config: DroneConfig, predictions: Sequence[Prediction]) ->
     }
     too_long = [f"{case} ({seconds:.0f} s)" for case, seconds in needed_s.items() if seconds > lasts_s]
     if too_long:
-        reserve = config.mission.reserve_percent
-        above = f" above the reserve of {reserve:g} %" if reserve else ""
         yield Concern(
             "battery",
-            f"the battery lasts {lasts_s:.0f} s{above}, which is not enough for the mission "
+            f"the battery lasts {lasts_s:.0f} s{_above_the_reserve(config)}, which is not enough for the mission "
             f"{', '.join(too_long)}",
         )
+
+
+def _above_the_reserve(config: DroneConfig) -> str:
+    reserve = reserve_percent(config)
+    if not reserve:
+        return ""
+    if reserve == config.mission.reserve_percent:
+        return f" above the reserve of {reserve:g} %"
+    return f" above the reserve of {config.mission.reserve_s:g} s"
+
+
+def _way_home_concerns(config: DroneConfig) -> Iterator[Concern]:
+    """Of a waypoint from which the drone would turn back as soon as it has come there, or sooner."""
+    lasts_s = usable_s(config)
+    if config.mission.reserve_s is None:
+        return
+    if lasts_s is None:
+        yield Concern(
+            "endurance",
+            "mission.reserve_s is given and vehicle.endurance_s is not: what the way home needs is not known until a "
+            "minute has been flown, and nothing says here whether the battery lasts",
+        )
+        return
+    far = farthest(config)
+    if far.out_s + far.home_s > lasts_s:
+        yield Concern(
+            "too-far",
+            f"waypoint {far.waypoint} is {far.away_m:.0f} m from home: {far.out_s:.0f} s there and "
+            f"{far.home_s:.0f} s back are more than the battery lasts{_above_the_reserve(config)}, {lasts_s:.0f} s",
+        )
+
+
+def _stage_concerns(config: DroneConfig) -> Iterator[Concern]:
+    """Of a reserve that the vehicle's own low-battery stage may lie above."""
+    reserve = reserve_percent(config)
+    if config.mission.reserve_s is None or reserve is None or reserve >= PX4_LOW_PERCENT:
+        return
+    yield Concern(
+        "low-battery-stage",
+        f"the reserve is {reserve:.0f} % of the battery, and a PX4 calls its own low at {PX4_LOW_PERCENT:g} %, "
+        "unless BAT_LOW_THR was changed; an ArduPilot's stage (BATT_LOW_*) is known only once it is connected. The "
+        "higher one counts, and the mission ends the sooner: to plan with it, give reserve_percent = "
+        f"{PX4_LOW_PERCENT:g} or more",
+    )
 
 
 def _address_concerns(servers: Sequence[ServerConfig]) -> Iterator[Concern]:
@@ -196,6 +242,11 @@ def _address_concerns(servers: Sequence[ServerConfig]) -> Iterator[Concern]:
                 f"{' and '.join(names)} have one address, {address}: right only if one daemon offers them all, "
                 "or each has it in a network of its own",
             )
+
+
+def _port_concerns(config: DroneConfig) -> Iterator[Concern]:
+    if problem := unsigned_port(config.autopilot):
+        yield Concern("unsigned-port", problem)
 
 
 def _flight_concerns(config: DroneConfig) -> Iterator[Concern]:

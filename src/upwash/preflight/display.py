@@ -21,6 +21,7 @@ from upwash.preflight.concerns import is_for_flight
 from upwash.preflight.coverage import Coverage
 from upwash.preflight.placement import Place, missions_to_place, place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, is_noisy
+from upwash.preflight.way_home import Farthest
 
 
 def show_check(
@@ -87,6 +88,8 @@ def _print(found: Check, config: DroneConfig, servers_to_place: int, console: Co
         console.print()
     console.print(_prediction_table(found))
     console.print(_how_sure(found, config), soft_wrap=True)
+    if config.mission.reserve_s is not None:
+        console.print(_farthest_line(found.farthest, config), soft_wrap=True)
     for each in found.places:
         console.print(_place_line(each), soft_wrap=True)
     if len(found.places) < servers_to_place:
@@ -149,6 +152,15 @@ def _how_sure(found: Check, config: DroneConfig) -> str:
     if found.usable_s is not None:
         return sure
     return f"{sure}; vehicle.endurance_s is not given, so nothing says whether the battery lasts"
+
+
+def _farthest_line(far: Farthest, config: DroneConfig) -> str:
+    down = "there" if config.autopilot.on_failure == "land" else "at home"
+    needs = "" if far.needed_percent is None else f", {far.needed_percent:.0f} % of the battery"
+    return (
+        f"from waypoint {far.waypoint}, {far.away_m:.0f} m from home, it takes longest to the ground {down}: "
+        f"{far.home_s:.0f} s{needs}, without wind"
+    )
 
 
 def _place_line(place: Place) -> str:

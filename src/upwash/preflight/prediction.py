@@ -84,7 +84,8 @@ def cases(document: Document, config: DroneConfig) -> Iterator[tuple[str, Docume
 def changed(document: Document, *, policy: str | None = None, dead: Sequence[str] = ()) -> Document:
     """The document under another policy, or with dead servers; flown to the end, without a reserve."""
     other = copy.deepcopy(document)
-    other["mission"].pop("reserve_percent", None)
+    for reserve in ("reserve_percent", "reserve_s"):
+        other["mission"].pop(reserve, None)
     if policy is not None:
         other.setdefault("policy", {})["name"] = policy
     if dead:

@@ -2,6 +2,9 @@
 
 A process hears its program over a socket pair, a container over TLS. Either is also the leash: when the program dies,
 however it dies, the instance reads an end of file and ends.
+
+The service is in the same process as the instance's end and may write whatever it likes, so the program believes only
+what can be so, and hangs up on an instance that says more than `MOST_REPORTS_PER_S`.
 """
 
 from __future__ import annotations
@@ -13,9 +16,16 @@ import msgspec
 
 from upwash.real.sandbox import Limits
 
+MOST_REPORTS_PER_S = 1000  # one for each call, and one a second for each drone
+
 
 class Begin(msgspec.Struct, frozen=True, tag="begin"):
-    """To the instance, first: what to be. The credentials are PEM text; they touch no disk and no command line."""
+    """To the instance, first: what to be.
+
+    gRPC listens at `listen`. What comes to the inherited socket is handed on to there; in a container what comes to
+    the address `outside` from who holds the same `leash`. Each such connection announces who calls if it
+    `is_announced`.
+    """
 
     program: str
     settings: dict[str, Any]
@@ -23,9 +33,9 @@ class Begin(msgspec.Struct, frozen=True, tag="begin"):
     listen: str
     max_message_bytes: int
     pace_s: Mapping[str, float]
-    authority: str = ""
-    certificate: str = ""
-    key: str = ""
+    is_announced: bool = False
+    outside: str = ""
+    leash: str = ""
     limits: Limits | None = None  # in a sandbox
 
 
@@ -62,7 +72,7 @@ class Drained(msgspec.Struct, frozen=True, tag="drained"):
 
 
 class Called(msgspec.Struct, frozen=True, tag="called"):
-    """From the instance: this drone called."""
+    """From the instance: this drone, known by `Visitor.key`, called."""
 
     drone: str
 

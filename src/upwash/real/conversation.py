@@ -1,4 +1,9 @@
-"""A program's end of the control line to one service instance, whatever carries it."""
+"""A program's end of the control line to one service instance, whatever carries it.
+
+The other end may be a service that means harm. What it says is bounded in length and number, and heard only where
+it can be so: calls of drones that it was told to admit, answers of methods that its service declares, after no longer
+than it has been running.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +16,10 @@ from collections.abc import Callable
 import msgspec
 
 from upwash import ports
+from upwash.core.allowance import Allowance
 from upwash.errors import InstanceError
 from upwash.real.control import (
+    MOST_REPORTS_PER_S,
     Admit,
     Admitted,
     Answered,
@@ -28,12 +35,18 @@ from upwash.real.control import (
     from_instance,
     line,
 )
-from upwash.real.output import Output
+from upwash.real.output import Output, printable
 
 _log = logging.getLogger("upwash.instance")
 
 _ADMIT_S = 5.0
 LONGEST_LINE_BYTES = 2**17  # what a container's warden may say at once
+_LONGEST_REASON = 10_000  # characters of why it cannot serve
+# Twice what an instance keeps to; at once, what may wait in between while this program is busy.
+_MOST_MESSAGES_PER_S = 2 * MOST_REPORTS_PER_S
+_MOST_MESSAGES_AT_ONCE = 10_000
+_MOST_BYTES_PER_S = 2**20  # above all a container's output, which its warden hands on at `reading_pace()`
+_MOST_BYTES_AT_ONCE = 2**24
 
 
 class Conversation:
@@ -46,13 +59,20 @@ class Conversation:
         output: Output,
         *,
         answered: ports.Answered = ports.unheard,
+        methods: frozenset[str] = frozenset(),
         reports: asyncio.StreamReader,
         orders: asyncio.StreamWriter,
     ) -> None:
         self.code: int | None = None  # with which a container's service ended, if it said so
+        self.fault = ""  # why this end hung up
         self._name = name
         self.called = called
         self.answered = answered
+        self._methods = methods  # that the service declares
+        self._admitted: frozenset[str] = frozenset()
+        self._ready_s = 0.0
+        self._messages = Allowance(_MOST_MESSAGES_PER_S, at_once=_MOST_MESSAGES_AT_ONCE)
+        self._bytes = Allowance(_MOST_BYTES_PER_S, at_once=_MOST_BYTES_AT_ONCE)
         self._output = output
         self._reports = reports
         self._orders = orders
@@ -69,21 +89,25 @@ class Conversation:
         while True:
             match await self._hear():
                 case Ready(address):
+                    self._ready_s = _now_s()
                     self._listening = asyncio.create_task(self._listen())
                     return address
                 case Failed(why):
-                    raise InstanceError(f"{self._name} did not start: {why}")
+                    raise InstanceError(f"{self._name} did not start: {printable(why[:_LONGEST_REASON])}")
                 case Said(output):
                     self._output.add(output)
+                case None if self.fault:
+                    raise InstanceError(f"{self._name} did not start: {self.fault}")
                 case None | Ended():
                     raise EOFError
                 case other:
-                    raise InstanceError(f"{self._name} said {other} before it was ready")
+                    raise InstanceError(f"{self._name} said {type(other).__name__} before it was ready")
 
     async def admit(self, drones: frozenset[str]) -> None:
         """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
         confirmed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._tell(Admit(sorted(drones)))
+        self._admitted = drones
         self._admissions.append(confirmed)
         try:
             async with asyncio.timeout(_ADMIT_S):
@@ -120,22 +144,30 @@ class Conversation:
         self._orders.write(line(message))
 
     async def _hear(self) -> FromInstance | None:
-        """The next message; None at the end, and where the line broke or carries what nobody understands."""
+        """The next message; None at the end, and where the line broke or this end has to hang up."""
         try:
             text = await self._reports.readline()
             message = from_instance.decode(text) if text else None
         except OSError:
             return None
         except (ValueError, RecursionError, msgspec.MsgspecError):
-            _log.warning("%s said something that cannot be understood: hanging up", self._name)
+            self._hang_up("it said something that cannot be understood")
+            return None
+        if not (self._messages.take(1, now_s=_now_s()) and self._bytes.take(len(text), now_s=_now_s())):
+            self._hang_up("it said too much over its control line")
             return None
         if isinstance(message, Ended):
             self.code = message.code
         return message
 
+    def _hang_up(self, why: str) -> None:
+        self.fault = why
+        _log.warning("%s: %s: hanging up", self._name, why)
+        self._orders.transport.abort()
+
     async def _listen(self) -> None:
         try:
-            while (message := await self._hear()) is not None:
+            while not self.fault and (message := await self._hear()) is not None:
                 self._take_in(message)
         finally:
             for confirmed in self._admissions:
@@ -147,9 +179,11 @@ class Conversation:
     def _take_in(self, message: FromInstance) -> None:
         match message:
             case Called(drone):
-                self.called(drone)
+                if drone in self._admitted:
+                    self.called(drone)
             case Answered(method, took_s):
-                self.answered(method, took_s)
+                if method in self._methods and 0.0 <= took_s <= _now_s() - self._ready_s:
+                    self.answered(method, took_s)
             case Admitted() if self._admissions:
                 confirmed = self._admissions.popleft()
                 if not confirmed.done():
@@ -161,4 +195,8 @@ class Conversation:
             case Ended():
                 pass
             case _:
-                _log.warning("%s said something out of turn", self._name)
+                self._hang_up("it said something out of turn")
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()

@@ -7,6 +7,7 @@ server. A daemon's is good at both ends, as daemons call their peers. Daemons' a
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import re
@@ -19,7 +20,9 @@ from typing import TYPE_CHECKING, Literal
 
 from upwash.config import KeysConfig
 from upwash.core.visitors import Role
-from upwash.errors import CredentialsError, UsageError
+from upwash.errors import CredentialsError, NotWritten, UsageError
+from upwash.output import flush_to_disk, write_file
+from upwash.real.secrets import read_public, read_secret
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
@@ -30,6 +33,7 @@ _AUTHORITY_LASTS = timedelta(days=3652)
 _CERTIFICATE_LASTS = timedelta(days=730)
 _CLOCKS_MAY_DIFFER = timedelta(days=1)  # a drone's clock may be behind the authority's
 _LONGEST_NAME = 64  # of a certificate's common name
+_MOST_BYTES = 10_000_000  # of a file: some 100,000 revoked certificates
 _REVOKED_FILE = "revoked.txt"
 _REVOKED_HEAD = (
     b"# SHA-256 fingerprints of certificates that daemons refuse; `upwash keys --revoke` adds to them.\n"
@@ -37,9 +41,31 @@ _REVOKED_HEAD = (
 _UNITS = {Role.OPERATOR: "operator", Role.SERVER: "server"}  # the organizational unit in the subject
 
 
+@dataclass(frozen=True, slots=True)
+class Lifetime:
+    """From when until when the certificate of that holder is valid."""
+
+    holder: str
+    starts: datetime
+    ends: datetime
+
+    def problem_at(self, now: datetime) -> str:
+        """Why it is not valid then, with the dates; "" where it is."""
+        if self.starts <= now <= self.ends:
+            return ""
+        what = "is not valid yet" if now < self.starts else "has expired"
+        return (
+            f"the certificate of {self.holder} {what}: it is valid from {at_second(self.starts)} to "
+            f"{at_second(self.ends)}, and this computer's clock says {at_second(now)}"
+        )
+
+
 @dataclass(frozen=True)
 class Credentials:
-    """The PEM texts with which one party shows who it is and checks who others are."""
+    """The PEM texts with which one party shows who it is and checks who others are.
+
+    `authority` may hold the certificates of several authorities: those of any of them are believed.
+    """
 
     authority: bytes
     certificate: bytes
@@ -73,14 +99,31 @@ class Credentials:
         return needed[purpose] in usage
 
     @property
-    def expiries(self) -> dict[str, datetime]:
-        """Until when the certificate, by its first name, and its authority are valid."""
+    def lifetimes(self) -> tuple[Lifetime, ...]:
+        """Of the certificate, by its first name, and of the authority that issued it."""
         from cryptography import x509
 
-        return {
-            holder: x509.load_pem_x509_certificate(pem).not_valid_after_utc
-            for holder, pem in ((self.names[0], self.certificate), ("authority", self.authority))
-        }
+        certificate = x509.load_pem_x509_certificate(self.certificate)
+        authorities = x509.load_pem_x509_certificates(self.authority)
+        issuer = _issuer_among(authorities, certificate) or authorities[0]
+        return tuple(
+            Lifetime(holder, each.not_valid_before_utc, each.not_valid_after_utc)
+            for holder, each in ((self.names[0], certificate), ("authority", issuer))
+        )
+
+    @property
+    def expiries(self) -> dict[str, datetime]:
+        """Until when the certificate, by its first name, and its authority are valid."""
+        return {each.holder: each.ends for each in self.lifetimes}
+
+    def problem_at(self, now: datetime) -> str:
+        """Which of the certificates is not valid then, with its dates; "" where all are."""
+        return next(filter(None, (each.problem_at(now) for each in self.lifetimes)), "")
+
+
+def at_second(time: datetime) -> str:
+    """As people write it, to the second, in UTC."""
+    return time.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
 def fingerprint(certificate: bytes) -> str:
@@ -98,6 +141,13 @@ def role_of(subject: str) -> Role:
 class _Authority:
     certificate: Certificate
     key: EllipticCurvePrivateKey
+
+
+@dataclass(frozen=True)
+class _NewFile:
+    file: Path
+    content: bytes = field(repr=False)
+    mode: int
 
 
 def keys_in(folder: Path, name: str) -> KeysConfig:
@@ -128,17 +178,47 @@ def make_keys(
     for file in (folder / f"{name}{ending}" for name in holders for ending in (".key", ".pem")):
         if file.exists():
             raise _already_there(file)
-    try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{folder}: cannot be made ({error.strerror}): name another folder") from None
     authority, files = _authority(folder)
     for names in servers:
         files += _issue(folder, authority, names, Role.SERVER)
     for role, names in ((Role.DRONE, drones), (Role.OPERATOR, operators)):
         for name in names:
             files += _issue(folder, authority, [name], role)
-    return files
+    _write_together(folder, files)
+    return [each.file for each in files]
+
+
+def renew_authority(folder: Path) -> list[Path]:
+    """Makes the folder another authority, which signs from now on, and returns the files written.
+
+    authority.pem has both certificates then, so that whoever has it believes what either signed; the former's key is
+    kept under a name of its own. Raises UsageError where there is no authority to follow.
+    """
+    certificate_file, key_file = folder / "authority.pem", folder / "authority.key"
+    former, former_key = read_public(certificate_file), read_secret(key_file)
+    signer = _signer_among(certificate_file, former, key_file, former_key)
+    certificate, key = _pems(*_self_signed())
+    kept = folder / f"authority-{fingerprint(_pem(signer.certificate))[:8]}.key"
+    new_certificate, new_key = folder / "authority.pem.new", folder / "authority.key.new"
+    _write_together(
+        folder,
+        [
+            _NewFile(new_certificate, certificate + former, 0o644),
+            _NewFile(new_key, key, 0o600),
+            _NewFile(kept, former_key, 0o600),
+        ],
+    )
+    new_certificate.replace(certificate_file)
+    new_key.replace(key_file)  # until here the former authority signs
+    return [certificate_file, key_file, kept]
+
+
+def drop_former_authorities(folder: Path) -> Path:
+    """Leaves in authority.pem the authority alone that signs, and returns that file."""
+    certificate_file, key_file = folder / "authority.pem", folder / "authority.key"
+    signer = _signer_among(certificate_file, read_public(certificate_file), key_file, read_secret(key_file))
+    write_file(certificate_file, _pem(signer.certificate))
+    return certificate_file
 
 
 def revoke(folder: Path, names: Sequence[str]) -> Path:
@@ -148,28 +228,25 @@ def revoke(folder: Path, names: Sequence[str]) -> Path:
     """
     file = folder / _REVOKED_FILE
     known = read_revoked(file) if file.exists() else frozenset()
-    lines = []
+    before = (read_public(file) if file.exists() else _REVOKED_HEAD).rstrip(b"\n")
+    lines = [*before.decode(errors="surrogateescape").splitlines(keepends=True), "\n"]
     for name in names:
         certificate = folder / f"{name}.pem"
         if not certificate.exists():
             raise UsageError(f"{certificate}: no such certificate: name one that was made in {folder}")
-        pem = _read(certificate)
+        pem = read_public(certificate)
         _parsed_certificate(certificate, pem)
         revoked = fingerprint(pem)
         if revoked not in known:
             lines.append(f"{revoked}  {name}, revoked {datetime.now(UTC):%Y-%m-%d}\n")
-    try:
-        with file.open("a") as opened:
-            opened.writelines(lines)
-    except OSError as error:
-        raise UsageError(f"{file}: cannot be written ({error.strerror}): name a writable folder") from None
+    write_file(file, "".join(lines).encode(errors="surrogateescape"))
     return file
 
 
 def read_revoked(file: Path) -> frozenset[str]:
     """The fingerprints in a list of revoked certificates, one at the start of each line; raises CredentialsError."""
     revoked = set()
-    for number, text in enumerate(_read(file).decode(errors="replace").splitlines(), start=1):
+    for number, text in enumerate(read_public(file).decode(errors="replace").splitlines(), start=1):
         first = text.partition(" ")[0].replace(":", "").lower()
         if not first or first.startswith("#"):
             continue
@@ -182,24 +259,26 @@ def read_revoked(file: Path) -> frozenset[str]:
     return frozenset(revoked)
 
 
-def read_credentials(authority: Path, certificate: Path, key: Path) -> Credentials:
-    """The credentials in the three files, which belong together and are valid now; raises CredentialsError."""
-    from cryptography.exceptions import InvalidSignature
+def read_credentials(authority: Path, certificate: Path, key: Path, *, valid_now: bool = True) -> Credentials:
+    """The credentials in the three files, which belong together; raises CredentialsError.
 
-    credentials = Credentials(_read(authority), _read(certificate), _read(key))
-    issuer = _parsed_certificate(authority, credentials.authority)
+    The certificate is of one of the authorities in the first file. Both are valid by this computer's clock too,
+    unless that is not to be believed yet.
+    """
+    credentials = Credentials(read_public(authority), read_public(certificate), read_secret(key))
+    authorities = _parsed_certificates(authority, credentials.authority)
     holder = _parsed_certificate(certificate, credentials.certificate)
     if _parsed_key(key, credentials.key).public_key() != holder.public_key():
         raise CredentialsError(f"{key}: not the key of {certificate}: give the two that were made together")
-    try:
-        holder.verify_directly_issued_by(issuer)
-    except (InvalidSignature, ValueError, TypeError):
+    issuer = _issuer_among(authorities, holder)
+    if issuer is None:
         raise CredentialsError(
             f"{certificate}: not issued by {authority}: give the authority that signed it, "
             "or a certificate made under this one"
-        ) from None
-    for file, each in ((authority, issuer), (certificate, holder)):
-        _refuse_outdated(file, each)
+        )
+    if valid_now:
+        for file, each in ((authority, issuer), (certificate, holder)):
+            _refuse_outdated(file, each)
     return credentials
 
 
@@ -219,31 +298,54 @@ def _already_there(file: Path) -> UsageError:
     return UsageError(f"{file}: already there, and keys are never overwritten: move it away first")
 
 
-def _authority(folder: Path) -> tuple[_Authority, list[Path]]:
-    """The folder's authority, and the files written if it had none."""
+def _authority(folder: Path) -> tuple[_Authority, list[_NewFile]]:
+    """The folder's authority, and the files that it needs if it has none."""
     certificate, key = folder / "authority.pem", folder / "authority.key"
     if certificate.exists() and key.exists():
-        return _kept_authority(certificate, key), []
+        kept = _signer_among(certificate, read_public(certificate), key, read_secret(key))
+        _refuse_outdated(certificate, kept.certificate)
+        return kept, []
     for there, missing in ((certificate, key), (key, certificate)):
         if there.exists():
             raise UsageError(f"{missing}: missing beside {there}: restore it, or move {there.name} away")
     return _new_authority(folder)
 
 
-def _kept_authority(certificate: Path, key: Path) -> _Authority:
+def _signer_among(certificate: Path, pem: bytes, key: Path, key_pem: bytes) -> _Authority:
+    """The one of the authorities in a file that has this key."""
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 
-    issuer = _parsed_certificate(certificate, _read(certificate))
-    private = _parsed_key(key, _read(key))
-    if not isinstance(private, EllipticCurvePrivateKey) or private.public_key() != issuer.public_key():
-        raise CredentialsError(
-            f"{key}: not the elliptic-curve key of {certificate}: restore the two that were made together"
-        )
-    _refuse_outdated(certificate, issuer)
-    return _Authority(issuer, private)
+    private = _parsed_key(key, key_pem)
+    for each in _parsed_certificates(certificate, pem):
+        if isinstance(private, EllipticCurvePrivateKey) and private.public_key() == each.public_key():
+            return _Authority(each, private)
+    raise CredentialsError(
+        f"{key}: not the elliptic-curve key of {certificate}: restore the two that were made together"
+    )
 
 
-def _new_authority(folder: Path) -> tuple[_Authority, list[Path]]:
+def _issuer_among(authorities: Sequence[Certificate], holder: Certificate) -> Certificate | None:
+    """The one that issued the holder's certificate; of several the one that is valid for longest."""
+    from cryptography.exceptions import InvalidSignature
+
+    found = []
+    for each in authorities:
+        with contextlib.suppress(InvalidSignature, ValueError, TypeError):
+            holder.verify_directly_issued_by(each)
+            found.append(each)
+    return max(found, key=lambda each: each.not_valid_after_utc, default=None)
+
+
+def _new_authority(folder: Path) -> tuple[_Authority, list[_NewFile]]:
+    certificate, key = _self_signed()
+    files = _pair(folder, "authority", certificate, key)
+    revoked = folder / _REVOKED_FILE
+    if not revoked.exists():
+        files.append(_NewFile(revoked, _REVOKED_HEAD, 0o644))
+    return _Authority(certificate, key), files
+
+
+def _self_signed() -> tuple[Certificate, EllipticCurvePrivateKey]:
     from cryptography import x509
 
     key = _new_key()
@@ -257,15 +359,10 @@ def _new_authority(folder: Path) -> tuple[_Authority, list[Path]]:
         issuer=None,
         lasts=_AUTHORITY_LASTS,
     )
-    files = _write_pair(folder, "authority", certificate, key)
-    revoked = folder / _REVOKED_FILE
-    if not revoked.exists():
-        _write_new(revoked, _REVOKED_HEAD, mode=0o644)
-        files.append(revoked)
-    return _Authority(certificate, key), files
+    return certificate, key
 
 
-def _issue(folder: Path, authority: _Authority, names: Sequence[str], role: Role) -> list[Path]:
+def _issue(folder: Path, authority: _Authority, names: Sequence[str], role: Role) -> list[_NewFile]:
     from cryptography import x509
     from cryptography.x509.oid import ExtendedKeyUsageOID
 
@@ -285,7 +382,7 @@ def _issue(folder: Path, authority: _Authority, names: Sequence[str], role: Role
         lasts=_CERTIFICATE_LASTS,
         unit=_UNITS.get(role, ""),
     )
-    return _write_pair(folder, names[0], certificate, key)
+    return _pair(folder, names[0], certificate, key)
 
 
 def _signed(
@@ -342,42 +439,67 @@ def _key_usage(*, signs_certificates: bool) -> ExtensionType:
     )
 
 
-def _write_pair(
-    folder: Path, name: str, certificate: Certificate, key: EllipticCurvePrivateKey
-) -> list[Path]:
+def _pair(folder: Path, name: str, certificate: Certificate, key: EllipticCurvePrivateKey) -> list[_NewFile]:
+    public, secret = _pems(certificate, key)
+    return [_NewFile(folder / f"{name}.pem", public, 0o644), _NewFile(folder / f"{name}.key", secret, 0o600)]
+
+
+def _pems(certificate: Certificate, key: EllipticCurvePrivateKey) -> tuple[bytes, bytes]:
     from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
-    certificate_file, key_file = folder / f"{name}.pem", folder / f"{name}.key"
-    secret = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-    _write_new(key_file, secret, mode=0o600)
-    _write_new(certificate_file, certificate.public_bytes(Encoding.PEM), mode=0o644)
-    return [certificate_file, key_file]
+    return _pem(certificate), key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
 
 
-def _write_new(file: Path, content: bytes, *, mode: int) -> None:
-    """Writes a file that was not there; nobody else could read it at any moment unless the mode says so."""
+def _pem(certificate: Certificate) -> bytes:
+    from cryptography.hazmat.primitives.serialization import Encoding
+
+    return certificate.public_bytes(Encoding.PEM)
+
+
+def _write_together(folder: Path, files: Sequence[_NewFile]) -> None:
+    """Writes files that were not there, all or none of them; nobody else can read one unless its mode says so."""
+    is_new = not folder.exists()
     try:
-        descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
-        with os.fdopen(descriptor, "wb") as opened:
-            opened.write(content)
-    except FileExistsError:
-        raise _already_there(file) from None
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"{file}: cannot be written ({error.strerror}): name a writable folder") from None
+        raise UsageError(f"{folder}: cannot be made ({error.strerror}): name another folder") from None
+    with contextlib.ExitStack() as undoing:
+        if is_new:
+            undoing.callback(folder.rmdir)
+        for each in files:
+            try:
+                descriptor = os.open(each.file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, each.mode)
+                undoing.callback(each.file.unlink)
+                with os.fdopen(descriptor, "wb") as opened:
+                    opened.write(each.content)
+                    opened.flush()
+                    flush_to_disk(opened.fileno())
+            except FileExistsError:
+                raise _already_there(each.file) from None
+            except OSError as error:
+                raise NotWritten(each.file, error, "none of the files were made") from None
+        undoing.pop_all()
 
 
-def _parsed_certificate(file: Path, pem: bytes) -> Certificate:
+def _parsed_certificates(file: Path, pem: bytes) -> list[Certificate]:
+    """One or several, one after the other."""
     from cryptography import x509
     from cryptography.exceptions import UnsupportedAlgorithm
 
     try:
-        certificate = x509.load_pem_x509_certificate(pem)
-        certificate.public_key()  # which is looked at no earlier
+        certificates = x509.load_pem_x509_certificates(pem)
+        for each in certificates:
+            each.public_key()  # which is looked at no earlier
     except (ValueError, UnsupportedAlgorithm):
         raise CredentialsError(
             f"{file}: not a PEM certificate with a key that is understood: give the .pem file"
         ) from None
-    return certificate
+    return certificates
+
+
+def _parsed_certificate(file: Path, pem: bytes) -> Certificate:
+    """The first of them, which is the holder's."""
+    return _parsed_certificates(file, pem)[0]
 
 
 def _parsed_key(file: Path, pem: bytes) -> PrivateKeyTypes:
@@ -392,22 +514,15 @@ def _parsed_key(file: Path, pem: bytes) -> PrivateKeyTypes:
         ) from None
 
 
-def _read(file: Path) -> bytes:
-    try:
-        return file.read_bytes()
-    except FileNotFoundError:
-        raise CredentialsError(f"{file}: no such file: check the path, or make the keys first") from None
-    except OSError as error:
-        raise CredentialsError(
-            f"{file}: cannot be read ({error.strerror}): run as the user that owns it"
-        ) from None
-
-
 def _refuse_outdated(file: Path, certificate: Certificate) -> None:
     now = datetime.now(UTC)
+    clock = f"this computer's clock says {at_second(now)}"
     if now > certificate.not_valid_after_utc:
         since = certificate.not_valid_after_utc.isoformat(" ", "minutes")
-        raise CredentialsError(f"{file}: expired since {since}: make a new one")
+        raise CredentialsError(f"{file}: expired since {since}, and {clock}: make a new one")
     if now < certificate.not_valid_before_utc:
         start = certificate.not_valid_before_utc.isoformat(" ", "minutes")
-        raise CredentialsError(f"{file}: not valid before {start}: set this computer's clock")
+        raise CredentialsError(
+            f"{file}: not valid before {start}, and {clock}: set this computer's clock, or let "
+            "NTP, a battery-backed clock or chrony with gpsd keep it"
+        )

@@ -1,27 +1,41 @@
-"""The one way into a sandbox: connections to a socket from outside, handed on to a unix socket inside.
+"""The one way into an instance: connections to a socket from outside, handed on to gRPC's own unix socket inside.
 
 A socket belongs to the network that it was made in. The daemon makes the listening one and the instance inherits it,
-so that connections are accepted where there is no network at all. The bytes are handed on as they are: TLS, where
-there is any, is between the caller and the instance's gRPC, which cannot take over a socket that it did not make.
+so that connections are accepted where there is no network at all.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import socket
+import ssl
 import threading
 
-_CHUNK_BYTES = 2**18
-_MOST_CONNECTIONS = 1024  # most of whom may be strangers that say nothing, until gRPC hangs up on them
+from upwash.core.visitors import Visitor
+from upwash.real.announced import Inside, announced
+from upwash.real.streams import CHUNK_BYTES, join
+
+_MOST_CONNECTIONS = 1024
 
 
 class Doorway:
-    """Hands connections on in a thread of its own until the process ends; so many at once, and no more."""
+    """Hands connections on in a thread of its own until the process ends; so many at once, and no more.
 
-    def __init__(self, outside: socket.socket, inside: str) -> None:
+    Where a door stands outside, each begins with a line that announces who calls (`is_announced`).
+    """
+
+    def __init__(
+        self,
+        outside: socket.socket,
+        inside: Inside,
+        *,
+        is_announced: bool,
+        context: ssl.SSLContext | None = None,
+    ) -> None:
         self._outside = outside
         self._inside = inside
+        self._is_announced = is_announced
+        self._context = context
         self._connections = 0
 
     def open(self) -> None:
@@ -30,36 +44,17 @@ class Doorway:
 
     async def _serve(self) -> None:
         start = asyncio.start_unix_server if self._outside.family == socket.AF_UNIX else asyncio.start_server
-        server = await start(self._connect, sock=self._outside, limit=_CHUNK_BYTES)
+        server = await start(self._connect, sock=self._outside, limit=CHUNK_BYTES, ssl=self._context)
         await server.serve_forever()
 
     async def _connect(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._connections += 1
         try:
             if self._connections <= _MOST_CONNECTIONS:
-                await self._connect_inside(reader, writer)
+                visitor = await announced(reader) if self._is_announced else Visitor("")
+                await join((reader, writer), await self._inside.connect(visitor))
         except OSError:
             pass  # hung up
         finally:
             self._connections -= 1
             writer.close()
-
-    async def _connect_inside(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        answers, requests = await asyncio.open_unix_connection(self._inside, limit=_CHUNK_BYTES)
-        back = asyncio.create_task(_hand_on(answers, writer))
-        try:
-            await _hand_on(reader, requests)
-        finally:
-            requests.close()
-            with contextlib.suppress(OSError):
-                await back
-
-
-async def _hand_on(source: asyncio.StreamReader, target: asyncio.StreamWriter) -> None:
-    """Copies what comes until it ends, then hangs up: gRPC never closes one half."""
-    try:
-        while chunk := await source.read(_CHUNK_BYTES):
-            target.write(chunk)
-            await target.drain()
-    finally:
-        target.close()

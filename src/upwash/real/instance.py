@@ -12,6 +12,7 @@ import math
 import os
 import signal
 import socket
+import ssl
 import sys
 import threading
 import time
@@ -19,9 +20,12 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from queue import SimpleQueue
 from typing import BinaryIO, NoReturn
 
+from upwash.core.allowance import Allowance
 from upwash.errors import Refused, UsageError
 from upwash.protocol import service_path
+from upwash.real.announced import Inside
 from upwash.real.control import (
+    MOST_REPORTS_PER_S,
     Admit,
     Admitted,
     Answered,
@@ -34,9 +38,10 @@ from upwash.real.control import (
     line,
     to_instance,
 )
-from upwash.real.credentials import Credentials
 from upwash.real.doorway import Doorway
-from upwash.real.listener import AlwaysServing, Caller, Listener
+from upwash.real.leash import Leash
+from upwash.real.listener import Caller, Health, Listener
+from upwash.real.streams import listening_socket
 from upwash.service import Method, load_service, spec_of
 from upwash.settings import construct
 
@@ -66,27 +71,25 @@ class ServiceInstance:
         self._closed = ""  # why no call is answered any more
         self._admitted: frozenset[str] = frozenset()
         self._reported_s: dict[str, float] = {}  # when each drone's calls were last reported
-        credentials = (
-            Credentials(begin.authority.encode(), begin.certificate.encode(), begin.key.encode())
-            if begin.key
-            else None
-        )
+        self._reports = Allowance(MOST_REPORTS_PER_S, at_once=MOST_REPORTS_PER_S)
+        self._is_announced = begin.is_announced
+        self._inside = Inside(begin.listen.removeprefix("unix:"))
         self._listener = Listener(
             begin.listen,
             self._answer,
-            credentials=credentials,
             max_message_bytes=begin.max_message_bytes,
             concurrent_requests=_CONCURRENT_CALLS,
             requests_per_drone=_CALLS_PER_DRONE,
             gate=self._admit,
+            who_is=self._inside.visitor if begin.is_announced else None,
         )
-        self._listener.add(AlwaysServing())
+        self._listener.add(Health())
 
-    def serve(self, outside: socket.socket | None) -> None:
+    def serve(self, outside: socket.socket | None, context: ssl.SSLContext | None) -> None:
         """Begins to answer, also who connects to the socket from outside, and says so."""
         self._listener.start()
         if outside is not None:
-            Doorway(outside, self._listener.address.removeprefix("unix:")).open()
+            Doorway(outside, self._inside, is_announced=self._is_announced, context=context).open()
         self._report(Ready(self._listener.address))
 
     def admit(self, drones: list[str]) -> None:
@@ -136,7 +139,7 @@ class ServiceInstance:
         )  # its lease may have ended while the call arrived and waited for its turn
         if not caller.is_waiting():
             raise Refused("nobody waits for this call any more")
-        drone, began_s = caller.visitor.name, time.monotonic()
+        drone, began_s = caller.visitor.key, time.monotonic()
         if began_s - self._reported_s.get(drone, -math.inf) >= _REPORT_PERIOD_S:
             self._reported_s[drone] = began_s
             self._report(Called(drone))
@@ -144,7 +147,9 @@ class ServiceInstance:
         short_s = self._least_s(key, method.name) - (time.monotonic() - began_s)
         if short_s > 0:
             time.sleep(short_s)
-        self._report(Answered(method.name, time.monotonic() - began_s))
+        ended_s = time.monotonic()
+        time.sleep(self._reports.take_anyway_s(1, now_s=ended_s))  # or its program would hang up
+        self._report(Answered(method.name, ended_s - began_s))
         return reply
 
     def _least_s(self, key: str, method: str) -> float:
@@ -171,7 +176,11 @@ def main() -> NoReturn:
     except UsageError as error:
         control.sendall(line(Failed(str(error)[:_LONGEST_REASON])))
         raise SystemExit(1) from error
-    instance.serve(outside)
+    context = None
+    if begin.outside:
+        outside = listening_socket(begin.outside)
+        context = Leash.from_text(begin.leash).context(is_server=True)
+    instance.serve(outside, context)
     while True:
         message = to_instance.decode(orders.get())
         match message:

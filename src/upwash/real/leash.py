@@ -1,20 +1,19 @@
 """The secret that a runtime shares with one container: a key and its certificate, by which each knows the other.
 
-It opens the container's control line to its daemon and to nobody else, and lets the daemon ask the service in it for
-its health. It is no certificate of the operator's authority: nothing but this container believes it.
+It opens the container's control line to its daemon and to nobody else. Another one, that the service in it is given,
+lets the daemon's door hand calls on to that. Neither is a certificate of the operator's authority.
 """
 
 from __future__ import annotations
 
 import base64
-import os
 import re
 import socket
 import ssl
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 
-from upwash.real.credentials import Credentials
+from upwash.real.trust import load_secret
 
 CONTROL_PORT = 7071
 SERVICE_PORT = 7070
@@ -46,10 +45,6 @@ class Leash:
         assert found is not None  # noqa: S101 - a leash has one
         return found.group()
 
-    def credentials(self, authority: bytes) -> Credentials:
-        """What the daemon shows to the service in the container, whose servers' certificates are the authority's."""
-        return Credentials(authority, self.certificate, self.pem)
-
     def context(self, *, is_server: bool) -> ssl.SSLContext:
         """TLS with whoever holds the same leash."""
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER if is_server else ssl.PROTOCOL_TLS_CLIENT)
@@ -57,12 +52,7 @@ class Leash:
         context.check_hostname = False
         context.verify_mode = ssl.CERT_REQUIRED
         context.load_verify_locations(cadata=self.certificate.decode())
-        secret = os.memfd_create("leash")  # the ssl module reads files only
-        try:
-            os.write(secret, self.pem)
-            context.load_cert_chain(f"/proc/self/fd/{secret}")
-        finally:
-            os.close(secret)
+        load_secret(context, self.pem)
         return context
 
 

@@ -10,16 +10,28 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import re
+from collections.abc import Callable
+from datetime import UTC, datetime
 from typing import Any
 
 import grpc
+import msgspec
 
 from upwash.errors import DeadlineExceeded, LinkError, Refused, Unreachable
-from upwash.real.credentials import Credentials
+from upwash.protocol import LONGEST_REPLY_BYTES, LONGEST_STATUS_BYTES, STATUS
+from upwash.real.credentials import Credentials, at_second
+from upwash.text import printable
 
 DRONE_METADATA = "upwash-drone"  # says who calls where no certificate does: on a unix socket or on loopback
 
-CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (
+_DAEMON, _STATUS = STATUS.strip("/").split("/")
+_LONGEST_REPLIES = {  # by gRPC's own rules of a channel: a longer one is not even received
+    "methodConfig": [
+        {"name": [{"service": _DAEMON}], "maxResponseMessageBytes": LONGEST_REPLY_BYTES},
+        {"name": [{"service": _DAEMON, "method": _STATUS}], "maxResponseMessageBytes": LONGEST_STATUS_BYTES},
+    ]
+}
+CHANNEL_OPTIONS: tuple[tuple[str, int | str], ...] = (
     ("grpc.keepalive_time_ms", 2000),
     ("grpc.keepalive_timeout_ms", 3000),
     ("grpc.keepalive_permit_without_calls", 1),
@@ -29,7 +41,13 @@ CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.max_reconnect_backoff_ms", 1000),
     ("grpc.enable_http_proxy", 0),
     ("grpc.use_local_subchannel_pool", 1),
+    ("grpc.service_config", msgspec.json.encode(_LONGEST_REPLIES).decode()),
+    ("grpc.service_config_disable_resolution", 1),  # whoever answers for DNS has no say in it
 )
+_OUTDATED = {  # in what gRPC says of a handshake that failed: what a person reads
+    "certificate is not yet valid": "its certificate is not valid yet",
+    "certificate has expired": "its certificate has expired",
+}
 _AROUND = re.compile(r"^failed to connect to all addresses; last error: [A-Z]+: ((ipv4|ipv6|unix):\S+: )?")
 
 
@@ -39,6 +57,7 @@ class GrpcDialer:
     def __init__(self, drone: str, credentials: Credentials | None, *, max_message_bytes: int) -> None:
         self._drone = drone
         self._max_message_bytes = max_message_bytes
+        self._own_trouble = _certificate_trouble(credentials)
         self._credentials = (
             grpc.ssl_channel_credentials(
                 root_certificates=credentials.authority,
@@ -61,17 +80,31 @@ class GrpcDialer:
         ]
         if self._credentials is None or address.startswith("unix:"):
             channel = grpc.insecure_channel(address, options)
-        else:
-            options.append(("grpc.ssl_target_name_override", server))
-            channel = grpc.secure_channel(address, self._credentials, options)
-        return GrpcLink(channel, address=address, server=server, drone=self._drone)
+            return GrpcLink(channel, address=address, server=server, drone=self._drone)
+        options.append(("grpc.ssl_target_name_override", server))
+        channel = grpc.secure_channel(address, self._credentials, options)
+        return GrpcLink(
+            channel, address=address, server=server, drone=self._drone, own_trouble=self._own_trouble
+        )
 
 
 class GrpcLink:
-    """One channel; requests are futures of the synchronous stack, settled on the event loop."""
+    """One channel; requests are futures of the synchronous stack, settled on the event loop.
 
-    def __init__(self, channel: grpc.Channel, *, address: str, server: str, drone: str) -> None:
+    `own_trouble` says what makes others refuse this end's certificate now, "" where nothing does.
+    """
+
+    def __init__(
+        self,
+        channel: grpc.Channel,
+        *,
+        address: str,
+        server: str,
+        drone: str,
+        own_trouble: Callable[[], str] = lambda: "",
+    ) -> None:
         self._channel = channel
+        self._own_trouble = own_trouble
         self._methods: dict[str, Any] = {}
         self._peer = f"{server} at {address}"
         self._metadata = ((DRONE_METADATA, drone),)
@@ -105,27 +138,37 @@ class GrpcLink:
         if call.code() is grpc.StatusCode.OK:
             reply: bytes = call.result()
             return reply
-        raise _error(call.code(), call.details(), self._peer, timeout_s)
+        raise self._error(call.code(), printable(call.details() or ""), timeout_s)
 
     async def close(self) -> None:
         """Breaks the connection off, with every request under way."""
         self._channel.close()
 
+    def _error(self, code: grpc.StatusCode, details: str, timeout_s: float) -> LinkError:
+        match code:
+            case grpc.StatusCode.DEADLINE_EXCEEDED:
+                return DeadlineExceeded(f"{self._peer}: no answer within {timeout_s:.1f} s")
+            case grpc.StatusCode.UNAVAILABLE | grpc.StatusCode.CANCELLED:
+                own = self._own_trouble()
+                return Unreachable(f"{self._peer}: {_plainly(details)}{f'; {own}' if own else ''}")
+            case _:
+                return Refused(f"{self._peer}: {code.name}: {details}")
+
+
+def _certificate_trouble(credentials: Credentials | None) -> Callable[[], str]:
+    """What is wrong with the dates of these certificates when it is asked, "" where nothing is."""
+    return lambda: credentials.problem_at(datetime.now(UTC)) if credentials is not None else ""
+
 
 def _plainly(details: str) -> str:
     """What gRPC says of a connection that failed, without what it says around that."""
+    for sign, trouble in _OUTDATED.items():
+        if sign in details:
+            return f"{trouble}; this computer's clock says {at_second(datetime.now(UTC))}"
     if "CERTIFICATE_VERIFY_FAILED" in details or "Hostname Verification" in details:
-        return "its certificate is of another authority, outdated, or another server's"
+        return "its certificate is of another authority, or another server's"
     if "Connection refused" in details:
         return "connection refused: nobody serves there"
-    return _AROUND.sub("", details)
-
-
-def _error(code: grpc.StatusCode, details: str, peer: str, timeout_s: float) -> LinkError:
-    match code:
-        case grpc.StatusCode.DEADLINE_EXCEEDED:
-            return DeadlineExceeded(f"{peer}: no answer within {timeout_s:.1f} s")
-        case grpc.StatusCode.UNAVAILABLE | grpc.StatusCode.CANCELLED:
-            return Unreachable(f"{peer}: {_plainly(details)}")
-        case _:
-            return Refused(f"{peer}: {code.name}: {details}")
+    what = _AROUND.sub("", details)
+    hung_up = what == "Socket closed" or "Connection reset by peer" in what
+    return "it hung up; its log says why, such as a certificate that is revoked" if hung_up else what

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import logging
 import socket
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -17,10 +16,12 @@ import grpc
 
 from upwash.core.visitors import Visitor
 from upwash.errors import Refused, UpwashError, UsageError
-from upwash.real.credentials import Credentials, fingerprint, role_of
 from upwash.real.link import DRONE_METADATA
+from upwash.real.log import Sparing
+from upwash.text import printable
 
 _log = logging.getLogger("upwash.listener")
+_log.addFilter(Sparing())
 
 SERVER_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.so_reuseport", 0),  # else two daemons could share a port, and each get half of the calls
@@ -30,14 +31,17 @@ SERVER_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.keepalive_time_ms", 5000),
     ("grpc.keepalive_timeout_ms", 3000),
     ("grpc.server_handshake_timeout_ms", 10_000),  # else a connection that says nothing stays for two minutes
+    ("grpc.max_concurrent_streams", 64),  # of one connection
 )
 
 
 _REFUSING = (
     16  # requests that may be told, and logged, why they are refused; gRPC refuses more without a word
 )
-HEALTH_CHECK = "/grpc.health.v1.Health/Check"  # gRPC's standard question
-SERVING = b"\x08\x01"  # and its answer, a HealthCheckResponse of one byte that says so
+_LONGEST_NAME = 255
+_LAST_REQUESTS_S = 5.0  # for handlers that are told that nobody waits
+HEALTH_CHECK = "/grpc.health.v1.Health/Check"  # gRPC's standard question, with the name of a server
+SERVING, NOT_SERVING = b"\x08\x01", b"\x08\x02"  # and its answers, a HealthCheckResponse each
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +55,7 @@ class Caller:
 
 Handler = Callable[[str, bytes, Caller], bytes]
 Gate = Callable[[str, Caller], None]
+WhoIs = Callable[[str], Visitor]  # at the other end of gRPC's peer
 
 
 class Listener:
@@ -58,8 +63,9 @@ class Listener:
 
     A handler refuses by raising `Refused`; any other error is a bug of the handler, logged, and answered as an
     internal error without its text. `gate` may refuse in the same way before the request's body is received, so
-    that whoever is not served takes no memory. Whoever takes long to send its body keeps none but itself waiting.
-    Beyond `concurrent_requests` under way, and `requests_per_drone` of one drone, each is refused.
+    that whoever is not served takes no memory. `who_is` knows callers by their connections, which a door has
+    announced; without it they say themselves who they are. Whoever takes long to send its body keeps none but
+    itself waiting. Beyond `concurrent_requests` under way, and `requests_per_drone` of one drone, each is refused.
     """
 
     def __init__(
@@ -67,14 +73,14 @@ class Listener:
         listen: str,
         handler: Handler,
         *,
-        credentials: Credentials | None,
         max_message_bytes: int,
         concurrent_requests: int,
         requests_per_drone: int,
         gate: Gate = lambda _path, _caller: None,
+        who_is: WhoIs | None = None,
     ) -> None:
         if _is_in_use(listen):
-            raise _cannot_listen(listen)
+            raise cannot_listen(listen)
         self._server = grpc.server(
             ThreadPoolExecutor(
                 max_workers=concurrent_requests + _REFUSING, thread_name_prefix="upwash-request"
@@ -89,47 +95,29 @@ class Listener:
         requests = _Requests(
             handler,
             gate,
-            certified=credentials is not None,
+            who_is=who_is,
             max_message_bytes=max_message_bytes,
             concurrent_requests=concurrent_requests,
             requests_per_drone=requests_per_drone,
         )
         self._server.add_generic_rpc_handlers((requests,))
-        self.address = self._bind(listen, credentials)
+        try:
+            port = self._server.add_insecure_port(listen)
+        except RuntimeError as error:
+            raise cannot_listen(listen) from error
+        self.address = listen if listen.startswith("unix:") else f"{listen.rpartition(':')[0]}:{port}"
 
     def add(self, handlers: grpc.GenericRpcHandler) -> None:
         """Answers one more kind of requests at the same address, before `start`."""
         self._server.add_generic_rpc_handlers((handlers,))
-
-    @property
-    def grpc_server(self) -> grpc.Server:
-        """The server beneath, for registering standard services."""
-        return self._server
 
     def start(self) -> None:
         """Begins to answer."""
         self._server.start()
 
     def stop(self, *, grace_s: float = 0.0) -> None:
-        """Refuses what is new, gives what is under way `grace_s`, and returns when all has ended."""
-        self._server.stop(grace_s).wait()
-
-    def _bind(self, listen: str, credentials: Credentials | None) -> str:
-        try:
-            if credentials is None:
-                port = self._server.add_insecure_port(listen)
-            else:
-                port = self._server.add_secure_port(
-                    listen,
-                    grpc.ssl_server_credentials(
-                        [(credentials.key, credentials.certificate)],
-                        root_certificates=credentials.authority,
-                        require_client_auth=True,
-                    ),
-                )
-        except RuntimeError as error:
-            raise _cannot_listen(listen) from error
-        return listen if listen.startswith("unix:") else f"{listen.rpartition(':')[0]}:{port}"
+        """Refuses what is new, gives what is under way `grace_s`, and returns when all has ended, or soon after."""
+        self._server.stop(grace_s).wait(grace_s + _LAST_REQUESTS_S)
 
 
 def _is_in_use(listen: str) -> bool:
@@ -150,21 +138,37 @@ def _is_in_use(listen: str) -> bool:
     return False
 
 
-def _cannot_listen(listen: str) -> UsageError:
+def cannot_listen(listen: str) -> UsageError:
+    """Says so of that address, and what to do."""
     return UsageError(
         f"cannot listen on {listen}: the address is in use or not this machine's; "
         "stop the other program or choose another address"
     )
 
 
-class AlwaysServing(grpc.GenericRpcHandler):  # type: ignore[misc]
-    """Answers the standard health check of a server that is healthy as long as it answers."""
+class Health(grpc.GenericRpcHandler):  # type: ignore[misc]
+    """Answers the standard health check, of all (no name) or of one of these; it offers nothing to watch."""
+
+    def __init__(self, names: Collection[str] = (), *, serving: Callable[[], bool] = lambda: True) -> None:
+        self._questions = {_health_question(name) for name in ("", *names)}
+        self._serving = serving
 
     def service(self, handler_call_details: Any) -> Any:
         """The handler of that one request."""
         if handler_call_details.method != HEALTH_CHECK:
             return None
-        return grpc.unary_unary_rpc_method_handler(lambda _, __: SERVING)
+        return grpc.unary_unary_rpc_method_handler(self._answer)
+
+    def _answer(self, question: bytes, context: grpc.ServicerContext) -> bytes:
+        if question not in self._questions:
+            context.abort(grpc.StatusCode.NOT_FOUND, "no such server here")
+        return SERVING if self._serving() else NOT_SERVING
+
+
+def _health_question(name: str) -> bytes:
+    """A HealthCheckRequest: its first field, a text, which is left out where it is empty."""
+    text = name.encode()
+    return b"\x0a" + bytes([len(text)]) + text if text else b""
 
 
 class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
@@ -175,14 +179,14 @@ class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
         handler: Handler,
         gate: Gate,
         *,
-        certified: bool,
+        who_is: WhoIs | None,
         max_message_bytes: int,
         concurrent_requests: int,
         requests_per_drone: int,
     ) -> None:
         self._handler = handler
         self._gate = gate
-        self._certified = certified
+        self._who_is = who_is
         self._max_message_bytes = max_message_bytes
         self._concurrent_requests = concurrent_requests
         self._requests_per_drone = requests_per_drone
@@ -191,7 +195,7 @@ class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
 
     def service(self, handler_call_details: Any) -> Any:
         path: str = handler_call_details.method
-        if not path.startswith("/upwash."):
+        if not path.startswith("/upwash.") or path != printable(path, _LONGEST_NAME):
             return None
         # A stream of one message, on the wire the same: who calls is known before the message is there.
         return grpc.stream_unary_rpc_method_handler(
@@ -205,10 +209,11 @@ class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
                 self._gate(path, caller)
                 return self._handler(path, _whole(bodies, self._max_message_bytes), caller)
         except Refused as refusal:
-            _log.warning("refused %s to %s: %s", path, caller.visitor.name or "an unnamed caller", refusal)
-            context.abort(grpc.StatusCode.FAILED_PRECONDITION, str(refusal))
+            why = printable(str(refusal))
+            _log.warning("refused %s to %s: %s", path, caller.visitor.name or "an unnamed caller", why)
+            context.abort(grpc.StatusCode.FAILED_PRECONDITION, why)
         except UpwashError as error:
-            context.abort(grpc.StatusCode.ABORTED, str(error))
+            context.abort(grpc.StatusCode.ABORTED, printable(str(error)))
         except BaseException:  # noqa: BLE001 - a bug of the handler must not end the listener
             _log.exception("%s by %s failed", path, caller.visitor.name)
             context.abort(grpc.StatusCode.INTERNAL, "the server failed; its log says why")
@@ -231,23 +236,10 @@ class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
                     del self._under_way[drone]
 
     def _visitor(self, context: grpc.ServicerContext) -> Visitor:
-        if self._certified:
-            shown = context.auth_context()
-            return _certified(*(b"".join(shown.get(name, [])[:1]) for name in _SHOWN))
+        if self._who_is is not None:
+            return self._who_is(context.peer())
         named = (value for key, value in context.invocation_metadata() if key == DRONE_METADATA)
-        return Visitor(next(named, ""))
-
-
-_SHOWN = ("x509_common_name", "x509_subject", "x509_pem_cert")
-
-
-@functools.lru_cache(maxsize=64)
-def _certified(name: bytes, subject: bytes, certificate: bytes) -> Visitor:
-    return Visitor(
-        name.decode(errors="replace"),
-        fingerprint(certificate),
-        role_of(subject.decode(errors="replace")),
-    )
+        return Visitor(printable(next(named, ""), _LONGEST_NAME))
 
 
 def _whole(bodies: Iterator[bytes], max_message_bytes: int) -> bytes:

@@ -6,18 +6,25 @@ import logging
 import os
 import sys
 import threading
+import time
 from datetime import UTC, datetime
-from typing import TextIO
+from typing import Any, TextIO
 
 import msgspec
 
+from upwash.core.allowance import Allowance
+from upwash.text import escaped_lines, printable
+
 _TEXT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+_LONGEST_MESSAGE = 10_000
 _foreign = logging.getLogger("upwash.foreign")
 
 
 def log_text() -> None:
-    """From now on the log is text, as each library writes it."""
-    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format=_TEXT)
+    """From now on the log is text, one line a message, whatever drones and services have put into it."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_TextFormatter(_TEXT))
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
 
 
 def log_json() -> None:
@@ -42,14 +49,43 @@ def _pass_on(foreign: TextIO) -> None:
             _foreign.info("%s", line.strip())
 
 
-class _JsonFormatter(logging.Formatter):
+class _TextFormatter(logging.Formatter):
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's name
+        record.message = printable(record.message, _LONGEST_MESSAGE)
+        return super().formatMessage(record)
+
+    def formatException(self, ei: Any) -> str:  # noqa: N802 - logging's name
+        return escaped_lines(super().formatException(ei))
+
+
+class _JsonFormatter(_TextFormatter):
     def format(self, record: logging.LogRecord) -> str:
         facts = {
             "time": datetime.fromtimestamp(record.created, UTC),
             "level": record.levelname,
             "logger": record.name,
-            "message": record.getMessage(),
+            "message": printable(record.getMessage(), _LONGEST_MESSAGE),
         }
         if record.exc_info:
             facts["traceback"] = self.formatException(record.exc_info)
         return msgspec.json.encode(facts).decode()
+
+
+class Sparing(logging.Filter):
+    """Lets so many lines a second through, `at_once` after a rest; the next one says how many were left out."""
+
+    def __init__(self, per_s: float = 5.0, *, at_once: float = 50.0) -> None:
+        super().__init__()
+        self._lines = Allowance(per_s, at_once=at_once)
+        self._left_out = 0
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether the line is written."""
+        if not self._lines.take(1, now_s=time.monotonic()):
+            self._left_out += 1
+            return False
+        if self._left_out:
+            record.msg = f"{record.getMessage()} ({self._left_out} lines before it were left out)"
+            record.args = ()
+            self._left_out = 0
+        return True

@@ -13,6 +13,7 @@ from dbus_fast.aio import MessageBus
 from dbus_fast.unpack import unpack_variants
 
 from upwash.errors import NetworkError
+from upwash.text import printable
 
 NO_OBJECT = "/"
 
@@ -192,7 +193,12 @@ class NetworkManager:
             about = settings["connection"]
             profiles.append(
                 Profile(
-                    path, about["uuid"], about["id"], about["type"], about.get("interface-name", ""), settings
+                    path,
+                    about["uuid"],
+                    printable(about["id"]),
+                    about["type"],
+                    about.get("interface-name", ""),
+                    settings,
                 )
             )
         return profiles
@@ -238,7 +244,7 @@ class NetworkManager:
         return Connection(
             path,
             about["Uuid"],
-            about["Id"],
+            printable(about["Id"]),
             about["Type"],
             about["State"],
             tuple(about["Devices"]),
@@ -354,4 +360,4 @@ def _refusal(name: str, text: str) -> NetworkError:
             f"NetworkManager does not let this user join networks ({text}): "
             "docs/networks.md has the polkit rule that does"
         )
-    return NetworkError(f"NetworkManager refused: {text or name}")
+    return NetworkError(f"NetworkManager refused: {printable(text or name)}")

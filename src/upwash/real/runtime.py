@@ -17,17 +17,18 @@ import msgspec
 
 from upwash.errors import InstanceError
 from upwash.ports import Answered, InstanceSpec, unheard
+from upwash.real.announced import announcing_at
 from upwash.real.control import Begin
 from upwash.real.conversation import Conversation
-from upwash.real.credentials import Credentials
-from upwash.real.output import Output
-from upwash.real.sandbox import Sandbox
+from upwash.real.door import Lead, Passage
+from upwash.real.output import Output, reading_pace
+from upwash.real.sandbox import Sandbox, open_call_filter
+from upwash.real.streams import endpoint_of, listening_socket
 
 _STOP_GRACE_S = 2.0
 _CHUNK_BYTES = 65536
 _INSIDE = "unix:/tmp/instance.sock"  # in a sandbox's own /tmp
 _SIGNALLED = 128
-_BACKLOG = 64
 
 
 def sockets_in(folder: Path) -> Callable[[InstanceSpec], str]:
@@ -37,18 +38,21 @@ def sockets_in(folder: Path) -> Callable[[InstanceSpec], str]:
 
 
 class ProcessRuntime:
-    """Starts each instance as a process that listens at `listen(spec)`, in the sandbox if there is one."""
+    """Starts each instance as a process that listens at `listen(spec)`, in the sandbox if there is one.
+
+    With a way to `lead` callers to it, that address is a unix socket, and drones come through the door.
+    """
 
     def __init__(
         self,
         listen: Callable[[InstanceSpec], str],
         *,
-        credentials: Credentials | None,
         max_message_bytes: int,
+        lead: Lead | None = None,
         sandbox: Sandbox | None = None,
     ) -> None:
         self._listen = listen
-        self._credentials = credentials
+        self._lead = lead
         self._max_message_bytes = max_message_bytes
         self._sandbox = sandbox
 
@@ -58,7 +62,7 @@ class ProcessRuntime:
         """Returns when the instance is ready to serve; raises InstanceError, leaving nothing behind."""
         loop = asyncio.get_running_loop()
         paced_until_s = loop.time() + spec.start_pace_s
-        instance = ProcessInstance(spec, called, answered)
+        instance = ProcessInstance(spec, called, answered, lead=self._lead)
         try:
             await instance.begin(self._begin(spec), self._sandbox)
             await asyncio.sleep(paced_until_s - loop.time())
@@ -68,7 +72,6 @@ class ProcessRuntime:
         return instance
 
     def _begin(self, spec: InstanceSpec) -> Begin:
-        credentials = self._credentials
         return Begin(
             program=spec.program.path,
             settings=dict(spec.program.settings),
@@ -76,9 +79,7 @@ class ProcessRuntime:
             listen=self._listen(spec),
             max_message_bytes=self._max_message_bytes,
             pace_s=spec.pace_s,
-            authority=credentials.authority.decode() if credentials else "",
-            certificate=credentials.certificate.decode() if credentials else "",
-            key=credentials.key.decode() if credentials else "",
+            is_announced=self._lead is not None,
         )
 
 
@@ -89,11 +90,21 @@ class ProcessInstance:
     pipes are closed too, and a child that it left behind would hold them open.
     """
 
-    def __init__(self, spec: InstanceSpec, called: Callable[[str], None], answered: Answered) -> None:
+    def __init__(
+        self,
+        spec: InstanceSpec,
+        called: Callable[[str], None],
+        answered: Answered,
+        *,
+        lead: Lead | None = None,
+    ) -> None:
         self.endpoint = ""
+        self._lead = lead
+        self._passage: Passage | None = None
         self._spec = spec
         self._called = called
         self._answered = answered
+        self._is_in_sandbox = False
         self._process: asyncio.subprocess.Process | None = None
         self._output = Output(spec.name)
         self._conversation: Conversation | None = None
@@ -103,23 +114,32 @@ class ProcessInstance:
     async def begin(self, begin: Begin, sandbox: Sandbox | None = None) -> None:
         """Starts the process and tells it what to be; returns when it is ready, raises InstanceError.
 
-        In a sandbox there is no address to listen at: the process inherits the listening socket.
+        In a sandbox there is no address to listen at, and behind a door each connection has a first line: the process
+        inherits the listening socket, and hands on what comes to it.
         """
-        address = begin.listen
+        listen, endpoint = begin.listen, ""
         with contextlib.ExitStack() as stack:
             outside: socket.socket | None = None
-            if sandbox is not None:
-                outside = stack.enter_context(self._listen_at(begin.listen))
-                address = _address(outside)
-                begin = msgspec.structs.replace(begin, listen=_INSIDE, limits=sandbox.limits)
+            self._is_in_sandbox = sandbox is not None
+            if sandbox is not None or self._lead is not None:
+                outside = stack.enter_context(self._listen_at(listen))
+                endpoint = endpoint_of(outside)
+                inside = _INSIDE if sandbox else f"{listen}-inside"
+                begin = msgspec.structs.replace(
+                    begin, listen=inside, limits=sandbox.limits if sandbox else None
+                )
             conversation = await self._spawn(sandbox, outside)
         try:
-            inside = await conversation.begin(begin)
+            address = await conversation.begin(begin)
         except EOFError:
             raise InstanceError(f"{self._spec.name} did not start: {await self.exited()}") from None
-        address = inside if sandbox is None else address
-        # A port is enough: whoever calls knows how this machine is reached from there.
-        self.endpoint = address if address.startswith("unix:") else f":{address.rpartition(':')[2]}"
+        if self._lead is not None:
+            self._passage = await self._lead(self._spec.server, announcing_at(listen.removeprefix("unix:")))
+            self.endpoint = self._passage.endpoint
+        elif outside is not None:
+            self.endpoint = endpoint
+        else:
+            self.endpoint = address if address.startswith("unix:") else f":{address.rpartition(':')[2]}"
 
     async def admit(self, drones: frozenset[str]) -> None:
         """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
@@ -134,15 +154,41 @@ class ProcessInstance:
     async def exited(self) -> str:
         """Returns how the process ended, with its last words, when it does."""
         assert self._process is not None and self._listening is not None  # noqa: S101 - it has begun
-        code = await self._process.wait()
-        if code > _SIGNALLED:  # as bubblewrap passes on how a process in it was killed
-            code = _SIGNALLED - code
+        code = await self._end_of(self._process)
+        if code is None:
+            return self._fault() or "it closed its control line"
+        if self._is_in_sandbox and _SIGNALLED < code < _SIGNALLED + signal.NSIG:
+            code = _SIGNALLED - code  # as bubblewrap passes on how a process in it was killed
         self._signal_group(signal.SIGKILL)  # what a crashed service had started
         await asyncio.wait([self._listening], timeout=_STOP_GRACE_S)
-        return self._output.explain(code)
+        return self._fault() or self._output.explain(code)
+
+    async def _end_of(self, process: asyncio.subprocess.Process) -> int | None:
+        """The process's code when it has ended; None for one that goes on although its control line is cut."""
+        ended = asyncio.create_task(process.wait())
+        cut = asyncio.create_task(self._cut())
+        try:
+            await asyncio.wait([ended, cut], return_when=asyncio.FIRST_COMPLETED)
+            return process.returncode
+        finally:
+            ended.cancel()
+            cut.cancel()
+
+    async def _cut(self) -> None:
+        """Returns when this end has hung up, or the other end has for longer than the process needs to end."""
+        assert self._conversation is not None  # noqa: S101 - it has begun
+        await self._conversation.ended()
+        if not self._conversation.fault:
+            await asyncio.sleep(_STOP_GRACE_S)
+
+    def _fault(self) -> str:
+        assert self._conversation is not None  # noqa: S101 - it has begun
+        return self._conversation.fault
 
     async def stop(self) -> None:
         """Ends the process and everything that it started; returns when it is gone."""
+        if self._passage is not None:
+            await self._passage.close()
         if self._process is not None:
             self._signal_group(signal.SIGTERM)
             try:
@@ -164,7 +210,7 @@ class ProcessInstance:
 
     def _listen_at(self, address: str) -> socket.socket:
         try:
-            return _listening_socket(address)
+            return listening_socket(address)
         except OSError as error:
             raise InstanceError(f"{self._spec.name} cannot listen at {address}: {error}") from error
 
@@ -178,20 +224,25 @@ class ProcessInstance:
                 self._called,
                 self._output,
                 answered=self._answered,
+                methods=self._spec.methods,
                 reports=reports,
                 orders=orders,
             )
             prints, self._prints = await asyncio.open_connection(sock=output)
             inherited = [each.fileno() for each in (their_control, outside) if each is not None]
             command = [sys.executable, "-m", "upwash.real.instance", *map(str, inherited)]
-            self._process = await asyncio.create_subprocess_exec(
-                *(sandbox.wrap(command, program=self._spec.program) if sandbox else command),
-                stdin=subprocess.DEVNULL,
-                stdout=their_output.fileno(),
-                stderr=their_output.fileno(),
-                pass_fds=inherited,
-                start_new_session=True,
-            )
+            with contextlib.ExitStack() as stack:
+                if sandbox is not None:
+                    inherited.append(stack.enter_context(open_call_filter()))
+                    command = sandbox.wrap(command, call_filter=inherited[-1], program=self._spec.program)
+                self._process = await asyncio.create_subprocess_exec(
+                    *command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=their_output.fileno(),
+                    stderr=their_output.fileno(),
+                    pass_fds=inherited,
+                    start_new_session=True,
+                )
         except OSError as error:
             raise InstanceError(f"{self._spec.name} did not start: {error}") from error
         finally:
@@ -210,25 +261,8 @@ class ProcessInstance:
                 os.killpg(self._process.pid, number)
 
     async def _listen(self, prints: asyncio.StreamReader) -> None:
+        pace, now_s = reading_pace(), asyncio.get_running_loop().time
         with contextlib.suppress(ConnectionError):
             while chunk := await prints.read(_CHUNK_BYTES):
                 self._output.add(chunk)
-
-
-def _listening_socket(address: str) -> socket.socket:
-    if address.startswith("unix:"):
-        path = Path(address.removeprefix("unix:"))
-        path.unlink(missing_ok=True)  # of an instance that has ended
-        listening = socket.socket(socket.AF_UNIX)
-        listening.bind(str(path))
-        listening.listen(_BACKLOG)
-        return listening
-    host, _, port = address.rpartition(":")
-    family, _, _, _, place = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
-    is_any = family == socket.AF_INET6 and place[0] == "::"
-    return socket.create_server(place[:2], family=family, backlog=_BACKLOG, dualstack_ipv6=is_any)
-
-
-def _address(listening: socket.socket) -> str:
-    name = listening.getsockname()
-    return f"unix:{name}" if isinstance(name, str) else f":{name[1]}"
+                await asyncio.sleep(pace.take_anyway_s(len(chunk), now_s=now_s()))

@@ -1,11 +1,13 @@
 """What a service instance may see and use: bubblewrap's arguments, and limits that it puts on itself.
 
 In a sandbox there is no network but the socket that the instance inherits, no file but the system's, Python's and the
-service's own, all read-only, a /tmp of its own in memory, and no process but the instance's.
+service's own, all read-only, a /tmp of its own in memory, no process but the instance's, and of the kernel what
+`syscalls` lets through.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import resource
@@ -20,6 +22,7 @@ import msgspec
 
 from upwash.errors import UsageError
 from upwash.ports import Program
+from upwash.real.syscalls import call_filter
 
 _PROBE_S = 10.0
 _SYSTEM = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/libx32")
@@ -32,6 +35,33 @@ _SETTINGS = (
     "/etc/localtime",
     "/sys/devices/system/cpu",  # by which numerical libraries count their threads
 )
+# Of /proc, in which root is never without rights: the machine's keys, log, memory and devices.
+_HIDDEN = (
+    "acpi",
+    "asound",
+    "bus",
+    "config.gz",
+    "fs",
+    "irq",
+    "kallsyms",
+    "kcore",
+    "key-users",
+    "keys",
+    "kmsg",
+    "latency_stats",
+    "mtrr",
+    "sched_debug",
+    "scsi",
+    "slabinfo",
+    "sysrq-trigger",
+    "timer_list",
+    "vmallocinfo",
+)
+# Sets what only a process can set for itself, and leaves nothing of the daemon's environment in any process inside.
+# When the machine runs out of memory, these processes are the first to be killed.
+_LAUNCHER = ("/bin/sh", "-c", 'echo 1000 >/proc/self/oom_score_adj; exec /usr/bin/env -i "$@"', "sh")
+_MOST_FILES = 4096  # open at once: of 1024 connections, two ends of each and what gRPC adds
+_NO_CORE = 1  # 0 would still have the kernel pipe one to whoever collects them
 _ENVIRONMENT = ("LANG", "LC_ALL", "TZ", "GRPC_VERBOSITY", "OMP_NUM_THREADS")
 
 
@@ -43,15 +73,13 @@ class Limits(msgspec.Struct, frozen=True):
     disk_bytes: int
 
     def apply(self) -> None:
-        """Puts them on this process and all that it will start; nothing can lift them again.
-
-        When the machine runs out of memory nevertheless, these processes are the first to be killed.
-        """
+        """Puts them on this process and all that it will start; nothing can lift them again."""
         resource.setrlimit(resource.RLIMIT_DATA, (self.memory_bytes, self.memory_bytes))
         resource.setrlimit(resource.RLIMIT_NPROC, (self.processes, self.processes))
         resource.setrlimit(resource.RLIMIT_FSIZE, (self.disk_bytes, self.disk_bytes))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        Path("/proc/self/oom_score_adj").write_text("1000")
+        resource.setrlimit(resource.RLIMIT_CORE, (_NO_CORE, _NO_CORE))
+        most_files = min(_MOST_FILES, resource.getrlimit(resource.RLIMIT_NOFILE)[1])
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most_files, most_files))
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,20 +90,25 @@ class Sandbox:
     limits: Limits
     readable: tuple[Path, ...] = ()
 
-    def wrap(self, command: Iterable[str], *, program: Program | None = None) -> list[str]:
-        """The command in a sandbox where Python, upwash, the program's code and its settings' files can be read."""
+    def wrap(self, command: Iterable[str], *, call_filter: int, program: Program | None = None) -> list[str]:
+        """The command in a sandbox where Python, upwash, the program's code and its settings' files can be read.
+
+        `call_filter` is a file descriptor of `open_call_filter` that it inherits.
+        """
         own = [*code_of(program.path), *files_in(program.settings)] if program else []
         shown = [Path(sys.prefix), Path(sys.base_prefix), Path(__file__).parents[1], *self.readable, *own]
         size = str(self.limits.disk_bytes)
         return [
-            self.bubblewrap,
+            *(*_LAUNCHER, self.bubblewrap, "--seccomp", str(call_filter)),
             *("--unshare-all", "--unshare-user", "--die-with-parent", "--new-session", "--cap-drop", "ALL"),
             *(word for name in _SYSTEM for word in _as_it_is(name)),
             *(word for name in _SETTINGS for word in ("--ro-bind-try", name, name)),
-            *("--proc", "/proc", "--dev", "/dev", "--size", size, "--tmpfs", "/dev/shm"),  # noqa: S108 - its own
+            *("--proc", "/proc", *_hidden_in_proc(), "--remount-ro", "/proc", "--dev", "/dev"),
+            *("--dev-bind", "/dev/full", "/dev/zero"),  # which reads the same, but cannot be mapped
+            *("--size", size, "--tmpfs", "/dev/shm"),  # noqa: S108 - its own
             *("--remount-ro", "/dev", "--size", size, "--tmpfs", "/tmp"),  # noqa: S108 - its own
             *(word for path in _outermost(shown) for word in ("--ro-bind", str(path), str(path))),
-            *("--remount-ro", "/", "--chdir", "/tmp", "--clearenv"),  # noqa: S108 - its own
+            *("--remount-ro", "/", "--chdir", "/tmp"),  # noqa: S108 - its own
             *(word for name, value in _environment().items() for word in ("--setenv", name, value)),
             "--",
             *command,
@@ -89,12 +122,14 @@ def find_sandbox(limits: Limits, *, readable: tuple[Path, ...]) -> Sandbox:
         raise UsageError("bubblewrap is not installed: `apt install bubblewrap`")
     sandbox = Sandbox(bubblewrap, limits, readable)
     try:
-        tried = subprocess.run(  # noqa: S603 - bubblewrap itself
-            sandbox.wrap([sys.executable, "-c", ""]),
-            capture_output=True,
-            timeout=_PROBE_S,
-            check=False,
-        )
+        with open_call_filter() as inherited:
+            tried = subprocess.run(  # noqa: S603 - bubblewrap itself
+                sandbox.wrap([sys.executable, "-c", ""], call_filter=inherited),
+                capture_output=True,
+                timeout=_PROBE_S,
+                check=False,
+                pass_fds=(inherited,),
+            )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise UsageError(f"{bubblewrap} cannot be run: {error}") from error
     if tried.returncode != 0:
@@ -105,6 +140,19 @@ def find_sandbox(limits: Limits, *, readable: tuple[Path, ...]) -> Sandbox:
             "kernel.apparmor_restrict_unprivileged_userns), and hide nothing of /proc"
         )
     return sandbox
+
+
+@contextlib.contextmanager
+def open_call_filter() -> Iterator[int]:
+    """A file descriptor from which one bubblewrap can read what to refuse; raises UsageError."""
+    text = call_filter()
+    reading, writing = os.pipe()
+    try:
+        os.write(writing, text)  # far less than a pipe holds
+        os.close(writing)
+        yield reading
+    finally:
+        os.close(reading)
 
 
 def code_of(program: str) -> list[Path]:
@@ -132,6 +180,14 @@ def files_in(settings: object) -> list[Path]:
             return [file for value in settings for file in files_in(value)]
         case _:
             return []
+
+
+def _hidden_in_proc() -> Iterator[str]:
+    for place in (Path("/proc", name) for name in _HIDDEN):
+        if place.is_dir():
+            yield from ("--tmpfs", str(place), "--remount-ro", str(place))
+        elif place.exists():
+            yield from ("--ro-bind", "/dev/null", str(place))
 
 
 def _as_it_is(name: str) -> Iterator[str]:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
+
+_log = logging.getLogger("upwash.signals")
 
 _SECOND_SIGNAL_S = 0.5  # a terminal and a parent may both pass on one Ctrl-C
 
@@ -33,6 +37,28 @@ def stopping_politely(stop: Callable[[str], None]) -> Iterator[None]:
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.remove_signal_handler(number)
+
+
+@contextlib.contextmanager
+def ending_in_time() -> Iterator[Callable[[float], None]]:
+    """Yields what has the program ended after so many seconds, with exit code 1, where the block still hangs then."""
+    timers: list[threading.Timer] = []
+
+    def end() -> None:
+        _log.error("what was under way did not end in time: ending without it")
+        os._exit(1)
+
+    def within(seconds: float) -> None:
+        timer = threading.Timer(seconds, end)
+        timer.daemon = True
+        timer.start()
+        timers.append(timer)
+
+    try:
+        yield within
+    finally:
+        for timer in timers:
+            timer.cancel()
 
 
 @contextlib.contextmanager

@@ -17,6 +17,7 @@ import sys
 
 from upwash.real.control import Ended, Failed, Said, line
 from upwash.real.leash import CONTROL_PORT, SERVICE_PORT, Leash, notice_silence
+from upwash.real.output import reading_pace
 
 # In the environment of process 1:
 LEASH = "UPWASH_LEASH"
@@ -181,10 +182,12 @@ async def _pass_on_lines(reader: asyncio.StreamReader, writer: asyncio.StreamWri
 
 
 async def _pass_on_output(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    pace, now_s = reading_pace(), asyncio.get_running_loop().time
     with contextlib.suppress(OSError):
         while chunk := await reader.read(_CHUNK_BYTES):
             writer.write(line(Said(chunk)))
             await writer.drain()
+            await asyncio.sleep(pace.take_anyway_s(len(chunk), now_s=now_s()))
 
 
 def main() -> None:

@@ -82,9 +82,10 @@ def _features(record: Record) -> Iterator[dict[str, Any]]:
         }
 
     yield feature("home", "Point", _degrees(frame, Position(0.0, 0.0)))
-    track = [_degrees(frame, fix.position) for fix in record.track]
+    track = [(_degrees(frame, fix.position), fix.at_s) for fix in record.track]
     if len(track) > 1:  # one place is no line
-        yield feature("track", "LineString", track, at_s=[fix.at_s for fix in record.track])
+        places, at_s = zip(*track, strict=True)
+        yield feature("track", "LineString", places, at_s=at_s)
     for name, area in record.plan.ranges.items():
         yield feature("range", "Polygon", [_ring(frame, area)], server=name, range_m=area.radius_m)
     for index, (east_m, north_m) in enumerate(record.plan.waypoints_m):

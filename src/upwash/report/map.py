@@ -32,13 +32,16 @@ class View:
 
 def view_of(records: Iterable[Record]) -> View:
     """Shows everything of all of them."""
-    corners = [(0.0, 0.0), *(corner for record in records for corner in _corners(record))]
-    east_m, north_m = [corner[0] for corner in corners], [corner[1] for corner in corners]
-    breadth_m, depth_m = max(east_m) - min(east_m), max(north_m) - min(north_m)
+    west_m = east_m = south_m = north_m = 0.0
+    for record in records:
+        for x_m, y_m in _corners(record):
+            west_m, east_m = min(west_m, x_m), max(east_m, x_m)
+            south_m, north_m = min(south_m, y_m), max(north_m, y_m)
+    breadth_m, depth_m = east_m - west_m, north_m - south_m
     per_m = (_SIDE - 2 * _MARGIN) / max(breadth_m, depth_m, 1.0)
     return View(
-        west_m=min(east_m),
-        north_m=max(north_m),
+        west_m=west_m,
+        north_m=north_m,
         per_m=per_m,
         width=max(breadth_m * per_m, 200.0) + 2 * _MARGIN,
         height=depth_m * per_m + 2 * _MARGIN + 24,

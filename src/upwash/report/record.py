@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import functools
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -14,8 +16,8 @@ from upwash import event_log
 from upwash.core.geo import Circle, GeoPosition, Position
 from upwash.core.servers import Event, State
 from upwash.errors import UsageError
-from upwash.reasons import explained_calls, told
-from upwash.results import CallResult, RunResult, last_run, read_result
+from upwash.reasons import Reasons, told
+from upwash.results import Beginning, CallResult, RunResult, Tally
 
 _STEPS = frozenset(Event)
 
@@ -58,6 +60,39 @@ class Fix:
     position: Position
 
 
+class MissionEvents:
+    """The events of a log's last run until the mission was completed, read anew by whoever wants them.
+
+    A long flight's log is larger than what a page about it holds, so that none of them is kept.
+    """
+
+    def __init__(self, read: Callable[[], Iterable[Mapping[str, Any]]]) -> None:
+        self._read = read
+        self._first = self._end = 0
+        self.opening: Mapping[str, Any] = {}  # the first of them
+        self.planned: Mapping[str, Any] = {}
+        self.began_s: float | None = None
+        self._look_through()
+
+    def _look_through(self) -> None:
+        began, completed = Beginning(), False
+        for number, event in enumerate(self._read()):
+            if event["event"] == "log_opened" or number == 0:
+                began, completed = Beginning(), False
+                self._first, self.opening, self.planned = number, event, {}
+            if completed:
+                continue
+            began.take(event)
+            if event["event"] == "planned" and not self.planned:
+                self.planned = event
+            self._end = number + 1
+            completed = event["event"] == "mission_completed"
+        self.began_s = began.at_s
+
+    def __iter__(self) -> Iterator[Mapping[str, Any]]:
+        return itertools.islice(self._read(), self._first, self._end)
+
+
 @dataclass(frozen=True, slots=True)
 class Record:
     """One run; `servers` are those of the plan and of the calls, in the order of their names.
@@ -69,12 +104,17 @@ class Record:
     name: str
     opened: datetime | None
     began_s: float
-    events: Sequence[Mapping[str, Any]]
+    events: Iterable[Mapping[str, Any]]
     result: RunResult
     plan: Plan
     calls: Sequence[Call]
-    track: Sequence[Fix]
     stretches: Mapping[str, Sequence[Stretch]]
+
+    @property
+    def track(self) -> Iterator[Fix]:
+        """Every place that an event tells: simulated drones report none by the second."""
+        track = _Track(self.began_s)
+        return (fix for event in self.events if (fix := track.take(event)) is not None)
 
     @property
     def servers(self) -> list[str]:
@@ -92,7 +132,16 @@ class Record:
 
 def read_records(logs: Sequence[Path]) -> list[Record]:
     """The last run of each log, named after its file; raises UsageError for what is no log of a mission."""
-    return [_read_record(log, name) for log, name in zip(logs, names_of(logs), strict=True)]
+    names = names_of(logs)
+    return [
+        _record(MissionEvents(functools.partial(event_log.stream, log)), log, name)
+        for log, name in zip(logs, names, strict=True)
+    ]
+
+
+def record_of(events: Sequence[Mapping[str, Any]], log: Path) -> Record:
+    """The last run of these events, which the log has or should have; raises UsageError as `read_records` does."""
+    return _record(MissionEvents(lambda: events), log, *names_of([log]))
 
 
 def names_of(logs: Sequence[Path]) -> list[str]:
@@ -101,64 +150,72 @@ def names_of(logs: Sequence[Path]) -> list[str]:
     return [name if short.count(name) == 1 else str(log) for name, log in zip(short, logs, strict=True)]
 
 
-def _read_record(log: Path, name: str) -> Record:
-    events = _mission(event_log.read(log))
-    began_s = next((event["t"] for event in events if event["event"] == "mission_started"), None)
-    if began_s is None:
+def _record(events: MissionEvents, log: Path, name: str) -> Record:
+    if events.began_s is None:
         raise UsageError(f"{log} has no mission: it ended before one began")
     try:
-        result = read_result(events)
-        plan = msgspec.convert(next((event for event in events if event["event"] == "planned"), {}), Plan)
+        plan = msgspec.convert(events.planned, Plan)
+        tally, calls, track = Tally(), _Calls(), _Track(events.began_s)
+        states = _States(plan.ranges, began_s=events.began_s)
+        for event in events:
+            tally.take(event)
+            calls.take(event)
+            states.take(event)
+            track.take(event)  # whether it can be read is known from here on
+        result = tally.result()
         return Record(
             name=name,
-            opened=_opened(events),
-            began_s=began_s,
+            opened=_opened(events.opening),
+            began_s=events.began_s,
             events=events,
             result=result,
             plan=plan,
-            calls=list(_calls(events, result.calls)),
-            track=list(_track(events, began_s)),
-            stretches=_stretches(events, began_s, plan),
+            calls=calls.with_results(result.calls),
+            stretches=states.stretches(),
         )
     except (KeyError, TypeError, ValueError) as error:  # msgspec's ValidationError is a ValueError
         raise UsageError(f"{log} is not an event log that this version reads: {error!r}") from error
 
 
-def _opened(events: Sequence[Mapping[str, Any]]) -> datetime | None:
-    first = events[0]
+def _opened(first: Mapping[str, Any]) -> datetime | None:
     return datetime.fromisoformat(first["time"]) if first["event"] == "log_opened" else None
 
 
-def _mission(events: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """The last run's events until the mission was completed."""
-    mission: list[Mapping[str, Any]] = []
-    for event in last_run(events):
-        mission.append(event)
-        if event["event"] == "mission_completed":
-            break
-    return mission
+class _Calls:
+    """Gathers what a run's calls are told by, event by event."""
 
+    def __init__(self) -> None:
+        self._reasons = Reasons()
+        self._told: list[tuple[list[str], Position | None, str, bool]] = []
 
-def _calls(events: Sequence[Mapping[str, Any]], results: Sequence[CallResult]) -> Iterator[Call]:
-    for call, result in zip(explained_calls(events), results, strict=True):
+    def take(self, event: Mapping[str, Any]) -> None:
+        """Takes in the next event."""
+        if (call := self._reasons.take(event)) is None:
+            return
         position = call.decisions[0]["position"] if call.decisions else None
-        yield Call(
-            result=result,
-            reasons=list(told(call))[1:],
-            position=msgspec.convert(position, Position | None),
-            wait=call.outcome["wait"],
-            fell_back=call.outcome["fell_back"],
-        )
+        reasons, outcome = list(told(call))[1:], call.outcome
+        at = msgspec.convert(position, Position | None)
+        self._told.append((reasons, at, outcome["wait"], outcome["fell_back"]))
+
+    def with_results(self, results: Sequence[CallResult]) -> list[Call]:
+        """The calls, with their results in the same order."""
+        return [Call(result, *facts) for result, facts in zip(results, self._told, strict=True)]
 
 
-def _track(events: Sequence[Mapping[str, Any]], began_s: float) -> Iterator[Fix]:
-    """Every place that an event tells: simulated drones report none by the second."""
-    last: Position | None = None
-    for event in events:
-        here = place_of(event, last) if event["t"] >= began_s else None
-        if here is not None and here != last:
-            yield Fix(event["t"] - began_s, here)
-        last = here or last
+class _Track:
+    """Says where the drone was, event by event, where that is another place than before."""
+
+    def __init__(self, began_s: float) -> None:
+        self._began_s = began_s
+        self._last: Position | None = None
+
+    def take(self, event: Mapping[str, Any]) -> Fix | None:
+        """Takes in the next event; the place that it tells."""
+        here = place_of(event, self._last) if event["t"] >= self._began_s else None
+        if here is None or here == self._last:
+            return None
+        self._last = here
+        return Fix(event["t"] - self._began_s, here)
 
 
 def place_of(event: Mapping[str, Any], last: Position | None) -> Position | None:
@@ -170,28 +227,36 @@ def place_of(event: Mapping[str, Any], last: Position | None) -> Position | None
     return Position(float(place["east_m"]), float(place["north_m"]), float(altitude_m))
 
 
-def _stretches(
-    events: Sequence[Mapping[str, Any]], began_s: float, plan: Plan
-) -> Mapping[str, Sequence[Stretch]]:
-    now: dict[str, tuple[State, float, str]] = dict.fromkeys(plan.ranges, (State.AVL, 0.0, ""))
-    stretches: dict[str, list[Stretch]] = {name: [] for name in plan.ranges}
+class _States:
+    """Gathers the states that servers were in, event by event."""
 
-    def end(server: str, at_s: float) -> None:
-        state, since_s, why = now[server]
-        if at_s > since_s:
-            stretches[server].append(Stretch(state, since_s, at_s, why))
+    def __init__(self, servers: Iterable[str], *, began_s: float) -> None:
+        self._began_s = began_s
+        self._now: dict[str, tuple[State, float, str]] = dict.fromkeys(servers, (State.AVL, 0.0, ""))
+        self._stretches: dict[str, list[Stretch]] = {name: [] for name in self._now}
+        self._ended_s = 0.0
 
-    for event in events:
+    def take(self, event: Mapping[str, Any]) -> None:
+        """Takes in the next event."""
+        self._ended_s = at_s = event["t"] - self._began_s
         if event["event"] == "log_resumed":  # a program that begins anew knows of no server's state
-            for server in now:
-                end(server, event["t"] - began_s)
-                now[server] = (State.AVL, event["t"] - began_s, "taken up again")
+            for server in self._now:
+                self._end(server, at_s)
+                self._now[server] = (State.AVL, at_s, "taken up again")
         elif event["event"] in _STEPS:
-            server, at_s = event["server"], max(0.0, event["t"] - began_s)
-            if server not in now:
-                now[server], stretches[server] = (State(event["before"]), 0.0, ""), []
-            end(server, at_s)
-            now[server] = (State(event["after"]), at_s, event["why"])
-    for server in now:
-        end(server, events[-1]["t"] - began_s)
-    return dict(sorted(stretches.items()))
+            server, at_s = event["server"], max(0.0, at_s)
+            if server not in self._now:
+                self._now[server], self._stretches[server] = (State(event["before"]), 0.0, ""), []
+            self._end(server, at_s)
+            self._now[server] = (State(event["after"]), at_s, event["why"])
+
+    def stretches(self) -> Mapping[str, Sequence[Stretch]]:
+        """The stretches of each server, up to the last event."""
+        for server in self._now:
+            self._end(server, self._ended_s)
+        return dict(sorted(self._stretches.items()))
+
+    def _end(self, server: str, at_s: float) -> None:
+        state, since_s, why = self._now[server]
+        if at_s > since_s:
+            self._stretches[server].append(Stretch(state, since_s, at_s, why))

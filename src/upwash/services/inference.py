@@ -12,6 +12,7 @@ import msgspec
 from upwash.errors import ModelError, UsageError
 from upwash.services.darknet.conversion import converted
 from upwash.services.heads import HEADS_METADATA, Head, decode_heads
+from upwash.user_files import read_file
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,6 +25,7 @@ Provider = Literal["cpu", "cuda"]
 
 _PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 _MOST_LABELS = 100_000
+_MOST_LABELS_BYTES = 10_000_000
 
 
 class ModelFiles(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -145,6 +147,8 @@ def _onnx(files: ModelFiles) -> AbstractContextManager[Path]:
     if files.cfg is not None and files.weights is not None:
         return converted(files.cfg, files.weights)
     assert files.onnx is not None  # noqa: S101 - it has the one or the other
+    if files.onnx.exists() and not files.onnx.is_file():
+        raise ModelError(files.onnx, "", "it is no file: check the path")
     return nullcontext(files.onnx)
 
 
@@ -158,11 +162,16 @@ def _takes_pictures(node: onnxruntime.NodeArg) -> bool:
 
 def _read_labels(file: Path) -> list[str]:
     try:
-        labels = [line.strip() for line in file.read_bytes().decode().rstrip().splitlines()]
+        labels = [
+            line.strip()
+            for line in read_file(file, most_bytes=_MOST_LABELS_BYTES).decode().rstrip().splitlines()
+        ]
     except OSError as error:
         raise ModelError(file, "", f"cannot be read ({error.strerror})") from None
     except UnicodeDecodeError as error:
         raise ModelError(file, f"byte {error.start}", "not text: give a file with one name a line") from None
+    except ValueError as error:
+        raise ModelError(file, "", f"cannot be read ({error}): give a file with one name a line") from None
     if not 0 < len(labels) <= _MOST_LABELS or not all(labels):
         raise ModelError(file, "", "expected the name of a class in every line")
     return labels

@@ -1,41 +1,24 @@
-"""A vehicle that flies on paper: straight legs from rest to rest, on the event loop's clock."""
+"""The program's side of a vehicle on paper: verbs behind the latch, on the event loop's clock."""
 
 from __future__ import annotations
 
 import asyncio
-import math
-from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+import contextlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from upwash.config import FaultConfig
-from upwash.core.geo import Circle, Position, ground_distance_m
+from upwash.core.control import Control, Latch
+from upwash.core.energy import EnergyFacts, WayHome
+from upwash.core.geo import Circle, Position, Velocity
 from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
-from upwash.vehicle.kinematics import Motion, Phase, duration_s, elapsed_s, leg, steadily, stretched
+from upwash.ports import DeadMan, DeadManAction, VehicleLimits, VehicleNews
+from upwash.sim.vehicle import GUIDED, LAND, RETURN, Manner, ModelVehicle
+from upwash.vehicle.kinematics import Phase, duration_s, leg, steadily, stretched
 
-_ROUNDING_M = 1e-6
-_PAST_THE_BORDER_S = 1e-6
+_AT_ONCE = 1e9  # metres a second, and more of them each second
 _PATIENCE_S = 60.0  # a leg has failed that takes so much longer than it should
-
-
-class Manner(Protocol):
-    """How a vehicle flies; `vehicle.arducopter` is one."""
-
-    def takeoff(self, ground: Position, altitude_m: float) -> tuple[Phase, ...]:
-        """Straight up to the altitude."""
-
-    def waypoint_leg(self, start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
-        """From rest to rest."""
-
-    def arrival_s(self, phases: tuple[Phase, ...]) -> float:
-        """How long after its start the vehicle counts as arrived."""
-
-    def return_and_land(self, start: Position, home: Position) -> tuple[Phase, ...]:
-        """From rest to the ground at home."""
-
-    def landing(self, start: Position) -> tuple[Phase, ...]:
-        """From rest straight down to the ground."""
+_HEARTBEAT_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +28,20 @@ class Plain:
     acceleration_m_s2: float
     takeoff_s: float
     return_and_land_s: float
+
+    @property
+    def returning(self) -> WayHome:
+        """In its time, whatever the distance."""
+        return WayHome(
+            altitude_m=0.0,
+            climb_m_s=_AT_ONCE,
+            speed_m_s=_AT_ONCE,
+            acceleration_m_s2=_AT_ONCE,
+            hover_s=self.return_and_land_s,
+            descent_m_s=_AT_ONCE,
+            slowly_below_m=0.0,
+            landing_m_s=_AT_ONCE,
+        )
 
     def takeoff(self, ground: Position, altitude_m: float) -> tuple[Phase, ...]:
         """Straight up in its time."""
@@ -69,12 +66,31 @@ class Plain:
         return steadily(start, Position(start.east_m, start.north_m), duration_s=self.return_and_land_s)
 
 
+class ModelDeadMan:
+    """Always ready, and never needed: a simulated program does not die without a word."""
+
+    async def missing(self) -> str:
+        """Nothing."""
+        return ""
+
+    async def install(self) -> str:
+        """It is there."""
+        return ""
+
+    async def watch(self, *, silence_s: float, action: DeadManAction) -> None:
+        """At once."""
+
+    async def release(self) -> None:
+        """At once."""
+
+
 class ModelAutopilot:
     """Flies in its manner from the ground below `start`.
 
-    `stretch` gives a factor on the duration of each leg, for noise, and `fault` what is wrong with the vehicle
-    now; `sim.faults` says what each fault means. The battery is empty `endurance_s` after the first take-off.
-    One that `hovers_at` a place has been left there by another program.
+    `stretch` gives a factor on the duration of each leg, for noise, `fault` what is wrong with the vehicle now, and
+    `takeovers` who else takes it and when; `sim.faults` says what each fault means. `given_back_unheard` is told when
+    a pilot gives it back of whom the program has heard nothing. The battery is empty `endurance_s` after the first
+    take-off. One that `hovers_at` a place has been left there by another program.
     """
 
     def __init__(
@@ -85,26 +101,37 @@ class ModelAutopilot:
         manner: Manner,
         stretch: Callable[[], float] = lambda: 1.0,
         fault: Callable[[], FaultConfig | None] = lambda: None,
+        takeovers: Sequence[FaultConfig] = (),
         endurance_s: float | None = None,
         hovers_at: Position | None = None,
+        commanded: Callable[[str], None] = lambda _: None,
+        taken: Callable[[str], None] = lambda _: None,
+        given_back_unheard: Callable[[], None] = lambda: None,
     ) -> None:
-        self._ground = Position(start.east_m, start.north_m)
+        self._loop = asyncio.get_running_loop()
+        self._home = Position(start.east_m, start.north_m)
         self._ground_speed_m_s = ground_speed_m_s
         self._manner = manner
         self._stretch = stretch
         self._fault = fault
-        self._loop = asyncio.get_running_loop()
-        self._motion = Motion(0.0, (), hovers_at or self._ground)
-        self._crossings: list[tuple[Sequence[Circle], list[float]]] = []  # of this motion, for each who asked
-        self._moved = asyncio.Event()
-        self._armed = hovers_at is not None
+        self._waypoint = hovers_at
         self._endurance_s = endurance_s
         self._took_off_s: float | None = None
+        self._vehicle = ModelVehicle(
+            self._home, manner, hovers_at=hovers_at, commanded=commanded, taken=taken
+        )
+        self._given_back_unheard = given_back_unheard
+        self._latch = Latch(self._loop.time())
+        self._hear: Callable[[VehicleNews], None] = lambda _: None
+        self._lost = asyncio.Event()  # set for good once the vehicle is no longer the program's
+        for takeover in takeovers:
+            self._loop.call_at(takeover.from_s, self._be_taken, takeover)
+        self._take_report()
 
     @property
     def position(self) -> Position:
         """Where it is now."""
-        return self._motion.position(self._loop.time())
+        return self._vehicle.position
 
     @property
     def battery_percent(self) -> float | None:
@@ -114,91 +141,226 @@ class ModelAutopilot:
         flown_s = 0.0 if self._took_off_s is None else self._loop.time() - self._took_off_s
         return 100.0 * max(0.0, 1 - flown_s / self._endurance_s)
 
+    @property
+    def velocity(self) -> Velocity | None:
+        """How it moves now."""
+        return self._vehicle.velocity
+
+    @property
+    def wind(self) -> Velocity | None:
+        """None blows."""
+        return Velocity()
+
+    @property
+    def energy(self) -> EnergyFacts:
+        """It returns to where it took off; its battery has no stages."""
+        return EnergyFacts(home=self._home, way_home=self._manner.returning)
+
+    @property
+    def control(self) -> Control:
+        """Who has it."""
+        return self._latch.control
+
+    @property
+    def dead_man(self) -> DeadMan:
+        """One that has nothing to do."""
+        return ModelDeadMan()
+
+    @property
+    def armed(self) -> bool:
+        """Whether its motors run."""
+        return self._vehicle.armed
+
+    @property
+    def stands(self) -> bool:
+        """By its altitude."""
+        return not self._vehicle.flies
+
+    def listen(self, hear: Callable[[VehicleNews], None]) -> None:
+        """It says nothing in words."""
+        self._hear = hear
+
     async def in_the_air(self) -> bool:
-        """By its altitude; nobody else commands it."""
-        self._reach("start")
-        return self.position.altitude_m > 0
+        """By its altitude."""
+        self._hear_of("start")
+        return self._vehicle.flies
+
+    async def claim(self, *, resumes: bool) -> None:
+        """At once."""
+        self._hear_of("start")
+        before = self._latch.control
+        self._latch.claim(self._loop.time(), own_mode=GUIDED, resumes=resumes)
+        self._tell_control(before)
+        self._latch.require("start")
+
+    async def stood(self) -> None:
+        """When its altitude is 0 and its motors stand still."""
+        while self._vehicle.flies or self._vehicle.armed:
+            await self._vehicle.changed.wait()
+        self._take_report()
+
+    async def limits(self) -> VehicleLimits:
+        """Its home is where it stood; it has no fence."""
+        return VehicleLimits(self._home)
+
+    async def ready(self) -> None:
+        """At once."""
+        self._reach("arm")
 
     async def arm(self) -> None:
         """At once."""
-        self._reach("arm")
-        self._armed = True
+        self._command("arm", modes=(GUIDED,), armed=True)
 
     async def takeoff(self, altitude_m: float) -> None:
         """Climbs straight up."""
         self._reach("take-off")
-        if not self._armed:
+        if not self._vehicle.armed:
             raise AutopilotRefused("take-off", "the vehicle is not armed")
+        self._command("take-off")
         if self._took_off_s is None:
             self._took_off_s = self._loop.time()
         await self._move("take-off", self._manner.takeoff(self.position, altitude_m))
 
     async def set_ground_speed(self, ground_speed_m_s: float) -> None:
         """At once, for the legs that follow."""
-        self._reach("ground speed")
+        self._command("ground speed")
         self._ground_speed_m_s = ground_speed_m_s
 
     async def goto(self, position: Position) -> None:
         """Flies a leg from rest; returns when the vehicle counts as arrived."""
         self._reach("goto")
-        if self.position.altitude_m <= 0:
+        if self.stands:
             raise AutopilotRefused("goto", "the vehicle is on the ground")
         fault = self._fault()
         if fault is not None and fault.kind == "slow":
-            await asyncio.sleep(fault.extra_s)
-        way = self._manner.waypoint_leg(self.position, position, ground_speed_m_s=self._ground_speed_m_s)
-        phases = stretched(way, self._stretch())
-        arrival_s = self._manner.arrival_s(phases)
+            await self._pass(fault.extra_s)
+        self._command("goto")
+        noise = self._stretch()
+
+        def leg_from(start: Position) -> tuple[Phase, ...]:
+            return self._manner.waypoint_leg(start, position, ground_speed_m_s=self._ground_speed_m_s)
+
+        arrival_s = self._manner.arrival_s(stretched(leg_from(self._waypoint or self.position), noise))
+        phases = stretched(self._in_time(leg_from, self._manner.arrival_s), noise)
         if fault is not None and fault.kind == "stuck":
-            await asyncio.sleep(arrival_s + _PATIENCE_S)
+            await self._pass(arrival_s + _PATIENCE_S)
+            self._reach("goto")
             raise AutopilotTimeout(
                 "goto", f"the vehicle did not arrive within {arrival_s + _PATIENCE_S:.0f} s"
             )
         await self._move("goto", phases, until_s=arrival_s)
+        self._waypoint = position
 
     async def hold(self) -> None:
         """Stops where it is."""
-        self._reach("hold")
+        self._command("hold")
         await self._move("hold", ())
 
     async def return_home_and_land(self) -> None:
         """Back to where it took off."""
-        self._reach("return")
-        way = self._manner.return_and_land(self.position, self._ground)
-        await self._move("return", way, end=self._ground)
+        self._command("return", modes=(RETURN,))
+        way = self._in_time(lambda start: self._manner.return_and_land(start, self._home), duration_s)
+        await self._move("return", way, end=self._home)
 
     async def land(self) -> None:
         """Straight down."""
-        self._reach("land")
+        self._command("land", modes=(LAND,))
         here = self.position
-        await self._move("land", self._manner.landing(here), end=Position(here.east_m, here.north_m))
+        way = self._in_time(self._manner.landing, duration_s)
+        await self._move("land", way, end=Position(here.east_m, here.north_m))
 
     async def disarm(self) -> None:
         """At once, on the ground."""
         self._reach("disarm")
-        if self.position.altitude_m > 0:
+        if self._vehicle.flies:
             raise AutopilotRefused("disarm", "the vehicle is in the air")
-        self._armed = False
+        self._command("disarm", armed=False)
 
     async def border_crossed(self, circles: Sequence[Circle]) -> None:
         """Returns just after the vehicle has crossed a border; AutopilotLost where its link is silent then."""
         while True:
-            self._reach("watch the borders")
-            crossing_s = self._next_crossing_s(circles)
+            self._hear_of("watch the borders")
+            crossing_s = self._vehicle.next_crossing_s(circles)
             try:
                 async with asyncio.timeout_at(crossing_s):
-                    await self._moved.wait()
+                    await self._vehicle.changed.wait()
             except TimeoutError:
-                self._reach("watch the borders")
+                self._hear_of("watch the borders")
                 return
 
     async def close(self) -> None:
-        """Nothing to give up."""
+        """Tells nothing more."""
+        self._hear = lambda _: None
+
+    # --- commands and reports -------------------------------------------------------------------------------
+
+    def _command(self, step: str, *, modes: tuple[str, ...] = (), armed: bool | None = None) -> None:
+        """The one way by which a command reaches the vehicle."""
+        self._reach(step)
+        if modes:
+            self._latch.expect_modes(modes)
+        if armed is not None:
+            self._latch.expect_armed(armed)
+        self._vehicle.obey(step, mode=modes[-1] if modes else None, armed=armed)
+        self._take_report()
 
     def _reach(self, step: str) -> None:
-        fault = self._fault()
-        if fault is not None and fault.kind == "off":
+        """Raises where the vehicle is not heard, or is not the program's."""
+        self._hear_of(step)
+        self._latch.require(step)
+
+    def _hear_of(self, step: str) -> None:
+        if self._is_silent():
             raise AutopilotLost(step, "the vehicle's link is silent")
+        self._take_report()
+
+    def _is_silent(self) -> bool:
+        fault = self._fault()
+        return fault is not None and fault.kind == "off"
+
+    def _take_report(self) -> None:
+        before = self._latch.control
+        self._latch.report(self._vehicle.report(), self._loop.time())
+        self._tell_control(before)
+
+    def _tell_control(self, before: Control) -> None:
+        if self.control != before:
+            if before.is_ours:
+                self._lost.set()
+            self._hear(self.control)
+
+    def _be_taken(self, takeover: FaultConfig) -> None:
+        if takeover.kind == "pilot":
+            self._vehicle.be_taken_by_pilot(
+                back_after_s=takeover.to_s - takeover.from_s, before_back=self._check_unheard
+            )
+        else:
+            self._vehicle.fail_safe()
+        self._take_heartbeats()
+
+    def _take_heartbeats(self) -> None:
+        """One that tells of the takeover comes at once, or in the first second after the silence of the link."""
+        if not self._is_silent():
+            self._take_report()
+        elif self.control.is_ours:
+            self._loop.call_later(_HEARTBEAT_S, self._take_heartbeats)
+
+    def _check_unheard(self) -> None:
+        if self.control.is_ours:
+            self._given_back_unheard()
+
+    def _in_time(
+        self, way: Callable[[Position], tuple[Phase, ...]], takes_s: Callable[[tuple[Phase, ...]], float]
+    ) -> tuple[Phase, ...]:
+        """The way from here, in the time that it takes from the waypoint at which the vehicle has arrived.
+
+        How near that it has crept depends on how long it was left alone, thus on the policy; a leg's time must not.
+        """
+        from_here = way(self.position)
+        if self._waypoint is None:
+            return from_here
+        planned_s, real_s = takes_s(way(self._waypoint)), takes_s(from_here)
+        return stretched(from_here, planned_s / real_s) if planned_s > 0 and real_s > 0 else from_here
 
     async def _move(
         self,
@@ -210,62 +372,15 @@ class ModelAutopilot:
     ) -> None:
         """Begins to move, and returns at the end of the phases or earlier; `end` is where that is, exactly."""
         end = end or (phases[-1].end if phases else self.position)
-        self._begin(Motion(self._loop.time(), phases, end))
-        self._moved.set()
-        self._moved = asyncio.Event()
-        await asyncio.sleep(duration_s(phases) if until_s is None else until_s)
-        if until_s is None:  # a timer may be a nanosecond early, and the vehicle not quite on the ground
-            self._begin(Motion(self._loop.time(), (), end))
+        self._waypoint = None
+        self._vehicle.move(phases, end)
+        await self._pass(duration_s(phases) if until_s is None else until_s)
+        if until_s is None and self.control.is_ours:
+            self._vehicle.settle(end)
         self._reach(step)
 
-    def _begin(self, motion: Motion) -> None:
-        self._motion = motion
-        self._crossings.clear()
-
-    def _next_crossing_s(self, circles: Sequence[Circle]) -> float | None:
-        crossings_s = next((times_s for asked, times_s in self._crossings if asked is circles), None)
-        if crossings_s is None:
-            crossings_s = sorted(_all_crossings_s(self._motion, circles))
-            self._crossings.append((circles, crossings_s))
-        later = bisect_right(crossings_s, self._loop.time())
-        return crossings_s[later] if later < len(crossings_s) else None
-
-
-def _all_crossings_s(motion: Motion, circles: Sequence[Circle]) -> Iterator[float]:
-    """Just after each time at which the motion crosses one of the circles."""
-    near, begun_s = _within_reach(circles, motion.phases), motion.begun_s
-    for phase in motion.phases:
-        for circle in near:
-            for crossing_s in _crossings_s(phase, circle):
-                yield begun_s + crossing_s + _PAST_THE_BORDER_S
-        begun_s += phase.duration_s
-
-
-def _within_reach(circles: Sequence[Circle], phases: Sequence[Phase]) -> list[Circle]:
-    """The circles whose border is no further away than the phases lead: a few of hundreds."""
-    if not phases:
-        return []
-    start, way_m = phases[0].start, sum(phase.travelled_m(phase.duration_s) for phase in phases)
-    return [
-        circle
-        for circle in circles
-        if abs(ground_distance_m(start, circle.centre) - circle.radius_m) <= way_m + _ROUNDING_M
-    ]
-
-
-def _crossings_s(phase: Phase, circle: Circle) -> Iterator[float]:
-    """The times from the start of a phase at which it crosses the circle."""
-    heading_east, heading_north = phase.heading.east_m_s, phase.heading.north_m_s
-    squared = heading_east**2 + heading_north**2
-    if squared == 0:
-        return
-    east_m = phase.start.east_m - circle.centre.east_m
-    north_m = phase.start.north_m - circle.centre.north_m
-    half = (east_m * heading_east + north_m * heading_north) / squared
-    discriminant = half**2 - (east_m**2 + north_m**2 - circle.radius_m**2) / squared
-    if discriminant <= 0:
-        return
-    for travelled_m in (-half - math.sqrt(discriminant), -half + math.sqrt(discriminant)):
-        crossing_s = elapsed_s(phase, travelled_m)
-        if crossing_s is not None:
-            yield crossing_s
+    async def _pass(self, for_s: float) -> None:
+        """Returns after that time, or once the vehicle is not the program's any more."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(for_s):
+                await self._lost.wait()

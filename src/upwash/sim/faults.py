@@ -8,7 +8,8 @@ On a server (what runs there when a fault begins still runs when it is over):
 - `stuck`: the connection is open and no answer comes
 - `slow`: every answer comes `extra_s` later
 - `garbage`: every answer is bytes that nobody can decode
-- `wrong`: the daemon lies in a well-formed way: all services run, at an address where nobody is
+- `wrong`: the daemon lies in a well-formed way: all services run, at a port of its own where nobody is
+- `lying`: the server lies about what `lie` says, as `lies.py` has it
 - `flapping`: off for 5 s, well for 5 s, and so on
 - `full`: strangers hold every slot that is free
 - `crash`: instances die of what they are asked: while they start, in the middle of a call; a check finds them dead
@@ -26,6 +27,9 @@ On the autopilot:
 - `stuck`: the vehicle stays where it is on the way to a waypoint; everything else works
 - `slow`: every leg takes `extra_s` more
 - `flapping`: off for 5 s, well for 5 s, and so on
+- `pilot`: a person switches to another mode, hovers, and lands after 20 s; when the fault is over, back to the
+  program's mode
+- `fail-safe`: the vehicle lands where it is, by its own decision
 """
 
 from __future__ import annotations
@@ -52,13 +56,17 @@ from upwash.protocol import (
     HoldReply,
     LeaveRequest,
     StartReply,
+    resolve,
 )
+from upwash.sim.lies import as_daemon, as_instance
 from upwash.sim.link import Handler
 
 _FLAP_S = 5.0
 _LEAST_STEP_S = 1e-6  # so that a flap that rounding puts at this very moment is waited for, too
 _MOVING = ("off", "stuck", "slow", "flapping")  # what can befall links and the autopilot
-_NOBODY = "nobody.invalid:1"
+_SERVER = (*_MOVING, "garbage", "wrong", "lying", "full", "crash")
+_TAKEOVERS = ("pilot", "fail-safe")  # what only the autopilot suffers, at once and for good
+_NOBODY = ":1"
 _UNDECODABLE = b"\xc1" * 16  # the one byte that MessagePack never uses
 
 
@@ -67,13 +75,13 @@ class Faults:
 
     def __init__(self, faults: Sequence[FaultConfig]) -> None:
         for index, fault in enumerate(faults):
-            if (
-                fault.target == "autopilot" or fault.target.startswith("link:")
-            ) and fault.kind not in _MOVING:
+            allowed = _kinds_at(fault.target)
+            if fault.kind not in allowed:
                 raise UsageError(
-                    f"fault[{index}].kind: {fault.target} cannot be {fault.kind}: give one of {', '.join(_MOVING)}"
+                    f"fault[{index}].kind: {fault.target} cannot be {fault.kind}: give one of {', '.join(allowed)}"
                 )
-        self._faults = faults
+        self.takeovers = tuple(fault for fault in faults if fault.kind in _TAKEOVERS)
+        self._faults = [fault for fault in faults if fault.kind not in _TAKEOVERS]
 
     def now(self, target: str) -> FaultConfig | None:
         """The fault of the target that is on now, the first one where there are several; flapping shows as off."""
@@ -94,6 +102,12 @@ class Faults:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout_at(next_s if next_s < math.inf else None):
                     await never()
+
+
+def _kinds_at(target: str) -> tuple[str, ...]:
+    if target == "autopilot":
+        return _MOVING + _TAKEOVERS
+    return _MOVING if target.startswith("link:") else _SERVER
 
 
 def _is_on(fault: FaultConfig, now_s: float) -> bool:
@@ -123,29 +137,35 @@ class Plugboard(Protocol):
 class FaultyServer:
     """One server as it looks from outside: whatever is plugged in through it suffers from the server's faults."""
 
-    def __init__(self, name: str, board: Plugboard, *, faults: Faults, slots: int) -> None:
+    def __init__(self, name: str, address: str, board: Plugboard, *, faults: Faults, slots: int) -> None:
         self._name = name
+        self._address = address
+        self._told = 0  # lies
         self._board = board
         self._faults = faults
         self._slots = slots
 
-    def plug(self, address: str, instance: Handler) -> None:
-        """From now on the instance answers at the address, as well as it can."""
+    def plug(self, address: str, handler: Handler) -> None:
+        """From now on the instance answers at that port of the server, as well as it can."""
 
         async def answer(path: str, body: bytes, visitor: Visitor) -> bytes:
-            return await self._suffering(lambda: instance(path, body, visitor))
+            reply = await self._suffering(lambda: handler(path, body, visitor))
+            fault = self._lying()
+            return as_instance(fault.lie, reply, number=self._next_way(fault)) if fault else reply
 
-        self._board.plug(address, answer)
+        self._board.plug(resolve(address, self._address), answer)
 
     def unplug(self, address: str) -> None:
         """From now on nobody answers there."""
-        self._board.unplug(address)
+        self._board.unplug(resolve(address, self._address))
 
-    def plug_daemon(self, address: str, daemon: Handler, *, crash: Callable[[str], None]) -> None:
-        """From now on the daemon answers at the address, as well as it can; `crash` ends its instances."""
+    def plug_daemon(self, daemon: Handler, *, crash: Callable[[str], None]) -> None:
+        """From now on the daemon answers at the server's address, as well as it can; `crash` ends its instances."""
 
         async def answer(path: str, body: bytes, visitor: Visitor) -> bytes:
-            return await self._suffering(lambda: ask(path, body, visitor))
+            reply = await self._suffering(lambda: ask(path, body, visitor))
+            fault = self._lying()
+            return as_daemon(fault.lie, path, reply, number=self._next_way(fault)) if fault else reply
 
         async def ask(path: str, body: bytes, visitor: Visitor) -> bytes:
             match self._kind():
@@ -161,7 +181,7 @@ class FaultyServer:
                     crash("crashed")
             return await daemon(path, body, visitor)
 
-        self._board.plug(address, answer)
+        self._board.plug(self._address, answer)
 
     async def _suffering(self, ask: Callable[[], Awaitable[bytes]]) -> bytes:
         await self._endure()
@@ -189,6 +209,15 @@ class FaultyServer:
         finally:
             for stranger in strangers:
                 await daemon(LEAVE, msgspec.msgpack.encode(LeaveRequest(self._name)), stranger)
+
+    def _lying(self) -> FaultConfig | None:
+        fault = self._faults.now(self._name)
+        return fault if fault is not None and fault.kind == "lying" else None
+
+    def _next_way(self, fault: FaultConfig) -> int:
+        """Each lie is told in the next of its ways; which is the first differs from fault to fault."""
+        self._told += 1
+        return self._told + int(1000 * fault.from_s)
 
     def _kind(self) -> str:
         fault = self._faults.now(self._name)

@@ -9,6 +9,7 @@ from typing import Protocol
 
 from upwash.core.visitors import Visitor
 from upwash.errors import DeadlineExceeded, InstanceError, Refused, Unreachable
+from upwash.text import printable
 
 Handler = Callable[[str, bytes, Visitor], Awaitable[bytes]]  # path, body, who asks → reply
 
@@ -105,7 +106,7 @@ class ModelLink:
         except InstanceError as error:
             raise Unreachable(f"{self._server} at {self._address}: {error}") from error
         except Refused as refusal:
-            raise Refused(f"{self._server} at {self._address}: {refusal}") from refusal
+            raise Refused(f"{self._server} at {self._address}: {printable(str(refusal))}") from refusal
         await self._air.send(self._server, path, reply=True)
         await self._get_through()
         return reply

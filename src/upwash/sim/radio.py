@@ -14,7 +14,9 @@ from pathlib import Path
 
 from upwash.config import ServerTruth
 from upwash.errors import UsageError
+from upwash.user_files import read_file
 
+_MOST_BYTES = 10_000_000
 _BUNDLED = {"disc54": "goodput_54.csv", "disc12": "goodput_12.csv"}
 
 
@@ -68,9 +70,12 @@ def read_goodput(radio: str) -> GoodputTable | None:
     if radio == "fixed":
         return None
     bundled = _BUNDLED.get(radio)
-    source = files("upwash.sim") / bundled if bundled else Path(radio)
     try:
-        lines = source.read_text(encoding="utf-8").splitlines()
+        if bundled:
+            text = (files("upwash.sim") / bundled).read_text(encoding="utf-8")
+        else:
+            text = read_file(Path(radio), most_bytes=_MOST_BYTES).decode()
+        lines = text.splitlines()
         rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
         return _table([(float(row["distance_m"]), 1e6 * float(row["goodput_mbit_s"])) for row in rows])
     except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:

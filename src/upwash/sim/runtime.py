@@ -20,6 +20,8 @@ from upwash.protocol import service_path
 from upwash.service import Method, ServiceSpec
 from upwash.sim.faults import Plugboard
 
+_FIRST_PORT = 40_000
+
 
 class Computer(Protocol):
     """What instances run on."""
@@ -32,7 +34,7 @@ class Computer(Protocol):
 
 
 class ModelRuntime:
-    """Starts modelled instances of the services on a computer, plugged in at addresses of their own.
+    """Starts modelled instances of the services on a computer, plugged in at ports of their own.
 
     Those of the services in `objects` answer what the object answers, the others with empty results.
     """
@@ -49,7 +51,7 @@ class ModelRuntime:
         self._objects = objects
         self._computer = computer
         self._switchboard = switchboard
-        self._numbers = itertools.count()
+        self._ports = itertools.count(_FIRST_PORT)
         self._instances: list[ModelInstance] = []
 
     async def start(
@@ -57,7 +59,7 @@ class ModelRuntime:
     ) -> ModelInstance:
         """Returns when the instance is ready to serve."""
         await self._computer.start(spec)
-        endpoint = f"{spec.name}#{next(self._numbers)}"
+        endpoint = f":{next(self._ports)}"
         instance = ModelInstance(
             spec,
             self._services[spec.service],
@@ -141,7 +143,7 @@ class ModelInstance:
         self._refuse_unwelcome(drone)
         async with self._busy:
             self._refuse_unwelcome(drone)  # its lease may have ended while it waited for its turn
-            self._called(drone.name)
+            self._called(drone.key)
             try:
                 operation = Operation(self._spec.service, method.name, method.key_of(body))
             except msgspec.MsgspecError:

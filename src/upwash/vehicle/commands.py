@@ -10,15 +10,9 @@ from typing import Any, TypeAlias
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, Position
-from upwash.vehicle.copter import (
-    FORCED_ARM,
-    FORCED_DISARM,
-    Answer,
-    Copter,
-    Mode,
-    Result,
-    is_sensible,
-)
+from upwash.vehicle.answers import Result
+from upwash.vehicle.boot import Text
+from upwash.vehicle.copter import FORCED_ARM, FORCED_DISARM, Answer, Copter, Mode, is_sensible
 
 _RELATIVE = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 _ABOVE_SEA = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
@@ -84,6 +78,14 @@ def _take_off(copter: Copter, now_s: float, order: Order) -> Answer:
     return copter.take_off(now_s, order.place[2])
 
 
+def _run_prearm_checks(copter: Copter, now_s: float, _order: Order) -> Answer:
+    """Says in words what it objects to; while it is armed there is nothing to check."""
+    if copter.armed(now_s):
+        return Answer(Result.TEMPORARILY_REJECTED)
+    reasons = copter.why_not_armable(now_s)
+    return Answer(Result.ACCEPTED, tuple(Text(f"PreArm: {reason}") for reason in reasons))
+
+
 def _enter(mode: Mode) -> Handler:
     return lambda copter, now_s, _order: copter.change_mode(now_s, mode)
 
@@ -113,7 +115,10 @@ def _reposition(copter: Copter, now_s: float, order: Order) -> Answer:
         answer = copter.change_mode(now_s, Mode.GUIDED)
         if answer.result is not Result.ACCEPTED:
             return answer
-    return _ACCEPTED if copter.steer(now_s, target) else Answer(Result.FAILED)
+    if not copter.keeps_inside(target):
+        return Answer(Result.FAILED)
+    copter.steer(now_s, target)
+    return _ACCEPTED
 
 
 def _has_flag(number: float, flag: int) -> bool:
@@ -131,4 +136,5 @@ _HANDLERS: dict[int, Handler] = {
     mavlink.MAV_CMD_DO_SET_MODE: _set_mode,
     mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
     mavlink.MAV_CMD_DO_REPOSITION: _reposition,
+    mavlink.MAV_CMD_RUN_PREARM_CHECKS: _run_prearm_checks,
 }

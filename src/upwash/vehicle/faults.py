@@ -14,7 +14,11 @@ class FaultKind(StrEnum):
 
     LINK = "link"  # it hears nothing and says nothing; connections stay open
     GPS = "gps"  # its receiver has no fix: it cannot be armed, and lands where it flies by position
+    GLITCH = "glitch"  # its receiver is off by 56 m to the north
     BATTERY = "battery"  # all but empty
+    RADIO = "radio"  # the pilot's remote control is out of reach
+    GROUND = "ground"  # no heartbeat of a ground station arrives
+    COMPASS = "compass"  # its compass is not calibrated: it refuses to arm
     ARMING = "arming"  # it refuses to arm
 
 

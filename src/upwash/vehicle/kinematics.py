@@ -1,7 +1,6 @@
-"""How a vehicle moves: straight lines, each under a constant jerk, a constant acceleration or none.
+"""How a vehicle moves: straight lines, each under a constant jerk, a constant acceleration or none, and curves.
 
-A motion is continuous in position and in velocity: it takes the vehicle as it is, brakes it, and then flies
-legs from rest to rest. Time is an argument everywhere.
+A motion is continuous in position and in velocity. Time is an argument everywhere.
 """
 
 from __future__ import annotations
@@ -10,25 +9,30 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Generic, Protocol, TypeVar
 
-from upwash.core.geo import Position, distance_m
+from upwash.core.geo import Position, Velocity, distance_m
 
-_NO_TIME_S = 1e-9
+_NO_LENGTH_M = 1e-9  # shorter is no way at all: its share of a speed would be nothing
 _HALVINGS = 50  # of an interval in which something is looked for: finer than any float that matters here
 
 
-@dataclass(frozen=True, slots=True)
-class Velocity:
-    """Where to and how fast."""
-
-    east_m_s: float = 0.0
-    north_m_s: float = 0.0
-    up_m_s: float = 0.0
+class Stretch(Protocol):
+    """A part of a motion."""
 
     @property
-    def speed_m_s(self) -> float:
-        """Its length."""
-        return math.hypot(self.east_m_s, self.north_m_s, self.up_m_s)
+    def duration_s(self) -> float:
+        """How long it takes."""
+
+    @property
+    def end(self) -> Position:
+        """Where it leads."""
+
+    def position(self, elapsed_s: float) -> Position:
+        """Where the vehicle is, so long after the start of the stretch."""
+
+    def velocity(self, elapsed_s: float) -> Velocity:
+        """How it moves, so long after the start of the stretch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +80,90 @@ class Phase:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
-    """Phases flown one after the other from `begun_s` on, ending at rest."""
+class Curve:
+    """A stretch of a given beginning and end, and the velocities there: under a constant jerk, wherever it bends."""
+
+    start: Position
+    velocity_at_start: Velocity
+    end: Position
+    velocity_at_end: Velocity
+    duration_s: float
+
+    def position(self, elapsed_s: float) -> Position:
+        """Where the vehicle is, so long after the start of the curve."""
+        share = elapsed_s / self.duration_s
+        rest = 1 - share
+        from_start, from_end = rest**2 * (1 + 2 * share), share**2 * (1 + 2 * rest)
+        leaving_s, arriving_s = share * rest**2 * self.duration_s, -rest * share**2 * self.duration_s
+        here, there = self.start, self.end
+        left, came = self.velocity_at_start, self.velocity_at_end
+        return Position(
+            from_start * here.east_m
+            + from_end * there.east_m
+            + leaving_s * left.east_m_s
+            + arriving_s * came.east_m_s,
+            from_start * here.north_m
+            + from_end * there.north_m
+            + leaving_s * left.north_m_s
+            + arriving_s * came.north_m_s,
+            from_start * here.altitude_m
+            + from_end * there.altitude_m
+            + leaving_s * left.up_m_s
+            + arriving_s * came.up_m_s,
+        )
+
+    def velocity(self, elapsed_s: float) -> Velocity:
+        """How it moves, so long after the start of the curve."""
+        share = elapsed_s / self.duration_s
+        rest = 1 - share
+        way_per_s = 6 * share * rest / self.duration_s
+        leaving, arriving = rest * (1 - 3 * share), share * (3 * share - 2)
+        here, there = self.start, self.end
+        left, came = self.velocity_at_start, self.velocity_at_end
+        return Velocity(
+            way_per_s * (there.east_m - here.east_m) + leaving * left.east_m_s + arriving * came.east_m_s,
+            way_per_s * (there.north_m - here.north_m) + leaving * left.north_m_s + arriving * came.north_m_s,
+            way_per_s * (there.altitude_m - here.altitude_m) + leaving * left.up_m_s + arriving * came.up_m_s,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Together:
+    """Two motions from time 0 on at once: one over the ground, one up or down."""
+
+    over_ground: Motion[Stretch]
+    vertical: Motion[Stretch]
+
+    @property
+    def duration_s(self) -> float:
+        """How long the longer one takes."""
+        return max(self.over_ground.ends_s, self.vertical.ends_s)
+
+    @property
+    def end(self) -> Position:
+        """Where they lead."""
+        return self.position(self.duration_s)
+
+    def position(self, elapsed_s: float) -> Position:
+        """Where the vehicle is, so long after their start."""
+        place, height = self.over_ground.position(elapsed_s), self.vertical.position(elapsed_s)
+        return Position(place.east_m, place.north_m, height.altitude_m)
+
+    def velocity(self, elapsed_s: float) -> Velocity:
+        """How it moves, so long after their start."""
+        along, up = self.over_ground.velocity(elapsed_s), self.vertical.velocity(elapsed_s)
+        return Velocity(along.east_m_s, along.north_m_s, up.up_m_s)
+
+
+AnyStretch_co = TypeVar("AnyStretch_co", bound=Stretch, covariant=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Motion(Generic[AnyStretch_co]):
+    """Stretches flown one after the other from `begun_s` on, ending at rest."""
 
     begun_s: float
-    phases: tuple[Phase, ...]
+    phases: tuple[AnyStretch_co, ...]
     end: Position
 
     @property
@@ -98,7 +181,7 @@ class Motion:
         current = self._current(now_s)
         return current[0].velocity(current[1]) if current else Velocity()
 
-    def _current(self, now_s: float) -> tuple[Phase, float] | None:
+    def _current(self, now_s: float) -> tuple[AnyStretch_co, float] | None:
         elapsed_s = max(0.0, now_s - self.begun_s)
         for phase in self.phases:
             if elapsed_s < phase.duration_s:
@@ -107,7 +190,7 @@ class Motion:
         return None
 
 
-def duration_s(phases: Sequence[Phase]) -> float:
+def duration_s(phases: Sequence[Stretch]) -> float:
     """How long the phases take together."""
     return sum(phase.duration_s for phase in phases)
 
@@ -124,7 +207,7 @@ def leg(
             f"a leg needs a speed and an acceleration above 0, not {cruise_m_s} m/s and {acceleration_m_s2} m/s²"
         )
     length_m = distance_m(start, end)
-    if length_m == 0:
+    if length_m < _NO_LENGTH_M:
         return ()
     heading = heading_of(start, end)
     top_m_s = min(cruise_m_s, math.sqrt(acceleration_m_s2 * length_m + speed_m_s**2 / 2))
@@ -228,7 +311,7 @@ def ramped_leg(
 ) -> tuple[Phase, ...]:
     """A straight line from rest to rest along two ramps; a short leg never reaches cruise."""
     length_m = distance_m(start, end)
-    if length_m == 0:
+    if length_m < _NO_LENGTH_M:
         return ()
     heading = heading_of(start, end)
     top_m_s = _highest_m_s(length_m, cruise_m_s, faster, slower)
@@ -236,55 +319,6 @@ def ramped_leg(
     cruise_m = max(0.0, length_m - faster.length_m(top_m_s) - slower.length_m(top_m_s))
     steady = Phase(speeding_up[-1].end, heading, top_m_s, 0.0, cruise_m / top_m_s)
     return *speeding_up, steady, *slower.phases(steady.end, heading, top_m_s)
-
-
-def resumed_leg(
-    start: Position, end: Position, *, speed_m_s: float, cruise_m_s: float, faster: Ramp, slower: Ramp
-) -> tuple[Phase, ...]:
-    """The rest of a leg that has already got up to a speed below cruise; empty if it could not stop in time."""
-    length_m = distance_m(start, end)
-    if length_m == 0:
-        return ()
-    heading = heading_of(start, end)
-
-    def speeding_up(top_m_s: float) -> tuple[Phase, ...]:
-        return _from_speed(faster.phases(start, heading, top_m_s), speed_m_s)
-
-    def left_m(extra_m_s: float) -> float:
-        """What is left to cruise if it gains so much speed first."""
-        top_m_s = speed_m_s + extra_m_s
-        gaining_m = sum(phase.travelled_m(phase.duration_s) for phase in speeding_up(top_m_s))
-        return length_m - gaining_m - slower.length_m(top_m_s)
-
-    if left_m(0.0) < 0:
-        return ()
-    most_m_s = cruise_m_s - speed_m_s
-    extra_m_s = most_m_s if left_m(most_m_s) >= 0 else _last(lambda extra: left_m(extra) >= 0, most_m_s)
-    top_m_s = speed_m_s + extra_m_s
-    gaining = speeding_up(top_m_s)
-    here = gaining[-1].end if gaining else start
-    steady = Phase(here, heading, top_m_s, 0.0, max(0.0, left_m(extra_m_s)) / top_m_s)
-    return *gaining, steady, *slower.phases(steady.end, heading, top_m_s)
-
-
-def _from_speed(phases: Sequence[Phase], speed_m_s: float) -> tuple[Phase, ...]:
-    """What is left of a ramp once that speed is reached, flown from the ramp's start."""
-    left: list[Phase] = []
-    start = phases[0].start
-    for phase in phases:
-        skipped_s = 0.0 if left else _slow_until_s(phase, speed_m_s)
-        lasts_s = phase.duration_s - skipped_s
-        if lasts_s > _NO_TIME_S:
-            now_m_s = phase.velocity(skipped_s).speed_m_s
-            now_m_s2 = phase.acceleration_m_s2 + skipped_s * phase.jerk_m_s3
-            left.append(Phase(start, phase.heading, now_m_s, now_m_s2, lasts_s, phase.jerk_m_s3))
-            start = left[-1].end
-    return tuple(left)
-
-
-def _slow_until_s(phase: Phase, speed_m_s: float) -> float:
-    """When a phase that speeds up gets above the speed."""
-    return _last(lambda elapsed_s: phase.velocity(elapsed_s).speed_m_s <= speed_m_s, phase.duration_s)
 
 
 def _highest_m_s(length_m: float, cruise_m_s: float, faster: Ramp, slower: Ramp) -> float:
@@ -305,10 +339,25 @@ def _last(true: Callable[[float], bool], end: float) -> float:
     return begin
 
 
+def smooth_phase(
+    start: Position, heading: Velocity, *, length_m: float, from_m_s: float, to_m_s: float, duration_s: float
+) -> Phase:
+    """The phase of that length, with those speeds at its ends."""
+    mean_m_s = length_m / duration_s
+    return Phase(
+        start,
+        heading,
+        from_m_s,
+        (6 * mean_m_s - 4 * from_m_s - 2 * to_m_s) / duration_s,
+        duration_s,
+        6 * (from_m_s + to_m_s - 2 * mean_m_s) / duration_s**2,
+    )
+
+
 def steadily(start: Position, end: Position, *, duration_s: float) -> tuple[Phase, ...]:
     """A straight line at one speed; a pause where it leads nowhere or takes no time."""
     length_m = distance_m(start, end)
-    if length_m == 0 or duration_s == 0:
+    if length_m < _NO_LENGTH_M or duration_s == 0:
         return (Phase(end, Velocity(), 0.0, 0.0, duration_s),)
     return (Phase(start, heading_of(start, end), length_m / duration_s, 0.0, duration_s),)
 
@@ -349,21 +398,18 @@ def elapsed_s(phase: Phase, travelled_m: float) -> float | None:
     return 2 * travelled_m / divisor if divisor > 0 else None
 
 
-def settled_s(phases: Sequence[Phase], *, distance_m: float, speed_m_s: float) -> float:
-    """From when on a vehicle is so near the phases' end, and so slow, for good."""
-    remaining_m, ended_s = 0.0, duration_s(phases)
-    for phase in reversed(phases):
-        length_m = phase.travelled_m(phase.duration_s)
+def settled_s(phases: Sequence[Phase], *, within_m: float, below_m_s: float) -> float:
+    """When a vehicle is first so near the phases' end, and so slow."""
+    begun_s = 0.0
+    for phase in phases:
 
-        def is_settled(
-            left_s: float, phase: Phase = phase, length_m: float = length_m, beyond_m: float = remaining_m
-        ) -> bool:
-            elapsed_s = phase.duration_s - left_s
-            near = beyond_m + length_m - phase.travelled_m(elapsed_s) <= distance_m
-            return near and phase.velocity(elapsed_s).speed_m_s <= speed_m_s
+        def is_unsettled(elapsed_s: float, phase: Phase = phase) -> bool:
+            left_m = distance_m(phase.position(elapsed_s), phases[-1].end)
+            return left_m > within_m or phase.velocity(elapsed_s).speed_m_s > below_m_s
 
-        ended_s -= phase.duration_s
-        if not is_settled(phase.duration_s):
-            return ended_s + phase.duration_s - _last(is_settled, phase.duration_s)
-        remaining_m += length_m
-    return 0.0
+        if not is_unsettled(0.0):
+            return begun_s
+        if not is_unsettled(phase.duration_s):
+            return begun_s + _last(is_unsettled, phase.duration_s)
+        begun_s += phase.duration_s
+    return begun_s

@@ -3,33 +3,48 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable
 from typing import Any, Protocol
 
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
-
 from upwash.errors import UsageError
+from upwash.mavlink_packets import PacketReader
+from upwash.mavlink_signing import Refusal, Signing
+from upwash.vehicle.ardupilot import ArduCopter
 from upwash.vehicle.clock import Clock
 from upwash.vehicle.conversation import Conversation, Vehicle
 from upwash.vehicle.copter import Copter, VehicleSettings
 from upwash.vehicle.faults import FaultKind
-from upwash.vehicle.telemetry import Message
+from upwash.vehicle.firmware import Firmware
+from upwash.vehicle.px4.firmware import Px4
+from upwash.vehicle.px4.vehicle import Px4Settings, Quadrotor
 
 _FORGOTTEN_AFTER_S = 10.0
 _MOST_UNSENT_BYTES = 65_536
 
 
-async def serve_vehicle(listen: str, settings: VehicleSettings) -> VehicleServer:
-    """Switches a stand-in on at `udp:HOST:PORT` or `tcp:HOST:PORT` (0: a free port); UsageError if it cannot."""
+def firmware(settings: VehicleSettings | Px4Settings, *, now_s: float) -> Firmware:
+    """The autopilot that the settings are for, just switched on."""
+    if isinstance(settings, Px4Settings):
+        return Px4(Quadrotor(settings, now_s=now_s))
+    return ArduCopter(Copter(settings, now_s=now_s))
+
+
+async def serve_vehicle(
+    listen: str, settings: VehicleSettings | Px4Settings, *, signing: Signing | None = None
+) -> VehicleServer:
+    """Switches a stand-in on at `udp:HOST:PORT` or `tcp:HOST:PORT` (0: a free port); UsageError if it cannot.
+
+    With `signing` it signs all that it says, and obeys nothing that is not signed with the same key.
+    """
     kind, host, port = _parse(listen)
     loop = asyncio.get_running_loop()
     clock = Clock(settings.speedup)
-    vehicle = Vehicle(Copter(settings, now_s=clock.now_s()), clock)
+    vehicle = Vehicle(firmware(settings, now_s=clock.now_s()), clock, signing)
+    one_peer = isinstance(settings, Px4Settings) and settings.one_peer
     endpoint: _Endpoint
     try:
         if kind == "udp":
             endpoint, _ = await loop.create_datagram_endpoint(
-                lambda: _Datagrams(vehicle), local_addr=(host, port)
+                lambda: _Datagrams(vehicle, one_peer=one_peer), local_addr=(host, port)
             )
             place = endpoint.get_extra_info("sockname")
         else:
@@ -82,17 +97,15 @@ class VehicleServer:
         await asyncio.sleep(0)  # transports close their sockets in the loop's next turn
 
 
-def _parser() -> Any:
-    codec = mavlink.MAVLink(None)
-    codec.robust_parsing = True  # what cannot be understood becomes a message of its own, not an exception
-    return codec
-
-
 class _Datagrams(asyncio.DatagramProtocol):
-    """UDP: a conversation with each address that has said something in MAVLink lately."""
+    """UDP: a conversation with each address that has said something in MAVLink lately.
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    With one peer only, it hears everyone and answers the first, until it is switched off.
+    """
+
+    def __init__(self, vehicle: Vehicle, *, one_peer: bool) -> None:
         self._vehicle = vehicle
+        self._one_peer = one_peer
         self._conversations: dict[Any, Conversation] = {}
 
     def connection_made(self, transport: asyncio.DatagramTransport) -> None:  # type: ignore[override]
@@ -100,10 +113,15 @@ class _Datagrams(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, address: Any) -> None:
         # A datagram holds whole messages: read by itself, one peer's garbage cannot swallow another's message.
-        for message in _understood(_parser().parse_buffer(data)):
-            self._conversation(address).hear(message)
+        for message, refusal in PacketReader(self._vehicle.signing).read(data):
+            if refusal is None:
+                self._conversation(address).hear(message)
+            elif refusal is Refusal.STALE:
+                self._conversation(address)  # who has the key and a clock that is behind learns the time so
 
     def _conversation(self, address: Any) -> Conversation:
+        if self._one_peer and self._conversations:
+            return next(iter(self._conversations.values()))
         if address not in self._conversations:
             self._forget_the_silent()
             self._conversations[address] = Conversation(
@@ -124,15 +142,16 @@ class _Stream(asyncio.Protocol):
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
-        self._parser = _parser()
+        self._reader = PacketReader(vehicle.signing)
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         self._transport = transport
         self._conversation = Conversation(self._vehicle, write=self._write, hang_up=transport.abort)
 
     def data_received(self, data: bytes) -> None:
-        for message in _understood(self._parser.parse_buffer(data)):
-            self._conversation.hear(message)
+        for message, refusal in self._reader.read(data):
+            if refusal is None:
+                self._conversation.hear(message)
 
     def connection_lost(self, error: Exception | None) -> None:
         self._conversation.end()
@@ -143,9 +162,3 @@ class _Stream(asyncio.Protocol):
         room = self._transport.get_write_buffer_size() < _MOST_UNSENT_BYTES
         if room and not self._transport.is_closing():
             self._transport.write(data)
-
-
-def _understood(messages: Iterable[Message] | None) -> Iterable[Message]:
-    """Without garbage, and without unknown messages, whose checksums cannot be verified."""
-    garbage = mavlink.MAVLink_bad_data, mavlink.MAVLink_unknown
-    return (message for message in messages or () if not isinstance(message, garbage))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from upwash.core.geo import Position, distance_m, ground_distance_m
-from upwash.vehicle.kinematics import Phase, Velocity, braking, leg
+from upwash.core.geo import Position, Velocity, distance_m, ground_distance_m
+from upwash.vehicle.kinematics import Phase, braking, heading_of, leg
+
+_STRAIGHT = 1 - 1e-6  # the cosine of an angle that is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,27 +27,49 @@ class Symmetric:
         """From rest to rest."""
         return self._leg(start, end, cruise_m_s=self._cruise_m_s(start, end, ground_speed_m_s))
 
-    def rest_of_leg(
-        self, start: Position, end: Position, *, ground_speed_m_s: float, speed_m_s: float
+    def redirected(
+        self, start: Position, velocity: Velocity, end: Position, *, ground_speed_m_s: float
     ) -> tuple[Phase, ...]:
-        """A leg from that speed to rest; empty if it is faster than it may be, or could not stop in time."""
-        cruise_m_s = self._cruise_m_s(start, end, ground_speed_m_s)
-        too_fast = speed_m_s**2 > 2 * self.acceleration_m_s2 * distance_m(start, end)
-        if speed_m_s > cruise_m_s or too_fast:
-            return ()
-        return self._leg(start, end, cruise_m_s=cruise_m_s, speed_m_s=speed_m_s)
+        """Goes on if it flies to the target no faster than it may; else it brakes first, and then flies there."""
+        speed_m_s, cruise_m_s = velocity.speed_m_s, self._cruise_m_s(start, end, ground_speed_m_s)
+        length_m = distance_m(start, end)
+        if (
+            length_m > 0
+            and 0 < speed_m_s <= cruise_m_s
+            and speed_m_s**2 <= 2 * self.acceleration_m_s2 * length_m
+        ):
+            ahead = heading_of(start, end)
+            along_m_s = (
+                ahead.east_m_s * velocity.east_m_s
+                + ahead.north_m_s * velocity.north_m_s
+                + ahead.up_m_s * velocity.up_m_s
+            )
+            if along_m_s >= _STRAIGHT * speed_m_s:
+                return self._leg(start, end, cruise_m_s=cruise_m_s, speed_m_s=speed_m_s)
+        braked = self.brake(start, velocity)
+        here = braked[-1].end if braked else start
+        return *braked, *self.waypoint_leg(here, end, ground_speed_m_s=ground_speed_m_s)
 
     def brake(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
         """To rest, straight ahead."""
         return braking(start, velocity, acceleration_m_s2=self.acceleration_m_s2)
 
     def way_home(
-        self, start: Position, home: Position, *, ground_speed_m_s: float, altitude_m: float
+        self,
+        start: Position,
+        velocity: Velocity,
+        home: Position,
+        *,
+        ground_speed_m_s: float,
+        altitude_m: float,
     ) -> tuple[Phase, ...]:
-        """Climbs to the altitude if it is lower, and flies home."""
+        """Brakes, climbs to the altitude if it is lower, and flies home."""
+        braked = self.brake(start, velocity)
+        start = braked[-1].end if braked else start
         top_m = max(start.altitude_m, altitude_m)
         above_start, above_home = replace(start, altitude_m=top_m), replace(home, altitude_m=top_m)
         return (
+            *braked,
             *self._leg(start, above_start, cruise_m_s=self.climb_m_s),
             *self._leg(above_start, above_home, cruise_m_s=ground_speed_m_s),
         )

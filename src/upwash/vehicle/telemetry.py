@@ -9,8 +9,10 @@ from typing import Any, TypeAlias
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Position
+from upwash.vehicle.answers import LandedState
 from upwash.vehicle.copter import Copter, Mode
 from upwash.vehicle.faults import FaultKind
+from upwash.vehicle.fence import Breach
 
 Message: TypeAlias = Any  # pymavlink's messages are not typed
 Report: TypeAlias = Callable[[Copter, float], Message]
@@ -31,8 +33,7 @@ _SENSORS = (
     | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
     | mavlink.MAV_SYS_STATUS_PREARM_CHECK
 )
-_EKF_FLIES_BY_GPS = 831
-_EKF_HOLDS_ATTITUDE = 165  # attitude, vertical speed and height; for the rest it assumes that it stands still
+_SATELLITES, _TOO_FEW_SATELLITES = 10, 3
 _ONLY_POSITION = 0b110111111000
 _CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
@@ -52,7 +53,9 @@ def heartbeat(copter: Copter, now_s: float) -> Message:
         base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
     if booting or copter.mode is Mode.GUIDED or (armed and copter.mode in _HOVERS_ONLY_WHEN_ARMED):
         base_mode |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
-    if copter.flying(now_s):
+    if copter.critical():
+        status = mavlink.MAV_STATE_CRITICAL
+    elif copter.landed_state(now_s) is not LandedState.ON_GROUND:
         status = mavlink.MAV_STATE_ACTIVE
     else:
         status = mavlink.MAV_STATE_BOOT if booting else mavlink.MAV_STATE_STANDBY
@@ -64,7 +67,7 @@ def heartbeat(copter: Copter, now_s: float) -> Message:
 def sys_status(copter: Copter, now_s: float) -> Message:
     """SYS_STATUS: whether its sensors and its checks before arming are well, and its battery."""
     health = _SENSORS
-    if not copter.seems_armable(now_s):
+    if not copter.armable(now_s):
         health &= ~mavlink.MAV_SYS_STATUS_PREARM_CHECK
     if copter.suffers(FaultKind.GPS, now_s):
         health &= ~mavlink.MAV_SYS_STATUS_SENSOR_GPS
@@ -104,33 +107,40 @@ def battery_status(copter: Copter, now_s: float) -> Message:
 
 
 def system_time(copter: Copter, now_s: float) -> Message:
-    """SYSTEM_TIME: since boot only; it has no idea of the date."""
-    return mavlink.MAVLink_system_time_message(0, _boot_ms(copter, now_s))
+    """SYSTEM_TIME: since boot, and the date once its receiver has told it."""
+    unix_us = round(copter.unix_s(now_s) * 1e6)
+    return mavlink.MAVLink_system_time_message(unix_us, _boot_ms(copter, now_s))
 
 
 def gps_raw(copter: Copter, now_s: float) -> Message:
     """GPS_RAW_INT: the receiver's fix."""
     geo = copter.frame.geo(copter.position(now_s))
-    blind = copter.suffers(FaultKind.GPS, now_s) or not copter.knows_its_place(now_s)
+    blind = not copter.has_fix(now_s)
+    hears = copter.hears_satellites(now_s)
     velocity = copter.velocity(now_s)
     return mavlink.MAVLink_gps_raw_int_message(
         time_usec=round(copter.uptime_s(now_s) * 1e6),
-        fix_type=mavlink.GPS_FIX_TYPE_NO_FIX if blind else mavlink.GPS_FIX_TYPE_RTK_FIXED,
+        fix_type=_fix_type(blind=blind, hears=hears),
         lat=0 if blind else _degrees_e7(geo.latitude_deg),
         lon=0 if blind else _degrees_e7(geo.longitude_deg),
         alt=_above_sea_mm(copter, copter.position(now_s)),
-        eph=9999 if blind else 121,
-        epv=9999 if blind else 200,
+        eph=121 if hears else 65535,
+        epv=200 if hears else 65535,
         vel=round(math.hypot(velocity.east_m_s, velocity.north_m_s) * 100),
         cog=_heading_cdeg(copter, now_s),
-        satellites_visible=0 if blind else 10,
+        satellites_visible=(_TOO_FEW_SATELLITES if blind else _SATELLITES) if hears else 0,
     )
+
+
+def _fix_type(*, blind: bool, hears: bool) -> int:
+    if not hears:
+        return int(mavlink.GPS_FIX_TYPE_NO_GPS)
+    return int(mavlink.GPS_FIX_TYPE_NO_FIX if blind else mavlink.GPS_FIX_TYPE_RTK_FIXED)
 
 
 def ekf_status(copter: Copter, now_s: float) -> Message:
     """EKF_STATUS_REPORT: by what the position estimate goes."""
-    flags = _EKF_FLIES_BY_GPS if copter.estimates_position(now_s) else _EKF_HOLDS_ATTITUDE
-    return mavlink.MAVLink_ekf_status_report_message(flags, 0.02, 0.02, 0.02, 0.02, 0.0)
+    return mavlink.MAVLink_ekf_status_report_message(copter.ekf_flags(now_s), 0.02, 0.02, 0.02, 0.02, 0.0)
 
 
 def attitude(copter: Copter, now_s: float) -> Message:
@@ -157,7 +167,7 @@ def global_position(copter: Copter, now_s: float) -> Message:
     """GLOBAL_POSITION_INT: where it is and how it moves; latitude and longitude are 0 until that is known."""
     position, velocity = copter.position(now_s), copter.velocity(now_s)
     geo = copter.frame.geo(position)
-    known = copter.knows_its_place(now_s)
+    known = copter.knows_its_place(now_s) or copter.has_fix(now_s)
     return mavlink.MAVLink_global_position_int_message(
         time_boot_ms=_boot_ms(copter, now_s),
         lat=_degrees_e7(geo.latitude_deg) if known else 0,
@@ -233,9 +243,23 @@ def home_position(copter: Copter, now_s: float) -> Message | None:
 
 def extended_sys_state(copter: Copter, now_s: float) -> Message:
     """EXTENDED_SYS_STATE: on the ground, in the air, or between."""
-    return mavlink.MAVLink_extended_sys_state_message(
-        mavlink.MAV_VTOL_STATE_UNDEFINED, copter.landed_state(now_s)
+    return mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_MC, copter.landed_state(now_s))
+
+
+def fence_status(copter: Copter, now_s: float) -> Message:
+    """FENCE_STATUS: whether it keeps to its fence."""
+    found, count, ago_s = copter.fence_status(now_s)
+    return mavlink.MAVLink_fence_status_message(
+        breach_status=int(found is not Breach.NONE),
+        breach_count=count,
+        breach_type=found,
+        breach_time=round((copter.uptime_s(now_s) - ago_s) * 1e3) if count else 0,
+        breach_mitigation=mavlink.FENCE_MITIGATE_NONE,
     )
+
+
+def wind(_copter: Copter, _now_s: float) -> None:
+    """WIND: it estimates none."""
 
 
 def mission_current(_copter: Copter, _now_s: float) -> Message:
@@ -277,6 +301,8 @@ REPORTS: dict[float, Report] = {
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: home_position,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: extended_sys_state,
+    mavlink.MAVLINK_MSG_ID_FENCE_STATUS: fence_status,
+    mavlink.MAVLINK_MSG_ID_WIND: wind,
 }
 """What can be asked for, by message number; a request's number arrives as a float."""
 
@@ -286,6 +312,7 @@ STREAMS: dict[int, tuple[int, ...]] = {
         mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
         mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
         mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
+        mavlink.MAVLINK_MSG_ID_FENCE_STATUS,
     ),
     mavlink.MAV_DATA_STREAM_POSITION: (
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,

@@ -6,19 +6,19 @@ import asyncio
 from collections.abc import Sequence
 
 from starlette.applications import Starlette
-from starlette.datastructures import MutableHeaders
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware import Middleware
-from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from upwash.hosts import names_this_machine
 from upwash.report.photos import PhotoShelf
 from upwash.view.feed import Feed
 
-_HOSTS = ["127.0.0.1", "localhost"]  # a page elsewhere that got its name to mean this machine is turned away
+_LISTENS_AT = "127.0.0.1"
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'; img-src 'self'"
@@ -65,9 +65,24 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
         ],
         middleware=[
             Middleware(_Guarded, policy=" ".join((_POLICY, *images))),
-            Middleware(TrustedHostMiddleware, allowed_hosts=_HOSTS, www_redirect=False),
+            Middleware(_OwnHost),
         ],
     )
+
+
+class _OwnHost:
+    """Turns away a page from elsewhere whose name was made to mean this machine."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        hosts = Headers(scope=scope).getlist("host")
+        reached_at = (scope.get("server") or (_LISTENS_AT,))[0]
+        if len(hosts) == 1 and names_this_machine(hosts[0], listens_at=_LISTENS_AT, reached_at=reached_at):
+            await self._app(scope, receive, send)
+        else:
+            await Response("this page is another machine's", status_code=421)(scope, receive, send)
 
 
 class _Guarded:

@@ -45,6 +45,14 @@ class Fix(Fact, frozen=True):
     altitude_m: float
 
 
+class Control(Fact, frozen=True):
+    """Who has the vehicle from now on, in words and why; `is_ours` says whether the program has."""
+
+    is_ours: bool
+    who: str
+    why: str
+
+
 class Doing(Fact, frozen=True):
     """What the drone does from now on, and how many waypoints it has reached."""
 

@@ -63,7 +63,9 @@ class Recording:
     def _take(self, line: bytes) -> None:
         self._lines_read += 1
         try:
-            event = event_log.decode(line)
+            event = event_log.decode_line(line, self.log, self._lines_read)
+            if event is None:
+                return
             if event["event"] == "log_opened" and self.facts:
                 self._begin()
             self.facts += map(msgspec.json.encode, self.story.take(event))

@@ -10,6 +10,7 @@ from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from upwash.errors import UsageError
 from upwash.real.signals import stopping_politely
@@ -21,6 +22,20 @@ from upwash.view.tiles import Tiles
 
 _CONNECTIONS = 64
 _GOODBYE_S = 2
+_REQUEST_S = 5.0
+
+
+class _Impatient(H11Protocol):
+    """Hangs up on who connects and asks nothing: there are no more than so many connections."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Gives it some time from now on."""
+        super().connection_made(transport)
+        self.loop.call_later(_REQUEST_S, self._hang_up)
+
+    def _hang_up(self) -> None:
+        if self.cycle is None:
+            self.transport.close()
 
 
 class _Server(uvicorn.Server):
@@ -49,7 +64,7 @@ async def serve_view(
         server = _Server(
             uvicorn.Config(
                 application(feed, shelf, images=tiles.sources if tiles else ()),
-                http="h11",
+                http=_Impatient,
                 ws="none",
                 lifespan="off",
                 log_level="warning",

@@ -8,12 +8,14 @@ from typing import Any
 
 import msgspec
 
+from upwash.core.control import Owner
 from upwash.core.geo import LocalFrame, Position
 from upwash.core.servers import CHECKING, State
-from upwash.narration import MEANINGS, Narrator, in_one_line, tone_of
+from upwash.narration import MEANINGS, Narrator, in_one_line, tone_of, who_has_it
 from upwash.reasons import ExplainedCall, Reasons, told, told_decision
 from upwash.report.photos import Shot
 from upwash.report.record import Plan, place_of
+from upwash.results import Beginning
 from upwash.view import facts
 from upwash.view.facts import Fact, Outline
 
@@ -35,7 +37,8 @@ class Story:
         self._narrator = Narrator()
         self._reasons = Reasons()
         self._now_s = 0.0
-        self._began = False
+        self._beginning = Beginning()
+        self._policy = ""
         self._waypoint: int | None = None
         self._place: Position | None = None
         self._placed_s = 0.0
@@ -100,14 +103,20 @@ class Story:
                 self._shots_since_start, self.ended = 0, False
                 for server in sorted(self._servers):  # a program that begins anew knows of no server's state
                     yield self._step(server, State.AVL, "taken up again")
-            case {"event": "mission_started", "policy": policy} if not self._began:
-                self._began = True
-                yield facts.Began(at_s=self._now_s, policy=policy)
+            case {"event": "mission_started", "policy": policy}:
+                self._policy = policy
             case {"event": "arrived", "waypoint": waypoint}:
                 self._waypoint = waypoint
+            case {"event": "control", "owner": owner, "why": why}:
+                who = who_has_it(owner)
+                yield facts.Control(at_s=self._now_s, is_ours=owner == Owner.PROGRAM, who=who, why=why)
             case {"event": "mission_completed" | "mission_ended" as how}:
                 self.ended = True
                 yield facts.Ended(at_s=self._now_s, completed=how == "mission_completed")
+        began_s = self._beginning.at_s
+        self._beginning.take(event)
+        if self._beginning.at_s != began_s:
+            yield facts.Began(at_s=self._now_s, policy=self._policy)
         doing = (self._narrator.doing, self._narrator.reached)
         if doing != self._doing:
             yield facts.Doing(at_s=self._now_s, words=doing[0], reached=doing[1])

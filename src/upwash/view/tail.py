@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 
 from upwash.errors import UsageError
+from upwash.event_log import LONGEST_LINE_BYTES
 
 _CHUNK_BYTES = 2**18
-_LONGEST_LINE_BYTES = 2**24
 
 
 class Tail:
@@ -28,7 +28,7 @@ class Tail:
         if not chunk:
             return None
         *lines, self._rest = (self._rest + chunk).split(b"\n")
-        if len(self._rest) > _LONGEST_LINE_BYTES:
+        if len(self._rest) > LONGEST_LINE_BYTES:
             raise UsageError(f"{self._log} is not an event log: it has a line of more than 16 MiB")
         return lines
 

@@ -7,21 +7,33 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 
 import pytest
+from tests.ports.direct import flown_directly
+from tests.ports.steps import take_off
 
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, distance_m, ground_distance_m
-from upwash.errors import AutopilotRefused
+from upwash.errors import AutopilotOverruled, AutopilotRefused
 from upwash.ports import Autopilot
-from upwash.real.autopilot import FlightSettings, connect_autopilot
-from upwash.sim.autopilot import Manner, ModelAutopilot, Plain
+from upwash.real.mavlink import FlightSettings, connect_autopilot
+from upwash.sim.autopilot import ModelAutopilot, Plain
 from upwash.sim.loop import run_virtually
+from upwash.sim.vehicle import Manner
 from upwash.vehicle import arducopter
 from upwash.vehicle.copter import VehicleSettings
+from upwash.vehicle.px4.vehicle import Px4Settings
 from upwash.vehicle.server import serve_vehicle
 
 HOME = GeoPosition(39.3666, 22.9507)
 SPEED_M_S = 60.0
 Flight = Callable[[Autopilot], Awaitable[None]]
 Fly = Callable[[Flight], None]
+
+
+@asynccontextmanager
+async def px4_autopilot() -> AsyncIterator[Autopilot]:
+    settings = Px4Settings(HOME, home_altitude_m=488.0)
+    flight = FlightSettings(arrival_distance_m=0.8)  # it may drift on a little while it lands
+    async with flown_directly(settings, flight, ground_speed_m_s=SPEED_M_S) as (_, autopilot):
+        yield autopilot
 
 
 @asynccontextmanager
@@ -64,13 +76,14 @@ def model(manner: Manner) -> Callable[[], AbstractAsyncContextManager[Autopilot]
 PLAIN = Plain(acceleration_m_s2=300.0, takeoff_s=1.0, return_and_land_s=1.0)
 
 
-@pytest.fixture(params=["plain model", "arducopter model", "mavlink"])
+@pytest.fixture(params=["plain model", "arducopter model", "mavlink", "px4"])
 def fly(request: pytest.FixtureRequest) -> Fly:
     """Runs a flight with one of the twins."""
     make, run = {
         "plain model": (model(PLAIN), run_virtually),
         "arducopter model": (model(arducopter), run_virtually),
         "mavlink": (mavlink_autopilot, asyncio.run),
+        "px4": (px4_autopilot, run_virtually),
     }[request.param]
 
     def flown(flight: Flight) -> None:
@@ -83,14 +96,10 @@ def fly(request: pytest.FixtureRequest) -> Fly:
     return flown
 
 
-async def take_off(autopilot: Autopilot) -> None:
-    await autopilot.arm()
-    await autopilot.takeoff(5.0)
-
-
 def test_each_verb_returns_when_it_is_true(fly: Fly) -> None:
     async def mission(autopilot: Autopilot) -> None:
         assert not await autopilot.in_the_air()
+        assert autopilot.stands and not autopilot.armed
         await take_off(autopilot)
         assert await autopilot.in_the_air()
         assert distance_m(autopilot.position, Position(0.0, 0.0, 5.0)) <= 1.0
@@ -118,6 +127,9 @@ def test_it_lands_where_it_is(fly: Fly) -> None:
 
 def test_what_cannot_be_is_refused(fly: Fly) -> None:
     async def mission(autopilot: Autopilot) -> None:
+        with pytest.raises(AutopilotOverruled, match="the program has not taken the vehicle"):
+            await autopilot.arm()
+        await autopilot.claim(resumes=False)
         with pytest.raises(AutopilotRefused):
             await autopilot.takeoff(5.0)
         with pytest.raises(AutopilotRefused):

@@ -54,9 +54,7 @@ async def grpc_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
         return caller.visitor.name.encode() + b" " + body
 
     address = f"unix:{folder}/s1.sock"
-    listener = Listener(
-        address, answer, credentials=None, max_message_bytes=1000, concurrent_requests=4, requests_per_drone=4
-    )
+    listener = Listener(address, answer, max_message_bytes=1000, concurrent_requests=4, requests_per_drone=4)
     if answered:
         listener.start()
     link = GrpcDialer("heron", None, max_message_bytes=1000).dial(address, server="s1")

@@ -10,6 +10,7 @@ from ipaddress import IPv4Network
 from pathlib import Path
 
 import pytest
+from tests.doors import led
 
 from upwash.core.estimates import Operation
 from upwash.errors import LinkError, Refused, UsageError
@@ -47,12 +48,15 @@ class Site:
     dialer: Dialer
     spec: InstanceSpec
     heron: frozenset[str] = frozenset({"heron"})  # what instances know the drone by
+    host: str = "127.0.0.1"  # whose ports endpoints are, if they are ports
 
     async def call(self, endpoint: str) -> object:
         """Calls the workbench's `work` over a link of its own."""
         method = spec_of(load_service(self.spec.program.path)).methods["work"]
         _, request = method.encode(("light",), {})
-        link = self.dialer.dial(endpoint, server="s1")
+        link = self.dialer.dial(
+            f"{self.host}{endpoint}" if endpoint.startswith(":") else endpoint, server="s1"
+        )
         try:
             reply = await link.request(service_path("workbench", "work"), request, timeout_s=10.0)
         finally:
@@ -71,7 +75,7 @@ def on(engine: str) -> tuple[pytest.MarkDecorator, ...]:
     params=[
         "model",
         "process",
-        "sandbox",
+        pytest.param("sandbox", marks=pytest.mark.sandbox),
         *(
             pytest.param(f"{state} container of {engine}", marks=on(engine))
             for engine in ("lxd", "incus")
@@ -82,19 +86,18 @@ def on(engine: str) -> tuple[pytest.MarkDecorator, ...]:
 def use(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Use:
     """Does something at a site of one of the twins."""
     program = f"{services}:Workbench"
-    spec = InstanceSpec("s1", "workbench", Program(program))
+    spec = InstanceSpec("s1", "workbench", Program(program), methods=frozenset({"work"}))
 
     @asynccontextmanager
     async def model() -> AsyncIterator[Site]:
         switchboard = Switchboard({})
         runtime = ModelRuntime({"workbench": spec_of(load_service(program))}, Sure(), switchboard)
-        yield Site(runtime, ModelDialer("heron", switchboard, Wire()), spec)
+        yield Site(runtime, ModelDialer("heron", switchboard, Wire()), spec, host="")
 
     @asynccontextmanager
     async def process(sandbox: Sandbox | None = None) -> AsyncIterator[Site]:
         runtime = ProcessRuntime(
             lambda _: f"unix:{tmp_path}/s1.sock",
-            credentials=None,
             max_message_bytes=1_000_000,
             sandbox=sandbox,
         )
@@ -136,22 +139,23 @@ async def containers(
     socket: Path, image: Path, shown: Callable[[str], Credentials], spec: InstanceSpec, *, freezes: bool
 ) -> AsyncIterator[Site]:
     engine = Engine([EngineAddress(f"unix:{socket}")], project="default")
-    runtime = ContainerRuntime(
-        engine,
-        ContainerSettings(IPv4Network("10.147.70.0/24")),
-        freezes=freezes,
-        credentials=shown("s1"),
-        max_message_bytes=1_000_000,
-    )
-    try:
-        await engine.connect()
-        await engine.import_image(image)
-        await runtime.prepare(["s1"], [("s1", "workbench")])
-        heron = shown("heron")
-        dialer = GrpcDialer("heron", heron, max_message_bytes=1_000_000)
-        yield Site(runtime, dialer, spec, frozenset({fingerprint(heron.certificate)}))
-    finally:
-        await runtime.close()
+    async with led(shown("s1")) as lead:
+        runtime = ContainerRuntime(
+            engine,
+            ContainerSettings(IPv4Network("10.147.70.0/24")),
+            freezes=freezes,
+            lead=lead,
+            max_message_bytes=1_000_000,
+        )
+        try:
+            await engine.connect()
+            await engine.import_image(image)
+            await runtime.prepare(["s1"], [("s1", "workbench")])
+            heron = shown("heron")
+            dialer = GrpcDialer("heron", heron, max_message_bytes=1_000_000)
+            yield Site(runtime, dialer, spec, frozenset({fingerprint(heron.certificate)}))
+        finally:
+            await runtime.close()
 
 
 def test_an_instance_says_what_a_call_took(use: Use) -> None:
@@ -194,7 +198,7 @@ def test_an_instance_answers_those_who_are_admitted_and_says_who_called(use: Use
             assert isinstance(await site.call(instance.endpoint), str)
             async with asyncio.timeout(5.0):
                 await told.wait()
-            assert callers == ["heron"]
+            assert callers == list(site.heron)
             await instance.admit(frozenset({"stork"}))
             with pytest.raises(Refused, match="heron"):
                 await site.call(instance.endpoint)

@@ -37,7 +37,11 @@ async def fly(connection: str) -> None:
         action, telemetry = ActionAsync(system), TelemetryAsync(system)
         await telemetry.set_rate_position(20.0)
         await telemetry.set_rate_velocity_ned(20.0)
-        await until(telemetry.subscribe_position(), lambda position: abs(position.latitude_deg - 39.4) < 1)
+        await telemetry.set_rate_health(5.0)
+        await until(
+            telemetry.subscribe_health(),
+            lambda health: health.is_global_position_ok and health.is_home_position_ok,
+        )
         while True:
             try:
                 await action.arm()

@@ -261,9 +261,14 @@ def _decided_and_ended(flown: Flown) -> Iterator[tuple[float, Fact, Fact]]:
             yield flown.began_s + first["t"], first, call.ended
 
 
+def _answered_by(call: Fact, server: str) -> bool:
+    """Whether the server gave the answer; one that a service raised there is made sure of on the drone."""
+    return call["place"] == server or call.get("remote_fault") == "confirmed"
+
+
 def _returned_s(flown: Flown, strike: Strike) -> float | None:
     for decided_s, _, ended in _decided_and_ended(flown):
-        if decided_s >= strike.to_s and ended["place"] == strike.server:
+        if decided_s >= strike.to_s and _answered_by(ended, strike.server):
             return decided_s - strike.to_s
     return None
 
@@ -280,7 +285,7 @@ def _not_returned(flown: Flown, strike: Strike, strikes: Iterable[Strike]) -> It
     for decided_s, decided, ended in _decided_and_ended(flown):
         if not strike.back_s <= decided_s < until_s - ended["delay_s"]:
             continue
-        if inner.contains(Position(**decided["position"])) and ended["place"] != strike.server:
+        if inner.contains(Position(**decided["position"])) and not _answered_by(ended, strike.server):
             yield (
                 f"{decided_s - strike.to_s:.2f} s after the end of a black-out of "
                 f"{strike.to_s - strike.from_s:.0f} s a call ran at {ended['place']}: {ended['decision']}"

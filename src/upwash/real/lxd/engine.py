@@ -19,6 +19,7 @@ from urllib.parse import quote
 
 from upwash.errors import EngineError, UsageError
 from upwash.loading import extra
+from upwash.real.secrets import read_secret
 
 _log = logging.getLogger("upwash.lxd")
 
@@ -78,6 +79,9 @@ class Engine:
         """Returns when an engine answers that trusts this program; raises UsageError with the remedy."""
         with extra("lxd"):
             import pylxd  # noqa: F401 - asked here once, for a clear answer
+        for address in self._addresses:
+            if address.key:
+                read_secret(address.key)  # pylxd would take one that others can read
         try:
             info = await self._ask(lambda api: api.get().json()["metadata"])
         except EngineError as error:

@@ -11,13 +11,16 @@ from upwash.ports import Program
 from upwash.real.lxd.engine import EngineImage
 
 _PREFIX = "upwash."
-_NAMES = ("service", "program", "settings", "base", "python", "release")
+_NAMES = ("service", "program", "settings", "base", "python", "release", "methods")
 _plain = msgspec.json.Decoder(dict[str, object])
 
 
 @dataclass(frozen=True, slots=True)
 class ServiceImage:
-    """A service's image: its program, the system below it, and the Python and upwash that it was packaged with."""
+    """A service's image: its program, the system below it, the Python and upwash that it was packaged with.
+
+    `methods` are those that the service declares, in the words of whoever packaged it.
+    """
 
     service: str
     program: Program
@@ -25,6 +28,7 @@ class ServiceImage:
     python: str
     release: str
     fingerprint: str = ""
+    methods: frozenset[str] = frozenset()
 
     def properties(self) -> dict[str, str]:
         """What is written into the image; its fingerprint comes of that."""
@@ -36,6 +40,7 @@ class ServiceImage:
             f"{_PREFIX}base": self.base,
             f"{_PREFIX}python": self.python,
             f"{_PREFIX}release": self.release,
+            f"{_PREFIX}methods": ",".join(sorted(self.methods)),
         }
 
 
@@ -45,7 +50,15 @@ def newest_images(images: Iterable[EngineImage]) -> Mapping[str, ServiceImage]:
     for image in sorted(images, key=lambda each: each.uploaded_at):
         said = [image.properties.get(_PREFIX + name) for name in _NAMES]
         match said:
-            case [str(service), str(path), str(settings), str(base), str(python), str(release)]:
+            case [str(service), str(path), str(settings), str(base), str(python), str(release), str(methods)]:
                 program = Program(path, _plain.decode(settings))
-                found[service] = ServiceImage(service, program, base, python, release, image.fingerprint)
+                found[service] = ServiceImage(
+                    service,
+                    program,
+                    base,
+                    python,
+                    release,
+                    image.fingerprint,
+                    frozenset(filter(None, methods.split(","))),
+                )
     return found

@@ -6,16 +6,20 @@ import asyncio
 import logging
 from collections.abc import Callable
 
-from upwash.errors import EngineError, InstanceError, LinkError
+import msgspec
+
+from upwash.core.visitors import Visitor
+from upwash.errors import EngineError, InstanceError
 from upwash.ports import Answered
+from upwash.real.announced import announcement
 from upwash.real.control import Begin
 from upwash.real.conversation import LONGEST_LINE_BYTES, Conversation
-from upwash.real.leash import CONTROL_PORT, SERVICE_PORT, notice_silence
-from upwash.real.link import GrpcDialer
-from upwash.real.listener import HEALTH_CHECK, SERVING
+from upwash.real.door import Lead, Passage
+from upwash.real.leash import CONTROL_PORT, SERVICE_PORT, Leash, new_leash, notice_silence
 from upwash.real.lxd.container import Container
 from upwash.real.lxd.engine import Engine
 from upwash.real.output import Output
+from upwash.real.streams import CHUNK_BYTES, Streams
 
 _log = logging.getLogger("upwash.lxd")
 
@@ -24,7 +28,7 @@ _STOP_S = 10.0
 _FREEZE_S = 5.0
 _REACHED_S = 10.0  # from the start of a container until its process 1 answers
 _RETRY_S = 0.02
-_HEALTHY_S = 5.0
+_ANSWERS_S = 5.0
 
 
 class ContainerInstance:
@@ -38,9 +42,13 @@ class ContainerInstance:
         engine: Engine,
         lost: Callable[[str], None],
         keep: Callable[[ContainerInstance], None] | None,
+        lead: Lead,
     ) -> None:
         self.container = container
-        self.endpoint = f"{container.address}:{SERVICE_PORT}"
+        self.endpoint = ""  # of a passage through the daemon's door
+        self._lead = lead
+        self._passage: Passage | None = None
+        self._leash: Leash = new_leash()  # of the service: the container's own is its process 1's
         self._lost = lost  # is told the member of one that ended without a word
         self._name = name
         self._engine = engine
@@ -50,20 +58,26 @@ class ContainerInstance:
         self._stopped = asyncio.Event()
 
     async def begin(
-        self, begin: Begin, *, called: Callable[[str], None], answered: Answered, max_message_bytes: int
+        self, begin: Begin, *, called: Callable[[str], None], answered: Answered, methods: frozenset[str]
     ) -> None:
-        """Starts the container and tells it what to be; returns when it is healthy, raises InstanceError."""
+        """Starts the container and tells it what to be; returns when it answers, raises InstanceError."""
         name = self.container.name
         await self._engine.change(name, "start", wait_s=_START_S)
         reports, orders = await self._reach()
         self._conversation = Conversation(
-            self._name, called, self._output, answered=answered, reports=reports, orders=orders
+            self._name,
+            called,
+            self._output,
+            answered=answered,
+            methods=methods,
+            reports=reports,
+            orders=orders,
         )
         try:
-            await self._conversation.begin(begin)
+            await self._conversation.begin(msgspec.structs.replace(begin, leash=self._leash.text()))
         except EOFError:
             raise InstanceError(f"{self._name} did not start: {self._how_it_ended()}") from None
-        await self._check_health(begin, max_message_bytes)
+        await self._open()
 
     async def resume(self, *, called: Callable[[str], None], answered: Answered) -> None:
         """Has a frozen instance serve again; raises InstanceError."""
@@ -72,6 +86,7 @@ class ContainerInstance:
         self._conversation.called, self._conversation.answered = called, answered
         await self._engine.change(self.container.name, "unfreeze", wait_s=_FREEZE_S)
         await self._conversation.admit(frozenset())
+        await self._open()
 
     async def admit(self, drones: frozenset[str]) -> None:
         """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
@@ -104,6 +119,7 @@ class ContainerInstance:
         if self._stopped.is_set():
             return
         self._stopped.set()
+        await self._shut()
         if self._keep is not None and self._conversation is not None and not self._conversation.is_over:
             try:
                 await self._conversation.admit(frozenset())
@@ -118,6 +134,7 @@ class ContainerInstance:
     async def end(self) -> None:
         """Stops the container; where the engine does not answer, what runs in it ends by itself."""
         self._stopped.set()
+        await self._shut()
         if self._conversation is not None:
             await self._conversation.close()
         try:
@@ -146,22 +163,34 @@ class ContainerInstance:
                 "is there a route to the subnet of runtime.network?"
             ) from None
 
-    async def _check_health(self, begin: Begin, max_message_bytes: int) -> None:
-        credentials = self.container.leash.credentials(begin.authority.encode())
-        dialer = GrpcDialer("", credentials, max_message_bytes=max_message_bytes)
-        link = dialer.dial(self.endpoint, server=self.container.server)
+    async def _open(self) -> None:
+        """Leads callers to the service, once that was reached."""
         try:
-            health = await link.request(HEALTH_CHECK, b"", timeout_s=_HEALTHY_S)
-        except LinkError as error:
+            async with asyncio.timeout(_ANSWERS_S):
+                _, writer = await self._connect(Visitor(""))
+                writer.close()
+        except OSError as error:
             raise InstanceError(f"{self._name} runs, but does not answer: {error}") from error
-        finally:
-            await link.close()
-        if health != SERVING:
-            raise InstanceError(f"{self._name} runs, but says that it is not serving")
+        self._passage = await self._lead(self.container.server, self._connect)
+        self.endpoint = self._passage.endpoint
+
+    async def _shut(self) -> None:
+        if self._passage is not None:
+            await self._passage.close()
+            self._passage = None
+
+    async def _connect(self, visitor: Visitor) -> Streams:
+        reader, writer = await asyncio.open_connection(
+            self.container.address, SERVICE_PORT, ssl=self._leash.context(is_server=False), limit=CHUNK_BYTES
+        )
+        writer.write(announcement(visitor))
+        return reader, writer
 
     def _how_it_ended(self) -> str:
         assert self._conversation is not None  # noqa: S101 - it has begun
         code = self._conversation.code
+        if self._conversation.fault:
+            return self._conversation.fault
         if code is None:
             self._lost(self.container.member)
             return "the container is gone, or cannot be reached"

@@ -10,7 +10,7 @@ from importlib.metadata import version
 from upwash.errors import EngineError, InstanceError
 from upwash.ports import Answered, InstanceSpec, unheard
 from upwash.real.control import Begin
-from upwash.real.credentials import Credentials
+from upwash.real.door import Lead
 from upwash.real.leash import SERVICE_PORT
 from upwash.real.lxd.container import (
     Container,
@@ -30,6 +30,7 @@ _log = logging.getLogger("upwash.lxd")
 _CREATE_S = 120.0  # unpacking an image onto a slow disk
 _CREATE_ON_MEMBER_S = 20.0  # another member may be faster
 _STOP_S = 10.0
+_INSIDE = "unix:/tmp/instance.sock"  # in the container's own memory
 
 
 class ContainerRuntime:
@@ -41,13 +42,13 @@ class ContainerRuntime:
         settings: ContainerSettings,
         *,
         freezes: bool,
-        credentials: Credentials,
+        lead: Lead,
         max_message_bytes: int,
     ) -> None:
         self._engine = engine
         self._settings = settings
         self._freezes = freezes
-        self._credentials = credentials
+        self._lead = lead
         self._max_message_bytes = max_message_bytes
         self._frozen: dict[tuple[str, str], ContainerInstance] = {}
         self._containers: list[Container] = []  # not asked for again: a cluster waits for its lost members
@@ -200,13 +201,11 @@ class ContainerRuntime:
             engine=self._engine,
             lost=self._suspect,
             keep=self._keep if self._freezes else None,
+            lead=self._lead,
         )
         try:
             await instance.begin(
-                self._begin(spec, image, container),
-                called=called,
-                answered=answered,
-                max_message_bytes=self._max_message_bytes,
+                self._begin(spec, image), called=called, answered=answered, methods=image.methods
             )
             await asyncio.sleep(paced_until_s - loop.time())
         except BaseException:
@@ -217,18 +216,15 @@ class ContainerRuntime:
     def _keep(self, instance: ContainerInstance) -> None:
         self._frozen[instance.container.server, instance.container.service] = instance
 
-    def _begin(self, spec: InstanceSpec, image: ServiceImage, container: Container) -> Begin:
+    def _begin(self, spec: InstanceSpec, image: ServiceImage) -> Begin:
         """What to be is the image's to say: the daemon need not have the service's program."""
-        credentials = self._credentials
-        authority = credentials.authority + container.leash.certificate  # which may ask for its health
         return Begin(
             program=image.program.path,
             settings=dict(image.program.settings),
             service=spec.service,
-            listen=f"0.0.0.0:{SERVICE_PORT}",
+            listen=_INSIDE,
+            outside=f"0.0.0.0:{SERVICE_PORT}",
+            is_announced=True,
             max_message_bytes=self._max_message_bytes,
             pace_s=spec.pace_s,
-            authority=authority.decode(),
-            certificate=credentials.certificate.decode(),
-            key=credentials.key.decode(),
         )

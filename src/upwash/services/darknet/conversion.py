@@ -15,10 +15,12 @@ from upwash.errors import ModelError
 from upwash.services.darknet.graph import build_model
 from upwash.services.darknet.layers import read_network
 from upwash.services.darknet.weights import WeightsFile
+from upwash.user_files import read_file
 
 _log = logging.getLogger("upwash.detector")
 
 _EDITION = b"1"  # another one whenever the same files would be converted to something else
+_MOST_CFG_BYTES = 10_000_000
 _MODEL, _NUMBERS = "model.onnx", "model.numbers"
 
 
@@ -54,13 +56,17 @@ def cache_folder() -> Path:
 def _read(cfg: Path, weights: Path) -> tuple[bytes, str]:
     """The cfg's content, and the hash that tells these two files from all others."""
     try:
-        content = cfg.read_bytes()
+        content = read_file(cfg, most_bytes=_MOST_CFG_BYTES)
+        if weights.exists() and not weights.is_file():
+            raise ModelError(weights, "", "it is no file: check the path")
         with weights.open("rb") as file:
             digests = [hashlib.sha256(content).digest(), hashlib.file_digest(file, "sha256").digest()]
     except OSError as error:
         raise ModelError(
             Path(error.filename), "", f"cannot be read ({error.strerror}): check the path"
         ) from None
+    except ValueError as error:
+        raise ModelError(cfg, "", f"cannot be read ({error}): check the path") from None
     return content, hashlib.sha256(_EDITION + b"".join(digests)).hexdigest()
 
 

@@ -21,6 +21,7 @@ export class Flight {
     this.doing = element("p", { class: "doing", role: "status" });
     this.totals = element("p", { class: "totals" });
     this.summary = element("p", { class: "summary", hidden: "" });
+    this.control = element("p", { class: "trouble", role: "alert", hidden: "" });
     this.trouble = element("p", { class: "trouble", role: "alert", hidden: "" });
     this.where = element("p", { class: "where" });
     this.decision = element("h3");
@@ -35,7 +36,7 @@ export class Flight {
     const now = element("section", { class: "card now" }, this.decision, this.reasons);
     const delays = card("Call delay by waypoint", this.legend, this.chart.element, this.calls.element);
     delays.classList.add("delays");
-    const head = [this.heading, this.doing, this.totals, this.where, this.summary, this.trouble];
+    const head = [this.heading, this.control, this.doing, this.totals, this.where, this.summary, this.trouble];
     this.element = element(
       "section",
       { class: "flight", "aria-label": `Flight ${name}` },
@@ -87,8 +88,19 @@ export class Flight {
     const reached = `${doing?.reached ?? 0} of ${story.waypoints} waypoints reached`;
     write(this.totals, [reached, this.#calls(moment), policy].filter(Boolean).join(" · "));
     write(this.where, this.#where(moment.position));
+    this.#showControl(moment);
     this.trouble.hidden = !story.trouble;
     write(this.trouble, story.trouble);
+  }
+
+  // Who has the vehicle, as soon as it is not the program any more.
+  #showControl(moment) {
+    const control = moment.last("control");
+    this.control.hidden = !control || control.is_ours;
+    if (this.control.hidden) return;
+    const since = this.story.missionS(control.at_s).toFixed(1);
+    const who = control.who[0].toUpperCase() + control.who.slice(1);
+    write(this.control, `${who} has the vehicle since ${since} s: ${control.why}. Nothing is sent to it any more.`);
   }
 
   #where(place) {

@@ -1,6 +1,6 @@
 // What a log has told so far. Any moment of it is found by a search in lists that only grow.
 
-const SERIES = ["fix", "doing", "decision", "call", "shot", "told", "said"];
+const SERIES = ["fix", "doing", "control", "decision", "call", "shot", "told", "said"];
 
 export class Story {
   constructor(name) {

@@ -9,44 +9,83 @@ from __future__ import annotations
 import asyncio
 import io
 import os
+import socket
 import termios
 import tty
 from collections.abc import Awaitable, Callable
 from functools import partial
-from typing import Any, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import UsageError
-
-Message: TypeAlias = Any  # pymavlink's messages are not typed
+from upwash.mavlink_packets import packed
+from upwash.mavlink_signing import Refusal, Signing
+from upwash.real.mavlink.hearing import Hearing, Message, from_autopilot
+from upwash.real.mavlink.peer import Address, Peer
 
 COMPANION = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 
 _OPEN_WITHIN_S = 5.0
 _REOPEN_AFTER_S = 1.0
 _MOST_UNSENT_BYTES = 65_536
-_NOT_UNDERSTOOD = (mavlink.MAVLink_bad_data, mavlink.MAVLink_unknown)  # garbage, or no checksum to verify
+_MOVED_AFTER_S = 10.0
+_LONGEST_DATAGRAM_BYTES = 65_536
+_DATAGRAMS_AT_ONCE = 500  # and for so long, before anything else has its turn
+_DATAGRAMS_AT_ONCE_S = 0.01
+_READ_AT_ONCE_BYTES = 4096  # of a stream, before anything else has its turn
 
 
 class MavlinkLink:
     """A connection that opens itself, and again whenever it broke, until it is closed.
 
     `connection` is `udpin:HOST:PORT`, `udpout:HOST:PORT`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD`; UsageError
-    otherwise. `heard` is called with each message.
+    otherwise. `heard` is called with each message. Over `udpin` nothing is heard but from the peer, whom a heartbeat
+    that `follows` accepts makes that (see `peer`), and nothing is sent to anybody else. With `signing` all that is
+    sent is signed, and what is not signed with the same key is not heard.
     """
 
-    def __init__(self, connection: str, heard: Callable[[Message], None]) -> None:
+    def __init__(
+        self,
+        connection: str,
+        heard: Callable[[Message], None],
+        *,
+        signing: Signing | None = None,
+        follows: Callable[[Message], bool] = from_autopilot,
+        moved_after_s: float = _MOVED_AFTER_S,
+    ) -> None:
         self.connection = connection
         self.opened = asyncio.Event()  # set while it is open
         self.opened_s = 0.0  # when it last was, by the loop's clock
         self.trouble = ""  # what last kept it from being open
         self._open = _opener(connection)
         self._connects = connection.startswith("tcp:")  # the others have no other side to lose
-        self._heard = heard
+        self._hearing = Hearing(heard, follows, signing)
+        self._peer = (
+            Peer(self._hearing, moved_after_s=moved_after_s, signed=signing is not None)
+            if connection.startswith("udpin:")
+            else None
+        )
+        self._signing = signing
         self._line: _Line | None = None
         self._codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=COMPANION)
         self._task = asyncio.create_task(self._stay_open())
+
+    @property
+    def why_silent(self) -> str:
+        """What is known of why nothing is heard, in brackets; empty where nothing is."""
+        peer = self._peer
+        reasons = [self.trouble] if self.trouble else []
+        if self._hearing.refused is not None:
+            reasons.append(f"an autopilot was heard, and its messages {self._hearing.refused.value}")
+        if peer is not None and peer.last_ignored is not None:
+            host, port = peer.last_ignored[:2]
+            reasons.append(f"{peer.ignored} datagrams of others were ignored, the last from {host}:{port}")
+        return f" ({'; '.join(reasons)})" if reasons else ""
+
+    @property
+    def refused(self) -> Refusal | None:
+        """Why the last heartbeat of an autopilot was not believed; None where it was, or none was heard."""
+        return self._hearing.refused
 
     def speak_as_part_of(self, system: int) -> None:
         """Sends as the companion computer of that system from now on."""
@@ -54,9 +93,7 @@ class MavlinkLink:
 
     def send(self, message: Message) -> None:
         """Sends the message, or drops it while the connection is not open."""
-        data = bytes(message.pack(self._codec))
-        self._codec.seq = (self._codec.seq + 1) % 256
-        self.send_bytes(data)
+        self.send_bytes(packed(message, self._codec, self._signing))
 
     def send_bytes(self, data: bytes) -> None:
         """Sends them as they are, or drops them while the connection is not open."""
@@ -76,7 +113,7 @@ class MavlinkLink:
 
     async def _stay_open(self) -> None:
         while True:
-            line = _Line(self._heard)
+            line = _Line(self._hearing, self._peer)
             try:
                 async with asyncio.timeout(_OPEN_WITHIN_S):
                     await self._open(line)
@@ -94,16 +131,18 @@ class MavlinkLink:
             await asyncio.sleep(_REOPEN_AFTER_S)
 
 
-class _Line(asyncio.Protocol, asyncio.DatagramProtocol):
+class _Line(asyncio.BufferedProtocol, asyncio.DatagramProtocol):
     """One opening of the connection, from open to broken."""
 
-    def __init__(self, heard: Callable[[Message], None]) -> None:
+    def __init__(self, hearing: Hearing, peer: Peer | None) -> None:
         self.write: Callable[[bytes], None] = lambda _: None
-        self.peer: tuple[str | Any, int] | None = None  # whom a datagram was last heard from
+        self.peer = peer  # where anyone may send
         self.trouble = ""
         self.ended = asyncio.Event()
-        self._heard = heard
-        self._parser = _parser()
+        self.close_socket: Callable[[], None] = lambda: None  # where there is no transport
+        self._hearing = hearing
+        self._reader = hearing.reader()
+        self._buffer = bytearray(_READ_AT_ONCE_BYTES)
         self._transport: asyncio.BaseTransport | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -113,18 +152,27 @@ class _Line(asyncio.Protocol, asyncio.DatagramProtocol):
         self.trouble = str(error) if error else "closed by the other side"
         self.ended.set()
 
-    def data_received(self, data: bytes) -> None:
-        self._take(self._parser, data)
+    def get_buffer(self, sizehint: int) -> bytearray:
+        return self._buffer
 
-    def datagram_received(self, data: bytes, address: tuple[str | Any, int]) -> None:
-        self.peer = address
-        self._take(_parser(), data)  # a datagram holds whole messages: a broken one cannot spoil the next
+    def buffer_updated(self, nbytes: int) -> None:
+        self.data_received(bytes(self._buffer[:nbytes]))
+
+    def data_received(self, data: bytes) -> None:
+        self._hearing.take(data, self._reader)
+
+    def datagram_received(self, data: bytes, address: Address) -> None:
+        if self.peer is None:
+            self._hearing.take(data)
+        else:
+            self.peer.take(data, address, asyncio.get_running_loop().time())
 
     def error_received(self, error: Exception) -> None:
         self.trouble = str(error)  # such as "connection refused" by the host: it may well listen later
 
     async def close(self) -> None:
         """Returns when the line is closed."""
+        self.close_socket()
         if self._transport is None:
             return
         if isinstance(self._transport, asyncio.Transport):
@@ -133,27 +181,43 @@ class _Line(asyncio.Protocol, asyncio.DatagramProtocol):
             self._transport.close()
         await self.ended.wait()
 
-    def _take(self, parser: Any, data: bytes) -> None:
-        for message in parser.parse_buffer(data) or ():
-            if not isinstance(message, _NOT_UNDERSTOOD):
-                self._heard(message)
-
-
-def _parser() -> Any:
-    parser = mavlink.MAVLink(None)
-    parser.robust_parsing = True  # what cannot be understood becomes a message of its own, not an exception
-    return parser
-
 
 async def _open_udpin(host: str, port: int, line: _Line) -> None:
-    transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-        lambda: line, local_addr=(host, port)
-    )
+    # No transport of asyncio's: that reads one datagram a turn, and who sends more would have the vehicle's lost.
+    loop = asyncio.get_running_loop()
+    family, kind, _, _, place = (await loop.getaddrinfo(host, port, type=socket.SOCK_DGRAM))[0]
+    bound = socket.socket(family, kind)
+    try:
+        bound.setblocking(False)
+        bound.bind(place)
+    except OSError:
+        bound.close()
+        raise
+
+    def read() -> None:
+        until_s = loop.time() + _DATAGRAMS_AT_ONCE_S
+        for _ in range(_DATAGRAMS_AT_ONCE):
+            try:
+                data, address = bound.recvfrom(_LONGEST_DATAGRAM_BYTES)
+            except OSError:  # nothing more for now
+                return
+            line.datagram_received(data, address)
+            if loop.time() > until_s:
+                return
 
     def answer(data: bytes) -> None:
-        if line.peer:
-            transport.sendto(data, line.peer)
+        if line.peer and line.peer.answered:
+            try:
+                bound.sendto(data, line.peer.answered)
+            except OSError as error:
+                line.error_received(error)
 
+    def close() -> None:
+        loop.remove_reader(bound)
+        bound.close()
+
+    loop.add_reader(bound, read)
+    line.close_socket = close
     line.write = answer
 
 

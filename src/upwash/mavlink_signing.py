@@ -1,0 +1,116 @@
+"""MAVLink 2 message signing: who holds the key made a packet, and when; one that was sent before is refused.
+
+The signature's bytes are made by pymavlink. They are not checked by it: it takes a packet's time for the stream's
+before it has looked at the signature, so that one forged packet has it refuse all true ones that follow, and it
+checks no message that its dialect does not know, which some of PX4's are.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import re
+import time
+from collections.abc import Callable
+from enum import Enum
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+KEY_BYTES = 32
+TICKS_PER_S = 100_000
+_EPOCH_UNIX_S = 1_420_070_400  # 2015-01-01
+_LATEST = 2**48 - 1
+_NEW_STREAM_TICKS = 60 * TICKS_PER_S  # a stream that was not heard before may be so far behind
+_KEPT_AHEAD_TICKS = 10 * TICKS_PER_S
+_SIGNED = 0x01  # of a packet's incompatibility flags
+_SIGNATURE_BYTES, _HASH_BYTES = 13, 6
+_SHORTEST_BYTES = 10 + 2 + _SIGNATURE_BYTES
+
+
+class Refusal(Enum):
+    """Why a packet is not believed, in words that go after "its messages"."""
+
+    UNSIGNED = "are not signed"
+    OTHER_KEY = "are signed with another key"
+    STALE = "were signed more than a minute ago by this computer's clock"
+    REPLAYED = "were sent before"
+
+
+class Signing:
+    """One holder of a key, at one link: signs what is sent and judges what is heard.
+
+    Its time never goes back: it is that of `unix_s`, or the latest it has signed or believed, or `kept`, whichever is
+    latest. `keep` is told a time that this and all that follows in the next 10 s are before.
+    """
+
+    def __init__(
+        self,
+        key: bytes,
+        *,
+        kept: int = 0,
+        keep: Callable[[int], None] = lambda _: None,
+        unix_s: Callable[[], float] = time.time,
+        link: int = 0,
+    ) -> None:
+        if len(key) != KEY_BYTES:
+            raise ValueError(f"a key for signing has {KEY_BYTES} bytes, this one {len(key)}")
+        self._key = key
+        self._link = link
+        self._unix_s = unix_s
+        self._latest = self._kept = kept
+        self._keep = keep
+        self._heard: dict[tuple[int, int, int], int] = {}  # the time of a stream's last packet
+
+    def pack(self, message: Any, codec: Any) -> bytes:
+        """The message's bytes, signed, by the codec's system and sequence number."""
+        self._advance(max(self._now(), self._latest + 1))
+        codec.signing.secret_key, codec.signing.link_id = self._key, self._link
+        codec.signing.timestamp, codec.signing.sign_outgoing = self._latest, True
+        return bytes(message.pack(codec))
+
+    def refusal(self, packet: bytes) -> Refusal | None:
+        """Why the packet, which is whole, is not believed; None where it is, which makes it the stream's last."""
+        if (
+            len(packet) < _SHORTEST_BYTES
+            or packet[0] != mavlink.PROTOCOL_MARKER_V2
+            or not packet[2] & _SIGNED
+        ):
+            return Refusal.UNSIGNED
+        signed = hashlib.sha256(self._key + packet[:-_HASH_BYTES]).digest()[:_HASH_BYTES]
+        if not hmac.compare_digest(signed, packet[-_HASH_BYTES:]):
+            return Refusal.OTHER_KEY
+        link, made = packet[-_SIGNATURE_BYTES], int.from_bytes(packet[-12:-_HASH_BYTES], "little")
+        stream = link, packet[5], packet[6]
+        last = self._heard.get(stream)
+        if last is not None and made <= last:
+            return Refusal.REPLAYED
+        if last is None and made + _NEW_STREAM_TICKS < max(self._now(), self._latest):
+            return Refusal.STALE
+        self._heard[stream] = made
+        self._advance(made)
+        return None
+
+    def _now(self) -> int:
+        return min(_LATEST - 1, max(0, int((self._unix_s() - _EPOCH_UNIX_S) * TICKS_PER_S)))
+
+    def _advance(self, to: int) -> None:
+        self._latest = min(_LATEST, max(self._latest, to))
+        if self._latest >= self._kept:
+            self._kept = self._latest + _KEPT_AHEAD_TICKS
+            self._keep(self._kept)
+
+
+def key_of(data: bytes) -> bytes:
+    """The key in a file's bytes: 32 bytes, or 64 hexadecimal digits on a line; raises ValueError."""
+    if len(data) == KEY_BYTES:
+        return data
+    text = data.strip()
+    if not re.fullmatch(rb"[0-9a-fA-F]{64}", text):
+        raise ValueError("is no key for signing: it has to hold 32 bytes, or 64 hexadecimal digits")
+    return bytes.fromhex(text.decode())
+
+
+def key_of_passphrase(passphrase: str) -> bytes:
+    """The key that ground stations make of a passphrase."""
+    return hashlib.sha256(passphrase.encode()).digest()

@@ -1,0 +1,90 @@
+"""Files that commands leave: whole, or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import secrets
+import stat
+from pathlib import Path
+
+from upwash.errors import NotWritten
+
+_NO_FILES = (("/", "dev"), ("/", "proc"))  # the first parts of paths that are written to as they are
+
+
+def write_file(file: Path, content: bytes, *, mode: int = 0o666) -> None:
+    """Makes the file, and its folder, or gives it other content; raises NotWritten, and it is as it was before.
+
+    A new file has that mode, less the umask; one that was there keeps its own.
+    """
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        if file.parts[:2] in _NO_FILES or (file.exists() and not file.is_file()):
+            _write_to(file, content)
+        else:
+            _replace(file.resolve(), content, mode)
+    except OSError as error:
+        kept = "what was there before is unchanged" if file.is_file() else "nothing of it was left there"
+        raise NotWritten(file, error, kept) from error
+
+
+def write_all(descriptor: int, content: bytes) -> None:
+    """Writes all of it, in one write where the system takes it so; raises OSError, some of it perhaps written."""
+    while content:
+        content = content[os.write(descriptor, content) :]
+
+
+def append_whole(descriptor: int, content: bytes) -> None:
+    """Appends all of it; raises OSError, and what was written of it is taken back where the file allows that.
+
+    Nobody else may append to the file meanwhile.
+    """
+    before_bytes = os.fstat(descriptor).st_size
+    try:
+        write_all(descriptor, content)
+    except OSError:
+        with contextlib.suppress(OSError):
+            os.ftruncate(descriptor, before_bytes)
+        raise
+
+
+def flush_to_disk(descriptor: int) -> None:
+    """Returns when what was written is on the disk; raises OSError where it did not get there."""
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # a pipe, say, has no disk
+            raise
+
+
+def _write_to(file: Path, content: bytes) -> None:
+    descriptor = os.open(file, os.O_WRONLY | os.O_CLOEXEC)
+    try:
+        write_all(descriptor, content)
+    finally:
+        os.close(descriptor)
+
+
+def _look_like(former: os.stat_result, descriptor: int) -> None:
+    with contextlib.suppress(PermissionError):  # who may not give files away leaves one of their own
+        os.fchown(descriptor, former.st_uid, former.st_gid)
+    os.fchmod(descriptor, stat.S_IMODE(former.st_mode))
+
+
+def _replace(file: Path, content: bytes, mode: int) -> None:
+    unfinished = file.with_name(f".upwash-{secrets.token_hex(4)}")
+    descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+    try:
+        try:
+            write_all(descriptor, content)
+            flush_to_disk(descriptor)
+            if file.exists():
+                _look_like(file.stat(), descriptor)
+        finally:
+            os.close(descriptor)
+        unfinished.replace(file)
+    except BaseException:
+        unfinished.unlink(missing_ok=True)
+        raise

@@ -1,0 +1,369 @@
+"""Where strangers end: TLS for the daemon and for each of its instances, in front of gRPC.
+
+Whoever shows no certificate of the authority, or a revoked one, gets no further than here, and takes no more than a
+place among a bounded number of connections. What a known caller sends is handed on, with a word of who sends it, as
+long as it begins and breaks off no more requests than a drone ever would. Neither gRPC nor any service holds the
+daemon's key. See docs/decisions/door.md.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import logging
+import resource
+import socket
+import ssl
+import threading
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from ipaddress import IPv6Address, ip_address
+from typing import Any
+
+from upwash.core.allowance import Allowance
+from upwash.core.visitors import Visitor
+from upwash.errors import CredentialsError, InstanceError
+from upwash.real.crowd import Crowd, Recent
+from upwash.real.frames import Counted, FrameCounter
+from upwash.real.log import Sparing
+from upwash.real.streams import CHUNK_BYTES, Streams, endpoint_of, join, listening_socket
+from upwash.real.trust import Holder, Trust
+
+_log = logging.getLogger("upwash.door")
+_log.addFilter(Sparing())
+
+Connect = Callable[[Visitor], Awaitable[Streams]]
+Seen = Callable[[str, str], None]  # on the server of that name, the caller known by `Visitor.key`
+
+_OUT_OF_SOCKETS_S = 0.1
+_LAST_WORDS_S = 1.0
+_MOST_FILES = 65_536
+_MOST_SITES = 4096
+_TURN_S = 0.05
+_TOLD_PER_S = 1.0
+_IPV6_SITE_BITS = 64  # one network's, all of which one machine may use
+
+
+@dataclass(frozen=True, slots=True)
+class DoorLimits:
+    """How many connections and requests, where not said otherwise for each certificate."""
+
+    strangers: int = 256
+    strangers_per_address: int = 64
+    handshakes_per_address_per_s: float = 20.0
+    silence_s: float = 10.0
+    handshake_s: float = 5.0
+    connections: int = 1024
+    connections_per_certificate: int = 64
+    begun_per_s: float = 1000.0
+    broken_off_per_s: float = 50.0
+    idle_per_s: float = 500.0
+    burst_s: float = 2.0  # what comes at once may be what is allowed in so long
+    shut_out_s: float = 10.0  # a certificate that did more than that
+
+
+def door_limits(files: int) -> DoorLimits:
+    """What a process can bear that may have so many files open: a caller takes three."""
+    return DoorLimits(connections=min(1024, files // 6), strangers=min(256, files // 8))
+
+
+def raise_limit_of_files() -> int:
+    """Allows this process as many open files as the system does, within reason, and returns how many."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = _MOST_FILES if hard == resource.RLIM_INFINITY else min(hard, _MOST_FILES)
+    if soft < most:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+    return max(soft, most)
+
+
+class Passage:
+    """A way through the door; `endpoint` is what drones are told."""
+
+    def __init__(self, endpoint: str, address: str, close: Callable[[], Awaitable[None]]) -> None:
+        self.endpoint = endpoint
+        self.address = address
+        self.close = close
+
+
+class _Pace:
+    """What one certificate may do in a second, over all its connections."""
+
+    def __init__(self, limits: DoorLimits) -> None:
+        self.shut_out_until_s = 0.0
+        self._shut_out_s = limits.shut_out_s
+        self._allowances = [
+            Allowance(per_s, at_once=per_s * limits.burst_s)
+            for per_s in (limits.begun_per_s, limits.broken_off_per_s, limits.idle_per_s)
+        ]
+
+    def take(self, counted: Counted, now_s: float) -> None:
+        """Raises ConnectionAbortedError where it is too much."""
+        for allowance, number in zip(
+            self._allowances, (counted.begun, counted.broken_off, counted.idle), strict=True
+        ):
+            if number and not allowance.take(number, now_s=now_s):
+                self.shut_out_until_s = now_s + self._shut_out_s
+                raise ConnectionAbortedError("it begins or breaks off more requests than any drone would")
+
+
+class Door:
+    """Lets known callers through, in a thread of its own; there, `seen` is told who calls, once a second at most."""
+
+    def __init__(
+        self, trust: Trust, limits: DoorLimits | None = None, *, seen: Seen = lambda _server, _key: None
+    ) -> None:
+        self._seen = seen
+        self._trust = trust
+        self._limits = limits or DoorLimits()
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._run, name="door", daemon=True)
+        limits = self._limits
+        self._strangers: Crowd[asyncio.Task[Any]] = Crowd(
+            limits.strangers, most_of_group=limits.strangers_per_address
+        )
+        self._callers: Crowd[asyncio.Task[Any]] = Crowd(
+            limits.connections, most_of_group=limits.connections_per_certificate
+        )
+        self._certificates: dict[asyncio.Task[Any], bytes] = {}
+        self._paces = Recent(lambda: _Pace(self._limits), most=limits.connections)
+        self._handshakes = Recent(self._new_site, most=_MOST_SITES)
+
+    def open(self) -> None:
+        """Begins to work."""
+        self._thread.start()
+
+    async def close(self) -> None:
+        """Hangs up on everybody; returns when that is done."""
+        await self._there(self._hang_up())
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        await asyncio.to_thread(self._thread.join)
+
+    async def lead(self, listening: socket.socket, inside: Connect, *, server: str = "") -> Passage:
+        """Lets callers of that socket, which becomes the door's, through to `inside`, an instance of that server."""
+        host, port = listening.getsockname()[:2]
+        address = f"[{host}]:{port}" if listening.family == socket.AF_INET6 else f"{host}:{port}"
+        passage = Passage(endpoint_of(listening), address, lambda: self._there(shut()))
+        listening.setblocking(False)
+
+        async def begin() -> asyncio.Task[None]:
+            return asyncio.create_task(self._accept(listening, inside, server))
+
+        accepting = await self._there(begin())
+
+        async def shut() -> None:
+            accepting.cancel()
+            await asyncio.wait([accepting])
+
+        return passage
+
+    async def trust(self, trust: Trust) -> None:
+        """Believes these from now on; connections of whom it believes no more are ended."""
+        await self._there(self._change_trust(trust))
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_forever()
+        finally:
+            self._loop.close()
+
+    async def _there(self, work: Coroutine[Any, Any, Any]) -> Any:
+        return await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(work, self._loop))
+
+    async def _hang_up(self) -> None:
+        others = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]
+        for task in others:
+            task.cancel()
+        await asyncio.wait(others, timeout=_LAST_WORDS_S) if others else None
+
+    async def _change_trust(self, trust: Trust) -> None:
+        self._trust = trust
+        for task, certificate in list(self._certificates.items()):
+            try:
+                trust.holder(certificate)
+            except CredentialsError as error:
+                _log.warning("hanging up: %s", error)
+                task.cancel()
+
+    async def _accept(self, listening: socket.socket, inside: Connect, server: str) -> None:
+        """Each newcomer is a stranger first."""
+        loop = asyncio.get_running_loop()
+        with listening:
+            while True:
+                await _readable(listening)
+                try:
+                    connection, peer = listening.accept()
+                except BlockingIOError:
+                    continue  # it hung up before
+                except OSError as error:
+                    _log.warning("cannot take a connection: %s", error)
+                    await asyncio.sleep(_OUT_OF_SOCKETS_S)
+                    continue
+                connection.setblocking(False)
+                address = _site(peer[0])
+                task = loop.create_task(self._welcome(connection, address, inside, server))
+                leaving = self._strangers.enter(task, address)
+                task.add_done_callback(self._strangers.leave)
+                task.add_done_callback(functools.partial(_close_unseen, connection))
+                if leaving is not None:
+                    leaving.cancel()
+
+    async def _welcome(self, connection: socket.socket, address: str, inside: Connect, server: str) -> None:
+        """From the first byte of a connection to its last."""
+        try:
+            async with asyncio.timeout(self._limits.silence_s):
+                await _readable(connection)  # who says nothing takes nobody's turn
+            await self._turn_of(address)
+            streams = await self._handshake(connection)
+        except (OSError, asyncio.CancelledError) as error:
+            connection.close()
+            why = _plainly(error) if isinstance(error, OSError) else "it said nothing while others waited"
+            _log.warning("refused %s: %s", address, why)
+            return
+        certificate = streams[1].get_extra_info("ssl_object").getpeercert(binary_form=True)
+        try:
+            holder = self._trust.holder(certificate)
+            self._refuse_shut_out(holder)
+        except CredentialsError as error:
+            _log.warning("refused %s: %s", address, error)
+            # Without a word: gRPC's clients would take any for the beginning of a connection, and try again at once.
+            await _hang_up_on(streams)
+            return
+        await self._serve(streams, certificate, holder, inside, server)
+
+    def _new_site(self) -> Allowance:
+        per_s = self._limits.handshakes_per_address_per_s
+        return Allowance(per_s, at_once=2 * per_s)
+
+    async def _turn_of(self, address: str) -> None:
+        """Returns when it is that address's turn: nothing that a stranger may do costs more than a handshake."""
+        now_s, turns = asyncio.get_running_loop().time, self._handshakes.of(address)
+        while not turns.take(1, now_s=now_s()):  # noqa: ASYNC110 - it is time that has to pass
+            await asyncio.sleep(_TURN_S)
+
+    def _refuse_shut_out(self, holder: Holder) -> None:
+        pace = self._paces.of(holder.visitor.certificate)
+        left_s = pace.shut_out_until_s - asyncio.get_running_loop().time()
+        if left_s > 0:
+            raise CredentialsError(f"{holder.visitor.name} is shut out for another {left_s:.0f} s")
+
+    async def _handshake(self, connection: socket.socket) -> Streams:
+        loop = asyncio.get_running_loop()
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        reader = asyncio.StreamReader(limit=CHUNK_BYTES)
+        protocol = asyncio.StreamReaderProtocol(reader)
+        transport, _ = await loop.connect_accepted_socket(
+            lambda: protocol,
+            connection,
+            ssl=self._trust.context,
+            ssl_handshake_timeout=self._limits.handshake_s,
+            ssl_shutdown_timeout=_LAST_WORDS_S,
+        )
+        return reader, asyncio.StreamWriter(transport, protocol, reader, loop)
+
+    def _watch(self, visitor: Visitor, server: str) -> Callable[[bytes], None]:
+        """Is shown what comes on one connection; raises ConnectionAbortedError where it is too much."""
+        counter, pace = FrameCounter(), self._paces.of(visitor.certificate)
+        tellings, now_s = Allowance(_TOLD_PER_S, at_once=1), asyncio.get_running_loop().time
+
+        def shown(chunk: bytes) -> None:
+            counted = counter.count(chunk)
+            pace.take(counted, now_s())
+            if server and (counted.begun or counted.pieces) and tellings.take(1, now_s=now_s()):
+                self._seen(server, visitor.key)
+
+        return shown
+
+    async def _serve(
+        self, streams: Streams, certificate: bytes, holder: Holder, inside: Connect, server: str
+    ) -> None:
+        visitor, task = holder.visitor, asyncio.current_task()
+        assert task is not None  # noqa: S101 - this is one
+        self._strangers.leave(task)
+        self._certificates[task] = certificate
+        leaving = self._callers.enter(task, visitor.certificate)
+        if leaving is not None:
+            leaving.cancel()
+        left_s = (holder.ends - datetime.now(UTC)).total_seconds()
+        try:
+            async with asyncio.timeout(left_s):
+                await join(streams, await inside(visitor), seen=self._watch(visitor, server))
+        except TimeoutError:
+            _log.warning("hanging up: the certificate of %s has expired", visitor.name)
+        except OSError as error:
+            _log.warning("hanging up on %s: %s", visitor.name, error)
+        except asyncio.CancelledError:
+            pass  # it makes room, is revoked, or the door is closed
+        finally:
+            await _hang_up_on(streams)
+            self._callers.leave(task)
+            del self._certificates[task]
+
+
+async def _hang_up_on(streams: Streams) -> None:
+    streams[1].transport.abort()
+    with contextlib.suppress(OSError):
+        await streams[1].wait_closed()
+
+
+async def _readable(connection: socket.socket) -> None:
+    """Returns when something has come."""
+    loop = asyncio.get_running_loop()
+    come = asyncio.Event()
+    loop.add_reader(connection, come.set)
+    try:
+        await come.wait()
+    finally:
+        loop.remove_reader(connection)
+
+
+def _close_unseen(connection: socket.socket, task: asyncio.Task[Any]) -> None:
+    """Closes the connection of one that was cancelled before it began; otherwise a transport has it."""
+    if task.cancelled():
+        connection.close()
+
+
+def _site(address: str) -> str:
+    """An IPv4 address, or the network of an IPv6 one."""
+    parsed = ip_address(address.partition("%")[0])
+    if isinstance(parsed, IPv6Address) and parsed.ipv4_mapped is None:
+        return str(IPv6Address(int(parsed) >> _IPV6_SITE_BITS << _IPV6_SITE_BITS))
+    return str(getattr(parsed, "ipv4_mapped", None) or parsed)
+
+
+def _plainly(error: OSError) -> str:
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"{error.reason}: {error.verify_message}"
+    if isinstance(error, ssl.SSLError):
+        return str(error.reason or error)
+    return str(error) or "it hung up, or took too long"
+
+
+@contextlib.asynccontextmanager
+async def opened_door(
+    trust: Trust, limits: DoorLimits | None = None, *, seen: Seen = lambda _server, _key: None
+) -> AsyncIterator[Door]:
+    """A door that is closed after the block."""
+    door = Door(trust, limits, seen=seen)
+    door.open()
+    try:
+        yield door
+    finally:
+        await door.close()
+
+
+Lead = Callable[[str, Connect], Awaitable[Passage]]  # to an instance of the server of that name
+
+
+def leading(door: Door, host: str) -> Lead:
+    """Leads callers in at ports of the system's choice on that interface; raises InstanceError where it cannot."""
+
+    async def lead(server: str, inside: Connect) -> Passage:
+        try:
+            return await door.lead(listening_socket(f"{host}:0"), inside, server=server)
+        except OSError as error:
+            raise InstanceError(f"no way to an instance: cannot listen on {host}: {error}") from error
+
+    return lead

@@ -1,0 +1,283 @@
+"""An ArduCopter, steered in GUIDED by targets that it answers."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.energy import ARDUCOPTER as ARDUCOPTER_WAY_HOME
+from upwash.core.energy import EnergyFacts, WayHome
+from upwash.core.geo import GeoPosition, Position, distance_m
+from upwash.core.geofence import Fence
+from upwash.errors import AutopilotRefused
+from upwash.ports import DeadMan, VehicleLimits
+from upwash.real.mavlink.autopilot import MavlinkAutopilot, check_speed
+from upwash.real.mavlink.dead_man import LuaDeadMan
+from upwash.real.mavlink.fence import circle_around, download_fence
+from upwash.real.mavlink.firmware import Firmware
+from upwash.real.mavlink.parameters import read_parameters
+from upwash.real.mavlink.telemetry import Telemetry
+
+_GUIDED, _RTL, _LAND = "GUIDED", "RTL", "LAND"
+_NUMBERS = {
+    _GUIDED: mavlink.COPTER_MODE_GUIDED,
+    _RTL: mavlink.COPTER_MODE_RTL,
+    _LAND: mavlink.COPTER_MODE_LAND,
+}
+_FAILSAFE_MODES = ("RTL", "LAND", "SMART_RTL", "BRAKE", "AUTO", "AUTO_RTL")
+_CRITICAL = (mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_EMERGENCY)
+_READ_BEFORE_ARMING = (
+    "FENCE_ENABLE", "FENCE_TYPE", "FENCE_RADIUS", "FENCE_ALT_MAX",
+    "BATT_CAPACITY", "BATT_LOW_MAH", "BATT_CRT_MAH",
+    "RTL_ALT", "RTL_SPEED", "RTL_LOIT_TIME", "WPNAV_SPEED", "WPNAV_SPEED_UP", "WPNAV_SPEED_DN", "WPNAV_ACCEL",
+    "LAND_ALT_LOW", "LAND_SPEED",
+)  # fmt: skip
+_USUAL_LOITER_MS = 5_000.0
+_SETTLES_S = ARDUCOPTER_WAY_HOME.hover_s - _USUAL_LOITER_MS / 1e3
+_FENCE_ALTITUDE, _FENCE_CIRCLE, _FENCE_AREAS = 1, 2, 4  # of FENCE_TYPE
+_LIFT_REPORT_S = 1.0  # for a report that it has left the ground, while some get lost
+_BRAKES_M_S2 = 1.83  # as recorded flights do (SITL 4.7, default parameters)
+_REACTS_S = 0.1
+
+
+def _mode_name(number: int) -> str:
+    entry = mavlink.enums["COPTER_MODE"].get(number)
+    return entry.name.removeprefix("COPTER_MODE_") if entry else f"number {number}"
+
+
+def _failsafe(telemetry: Telemetry, mode: str) -> str:
+    """Its system status is critical while a fail-safe lasts; a breached fence it tells apart."""
+    if mode not in _FAILSAFE_MODES:
+        return ""
+    if telemetry.dead_man:
+        return telemetry.dead_man
+    if telemetry.fence_breached:
+        return "it has left its fence"
+    return "its system status is critical" if telemetry.system_status in _CRITICAL else ""
+
+
+ARDUCOPTER = Firmware(
+    name="ArduCopter",
+    autopilot=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
+    own_mode=_GUIDED,
+    mode_name=_mode_name,
+    failsafe=_failsafe,
+    streams_hz={
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 4.0,
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+        mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2.0,
+        mavlink.MAVLINK_MSG_ID_FENCE_STATUS: 2.0,
+        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
+        mavlink.MAVLINK_MSG_ID_WIND: 1.0,
+    },
+)
+
+
+def _energy(told: Mapping[str, float]) -> EnergyFacts:
+    """Stages in percent of the capacity, and the way home, by parameters in ArduCopter's units: cm, cm/s, ms, mAh."""
+    usual, capacity = ARDUCOPTER_WAY_HOME, told.get("BATT_CAPACITY", 0.0)
+
+    def stage_percent(name: str) -> float | None:
+        stage = told.get(name, 0.0)
+        return 100 * stage / capacity if stage > 0 and capacity > 0 else None
+
+    def metres(name: str, default: float) -> float:
+        value = told.get(name, 0.0)
+        return value / 100 if value > 0 else default
+
+    return EnergyFacts(
+        low_percent=stage_percent("BATT_LOW_MAH"),
+        critical_percent=stage_percent("BATT_CRT_MAH"),
+        way_home=WayHome(
+            altitude_m=metres("RTL_ALT", usual.altitude_m),
+            climb_m_s=metres("WPNAV_SPEED_UP", usual.climb_m_s),
+            speed_m_s=metres("RTL_SPEED", metres("WPNAV_SPEED", usual.speed_m_s)),
+            acceleration_m_s2=metres("WPNAV_ACCEL", usual.acceleration_m_s2),
+            hover_s=told.get("RTL_LOIT_TIME", _USUAL_LOITER_MS) / 1e3 + _SETTLES_S,
+            descent_m_s=metres("WPNAV_SPEED_DN", usual.descent_m_s),
+            slowly_below_m=metres("LAND_ALT_LOW", usual.slowly_below_m),
+            landing_m_s=metres("LAND_SPEED", usual.landing_m_s),
+        ),
+    )
+
+
+class ArduCopter(MavlinkAutopilot):
+    """Targets are DO_REPOSITION, which never changes the mode and is refused outside the vehicle's fence."""
+
+    return_mode, land_mode = _RTL, _LAND
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        # ArduCopter accepts a speed before a flight's first target, and loses it: it is told once the first
+        # target is seen to be flown to.
+        self._obeys_speed = False
+        self._told_speed_s = -math.inf
+        self._energy = EnergyFacts(way_home=ARDUCOPTER_WAY_HOME)
+        self._dead_man = LuaDeadMan(self._vehicle)
+
+    @property
+    def dead_man(self) -> DeadMan:
+        """A script in the autopilot."""
+        return self._dead_man
+
+    async def limits(self) -> VehicleLimits:
+        """Home, and what its parameters and its fence list say; the energy facts are read with them."""
+        limits = await super().limits()
+        told = await read_parameters(self._vehicle, _READ_BEFORE_ARMING)
+        self._energy = _energy(told)
+        if not told.get("FENCE_ENABLE"):
+            return limits
+        kinds = int(told.get("FENCE_TYPE", 0))
+        fences: list[Fence] = []
+        if kinds & _FENCE_CIRCLE:
+            fences += circle_around(limits.home, told.get("FENCE_RADIUS", 0.0))
+        if kinds & _FENCE_AREAS:
+            fences += await download_fence(self._vehicle, self._frame)
+        highest_m = told.get("FENCE_ALT_MAX") if kinds & _FENCE_ALTITUDE else None
+        return replace(limits, fences=fences, highest_m=highest_m)
+
+    @property
+    def energy(self) -> EnergyFacts:
+        """By its parameters, once `limits` has read them; by ArduCopter's own defaults until then."""
+        return replace(self._energy, home=super().energy.home)
+
+    async def arm(self) -> None:
+        """Enters GUIDED and starts the motors; tries again while its last checks object."""
+        loop, settings = asyncio.get_running_loop(), self._settings
+        deadline_s = loop.time() + settings.ready_timeout_s
+        async with self._vehicle.limited("arm", settings.ready_timeout_s + settings.margin_s):
+            while True:
+                try:
+                    await self._enter_guided("arm")
+                    await self._vehicle.arm("arm", armed=True)
+                    self._vehicle.beat()  # from here on its dead man counts what it hears
+                    break
+                except AutopilotRefused:
+                    self._vehicle.require_control("arm")
+                    if loop.time() + settings.arm_again_s > deadline_s:
+                        raise
+                await asyncio.sleep(settings.arm_again_s)
+            await self._while_ours("arm", lambda: self._telemetry.position is not None)
+
+    async def takeoff(self, altitude_m: float) -> None:
+        """Climbs straight up in GUIDED."""
+        step = f"takeoff to {altitude_m:g} m"
+        self._obeys_speed = False
+        async with self._vehicle.limited(step, self._vertical_s(altitude_m)):
+            await self._lift_off(step, altitude_m)
+            await self._while_ours(step, lambda: self._climbed(altitude_m))
+
+    async def _lift_off(self, step: str, altitude_m: float) -> None:
+        """Commands the take-off; a repeated command is refused in the air, where only its answer was lost."""
+        flew = self._telemetry.in_the_air
+        try:
+            await self._vehicle.command(step, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, altitude_m)
+        except AutopilotRefused:
+            self._vehicle.require_control(step)
+            if flew or not await self._vehicle.happens(
+                step, lambda: self._telemetry.in_the_air, within_s=_LIFT_REPORT_S
+            ):
+                raise
+
+    async def set_ground_speed(self, ground_speed_m_s: float) -> None:
+        """By DO_CHANGE_SPEED, once it obeys that."""
+        check_speed(ground_speed_m_s)
+        self._ground_speed_m_s = ground_speed_m_s
+        if self._obeys_speed:
+            await self._tell_speed("set ground speed")
+
+    async def goto(self, position: Position) -> None:
+        """Sends the target again where it may have been lost."""
+        step = f"goto {position.east_m:.1f} m east, {position.north_m:.1f} m north"
+        async with self._vehicle.limited(step, self._leg_s(position)):
+            await self._send_target(step, position)
+            await self._arrival(step, position)
+
+    async def hold(self) -> None:
+        """Aims at where it can stop, so that it does not fly back."""
+        async with self._vehicle.limited("hold", self._settings.margin_s):
+            stop = self._stopping_place()
+            await self._send_target("hold", stop)
+            await self._arrival("hold", stop)
+
+    async def _land_in(self, step: str, mode: str, *, timeout_s: float) -> None:
+        begun_s = self._vehicle.now_s
+        async with self._vehicle.limited(step, timeout_s):
+            await self._change_mode(step, mode)
+            self._vehicle.latch.expect_armed(False)  # it disarms itself some time after touchdown
+            await self._while_ours(step, lambda: self._landed(begun_s))
+
+    async def _arrival(self, step: str, target: Position) -> None:
+        """Returns on arrival; repeats the target, which may have been lost, while the vehicle comes no nearer."""
+        vehicle = self._vehicle
+        while not self._arrived(target):
+            near_m = distance_m(self.position, target) - self._settings.progress_m
+
+            def changed(near_m: float = near_m) -> bool:
+                nearer = distance_m(self.position, target) <= near_m
+                return self._arrived(target) or not vehicle.is_ours or nearer
+
+            progress = await vehicle.happens(step, changed, within_s=self._settings.progress_s)
+            vehicle.require_control(step)
+            if not progress:
+                await self._send_target(step, target)
+            elif not self._obeys_speed or self._is_too_fast():
+                await self._tell_speed(step)
+                self._obeys_speed = True
+
+    def _stopping_place(self) -> Position:
+        """Where it comes to rest when it brakes now."""
+        here, velocity = self.position, self._telemetry.velocity
+        if velocity is None:
+            return here
+        ahead_s = _REACTS_S + velocity.speed_m_s / (2 * _BRAKES_M_S2)
+        return Position(
+            here.east_m + velocity.east_m_s * ahead_s,
+            here.north_m + velocity.north_m_s * ahead_s,
+            max(0.0, here.altitude_m + velocity.up_m_s * ahead_s),
+        )
+
+    async def _send_target(self, step: str, position: Position) -> None:
+        place: GeoPosition = self._frame.geo(position)
+        frame, reposition = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, mavlink.MAV_CMD_DO_REPOSITION
+        try:
+            await self._vehicle.command_at(
+                step, reposition, place, frame=frame, parameters=(-1.0, 0.0, 0.0, math.nan)
+            )
+        except AutopilotRefused as error:
+            self._vehicle.require_control(step)
+            if self._vehicle.telemetry.answers.get(reposition) != mavlink.MAV_RESULT_FAILED:
+                raise
+            problem = f"{error.problem}, as it does to a target outside its own fence"
+            raise AutopilotRefused(step, problem, error.vehicle_said) from error
+
+    def _is_too_fast(self) -> bool:
+        """Whether it still flies faster than it was told a while ago."""
+        settings, now_s = self._settings, self._vehicle.now_s
+        limit_m_s = self._ground_speed_m_s * settings.speed_tolerance + settings.arrival_speed_m_s
+        too_fast = self._telemetry.ground_speed_m_s > limit_m_s
+        return too_fast and now_s - self._told_speed_s > settings.speed_again_s
+
+    async def _enter_guided(self, step: str) -> None:
+        await self._change_mode(step, _GUIDED)
+        self._obeys_speed = False
+
+    async def _change_mode(self, step: str, mode: str) -> None:
+        parameters = (mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, _NUMBERS[mode])
+        await self._vehicle.change_mode(step, parameters, (mode,))
+
+    async def _tell_speed(self, step: str) -> None:
+        self._told_speed_s = self._vehicle.now_s
+        over_ground, same_throttle = mavlink.SPEED_TYPE_GROUNDSPEED, -1
+        await self._vehicle.command(
+            step, mavlink.MAV_CMD_DO_CHANGE_SPEED, over_ground, self._ground_speed_m_s, same_throttle
+        )
+
+    def _ask_why_not_armable(self) -> None:
+        self._vehicle.question(mavlink.MAV_CMD_RUN_PREARM_CHECKS)

@@ -1,0 +1,303 @@
+"""ports.Autopilot for a vehicle over MAVLink: what all firmwares have in common.
+
+A pilot or a fail-safe may take the vehicle at any time. The latch then closes, the verb in progress raises
+AutopilotOverruled, and no verb sends anything any more. What differs from firmware to firmware is a subclass's.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.control import Control
+from upwash.core.energy import EnergyFacts
+from upwash.core.geo import Circle, LocalFrame, Position, Velocity, distance_m, ground_distance_m
+from upwash.errors import AutopilotRefused, UsageError
+from upwash.ports import ArmingDelayed, DeadMan, VehicleLimits, VehicleNews
+from upwash.real.mavlink.dead_man import NoDeadMan
+from upwash.real.mavlink.settings import FlightSettings
+from upwash.real.mavlink.vehicle import MavlinkVehicle
+
+_HOME = Position(0.0, 0.0)
+_HOME_POSITION, _EXTENDED_SYS_STATE = (
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+)
+
+
+class MavlinkAutopilot(ABC):
+    """A vehicle that has been heard; which commands its verbs are is the subclass's."""
+
+    return_mode: ClassVar[str]
+    land_mode: ClassVar[str]
+
+    def __init__(
+        self,
+        vehicle: MavlinkVehicle,
+        *,
+        frame: LocalFrame,
+        ground_speed_m_s: float,
+        settings: FlightSettings,
+    ) -> None:
+        check_speed(ground_speed_m_s)
+        self._vehicle = vehicle
+        self._telemetry = vehicle.telemetry
+        self._frame = frame
+        self._settings = settings
+        self._ground_speed_m_s = ground_speed_m_s
+
+    # --- what it reports ------------------------------------------------------------------------------------
+
+    @property
+    def firmware(self) -> str:
+        """What it runs."""
+        return self._vehicle.firmware.name
+
+    @property
+    def battery_percent(self) -> float | None:
+        """How full the battery is, as the vehicle reports it; None while it does not."""
+        return self._telemetry.battery_percent
+
+    @property
+    def dead_man(self) -> DeadMan:
+        """None, unless a subclass has one."""
+        return NoDeadMan(self.firmware)
+
+    @property
+    def velocity(self) -> Velocity | None:
+        """Over the ground, as it reports it."""
+        return self._telemetry.velocity
+
+    @property
+    def wind(self) -> Velocity | None:
+        """As it estimates it."""
+        return self._telemetry.wind
+
+    @property
+    def energy(self) -> EnergyFacts:
+        """Its home; a subclass adds its battery's stages and how it returns."""
+        home = self._telemetry.home
+        return EnergyFacts(home=replace(self._frame.position(home), altitude_m=0.0) if home else None)
+
+    @property
+    def unix_s(self) -> float | None:
+        """The time now by the vehicle's GPS, in seconds since 1970; None while it does not know it."""
+        return self._vehicle.unix_s
+
+    @property
+    def control(self) -> Control:
+        """Who has it."""
+        return self._vehicle.latch.control
+
+    @property
+    def armed(self) -> bool:
+        """Whether its motors run."""
+        return self._telemetry.armed
+
+    @property
+    def stands(self) -> bool:
+        """Whether it says so, or is disarmed."""
+        return self._telemetry.on_ground or not self._telemetry.armed
+
+    @property
+    def linked(self) -> bool:
+        """Whether the vehicle has been heard lately."""
+        return self._vehicle.linked
+
+    @property
+    def position(self) -> Position:
+        """The last known position, relative to the mission's home; home until the vehicle knows its own."""
+        geo = self._telemetry.position
+        return self._frame.position(geo) if geo else _HOME
+
+    async def link_lost(self) -> None:
+        """Returns when the vehicle has not been heard for `patience.quiet_after_s`, which is below 3 s."""
+        await self._vehicle.link_lost()
+
+    async def link_restored(self) -> None:
+        """Returns when the vehicle is heard again."""
+        await self._vehicle.link_restored()
+
+    def listen(self, hear: Callable[[VehicleNews], None]) -> None:
+        """All news, and first those since it was connected."""
+        self._vehicle.listen(hear)
+
+    async def in_the_air(self) -> bool:
+        """By its landed state; waits until it tells."""
+        async with self._vehicle.limited("start", self._settings.margin_s):
+            await self._vehicle.until("start", self._tells_whether_it_flies)
+        return self._telemetry.armed and self._telemetry.in_the_air
+
+    def _tells_whether_it_flies(self) -> bool:
+        telemetry = self._telemetry
+        told = telemetry.on_ground or telemetry.in_the_air
+        heard = telemetry.mode is not None
+        return heard and (not telemetry.armed or (told and telemetry.position is not None))
+
+    async def stood(self) -> None:
+        """When it is disarmed; sends nothing."""
+        await self._vehicle.until("follow", lambda: not self._telemetry.armed)
+
+    async def border_crossed(self, circles: Sequence[Circle]) -> None:
+        """Returns when the vehicle next enters or leaves any of the circles."""
+        before = self._inside(circles)
+        await self._vehicle.until("watch the borders", lambda: self._inside(circles) != before)
+
+    async def close(self) -> None:
+        """Gives up the connection to the vehicle; the vehicle is left as it is."""
+        await self._vehicle.close()
+
+    # --- verbs ----------------------------------------------------------------------------------------------
+
+    async def claim(self, *, resumes: bool) -> None:
+        """By its last heartbeat."""
+        async with self._vehicle.limited("start", self._settings.margin_s):
+            await self._vehicle.until("start", lambda: self._telemetry.mode is not None)
+        self._vehicle.claim("start", resumes=resumes)
+
+    async def ready(self) -> None:
+        """Waits for the vehicle's own checks; sends no command meanwhile, and tells its reasons as they change."""
+        settings, vehicle = self._settings, self._vehicle
+        deadline_s = vehicle.now_s + settings.ready_timeout_s
+        told: tuple[str, ...] | None = None
+        while not self._may_be_armed():
+            begun_s = vehicle.now_s
+            self._ask_why_not_armable()
+            within_s = min(settings.ask_again_s, max(deadline_s - begun_s, settings.patience.answer_s))
+            await vehicle.happens("arm", self._may_be_armed, within_s=within_s)
+            vehicle.require_control("arm")
+            reasons = self._reasons_since(begun_s) or self._own_reasons() or told or ()
+            if not self._may_be_armed() and reasons != told:
+                told = reasons
+                vehicle.tell(ArmingDelayed(reasons))
+            if vehicle.now_s >= deadline_s and vehicle.linked and not self._may_be_armed():
+                own = self._own_reasons()
+                said = "; ".join(reason for reason in reasons if reason not in own)
+                because = f": {'; '.join(own)}" if own else ""
+                raise AutopilotRefused(
+                    "arm", f"the vehicle was not ready within {settings.ready_timeout_s:g} s{because}", said
+                )
+
+    async def limits(self) -> VehicleLimits:
+        """Its home; a subclass adds its fence."""
+        await self._know_home()
+        home = self._telemetry.home
+        return VehicleLimits(replace(self._frame.position(home), altitude_m=0.0) if home else None)
+
+    @abstractmethod
+    async def arm(self) -> None:
+        """Starts the motors; AutopilotRefused has its reason if not."""
+
+    @abstractmethod
+    async def takeoff(self, altitude_m: float) -> None:
+        """Climbs to the altitude above home; returns when it is reached."""
+
+    @abstractmethod
+    async def set_ground_speed(self, ground_speed_m_s: float) -> None:
+        """Sets the speed of the legs that follow."""
+
+    @abstractmethod
+    async def goto(self, position: Position) -> None:
+        """Flies to the position; returns on arrival, at rest and with a position that it is sure of."""
+
+    @abstractmethod
+    async def hold(self) -> None:
+        """Stops and hovers as soon as it can."""
+
+    async def return_home_and_land(self) -> None:
+        """Flies back to where it took off and lands; returns on touchdown."""
+        altitude_m = max(self.position.altitude_m, self._settings.return_altitude_m)
+        home_s = self._leg_s(_HOME) + 2 * self._vertical_s(altitude_m)
+        await self._land_in("return home and land", self.return_mode, timeout_s=home_s)
+
+    async def land(self) -> None:
+        """Lands where it is; returns on touchdown."""
+        await self._land_in("land", self.land_mode, timeout_s=self._vertical_s(self.position.altitude_m))
+
+    async def disarm(self) -> None:
+        """Stops the motors; refused by the vehicle in flight."""
+        async with self._vehicle.limited("disarm", self._settings.margin_s):
+            await self._vehicle.arm("disarm", armed=False)
+
+    # --- what verbs are made of -----------------------------------------------------------------------------
+
+    @abstractmethod
+    async def _land_in(self, step: str, mode: str, *, timeout_s: float) -> None:
+        """Has it come down in that mode; returns on touchdown."""
+
+    @abstractmethod
+    def _ask_why_not_armable(self) -> None:
+        """Has the vehicle say what keeps it from being armed."""
+
+    def _may_be_armed(self) -> bool:
+        """Whether its checks pass in the mode to be flown, or somebody else has it, which ends the wait too."""
+        telemetry = self._telemetry
+        return bool(telemetry.can_be_armed and telemetry.knows_its_place) or not self._vehicle.is_ours
+
+    def _reasons_since(self, since_s: float) -> tuple[str, ...]:
+        texts = [text.text for said_s, text in self._telemetry.texts if said_s >= since_s]
+        reasons = (text.partition(": ")[2] for text in texts if text.startswith(("PreArm: ", "Arm: ")))
+        return tuple(dict.fromkeys(reasons))
+
+    def _own_reasons(self) -> tuple[str, ...]:
+        """What its reports say where it gives no reason: its checks may pass in a mode that needs no position."""
+        return ("it does not know its position yet",) if self._telemetry.can_be_armed else ()
+
+    async def _know_home(self) -> None:
+        """Asks for its home where it has not told it."""
+        for _ in range(self._settings.patience.attempts):
+            if self._telemetry.home is not None:
+                return
+            self._vehicle.ask_for(_HOME_POSITION)
+            await self._vehicle.happens(
+                "home", lambda: self._telemetry.home is not None, within_s=self._settings.patience.answer_s
+            )
+
+    async def _while_ours(self, step: str, done: Callable[[], bool]) -> None:
+        """Returns when it is done; raises where the vehicle is lost to somebody, or stops its motors, first."""
+        vehicle = self._vehicle
+        await vehicle.until(step, lambda: done() or not vehicle.is_ours or not self._telemetry.armed)
+        if done():
+            return
+        vehicle.require_control(step)
+        raise AutopilotRefused(step, "the vehicle disarmed", vehicle.said_lately)
+
+    def _arrived(self, target: Position) -> bool:
+        near = distance_m(self.position, target) <= self._settings.arrival_distance_m
+        return near and self._at_rest() and self._telemetry.knows_its_place is not False
+
+    def _climbed(self, altitude_m: float) -> bool:
+        """At rest at the altitude, and known to fly: what it says of that may come later than its position."""
+        missing_m = altitude_m - self.position.altitude_m
+        near = missing_m <= self._settings.arrival_distance_m
+        return near and self._at_rest() and self._telemetry.in_the_air
+
+    def _at_rest(self) -> bool:
+        return self._telemetry.speed_m_s < self._settings.arrival_speed_m_s
+
+    def _landed(self, since_s: float) -> bool:
+        """Whether it says so, not whether it last did: the reports may have stopped before the take-off."""
+        told = self._vehicle.heard_since(_EXTENDED_SYS_STATE, since_s)
+        return (told and self._telemetry.on_ground) or not self._telemetry.armed
+
+    def _inside(self, circles: Sequence[Circle]) -> list[bool]:
+        return [circle.contains(self.position) for circle in circles]
+
+    def _leg_s(self, end: Position) -> float:
+        """The longest that a flight to there may take."""
+        slowest_m_s = self._ground_speed_m_s * self._settings.slowest_share
+        rise_m = abs(end.altitude_m - self.position.altitude_m)
+        return ground_distance_m(self.position, end) / slowest_m_s + self._vertical_s(rise_m)
+
+    def _vertical_s(self, height_m: float) -> float:
+        return self._settings.margin_s + height_m / self._settings.slowest_vertical_m_s
+
+
+def check_speed(ground_speed_m_s: float) -> None:
+    """Raises UsageError for what is no speed."""
+    if not ground_speed_m_s > 0:
+        raise UsageError(f"the ground speed is {ground_speed_m_s} m/s; give a number above 0")

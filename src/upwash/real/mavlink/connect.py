@@ -1,0 +1,40 @@
+"""Finds the vehicle on a connection, and the driver for its firmware."""
+
+from __future__ import annotations
+
+from upwash.core.geo import LocalFrame
+from upwash.mavlink_signing import Signing
+from upwash.real.mavlink.arducopter import ARDUCOPTER, ArduCopter
+from upwash.real.mavlink.autopilot import MavlinkAutopilot, check_speed
+from upwash.real.mavlink.px4 import PX4, Px4
+from upwash.real.mavlink.settings import FlightSettings
+from upwash.real.mavlink.vehicle import MavlinkVehicle
+
+_DRIVERS: dict[str, type[MavlinkAutopilot]] = {ARDUCOPTER.name: ArduCopter, PX4.name: Px4}
+_FIRMWARES = (ARDUCOPTER, PX4)
+_DEFAULTS = FlightSettings()
+
+
+async def connect_autopilot(
+    connection: str,
+    *,
+    frame: LocalFrame,
+    ground_speed_m_s: float,
+    heartbeat_timeout_s: float = 10.0,
+    settings: FlightSettings = _DEFAULTS,
+    signing: Signing | None = None,
+) -> MavlinkAutopilot:
+    """Returns once an autopilot has been heard on the connection; raises AutopilotError if none is.
+
+    `connection` is `udpin:HOST:PORT`, `udpout:HOST:PORT`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD`. With `signing`
+    all messages are signed, and only such are heard.
+    """
+    check_speed(ground_speed_m_s)
+    vehicle = MavlinkVehicle(connection, settings.patience, _FIRMWARES, signing=signing)
+    try:
+        await vehicle.found(within_s=heartbeat_timeout_s)
+    except BaseException:
+        await vehicle.close()
+        raise
+    driver = _DRIVERS[vehicle.firmware.name]
+    return driver(vehicle, frame=frame, ground_speed_m_s=ground_speed_m_s, settings=settings)

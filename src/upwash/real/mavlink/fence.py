@@ -1,0 +1,107 @@
+"""The fence that a vehicle holds: downloaded, and as places of the mission."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position
+from upwash.core.geofence import Fence, Polygon
+from upwash.errors import AutopilotTimeout
+from upwash.real.mavlink.hearing import Message
+from upwash.real.mavlink.vehicle import MavlinkVehicle
+
+_TYPE = mavlink.MAV_MISSION_TYPE_FENCE
+_ATTEMPTS = 5
+_MOST_ITEMS = 1_000
+_INCLUSIONS = (mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION, mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION)
+_CORNERS = (
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
+)
+_CIRCLES = (mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION, mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION)
+
+
+@dataclass(frozen=True, slots=True)
+class _Item:
+    command: int
+    size: float  # a circle's radius in metres, a polygon's number of corners
+    place: GeoPosition
+
+
+async def download_fence(vehicle: MavlinkVehicle, frame: LocalFrame) -> list[Fence]:
+    """The areas of the vehicle's fence list; AutopilotTimeout where it does not give all of it."""
+    return _areas(await _items(vehicle), frame)
+
+
+def circle_around(home: Position | None, radius_m: float) -> list[Fence]:
+    """The fence of a greatest distance from home, none while that is not known."""
+    if home is None or radius_m <= 0:
+        return []
+    return [Fence(f"the vehicle's fence of {radius_m:g} m around its home", Circle(home, radius_m), True)]
+
+
+async def _items(vehicle: MavlinkVehicle) -> list[_Item]:
+    answers: asyncio.Queue[Message] = asyncio.Queue()
+
+    def hear(message: Message) -> None:
+        wanted = message.get_type() in ("MISSION_COUNT", "MISSION_ITEM_INT")
+        if wanted and message.mission_type == _TYPE:
+            answers.put_nowait(message)
+
+    with vehicle.listening(hear):
+        count = (await _asked(vehicle, answers, "MISSION_COUNT", None)).count
+        if count > _MOST_ITEMS:
+            raise AutopilotTimeout("fence", f"the vehicle's fence has {count} items, more than {_MOST_ITEMS}")
+        items = [_item(await _asked(vehicle, answers, "MISSION_ITEM_INT", number)) for number in range(count)]
+    vehicle.ask(_thanks)  # PX4 reports a failed transfer without it
+    return items
+
+
+def _thanks(system: int, component: int) -> Message:
+    return mavlink.MAVLink_mission_ack_message(system, component, mavlink.MAV_MISSION_ACCEPTED, _TYPE)
+
+
+async def _asked(
+    vehicle: MavlinkVehicle, answers: asyncio.Queue[Message], kind: str, number: int | None
+) -> Message:
+    def question(system: int, component: int) -> Message:
+        if number is None:
+            return mavlink.MAVLink_mission_request_list_message(system, component, _TYPE)
+        return mavlink.MAVLink_mission_request_int_message(system, component, number, _TYPE)
+
+    for _ in range(_ATTEMPTS):
+        vehicle.ask(question)
+        try:
+            async with asyncio.timeout(vehicle.patience.answer_s):
+                while True:
+                    message = await answers.get()
+                    if message.get_type() == kind and number in (None, getattr(message, "seq", None)):
+                        return message
+        except TimeoutError:
+            continue
+    what = "how many items it has" if number is None else f"item {number}"
+    raise AutopilotTimeout("fence", f"the vehicle did not tell {what} of its fence", vehicle.said_lately)
+
+
+def _item(message: Message) -> _Item:
+    return _Item(message.command, message.param1, GeoPosition(message.x / 1e7, message.y / 1e7))
+
+
+def _areas(items: Sequence[_Item], frame: LocalFrame) -> list[Fence]:
+    fences: list[Fence] = []
+    corners: list[Position] = []
+    for item in items:
+        place, name = frame.position(item.place), f"area {len(fences) + 1} of the vehicle's fence"
+        inclusion = item.command in _INCLUSIONS
+        if item.command in _CIRCLES:
+            fences.append(Fence(name, Circle(place, item.size), inclusion))
+        elif item.command in _CORNERS:
+            corners.append(place)
+            if len(corners) >= item.size:
+                fences.append(Fence(name, Polygon(tuple(corners)), inclusion))
+                corners = []
+    return fences

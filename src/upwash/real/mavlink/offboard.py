@@ -1,0 +1,113 @@
+"""Setpoints for a PX4 in OFFBOARD: streamed while the vehicle is ours and heard, and never again once it is not.
+
+PX4 goes back to OFFBOARD by itself when setpoints come again after their loss. So none is sent after a silence of the
+vehicle before it has told its mode: in that time, somebody else may have taken it.
+
+Altitudes are above the sea: PX4 1.16.1 takes those above home wrongly, by twice the height of home above the
+origin of its estimator (it flew 11.9 m high for 10 m).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.geo import LocalFrame, Position, Velocity
+from upwash.real.mavlink.course import Abilities, Course
+from upwash.real.mavlink.hearing import Message
+from upwash.real.mavlink.vehicle import MavlinkVehicle
+
+_PERIOD_S = 0.05
+_SILENT_AFTER_S = 0.6  # its position comes ten times a second; below COM_OF_LOSS_T, which is 1 s by default
+_LONGEST_STEP_S = 0.2  # of the course: a busy computer must not make it jump
+_IGNORED = mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE | mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+
+
+class SetpointStream:
+    """Has the vehicle follow a course, from `begin` to `end`."""
+
+    def __init__(self, vehicle: MavlinkVehicle, frame: LocalFrame) -> None:
+        self.abilities = Abilities()
+        self.course: Course | None = None
+        self._vehicle = vehicle
+        self._frame = frame
+        self._silence_seen_s = vehicle.now_s
+        self._task: asyncio.Task[None] | None = None
+
+    def begin(self) -> Course:
+        """Streams from now on where the vehicle is, and where the course then goes."""
+        self.course = self._course_from_here()
+        if self._task is None:
+            self._task = asyncio.create_task(self._run())
+        return self.course
+
+    def end(self) -> None:
+        """Sends no more setpoints."""
+        self.course = None
+
+    async def close(self) -> None:
+        """Ends it for good."""
+        self.end()
+        if self._task is not None:
+            self._task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._task
+
+    async def _run(self) -> None:
+        vehicle = self._vehicle
+        sent_s = vehicle.now_s
+        while vehicle.is_ours:
+            passed_s = min(vehicle.now_s - sent_s, _LONGEST_STEP_S)
+            sent_s = vehicle.now_s
+            if self.course is not None and self._is_heard():
+                self.course.advance(passed_s, vehicle=self._position())
+                self._send(self.course)
+            await asyncio.sleep(_PERIOD_S)
+        self.end()  # for good: nothing makes a vehicle ours again
+
+    def _is_heard(self) -> bool:
+        """Whether it is, and has told its mode since it was last not."""
+        vehicle = self._vehicle
+        if vehicle.silent_s > _SILENT_AFTER_S:
+            self._silence_seen_s = vehicle.now_s
+            return False
+        if vehicle.mode_told_s > self._silence_seen_s:
+            return True
+        vehicle.ask_for(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+        return False
+
+    def _send(self, course: Course) -> None:
+        place, velocity = self._frame.geo(course.position), course.setpoint_velocity
+        push = course.setpoint_acceleration
+        above_sea_m = place.altitude_m + self._vehicle.telemetry.home_above_sea_m
+
+        def message(system: int, component: int) -> Message:
+            return mavlink.MAVLink_set_position_target_global_int_message(
+                0,
+                system,
+                component,
+                mavlink.MAV_FRAME_GLOBAL_INT,
+                _IGNORED,
+                round(place.latitude_deg * 1e7),
+                round(place.longitude_deg * 1e7),
+                above_sea_m,
+                velocity.north_m_s,
+                velocity.east_m_s,
+                -velocity.up_m_s,
+                push.north_m_s,
+                push.east_m_s,
+                -push.up_m_s,
+                0.0,
+                0.0,
+            )
+
+        self._vehicle.steer("setpoint", message)
+
+    def _course_from_here(self) -> Course:
+        return Course(self._position(), self._vehicle.telemetry.velocity or Velocity(), self.abilities)
+
+    def _position(self) -> Position:
+        geo = self._vehicle.telemetry.position
+        return self._frame.position(geo) if geo else Position(0.0, 0.0)

@@ -1,0 +1,502 @@
+"""A PX4, steered in OFFBOARD along a course of setpoints (docs/decisions/px4.md)."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import csv
+import math
+import struct
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.energy import PX4 as PX4_WAY_HOME
+from upwash.core.energy import EnergyFacts
+from upwash.core.geo import Position, Velocity
+from upwash.core.geofence import Fence
+from upwash.errors import AutopilotError, AutopilotRefused
+from upwash.mavlink_px4 import CURRENT_MODE, EVENTS, RUN_PREARM_CHECKS, Mode, event_text
+from upwash.ports import VehicleLimits, VehicleSetting, VehicleText
+from upwash.real.mavlink.autopilot import MavlinkAutopilot, check_speed
+from upwash.real.mavlink.course import Abilities, Course
+from upwash.real.mavlink.fence import circle_around, download_fence
+from upwash.real.mavlink.firmware import Firmware
+from upwash.real.mavlink.hearing import Message
+from upwash.real.mavlink.offboard import SetpointStream
+from upwash.real.mavlink.parameters import read_parameters
+from upwash.real.mavlink.telemetry import Telemetry
+
+_LOITER, _TAKEOFF, _RTL, _LAND, _OFFBOARD = "AUTO.LOITER", "AUTO.TAKEOFF", "AUTO.RTL", "AUTO.LAND", "OFFBOARD"
+_AUTO = (Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL, Mode.LAND)
+_NAMES = {mode.value: f"AUTO.{mode.name}" if mode in _AUTO else mode.name for mode in Mode}
+_NUMBERS = {name: Mode(number) for number, name in _NAMES.items()}
+_POSITION = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+_STATES = {
+    Mode.MANUAL: 0,
+    Mode.ALTCTL: 1,
+    Mode.POSCTL: 2,
+    Mode.MISSION: 3,
+    Mode.LOITER: 4,
+    Mode.RTL: 5,
+    Mode.ACRO: 10,
+    Mode.OFFBOARD: 14,
+    Mode.STABILIZED: 15,
+    Mode.TAKEOFF: 17,
+    Mode.LAND: 18,
+}  # PX4's navigation states: the bits in what its checks say of modes
+_LOITER_STATE = 1 << _STATES[Mode.LOITER]
+_LEAST_BLOCKING = (
+    mavlink.MAV_SEVERITY_ERROR
+)  # a failed check that is less severe does not keep it from being armed
+_CHECKS_BEGIN, _CHECKS_END = "commander_arming_check_summary", "commander_health_summary"
+_CHECK = "check_"
+_CHECK_ARGUMENTS = struct.Struct("<IB")  # the modes that it concerns, and the component
+_READ_BEFORE_ARMING = (
+    "GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST",
+    "BAT_LOW_THR", "BAT_CRIT_THR", "RTL_RETURN_ALT",
+    "MPC_XY_CRUISE", "MPC_XY_VEL_MAX", "MPC_Z_V_AUTO_UP", "MPC_Z_V_AUTO_DN", "MPC_ACC_HOR",
+)  # fmt: skip
+_FALLS = {6.0: "terminate", 7.0: "disarm"}
+_GOES_ON = (3.0, 5.0)
+_STICKS_IN_OFFBOARD = 2
+_LONG_S = 10.0
+_FRESH_WITHIN_S = 0.5
+_BEFORE_OFFBOARD_S = 0.6  # PX4 looks at whether setpoints come twice a second
+_MODE_WITHIN_S = 1.5
+_LOITERS_BELOW_M = 2.0  # a take-off to 10 m ended 0.5 to 1.2 m below it
+_MEAN_OVER_S = 1.0  # of its velocity: hovering, it reports 0.28 m/s in the median, and 0.6 m/s at times
+_SETTLES_S = 1.0  # more than COM_FAIL_ACT_T
+_FAILS_AFTER_S = 5.0  # COM_FAIL_ACT_T, where it does not say
+
+
+def _mode_name(number: int) -> str:
+    return _NAMES.get(number, f"number {number:#x}")
+
+
+def _failsafe(telemetry: Telemetry, _mode: str) -> str:
+    """The mode that it was told differs then from the one that it flies; a heartbeat has a system status for it."""
+    told = telemetry.flown_and_intended_mode
+    if told is not None and told[0] == telemetry.mode:
+        flown, intended = told
+        return f"a fail-safe chose it, {_mode_name(intended)} was set" if intended not in (0, flown) else ""
+    critical = telemetry.system_status == mavlink.MAV_STATE_CRITICAL
+    return "its system status is critical" if critical else ""
+
+
+def _take(telemetry: Telemetry, message: Message, now_s: float) -> None:
+    match message.get_type():
+        case "CURRENT_MODE":
+            telemetry.flown_and_intended_mode = message.custom_mode, message.intended_custom_mode
+            if (
+                not telemetry.on_ground
+            ):  # where it disarms itself it changes its mode, too: both are in a HEARTBEAT
+                telemetry.mode = message.custom_mode
+        case (
+            "SYS_STATUS"
+        ):  # it has the check among the sensors that are healthy, and not among those that are there
+            health = message.onboard_control_sensors_health
+            telemetry.can_be_armed = bool(health & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
+        case "ESTIMATOR_STATUS":  # at rest on the ground it takes its place for constant
+            doubts = 0 if telemetry.on_ground else mavlink.ESTIMATOR_CONST_POS_MODE
+            flags, doubts = message.flags, doubts | mavlink.ESTIMATOR_GPS_GLITCH
+            telemetry.knows_its_place = bool(flags & mavlink.ESTIMATOR_POS_HORIZ_ABS) and not flags & doubts
+        case "EVENT":
+            _take_event(telemetry, message, now_s)
+
+
+def _take_event(telemetry: Telemetry, event: Any, now_s: float) -> None:
+    """Failed checks come as a set, whole each time that one changes; what was in the last set is no news."""
+    number, name = event.id_of_event, _event_name(event.id_of_event)
+    if name == _CHECKS_BEGIN:
+        telemetry.armable_modes = EVENTS[number].unpacked(event.arguments)[3]
+        telemetry.failed_checks_before, telemetry.failed_checks = telemetry.failed_checks, {}
+    elif name.startswith(_CHECK):
+        modes = _CHECK_ARGUMENTS.unpack_from(event.arguments)[0]
+        telemetry.failed_checks[number] = event.severity, modes
+        is_new = number not in telemetry.failed_checks_before
+        if telemetry.armed and is_new and _concerns(modes, telemetry.mode):
+            _hear(telemetry, event, now_s)
+    elif name != _CHECKS_END:
+        _hear(telemetry, event, now_s)
+
+
+def _concerns(modes: int, mode: int | None) -> bool:
+    """Whether a failed check is for the mode that is flown."""
+    state = _STATES.get(Mode(mode)) if mode in _NAMES else None
+    return state is None or bool(modes >> state & 1)
+
+
+def _hear(telemetry: Telemetry, event: Any, now_s: float) -> None:
+    if event.severity > mavlink.MAV_SEVERITY_DEBUG:  # for programs
+        return
+    text = event_text(event) if event.id_of_event in EVENTS else _words(event.id_of_event)
+    telemetry.hear_text(VehicleText(event.severity, text), now_s)
+
+
+def _words(number: int) -> str:
+    """What the event of that number is about."""
+    if kind := EVENTS.get(number):
+        return kind.text
+    name = _event_name(number)
+    return f"{name.removeprefix(_CHECK).replace('_', ' ')} (event {number})" if name else f"event {number}"
+
+
+def _event_name(number: int) -> str:
+    kind = EVENTS.get(number)
+    return kind.name if kind else _event_names().get(number, "")
+
+
+@cache
+def _event_names() -> Mapping[int, str]:
+    """Of PX4 1.16.1, by bench/px4_events.py."""
+    with resources.files("upwash.real.mavlink").joinpath("px4_events.csv").open(encoding="utf-8") as table:
+        return {int(row["number"]): row["name"] for row in csv.DictReader(table)}
+
+
+PX4 = Firmware(
+    name="PX4",
+    autopilot=mavlink.MAV_AUTOPILOT_PX4,
+    own_mode=_LOITER,  # OFFBOARD needs setpoints: nobody but a program that runs can be in it
+    mode_name=_mode_name,
+    failsafe=_failsafe,
+    take=_take,
+    streams_hz={
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 4.0,
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
+        mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 2.0,
+        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
+        CURRENT_MODE: 50.0,  # it comes when the mode changes, and twice a second
+    },
+    sends_parameters_as_bytes=True,
+)
+
+
+class Px4(MavlinkAutopilot):
+    """In OFFBOARD from the end of its take-off on: a mode that somebody else sets is seen, and setpoints keep it."""
+
+    return_mode, land_mode = _RTL, _LAND
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._stream = SetpointStream(self._vehicle, self._frame)
+        self._velocities: deque[tuple[float, Velocity]] = deque()
+        self._listening = contextlib.ExitStack()
+        self._listening.enter_context(self._vehicle.listening(self._hear_position))
+        self._energy = EnergyFacts(way_home=PX4_WAY_HOME)
+        self._holds = False
+        self._loiters_from_m: float | None = None  # while it takes off: the end of that is near
+
+    async def close(self) -> None:
+        """Leaves it hovering where it was told to hold: without setpoints, OFFBOARD ends in COM_OBL_RC_ACT."""
+        try:
+            if self._holds and self._stream.course is not None and self._vehicle.is_ours:
+                with contextlib.suppress(AutopilotError):
+                    await self._change_mode("leave hovering", _LOITER)
+        finally:
+            self._listening.close()
+            await self._stream.close()
+            await super().close()
+
+    # --- before the flight ----------------------------------------------------------------------------------
+
+    async def claim(self, *, resumes: bool) -> None:
+        """Waits where a fail-safe has only begun: PX4 hovers for some seconds before it acts."""
+        if resumes and self._telemetry.armed and _failsafe(self._telemetry, ""):
+            told = await read_parameters(self._vehicle, ["COM_FAIL_ACT_T"])
+            wait_s = told.get("COM_FAIL_ACT_T", _FAILS_AFTER_S) + _SETTLES_S
+            await self._vehicle.happens("start", lambda: self._vehicle.mode_name != _LOITER, within_s=wait_s)
+        await super().claim(resumes=resumes)
+
+    async def ready(self) -> None:
+        """Looks first at what it would do without the program."""
+        await self._check_settings()
+        await super().ready()
+
+    async def limits(self) -> VehicleLimits:
+        """Home, and what its parameters and its fence list say."""
+        limits = await super().limits()
+        told = await read_parameters(self._vehicle, _READ_BEFORE_ARMING)
+        self._energy = _energy(told)
+        self._learn_abilities(told)
+        if not told.get("GF_ACTION"):
+            return limits
+        fences: list[Fence] = circle_around(limits.home, told.get("GF_MAX_HOR_DIST", 0.0))
+        fences += await download_fence(self._vehicle, self._frame)
+        return replace(limits, fences=fences, highest_m=told.get("GF_MAX_VER_DIST") or None)
+
+    @property
+    def energy(self) -> EnergyFacts:
+        """By its parameters, once `limits` has read them; by PX4's own defaults until then."""
+        return replace(self._energy, home=super().energy.home)
+
+    async def arm(self) -> None:
+        """In AUTO.LOITER; tries again while its last checks object."""
+        vehicle, settings = self._vehicle, self._settings
+        deadline_s = vehicle.now_s + settings.ready_timeout_s
+        async with vehicle.limited("arm", settings.ready_timeout_s + settings.margin_s):
+            await self._change_mode("arm", _LOITER)
+            while True:
+                try:
+                    await self._make_sure_of_mode("arm")
+                    await vehicle.arm("arm", armed=True)
+                    break
+                except AutopilotRefused:
+                    vehicle.require_control("arm")
+                    if vehicle.now_s + settings.arm_again_s > deadline_s:
+                        raise
+                await asyncio.sleep(settings.arm_again_s)
+            await self._while_ours("arm", lambda: self._telemetry.position is not None)
+
+    # --- in the air -----------------------------------------------------------------------------------------
+
+    async def takeoff(self, altitude_m: float) -> None:
+        """Climbs straight up in AUTO.TAKEOFF, then hovers in OFFBOARD."""
+        step = f"takeoff to {altitude_m:g} m"
+        async with self._vehicle.limited(step, self._vertical_s(altitude_m)):
+            if not self._telemetry.armed:
+                raise AutopilotRefused(step, "the vehicle is not armed; nothing was sent")
+            begun_s = self._vehicle.now_s  # home moves until the motors run
+            await self._while_ours(step, lambda: self._vehicle.heard_since(_POSITION, begun_s))
+            above_sea_m = self._telemetry.home_above_sea_m + altitude_m
+            self._loiters_from_m = altitude_m - _LOITERS_BELOW_M
+            await self._lift_off(step, above_sea_m)
+            await self._while_ours(step, lambda: self._vehicle.mode_name == _LOITER)
+            here = self.position
+            course = await self._enter_offboard(step)
+            course.aim(
+                Position(here.east_m, here.north_m, altitude_m), ground_speed_m_s=self._ground_speed_m_s
+            )
+            await self._while_ours(step, lambda: course.ended and self._climbed(altitude_m))
+
+    async def _lift_off(self, step: str, above_sea_m: float) -> None:
+        nan = math.nan  # where it stands, headed as it is
+        parameters = (-1.0, 0.0, 0.0, nan, nan, nan, above_sea_m)
+        await self._until_mode(
+            step, _TAKEOFF, mavlink.MAV_CMD_NAV_TAKEOFF, parameters, lambda: self._telemetry.in_the_air
+        )
+
+    async def set_ground_speed(self, ground_speed_m_s: float) -> None:
+        """The course's, from the next leg on."""
+        check_speed(ground_speed_m_s)
+        self._ground_speed_m_s = ground_speed_m_s
+
+    async def goto(self, position: Position) -> None:
+        """Straight there."""
+        step = f"goto {position.east_m:.1f} m east, {position.north_m:.1f} m north"
+        self._require_flying(step)
+        async with self._vehicle.limited(step, self._leg_s(position)):
+            course = await self._enter_offboard(step)
+            course.aim(position, ground_speed_m_s=self._ground_speed_m_s)
+            await self._while_ours(step, lambda: course.ended and self._arrived(position))
+
+    async def hold(self) -> None:
+        """Brakes, and stays where that ends."""
+        self._require_flying("hold")
+        async with self._vehicle.limited("hold", self._settings.margin_s):
+            course = await self._enter_offboard("hold")
+            course.stop()
+            await self._while_ours("hold", lambda: course.ended and self._arrived(course.position))
+            self._holds = True
+
+    async def _land_in(self, step: str, mode: str, *, timeout_s: float) -> None:
+        begun_s = self._vehicle.now_s
+        self._require_flying(step)
+        self._loiters_from_m = None
+        async with self._vehicle.limited(step, timeout_s):
+            await self._change_mode(step, mode)
+            self._vehicle.latch.expect_armed(False)  # it disarms itself some time after touchdown
+            await self._while_ours(step, lambda: self._landed(begun_s))
+
+    # --- modes ----------------------------------------------------------------------------------------------
+
+    async def _enter_offboard(self, step: str) -> Course:
+        """Has it follow the course from now on: one from where it is, unless it follows one already."""
+        vehicle, stream = self._vehicle, self._stream
+        vehicle.require_control(step)
+        self._holds, self._loiters_from_m = False, None
+        if stream.course is not None and vehicle.mode_name == _OFFBOARD:
+            return stream.course
+        await self._make_sure_of_mode(step)
+        vehicle.latch.expect_modes((_OFFBOARD,))  # where setpoints were lost, they alone have it go there
+        stream.begin().stop()
+        await vehicle.happens(step, lambda: not vehicle.is_ours, within_s=_BEFORE_OFFBOARD_S)
+        try:
+            await self._change_mode(step, _OFFBOARD)
+        except BaseException:
+            if vehicle.mode_name != _OFFBOARD:
+                stream.end()
+            raise
+        return stream.begin()  # from where it is by now
+
+    async def _change_mode(self, step: str, mode: str) -> None:
+        number = _NUMBERS[mode]
+        parameters = (mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, number.main, number.sub)
+        await self._until_mode(step, mode, mavlink.MAV_CMD_DO_SET_MODE, parameters)
+        if mode != _OFFBOARD:
+            self._stream.end()
+
+    async def _until_mode(
+        self,
+        step: str,
+        mode: str,
+        command: int,
+        parameters: Sequence[float],
+        done: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Commands until the vehicle reports the mode, or that it is done, whatever it answers.
+
+        Of its two answers to DO_SET_MODE, the first is always yes.
+        """
+        vehicle = self._vehicle
+        padded = (*parameters, *[0.0] * (7 - len(parameters)))
+
+        def message(system: int, component: int) -> Message:
+            return mavlink.MAVLink_command_long_message(system, component, command, 0, *padded)
+
+        for _ in range(vehicle.patience.attempts):
+            await self._make_sure_of_mode(step)
+            begun_s = vehicle.now_s
+            vehicle.latch.expect_modes((mode,))
+            if vehicle.mode_name == mode:
+                return
+            vehicle.steer(step, message)
+            if await self._turns_true(
+                step, lambda: vehicle.mode_name == mode or done(), within_s=_MODE_WITHIN_S
+            ):
+                return
+        vehicle.latch.withdraw()
+        said = self._telemetry.said_since(begun_s)
+        raise AutopilotRefused(step, f"the vehicle does not enter {mode}, it is in {vehicle.mode_name}", said)
+
+    async def _turns_true(self, step: str, condition: Callable[[], bool], *, within_s: float) -> bool:
+        """Whether it does, by reports that are asked for; AutopilotOverruled where the vehicle is lost first."""
+        vehicle = self._vehicle
+        until_s = vehicle.now_s + within_s
+        while not condition() and vehicle.now_s < until_s:
+            vehicle.ask_for(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+            await vehicle.happens(
+                step, lambda: condition() or not vehicle.is_ours, within_s=min(_FRESH_WITHIN_S, within_s)
+            )
+            vehicle.require_control(step)
+        return condition()
+
+    async def _make_sure_of_mode(self, step: str) -> None:
+        """Returns once it has told its mode anew and is still ours: heartbeats come but once a second."""
+        vehicle = self._vehicle
+        asked_s = vehicle.now_s
+        while not vehicle.heard_since(mavlink.MAVLINK_MSG_ID_HEARTBEAT, asked_s):
+            vehicle.require_control(step)
+            vehicle.ask_for(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+            await vehicle.happens(
+                step,
+                lambda: vehicle.heard_since(mavlink.MAVLINK_MSG_ID_HEARTBEAT, asked_s),
+                within_s=_FRESH_WITHIN_S,
+            )
+        vehicle.require_control(step)
+
+    # --- what it reports ------------------------------------------------------------------------------------
+
+    def _require_flying(self, step: str) -> None:
+        self._vehicle.require_control(step)
+        if not self._telemetry.armed or self._telemetry.on_ground:
+            raise AutopilotRefused(step, "the vehicle stands on the ground; nothing was sent")
+
+    def _learn_abilities(self, told: Mapping[str, float]) -> None:
+        usual = Abilities()
+        self._stream.abilities = Abilities(
+            told.get("MPC_XY_VEL_MAX") or usual.ground_speed_m_s,
+            told.get("MPC_Z_V_AUTO_UP") or usual.climb_m_s,
+            told.get("MPC_Z_V_AUTO_DN") or usual.descent_m_s,
+            told.get("MPC_ACC_HOR") or usual.acceleration_m_s2,
+        )
+
+    async def _check_settings(self) -> None:
+        """Tells what the vehicle does without the program, and refuses to fly where it falls then."""
+        vehicle = self._vehicle
+        told = await read_parameters(vehicle, ["COM_OBL_RC_ACT", "COM_OF_LOSS_T", "COM_RC_OVERRIDE"])
+        lost, after_s = told.get("COM_OBL_RC_ACT"), told.get("COM_OF_LOSS_T")
+        override = told.get("COM_RC_OVERRIDE")
+        if lost in _FALLS:
+            raise AutopilotRefused(
+                "arm",
+                f"COM_OBL_RC_ACT is {lost:g} ({_FALLS[lost]}): the vehicle falls when the program or its link is "
+                "lost; set it to 3 (return) or 5 (hover); nothing was sent",
+            )
+        if lost is not None and lost not in _GOES_ON:
+            what = "comes down where it is, unless a pilot has it by stick" if lost in (0, 1, 2) else "lands"
+            advice = f"without the program the vehicle {what}; 3 has it return, 5 hover"
+            vehicle.tell(VehicleSetting("COM_OBL_RC_ACT", lost, advice))
+        if after_s is not None and after_s > _LONG_S:
+            vehicle.tell(
+                VehicleSetting("COM_OF_LOSS_T", after_s, "so many seconds pass before it notices the loss")
+            )
+        if override is not None and not int(override) & _STICKS_IN_OFFBOARD:
+            advice = (
+                "sticks do not take the vehicle from the program, a mode switch does; 3 has sticks do it, too"
+            )
+            vehicle.tell(VehicleSetting("COM_RC_OVERRIDE", override, advice))
+
+    def _may_be_armed(self) -> bool:
+        """By its checks for AUTO.LOITER, whatever mode it is in."""
+        telemetry = self._telemetry
+        if self._vehicle.mode_name != _LOITER:
+            telemetry.can_be_armed = bool((telemetry.armable_modes or 0) & _LOITER_STATE)
+        return super()._may_be_armed()
+
+    def _reasons_since(self, _since_s: float) -> tuple[str, ...]:
+        """What the last set of failed checks holds against arming in AUTO.LOITER."""
+        blocking = (
+            _words(number)
+            for number, (severity, modes) in self._telemetry.failed_checks.items()
+            if modes & _LOITER_STATE and severity <= _LEAST_BLOCKING
+        )
+        return tuple(dict.fromkeys(blocking))
+
+    def _ask_why_not_armable(self) -> None:
+        self._vehicle.question(RUN_PREARM_CHECKS)
+
+    def _hear_position(self, message: Message) -> None:
+        velocity = self._telemetry.velocity
+        if message.get_type() != "GLOBAL_POSITION_INT" or velocity is None:
+            return
+        if self._loiters_from_m is not None and self.position.altitude_m >= self._loiters_from_m:
+            self._loiters_from_m = None  # not before: whoever has it hover farther down is a pilot
+            self._vehicle.latch.expect_modes((_TAKEOFF, _LOITER))
+        now_s = self._vehicle.now_s
+        self._velocities.append((now_s, velocity))
+        while self._velocities[0][0] < now_s - _MEAN_OVER_S:
+            self._velocities.popleft()
+
+    def _at_rest(self) -> bool:
+        """By the mean of its velocities: what it reports of a hover is mostly noise."""
+        velocities = [velocity for _, velocity in self._velocities]
+        if not velocities:
+            return False
+        east_m_s = sum(each.east_m_s for each in velocities)
+        north_m_s = sum(each.north_m_s for each in velocities)
+        up_m_s = sum(each.up_m_s for each in velocities)
+        return math.hypot(east_m_s, north_m_s, up_m_s) / len(velocities) < self._settings.arrival_speed_m_s
+
+
+def _energy(told: Mapping[str, float]) -> EnergyFacts:
+    """Its stages and its way home, by parameters in PX4's units: shares of a full battery, metres, m/s."""
+
+    def percent(name: str) -> float | None:
+        share = told.get(name, 0.0)
+        return 100 * share if share > 0 else None
+
+    usual = PX4_WAY_HOME
+    way_home = replace(
+        usual,
+        altitude_m=told.get("RTL_RETURN_ALT") or usual.altitude_m,
+        speed_m_s=told.get("MPC_XY_CRUISE") or usual.speed_m_s,
+        descent_m_s=told.get("MPC_Z_V_AUTO_DN") or usual.descent_m_s,
+    )
+    return EnergyFacts(percent("BAT_LOW_THR"), percent("BAT_CRIT_THR"), way_home=way_home)

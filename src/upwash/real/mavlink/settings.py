@@ -1,0 +1,39 @@
+"""When a vehicle's verb is true, and when it has taken too long."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long the driver waits for a vehicle to say something."""
+
+    answer_s: float = 1.0  # for the answer to a command, before it is repeated
+    effect_s: float = 2.5  # for a mode or the motors to change, before they are told again
+    attempts: int = 8
+    quiet_after_s: float = 2.5  # without any message, the link counts as lost, and attempts no longer count
+    dead_after_s: float = (
+        10.0  # without any message, a connection is made anew, or the vehicle found at another port
+    )
+    lost_after_s: float = 120.0  # without any message, the verb in progress fails
+
+
+@dataclass(frozen=True, slots=True)
+class FlightSettings:
+    """When a verb is true, and when it has taken too long; silences of the link are not counted."""
+
+    arrival_distance_m: float = 1.0
+    arrival_speed_m_s: float = 0.5
+    progress_m: float = 0.5
+    progress_s: float = 3.0  # a target is repeated when the vehicle came not so much nearer in so long
+    speed_tolerance: float = 1.1  # of the ground speed, above which it is told again
+    speed_again_s: float = 5.0
+    ready_timeout_s: float = 120.0  # for the checks before arming
+    arm_again_s: float = 2.0
+    ask_again_s: float = 5.0  # for the reasons why it cannot be armed
+    margin_s: float = 60.0  # a flight may take so long, plus its distance at the slowest speeds below
+    slowest_share: float = 1 / 3  # of the ground speed, against the wind
+    slowest_vertical_m_s: float = 0.4
+    return_altitude_m: float = 100.0  # the vehicle may climb so high before it returns
+    patience: Patience = field(default_factory=Patience)

@@ -1,0 +1,76 @@
+"""The key for signed messages, from its file; beside that lies the latest time that was used with it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+from pathlib import Path
+
+from upwash.errors import CredentialsError, UsageError
+from upwash.mavlink_signing import Signing, key_of, key_of_passphrase
+from upwash.real.secrets import read_secret
+
+_PASSPHRASE_BYTES = 24
+
+
+def read_signing(file: Path) -> Signing:
+    """Signs with the file's key, later than any program before did with the same file; raises CredentialsError.
+
+    The latest time is kept in a file beside it, named `.time`: a computer may start with a clock that is behind.
+    """
+    key = read_key(file)
+    kept_in = file.with_name(f"{file.name}.time")
+    try:
+        kept = _kept(kept_in)
+        _keep(kept_in, kept)
+    except (OSError, ValueError) as error:
+        raise CredentialsError(
+            f"{kept_in} cannot be kept ({getattr(error, 'strerror', None) or error}): it holds the time of the last "
+            f"signed message; let this user write to {kept_in.parent}, or remove the file if it is broken"
+        ) from error
+
+    def keep(latest: int) -> None:
+        with contextlib.suppress(
+            OSError
+        ):  # a disk that is full in flight: then this computer's clock has to do
+            _keep(kept_in, latest)
+
+    return Signing(key, kept=kept, keep=keep)
+
+
+def read_key(file: Path) -> bytes:
+    """The key in a file; raises CredentialsError."""
+    try:
+        return key_of(read_secret(file))
+    except ValueError as error:
+        raise CredentialsError(f"{file} {error}; make one with `upwash keys --signing FILE`") from None
+
+
+def make_signing_key(file: Path) -> str:
+    """Writes a new key; returns the passphrase that a ground station makes the same one of."""
+    passphrase = secrets.token_urlsafe(_PASSPHRASE_BYTES)
+    try:
+        descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except FileExistsError:
+        raise UsageError(f"{file} is there already: give another file, or remove it") from None
+    with os.fdopen(descriptor, "w") as opened:
+        opened.write(f"{key_of_passphrase(passphrase).hex()}\n")
+    return passphrase
+
+
+def _kept(file: Path) -> int:
+    """The time in the file, 0 where there is none yet; ValueError for anything else."""
+    try:
+        text = file.read_text()
+    except FileNotFoundError:
+        return 0
+    if not text.strip().isdecimal() or int(text) >= 2**48:
+        raise ValueError("it holds no time")
+    return int(text)
+
+
+def _keep(file: Path, latest: int) -> None:
+    whole = file.with_name(f"{file.name}.new")
+    whole.write_text(f"{latest}\n")
+    whole.replace(file)

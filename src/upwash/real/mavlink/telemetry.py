@@ -1,0 +1,190 @@
+"""What a vehicle last reported, whatever firmware it runs."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.geo import GeoPosition, Velocity
+from upwash.ports import SEVERITIES, VehicleText
+from upwash.real.mavlink.hearing import Message
+from upwash.real.mavlink.link import COMPANION
+from upwash.text import printable
+
+_DEBUG = len(SEVERITIES) - 1
+_TEXTS_KEPT = 32
+_LATELY_S = 3.0  # what was said longer ago is not about what has just happened
+_CHUNK_BYTES = 50  # of a text; a longer one comes in several
+_MOST_CHUNKS = 20
+_DEAD_MAN_ACTS = "upwash: companion silent"  # as dead_man.lua says it
+_EKF_GPS_GLITCHING = 1 << 15  # ArduPilot's; the dialect has no name for it
+_IN_THE_AIR = (
+    mavlink.MAV_LANDED_STATE_TAKEOFF,
+    mavlink.MAV_LANDED_STATE_IN_AIR,
+    mavlink.MAV_LANDED_STATE_LANDING,
+)
+
+
+@dataclass(slots=True)
+class Telemetry:
+    """What the vehicle last reported; None stands for what it has not said."""
+
+    mode: int | None = None
+    armed: bool = False
+    system_status: int = mavlink.MAV_STATE_UNINIT
+    landed_state: int = mavlink.MAV_LANDED_STATE_UNDEFINED
+    position: GeoPosition | None = None
+    above_sea_m: float | None = None
+    velocity: Velocity | None = None  # over the ground
+    wind: Velocity | None = None
+    battery_percent: float | None = None
+    home: GeoPosition | None = None  # its altitude is above the sea
+    can_be_armed: bool | None = None
+    knows_its_place: bool | None = None  # whether its position estimate is good enough to count as an arrival
+    fence_breached: bool = False
+    flown_and_intended_mode: tuple[int, int] | None = None  # PX4's: they differ in a fail-safe
+    armable_modes: int | None = None  # PX4's, a bit for each navigation state
+    failed_checks: dict[int, tuple[int, int]] = field(
+        default_factory=dict
+    )  # PX4's: severity, and modes as bits
+    failed_checks_before: dict[int, tuple[int, int]] = field(default_factory=dict)  # in the set before that
+    dead_man: str = ""  # why its dead man may just have chosen the mode
+    unix_s: float | None = None
+    texts: deque[tuple[float, VehicleText]] = field(default_factory=lambda: deque(maxlen=_TEXTS_KEPT))
+    texts_heard: int = 0
+    answers: dict[int, int] = field(default_factory=dict)  # MAV_RESULT by MAV_CMD
+    _dead_man_s: float = -math.inf
+    _chunks: dict[int, list[str]] = field(
+        default_factory=dict
+    )  # of texts that are not complete, by their numbers
+
+    def take(self, message: Message, now_s: float) -> None:
+        """Remembers what the message reports."""
+        match message.get_type():
+            case "HEARTBEAT":
+                self.mode = message.custom_mode
+                self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+                self.system_status = message.system_status
+                if now_s - self._dead_man_s > _LATELY_S:
+                    self.dead_man = ""
+            case "GLOBAL_POSITION_INT" if _is_a_place(message):
+                self.position = GeoPosition(message.lat / 1e7, message.lon / 1e7, message.relative_alt / 1e3)
+                self.above_sea_m = message.alt / 1e3
+                self.velocity = Velocity(message.vy / 100, message.vx / 100, -message.vz / 100)
+            case "HOME_POSITION":
+                place = message.latitude / 1e7, message.longitude / 1e7
+                self.home = GeoPosition(*place, message.altitude / 1e3)
+            case "EXTENDED_SYS_STATE":
+                self.landed_state = message.landed_state
+            case _:
+                self._take_health(message)
+                self._take_words(message, now_s)
+
+    def _take_health(self, message: Message) -> None:
+        match message.get_type():
+            case "SYS_STATUS":
+                self._take_battery(message.battery_remaining)
+                if message.onboard_control_sensors_present & mavlink.MAV_SYS_STATUS_PREARM_CHECK:
+                    health = message.onboard_control_sensors_health
+                    self.can_be_armed = bool(health & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
+            case "BATTERY_STATUS" if message.id == 0:
+                self._take_battery(message.battery_remaining)
+            case "EKF_STATUS_REPORT":
+                doubts = mavlink.EKF_CONST_POS_MODE | _EKF_GPS_GLITCHING
+                self.knows_its_place = _trusts(message.flags, mavlink.EKF_POS_HORIZ_ABS, doubts)
+            case "ESTIMATOR_STATUS":
+                doubts = mavlink.ESTIMATOR_CONST_POS_MODE | mavlink.ESTIMATOR_GPS_GLITCH
+                self.knows_its_place = _trusts(message.flags, mavlink.ESTIMATOR_POS_HORIZ_ABS, doubts)
+            case "FENCE_STATUS":
+                self.fence_breached = bool(message.breach_status)
+            case "SYSTEM_TIME":
+                self.unix_s = message.time_unix_usec / 1e6 or None  # 0: not known
+            case "WIND" if message.speed < math.inf:  # from where it blows, in degrees
+                towards = math.radians(message.direction + 180)
+                self.wind = Velocity(message.speed * math.sin(towards), message.speed * math.cos(towards))
+            case "WIND_COV" if math.hypot(message.wind_x, message.wind_y) < math.inf:
+                self.wind = Velocity(message.wind_y, message.wind_x)
+
+    def _take_words(self, message: Message, now_s: float) -> None:
+        match message.get_type():
+            case "STATUSTEXT" if text := self._whole_text(message):
+                self.hear_text(VehicleText(min(message.severity, _DEBUG), printable(text)), now_s)
+            case "COMMAND_ACK" if message.target_component in (0, COMPANION):
+                self.answers[message.command] = message.result
+
+    def hear_text(self, text: VehicleText, now_s: float) -> None:
+        """Remembers what it said."""
+        self.texts.append((now_s, text))
+        self.texts_heard += 1
+        if text.text.startswith(_DEAD_MAN_ACTS):
+            self.suspect_dead_man("its dead man, which did not hear this program", now_s)
+
+    def suspect_dead_man(self, why: str, now_s: float) -> None:
+        """The vehicle's dead man may have acted; a change of mode in the next seconds may be its."""
+        self.dead_man, self._dead_man_s = why, now_s
+
+    def said_since(self, since_s: float) -> str:
+        """What it said from then on, the most severe first, each with its severity; empty where it said nothing."""
+        texts = sorted(
+            (text for said_s, text in self.texts if said_s >= since_s), key=lambda text: text.severity
+        )
+        return "; ".join(dict.fromkeys(f"{each.text} ({SEVERITIES[each.severity]})" for each in texts))
+
+    def said_lately(self, now_s: float) -> str:
+        """What it said in the last three seconds."""
+        return self.said_since(now_s - _LATELY_S)
+
+    @property
+    def speed_m_s(self) -> float:
+        """How fast it moves; infinite while it does not say."""
+        return self.velocity.speed_m_s if self.velocity else math.inf
+
+    @property
+    def ground_speed_m_s(self) -> float:
+        """How fast it moves over the ground; 0 while it does not say."""
+        return math.hypot(self.velocity.east_m_s, self.velocity.north_m_s) if self.velocity else 0.0
+
+    @property
+    def home_above_sea_m(self) -> float:
+        """By its two altitudes; 0 while it does not know its place."""
+        if self.position is None or self.above_sea_m is None:
+            return 0.0
+        return self.above_sea_m - self.position.altitude_m
+
+    @property
+    def on_ground(self) -> bool:
+        """Whether it says that it stands on the ground."""
+        return bool(self.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND)
+
+    @property
+    def in_the_air(self) -> bool:
+        """Whether it says that it has left the ground."""
+        return self.landed_state in _IN_THE_AIR
+
+    def _take_battery(self, percent: int) -> None:
+        self.battery_percent = float(percent) if 0 <= percent <= 100 else None  # -1: not known
+
+    def _whole_text(self, message: Message) -> str:
+        """The text, empty while parts of it are missing."""
+        if not getattr(message, "id", 0):
+            return str(message.text)
+        if message.chunk_seq == 0:
+            self._chunks.clear()  # one text at a time: what was not completed never will be
+        chunks = self._chunks.setdefault(message.id, [])
+        chunks.append(message.text)
+        is_whole = len(message.text) < _CHUNK_BYTES or len(chunks) == _MOST_CHUNKS
+        return "".join(self._chunks.pop(message.id)) if is_whole else ""
+
+
+def _trusts(flags: int, absolute: int, doubts: int) -> bool:
+    return bool(flags & absolute) and not flags & doubts
+
+
+def _is_a_place(message: Message) -> bool:
+    """Whether the position is one on the Earth; 0, 0 says that it is not known yet."""
+    latitude_e7, longitude_e7 = message.lat, message.lon
+    known = (latitude_e7, longitude_e7) != (0, 0)
+    return bool(known and abs(latitude_e7) <= 90e7 and abs(longitude_e7) <= 180e7)

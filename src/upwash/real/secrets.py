@@ -1,0 +1,58 @@
+"""Files that are read with care: those of secrets, which nobody else may read, and what belongs to them."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from upwash.errors import CredentialsError
+
+_MOST_BYTES = 2**20
+_ROOT = 0
+
+
+def read_secret(file: Path) -> bytes:
+    """What a file says that others may not read; raises CredentialsError where they can."""
+    content, status = _read(file)
+    problem = exposure(stat.S_IMODE(status.st_mode), owner=status.st_uid)
+    if problem:
+        mode = 600 if status.st_uid == os.geteuid() else 640  # with which this program can still read it
+        raise CredentialsError(f"{file}: {problem}: chmod {mode} {file}")
+    return content
+
+
+def read_public(file: Path) -> bytes:
+    """What a file says that anyone may read; raises CredentialsError."""
+    return _read(file)[0]
+
+
+def exposure(mode: int, *, owner: int) -> str:
+    """Who else may read or change a file of that mode and owner; "" for nobody.
+
+    A file of root's may be read by its group: so it is given to a service that runs as a user of its own.
+    """
+    too_much = mode & 0o077 & ~(0o040 if owner == _ROOT else 0)
+    if not too_much:
+        return ""
+    who = "others" if too_much & 0o007 else "its group"
+    return f"{who} can {'read' if too_much & 0o044 else 'change'} it (mode {mode:04o})"
+
+
+def _read(file: Path) -> tuple[bytes, os.stat_result]:
+    try:
+        descriptor = os.open(file, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # a pipe would be waited for
+        with os.fdopen(descriptor, "rb") as opened:
+            status = os.fstat(descriptor)
+            if not stat.S_ISREG(status.st_mode):
+                raise CredentialsError(f"{file}: cannot be read (not a file): check the path")
+            content = opened.read(_MOST_BYTES + 1)
+    except FileNotFoundError:
+        raise CredentialsError(f"{file}: no such file: check the path, or make the keys first") from None
+    except OSError as error:
+        raise CredentialsError(
+            f"{file}: cannot be read ({error.strerror}): run as the user that owns it"
+        ) from None
+    if len(content) > _MOST_BYTES:
+        raise CredentialsError(f"{file}: more than 1 MiB, which no key or certificate has: check the path")
+    return content, status

@@ -1,0 +1,161 @@
+"""What a service in a sandbox may not ask the kernel for: a filter of its calls, as bubblewrap takes one.
+
+Namespaces take away what has a name; this takes away what has none: sockets to the machine that this one is a guest
+of, memory that no limit counts, and parts of the kernel that services do not need and attackers do. Where the calls
+of a processor are not known there is no sandbox.
+"""
+
+from __future__ import annotations
+
+import errno
+import platform
+import socket
+import struct
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from upwash.errors import UsageError
+
+# Of linux/audit.h, linux/seccomp.h, linux/bpf_common.h, linux/mman.h and linux/sched.h:
+_LOAD, _AND, _EQUAL, _AT_LEAST, _ANSWER = 0x20, 0x54, 0x15, 0x35, 0x06
+_NUMBER, _ARCHITECTURE, _FIRST_ARGUMENT = (
+    0,
+    4,
+    16,
+)  # where they lie in what the kernel shows; arguments have 8 bytes
+_ALLOW, _REFUSE, _KILL = 0x7FFF0000, 0x00050000, 0x80000000
+_NEW_NAMESPACES = 0x7E020000
+_SHARED, _ANONYMOUS, _GROWS_DOWN = 0x01, 0x20, 0x100
+_ROUTES = 0  # what getaddrinfo() asks of netlink
+
+# Each name's number on x86_64 and on aarch64. Linux numbers calls alike on both from 424 on.
+_CALLS: Mapping[str, tuple[int, int]] = {
+    "mmap": (9, 222),
+    "socket": (41, 198),
+    "socketpair": (53, 199),
+    "clone": (56, 220),
+}
+_REFUSED: Mapping[int, Mapping[str, tuple[int, int]]] = {
+    errno.EPERM: {
+        "add_key": (248, 217),
+        "bpf": (321, 280),
+        "kcmp": (312, 272),
+        "keyctl": (250, 219),
+        "perf_event_open": (298, 241),
+        "pidfd_getfd": (438, 438),
+        "process_vm_readv": (310, 270),
+        "process_vm_writev": (311, 271),
+        "ptrace": (101, 117),
+        "request_key": (249, 218),
+        "setns": (308, 268),
+        "syslog": (103, 116),
+        "unshare": (272, 97),
+        "userfaultfd": (323, 282),
+    },
+    # As if the kernel were older: libraries know how to go on. clone3 hides its flags where no filter sees them,
+    # io_uring makes calls past the filter, and the others give memory that is nobody's data.
+    errno.ENOSYS: {
+        "clone3": (435, 435),
+        "io_uring_enter": (426, 426),
+        "io_uring_register": (427, 427),
+        "io_uring_setup": (425, 425),
+        "memfd_create": (319, 279),
+        "memfd_secret": (447, 447),
+        "shmget": (29, 194),
+    },
+}
+_FAMILIES = (socket.AF_UNIX, socket.AF_INET, socket.AF_INET6)
+
+
+@dataclass(frozen=True, slots=True)
+class _Machine:
+    architecture: int
+    column: int  # of the tables above
+    most: int  # numbers from here on are another kind of processor's
+
+
+_MACHINES = {"x86_64": _Machine(0xC000003E, 0, 0x40000000), "aarch64": _Machine(0xC00000B7, 1, 0x40000000)}
+
+
+def call_filter(machine: str = "") -> bytes:
+    """The filter for this machine's processor, or that one; raises UsageError where its calls are not known."""
+    machine = machine or platform.machine()
+    if machine not in _MACHINES:
+        raise UsageError(f"no filter of system calls is known for a processor of the kind {machine}")
+    return b"".join(_instructions(_MACHINES[machine]))
+
+
+def _instructions(machine: _Machine) -> Iterable[bytes]:
+    yield _load(_ARCHITECTURE)
+    yield from _unless(_EQUAL, machine.architecture, [_answer(_KILL)])
+    yield _load(_NUMBER)
+    yield from _where(_AT_LEAST, machine.most, [_refuse(errno.ENOSYS)])
+    for error, calls in _REFUSED.items():
+        for numbers in calls.values():
+            yield from _where(_EQUAL, numbers[machine.column], [_refuse(error)])
+    for name, rules in {
+        "clone": _rules_of_clone(),
+        "mmap": _rules_of_mmap(),
+        "socket": _rules_of_sockets(),
+        "socketpair": _rules_of_sockets(),
+    }.items():
+        yield from _where(_EQUAL, _CALLS[name][machine.column], [*rules, _answer(_ALLOW)])
+    yield _answer(_ALLOW)
+
+
+def _rules_of_clone() -> list[bytes]:
+    """Threads and processes, but no namespaces."""
+    return [_argument(0), _step(_AND, _NEW_NAMESPACES), *_unless(_EQUAL, 0, [_refuse(errno.EPERM)])]
+
+
+def _rules_of_mmap() -> list[bytes]:
+    """No memory that RLIMIT_DATA does not count: shared without a file, or called a stack."""
+    return [
+        _argument(3),
+        _step(_AND, _SHARED | _ANONYMOUS),
+        *_where(_EQUAL, _SHARED | _ANONYMOUS, [_refuse(errno.ENOMEM)]),
+        _argument(3),
+        _step(_AND, _GROWS_DOWN),
+        *_unless(_EQUAL, 0, [_refuse(errno.ENOMEM)]),
+    ]
+
+
+def _rules_of_sockets() -> list[bytes]:
+    """Families that a network namespace holds in, and that services need."""
+    return [
+        _argument(0),
+        *(step for family in _FAMILIES for step in _where(_EQUAL, family, [_answer(_ALLOW)])),
+        *_unless(_EQUAL, socket.AF_NETLINK, [_refuse(errno.EAFNOSUPPORT)]),
+        _argument(2),
+        *_unless(_EQUAL, _ROUTES, [_refuse(errno.EAFNOSUPPORT)]),
+    ]
+
+
+def _where(test: int, value: int, then: list[bytes]) -> list[bytes]:
+    return [_step(test, value, 0, len(then)), *then]
+
+
+def _unless(test: int, value: int, then: list[bytes]) -> list[bytes]:
+    return [_step(test, value, len(then), 0), *then]
+
+
+def _argument(index: int) -> bytes:
+    """Loads the lower half of an argument: those looked at are ints, or flags that have none above."""
+    return _load(_FIRST_ARGUMENT + 8 * index)
+
+
+def _load(offset: int) -> bytes:
+    return _step(_LOAD, offset)
+
+
+def _refuse(error: int) -> bytes:
+    return _answer(_REFUSE | error)
+
+
+def _answer(answer: int) -> bytes:
+    return _step(_ANSWER, answer)
+
+
+def _step(operation: int, value: int, if_so: int = 0, if_not: int = 0) -> bytes:
+    """One struct sock_filter: how many instructions to leave out where a test is true, and where it is not."""
+    return struct.pack("HBBI", operation, if_so, if_not, value)

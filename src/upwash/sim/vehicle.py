@@ -1,0 +1,208 @@
+"""A vehicle on paper: its mode, its motors and how it moves. It obeys every command, whoever it belongs to."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol
+
+from upwash.core.control import Report
+from upwash.core.energy import WayHome
+from upwash.core.geo import Circle, Position, Velocity, ground_distance_m
+from upwash.vehicle.kinematics import Motion, Phase, elapsed_s
+
+GUIDED, LOITER, RETURN, LAND = "GUIDED", "LOITER", "RTL", "LAND"
+
+_ROUNDING_M = 1e-6
+_PAST_THE_BORDER_S = 1e-6
+_PILOT_LANDS_AFTER_S = 20.0
+
+
+class Manner(Protocol):
+    """How a vehicle flies; `vehicle.arducopter` is one."""
+
+    @property
+    def returning(self) -> WayHome:
+        """How it returns and lands, in numbers that are never too fast."""
+
+    def takeoff(self, ground: Position, altitude_m: float) -> tuple[Phase, ...]:
+        """Straight up to the altitude."""
+
+    def waypoint_leg(self, start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
+        """From rest to rest."""
+
+    def arrival_s(self, phases: tuple[Phase, ...]) -> float:
+        """How long after its start the vehicle counts as arrived."""
+
+    def return_and_land(self, start: Position, home: Position) -> tuple[Phase, ...]:
+        """From rest to the ground at home."""
+
+    def landing(self, start: Position) -> tuple[Phase, ...]:
+        """From rest straight down to the ground."""
+
+
+class ModelVehicle:
+    """Stands on the ground disarmed, or hovers where another program left it.
+
+    `commanded` is told the name of each command that reaches it, and `taken` by whom it was taken over. `changed` is
+    set, anew each time, when it begins to move otherwise or its mode or motors change by themselves.
+    """
+
+    def __init__(
+        self,
+        ground: Position,
+        manner: Manner,
+        *,
+        hovers_at: Position | None = None,
+        commanded: Callable[[str], None] = lambda _: None,
+        taken: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.mode = GUIDED
+        self.armed = hovers_at is not None
+        self.changed = asyncio.Event()
+        self._loop = asyncio.get_running_loop()
+        self._manner = manner
+        self._motion: Motion[Phase] = Motion(0.0, (), hovers_at or ground)
+        self._crossings: list[tuple[Sequence[Circle], list[float]]] = []  # of this motion, for each who asked
+        self._touchdown: asyncio.TimerHandle | None = None  # of a landing by itself or by a person
+        self._failsafe = ""
+        self._commanded = commanded
+        self._taken = taken
+
+    @property
+    def position(self) -> Position:
+        """Where it is now."""
+        return self._motion.position(self._loop.time())
+
+    @property
+    def velocity(self) -> Velocity:
+        """How it moves now."""
+        return self._motion.velocity(self._loop.time())
+
+    @property
+    def flies(self) -> bool:
+        """Whether it is off the ground."""
+        return self.position.altitude_m > 0
+
+    def report(self) -> Report:
+        """What its heartbeat says now."""
+        return Report(self.mode, self.armed, self._failsafe)
+
+    def obey(self, command: str, *, mode: str | None = None, armed: bool | None = None) -> None:
+        """Changes its mode or motors, or neither, by a command of the program."""
+        self._commanded(command)
+        self.mode = self.mode if mode is None else mode
+        if armed is not None:
+            self.armed = armed
+            self._tell_change()
+
+    def move(self, phases: tuple[Phase, ...], end: Position) -> None:
+        """Begins to move, by a command that was obeyed before; `end` is exactly where the phases lead."""
+        self._motion = Motion(self._loop.time(), phases, end)
+        self._crossings.clear()
+        self._tell_change()
+
+    def settle(self, end: Position) -> None:
+        """Rests at the end of a motion: a timer may be a nanosecond early, and the vehicle not quite there."""
+        self._motion = Motion(self._loop.time(), (), end)
+        self._crossings.clear()
+
+    # --- what it does without a command ---------------------------------------------------------------------
+
+    def be_taken_by_pilot(self, *, back_after_s: float, before_back: Callable[[], None]) -> None:
+        """A person flies it in another mode, later back in the program's if that is before the landing, and lands."""
+        self._taken("pilot")
+        self.armed = True
+        self._change_mode(LOITER)
+        if back_after_s < _PILOT_LANDS_AFTER_S:
+            self._loop.call_later(back_after_s, self._be_given_back, before_back)
+        self._loop.call_later(_PILOT_LANDS_AFTER_S, self._land)
+
+    def fail_safe(self) -> None:
+        """Its battery is empty, say: it lands where it is; while it stands disarmed there is nothing to do."""
+        if not self.armed:
+            return
+        self._taken("fail-safe")
+        self._failsafe = "Battery Failsafe"
+        self._land()
+
+    def _be_given_back(self, before_back: Callable[[], None]) -> None:
+        before_back()
+        self._change_mode(GUIDED)
+
+    def _change_mode(self, mode: str) -> None:
+        if self._touchdown is not None:
+            self._touchdown.cancel()
+        self.mode = mode
+        here = self.position
+        self.move((), here)
+
+    def _land(self) -> None:
+        self._change_mode(LAND)
+        here = self.position
+        phases = self._manner.landing(here) if self.flies else ()
+        ground = Position(here.east_m, here.north_m)
+        self.move(phases, ground)
+        self._touchdown = self._loop.call_at(self._motion.ends_s, self._touch_down, ground)
+
+    def _touch_down(self, ground: Position) -> None:
+        self.settle(ground)
+        self.armed = False
+        self._tell_change()
+
+    def _tell_change(self) -> None:
+        changed, self.changed = self.changed, asyncio.Event()
+        changed.set()
+
+    # --- when it crosses borders ----------------------------------------------------------------------------
+
+    def next_crossing_s(self, circles: Sequence[Circle]) -> float | None:
+        """Just after its present motion next crosses one of the circles; None where it crosses none."""
+        crossings_s = next((times_s for asked, times_s in self._crossings if asked is circles), None)
+        if crossings_s is None:
+            crossings_s = sorted(_all_crossings_s(self._motion, circles))
+            self._crossings.append((circles, crossings_s))
+        later = bisect_right(crossings_s, self._loop.time())
+        return crossings_s[later] if later < len(crossings_s) else None
+
+
+def _all_crossings_s(motion: Motion[Phase], circles: Sequence[Circle]) -> Iterator[float]:
+    """Just after each time at which the motion crosses one of the circles."""
+    near, begun_s = _within_reach(circles, motion.phases), motion.begun_s
+    for phase in motion.phases:
+        for circle in near:
+            for crossing_s in _crossings_s(phase, circle):
+                yield begun_s + crossing_s + _PAST_THE_BORDER_S
+        begun_s += phase.duration_s
+
+
+def _within_reach(circles: Sequence[Circle], phases: Sequence[Phase]) -> list[Circle]:
+    """The circles whose border is no further away than the phases lead: a few of hundreds."""
+    if not phases:
+        return []
+    start, way_m = phases[0].start, sum(phase.travelled_m(phase.duration_s) for phase in phases)
+    return [
+        circle
+        for circle in circles
+        if abs(ground_distance_m(start, circle.centre) - circle.radius_m) <= way_m + _ROUNDING_M
+    ]
+
+
+def _crossings_s(phase: Phase, circle: Circle) -> Iterator[float]:
+    """The times from the start of a phase at which it crosses the circle."""
+    heading_east, heading_north = phase.heading.east_m_s, phase.heading.north_m_s
+    squared = heading_east**2 + heading_north**2
+    if squared == 0:
+        return
+    east_m = phase.start.east_m - circle.centre.east_m
+    north_m = phase.start.north_m - circle.centre.north_m
+    half = (east_m * heading_east + north_m * heading_north) / squared
+    discriminant = half**2 - (east_m**2 + north_m**2 - circle.radius_m**2) / squared
+    if discriminant <= 0:
+        return
+    for travelled_m in (-half - math.sqrt(discriminant), -half + math.sqrt(discriminant)):
+        crossing_s = elapsed_s(phase, travelled_m)
+        if crossing_s is not None:
+            yield crossing_s

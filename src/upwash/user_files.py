@@ -1,0 +1,66 @@
+"""Files that a user names: read with a bound on their size, and TOML with a bound on its nesting.
+
+Whatever is named, a device, a pipe that nobody writes to, a file without end, is told within a second.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import select
+import stat
+import tomllib
+from pathlib import Path
+
+_CHUNK_BYTES = 2**16
+_PIPE_PATIENCE_MS = 500
+_MOST_PARTS = 32  # of a dotted key
+_PART = r"""(?:(?<![\w-])[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(rf"(?:{_PART}[ \t]*+\.[ \t]*+){{{_MOST_PARTS}}}", re.ASCII)
+
+
+def read_file(file: Path, *, most_bytes: int) -> bytes:
+    """The content of a file, or what comes through a pipe until its end.
+
+    Raises OSError where it cannot be read, and ValueError where it is larger, or neither a file nor a pipe.
+    """
+    descriptor = os.open(
+        file, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
+    )  # a pipe does not hold it up
+    try:
+        mode = os.fstat(descriptor).st_mode
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(file))
+        if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode)):
+            raise ValueError("it is a device or a socket, not a file")
+        content = bytearray()
+        while chunk := _next_chunk(descriptor, is_pipe=stat.S_ISFIFO(mode)):
+            content += chunk
+            if len(content) > most_bytes:
+                raise ValueError(f"it is larger than {most_bytes / 1e6:g} MB")
+    finally:
+        os.close(descriptor)
+    return bytes(content)
+
+
+def read_toml(text: str) -> dict[str, object]:
+    """What the TOML says; raises ValueError, TOMLDecodeError among them, where it is none or nested too deeply."""
+    if found := _LONG_KEY.search(
+        text
+    ):  # before it is parsed: time and memory grow with the square of the parts
+        line = text.count("\n", 0, found.start()) + 1
+        raise ValueError(f"line {line}: a key of more than {_MOST_PARTS} parts, and no key has so many")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("arrays or tables are nested too deeply") from None
+
+
+def _next_chunk(descriptor: int, *, is_pipe: bool) -> bytes:
+    if is_pipe:
+        poll = select.poll()
+        poll.register(descriptor, select.POLLIN)
+        if not poll.poll(_PIPE_PATIENCE_MS):
+            raise ValueError(f"nothing came through the pipe within {_PIPE_PATIENCE_MS / 1000:g} s")
+    return os.read(descriptor, _CHUNK_BYTES)

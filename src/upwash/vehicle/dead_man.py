@@ -1,0 +1,110 @@
+"""The one script that the stand-in runs: upwash's dead man, where it was uploaded; what it does is modelled here.
+
+`real/mavlink/dead_man.lua` is the script itself. The stand-in reads nothing but its version from it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.vehicle.answers import Result
+from upwash.vehicle.boot import INFORMATION, WARNING, Text
+from upwash.vehicle.copter import Copter, Mode
+from upwash.vehicle.ftp import Files
+
+_FILE = "scripts/upwash_dead_man.lua"
+_VERSION = re.compile(rb"^local VERSION = (\d+)$", re.MULTILINE)
+_MAGIC = 0x5550
+_MODES = {1: Mode.RTL, 2: Mode.LAND}
+_EARLY_S = 1.0
+_STOP_AND_RESTART = 3
+MAV_CMD_SCRIPTING = 42701
+
+
+class Scripting:
+    """Scripts start with the vehicle, or when they are told to, where SCR_ENABLE was 1 at its boot."""
+
+    def __init__(self, copter: Copter, say: Callable[[Text], None]) -> None:
+        self._copter = copter
+        self._say = say
+        self._enabled = bool(copter.parameters["SCR_ENABLE"])
+        self._dead_man: _DeadMan | None = None
+
+    def obey(self, order: float, files: Files) -> Result:
+        """MAV_CMD_SCRIPTING."""
+        if order != _STOP_AND_RESTART:
+            return Result.UNSUPPORTED
+        found = _VERSION.search(bytes(files.content.get(_FILE, b"")))
+        self._dead_man = _DeadMan(self._copter, self._say, int(found[1])) if found and self._enabled else None
+        return Result.ACCEPTED
+
+    def hear(self, heartbeat: Any, now_s: float) -> None:
+        """Another's heartbeat."""
+        if self._dead_man:
+            self._dead_man.hear(heartbeat, now_s)
+
+    def tick(self, now_s: float) -> None:
+        """Now and then."""
+        if self._dead_man:
+            self._dead_man.tick(now_s)
+
+
+class _DeadMan:
+    def __init__(self, copter: Copter, say: Callable[[Text], None], version: int) -> None:
+        self._copter = copter
+        self._say = say
+        self._promised_s = 0.0  # 0: nobody is to be missed
+        self._mode = Mode.RTL
+        self._heard_s = 0.0
+        self._was_armed = False
+        copter.parameters.add("UPW_VERSION", version)
+        copter.parameters.add("UPW_SILENCE_S", 0.0)
+        say(Text(f"upwash: dead man {version} is ready", INFORMATION))
+
+    def hear(self, heartbeat: Any, now_s: float) -> None:
+        companion = heartbeat.get_srcSystem(), heartbeat.get_srcComponent()
+        if companion != (1, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER) or heartbeat.custom_mode >> 16 != _MAGIC:
+            return
+        self._notice_arming(now_s)
+        mode, silence_s = _MODES.get(heartbeat.custom_mode >> 13 & 7), (heartbeat.custom_mode & 8191) / 10
+        if heartbeat.custom_mode & 0xFFFF == 0:
+            self._promise(0.0)
+        elif mode is not None and silence_s and self._may_be_watched(now_s):
+            self._mode, self._heard_s = mode, now_s
+            self._promise(silence_s)
+
+    def tick(self, now_s: float) -> None:
+        self._notice_arming(now_s)
+        if not self._promised_s:
+            return
+        if not self._may_be_watched(now_s):
+            self._promise(0.0)
+        elif now_s - self._heard_s >= self._promised_s - _EARLY_S:
+            if self._was_armed and self._copter.flying(now_s):
+                self._act(now_s)
+            else:
+                self._promise(0.0)
+
+    def _notice_arming(self, now_s: float) -> None:
+        """Only what is heard after it counts."""
+        armed = self._copter.armed(now_s)
+        if armed and not self._was_armed:
+            self._promise(0.0)
+        self._was_armed = armed
+
+    def _act(self, now_s: float) -> None:
+        self._say(Text(f"upwash: companion silent, {self._mode.name}", WARNING))
+        if self._copter.change_mode(now_s, self._mode).result is not Result.ACCEPTED:
+            self._copter.change_mode(now_s, Mode.LAND)
+
+    def _may_be_watched(self, now_s: float) -> bool:
+        flies = self._copter.armed(now_s) and self._copter.flying(now_s)
+        return not flies or self._copter.mode is Mode.GUIDED
+
+    def _promise(self, silence_s: float) -> None:
+        self._promised_s = silence_s
+        self._copter.parameters.set("UPW_SILENCE_S", silence_s)

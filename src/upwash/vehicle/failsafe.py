@@ -1,0 +1,178 @@
+"""What the vehicle's fail-safes do when something is wrong, and after how long: as a real one was seen to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from upwash.vehicle.boot import EKF_FLIES_BY_GPS, EKF_HOLDS_STILL, WARNING, Text
+from upwash.vehicle.faults import FaultKind
+from upwash.vehicle.parameters import Parameters
+
+_RETURN, _LAND = 6, 9  # modes
+_LOST_EKF_FLAGS = 37  # attitude, height and a speed upwards
+_DOUBTS_S, _LANDS_S, _STANDS_STILL_S, _GIVES_UP_WAY_BACK_S = 7.6, 8.0, 15.2, 22.2  # without GPS
+_RADIO_S = 1.0
+_GLITCHING_EKF_FLAGS = EKF_FLIES_BY_GPS | 1 << 15
+_GLITCH_NOTICED_S, _GLITCH_BELIEVED_S, _GLITCH_OVER_S = 1.4, 10.2, 20.0
+_GLITCH_M = 55.66  # to the north
+
+
+@dataclass(frozen=True, slots=True)
+class Trigger:
+    """What is said now, the mode to change to, and how far north the vehicle's place seems to have jumped."""
+
+    texts: tuple[Text, ...] = ()
+    mode: int | None = None
+    jump_m: float = 0.0
+
+
+def _lane_switch(lane: int) -> tuple[Text, ...]:
+    return Text(f"EKF3 lane switch {lane}"), Text(f"EKF primary changed:{lane}", WARNING)
+
+
+_GLITCH_BEGINS = (
+    (0.2, Trigger(_lane_switch(1))),
+    (0.4, Trigger(_lane_switch(0))),
+    (_GLITCH_NOTICED_S, Trigger((Text("GPS Glitch or Compass error"),))),
+    (_GLITCH_BELIEVED_S, Trigger(_lane_switch(1), jump_m=_GLITCH_M)),
+)
+_GLITCH_ENDS = (
+    (0.2, Trigger(_lane_switch(0))),
+    (5.2, Trigger(_lane_switch(1))),
+    (_GLITCH_BELIEVED_S, Trigger(_lane_switch(0), jump_m=-_GLITCH_M)),
+    (_GLITCH_OVER_S, Trigger((Text("Glitch cleared"),))),
+)
+_NO_GPS = (
+    (_LANDS_S, Trigger((Text("EKF variance"), Text("EKF Failsafe: changed to LAND Mode")), _LAND)),
+    (
+        _STANDS_STILL_S,
+        Trigger(tuple(Text(f"EKF3 IMU{number} stopped aiding", WARNING) for number in (0, 1))),
+    ),
+    (_GIVES_UP_WAY_BACK_S, Trigger((Text("SmartRTL deactivated: bad position", WARNING),))),
+)
+
+
+class Failsafes:
+    """Which fail-safes have triggered."""
+
+    def __init__(self) -> None:
+        self.battery = False
+        self.lost_place = False
+        self.ekf_flags = EKF_FLIES_BY_GPS
+        self.heard_ground_s: float | None = None
+        self._landed = self._radio = self._ground = False
+        self._done: dict[tuple[FaultKind, bool], float] = {}  # how far in each story it is
+        self._glitch_s: float | None = None
+        self._glitch_over_s: float | None = None
+
+    @property
+    def active(self) -> bool:
+        """Whether one of them has taken over, and what it is about is still wrong."""
+        return self.battery or self._landed or self._radio or self._ground
+
+    def triggers(
+        self,
+        now_s: float,
+        since_s: Mapping[FaultKind, float],
+        parameters: Parameters,
+        *,
+        flying: bool,
+        armed: bool,
+        low_battery: str,
+        by_position: bool,
+    ) -> Iterator[Trigger]:
+        """What happens now, where those faults have lasted since those times."""
+        yield from self._without_gps(
+            now_s, since_s.get(FaultKind.GPS), flying=flying, by_position=by_position
+        )
+        yield from self._glitching(now_s, since_s.get(FaultKind.GLITCH))
+        yield from self._empty(now_s, since_s.get(FaultKind.BATTERY), parameters, low_battery, armed=armed)
+        yield from self._out_of_reach(now_s, since_s.get(FaultKind.RADIO), parameters, armed=armed)
+        yield from self._unheard(now_s, parameters, armed=armed)
+
+    def _without_gps(
+        self, now_s: float, since_s: float | None, *, flying: bool, by_position: bool
+    ) -> Iterator[Trigger]:
+        if since_s is None:
+            self.lost_place = self._landed = False
+            self.ekf_flags = EKF_FLIES_BY_GPS
+            self._done.pop((FaultKind.GPS, True), None)
+            return
+        lost_s = now_s - since_s
+        if lost_s >= _STANDS_STILL_S:
+            self.ekf_flags = EKF_HOLDS_STILL
+        elif lost_s >= _DOUBTS_S:
+            self.ekf_flags = _LOST_EKF_FLAGS
+        for trigger in self._story((FaultKind.GPS, True), _NO_GPS, lost_s):
+            if trigger.mode is not None:
+                self._landed = flying and by_position
+            if self._landed:
+                yield trigger
+        self.lost_place = lost_s >= _LANDS_S
+
+    def _glitching(self, now_s: float, since_s: float | None) -> Iterator[Trigger]:
+        begins, ends = (FaultKind.GLITCH, True), (FaultKind.GLITCH, False)
+        if since_s is not None:
+            if self._glitch_s is None:
+                self._done.pop(begins, None)
+            self._glitch_s, self._glitch_over_s = since_s, None
+            yield from self._story(begins, _GLITCH_BEGINS, now_s - since_s)
+            if now_s - since_s >= _GLITCH_NOTICED_S:
+                self.ekf_flags = _GLITCHING_EKF_FLAGS
+            return
+        if self._glitch_s is None:
+            return
+        if self._glitch_over_s is None:
+            self._glitch_over_s = now_s
+            self._done.pop(ends, None)
+        believed = self._done.get((FaultKind.GLITCH, True), 0.0) >= _GLITCH_BELIEVED_S
+        self.ekf_flags = _GLITCHING_EKF_FLAGS
+        for trigger in self._story(ends, _GLITCH_ENDS, now_s - self._glitch_over_s):
+            yield trigger if believed or not trigger.jump_m else Trigger(trigger.texts)
+        if now_s - self._glitch_over_s >= _GLITCH_OVER_S:
+            self._glitch_s, self.ekf_flags = None, EKF_FLIES_BY_GPS
+
+    def _empty(
+        self, now_s: float, since_s: float | None, parameters: Parameters, low: str, *, armed: bool
+    ) -> Iterator[Trigger]:
+        if self.battery or since_s is None or not armed:
+            return
+        if now_s - since_s >= parameters["BATT_LOW_TIMER"]:
+            self.battery = True
+            mode = {1: _LAND, 2: _RETURN, 3: _RETURN, 4: _RETURN}.get(int(parameters["BATT_FS_LOW_ACT"]))
+            acts = (Text("Battery Failsafe", WARNING),) if mode else ()
+            yield Trigger((Text(low, WARNING), *acts), mode)
+
+    def _out_of_reach(
+        self, now_s: float, since_s: float | None, parameters: Parameters, *, armed: bool
+    ) -> Iterator[Trigger]:
+        lost = since_s is not None and now_s - since_s >= _RADIO_S and bool(parameters["FS_THR_ENABLE"])
+        if lost and not self._radio and armed:
+            mode = _LAND if parameters["FS_THR_ENABLE"] == 3 else _RETURN
+            yield Trigger((Text("Radio Failsafe", WARNING),), mode)
+            self._radio = True
+        elif not lost and self._radio:
+            self._radio = False
+            yield Trigger((Text("Radio Failsafe Cleared", WARNING),))
+
+    def _unheard(self, now_s: float, parameters: Parameters, *, armed: bool) -> Iterator[Trigger]:
+        action = int(parameters["FS_GCS_ENABLE"])
+        heard_s = self.heard_ground_s
+        lost = bool(action) and heard_s is not None and now_s - heard_s >= parameters["FS_GCS_TIMEOUT"]
+        if lost and not self._ground and armed:
+            yield Trigger((Text("GCS Failsafe", WARNING),), _LAND if action == 5 else _RETURN)
+            self._ground = True
+        elif not lost and self._ground:
+            self._ground = False
+            yield Trigger((Text("GCS Failsafe Cleared", WARNING),))
+
+    def _story(
+        self, name: tuple[FaultKind, bool], story: tuple[tuple[float, Trigger], ...], elapsed_s: float
+    ) -> Iterator[Trigger]:
+        """What of a story comes next, up to now."""
+        told_s = self._done.get(name, -1.0)
+        self._done[name] = elapsed_s
+        for at_s, trigger in story:
+            if told_s < at_s <= elapsed_s:
+                yield trigger

@@ -1,0 +1,140 @@
+"""The commands that the stand-in PX4 knows, and what it answers to each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.geo import GeoPosition
+from upwash.mavlink_px4 import Mode
+from upwash.vehicle.answers import Result
+from upwash.vehicle.firmware import Message
+from upwash.vehicle.px4.vehicle import FORCED, Quadrotor
+
+_IGNORED_E7 = 2**31 - 1  # of a coordinate in COMMAND_INT: not given
+_NAN_E7 = 0x7FF80000  # a NaN that was sent as an integer by mistake
+_ACCEPTED = (Result.ACCEPTED,)
+_MAIN_AUTO = Mode.LOITER.main
+_MODES = {(mode.main, mode.sub): mode for mode in Mode}
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """COMMAND_LONG and COMMAND_INT alike; `place` is parameters 5 to 7, in degrees and metres above the sea."""
+
+    parameters: tuple[float, float, float, float]
+    place: tuple[float, float, float]
+
+
+def obey(copter: Quadrotor, now_s: float, message: Message) -> tuple[Result, ...]:
+    """What the copter answers, having done what it was told if it could."""
+    handler = _HANDLERS.get(message.command)
+    if handler is None:
+        return (Result.UNSUPPORTED,)
+    order = _read(message)
+    return handler(copter, now_s, order) if order else (Result.DENIED,)
+
+
+def set_mode(copter: Quadrotor, now_s: float, *, base_mode: float, main: float, sub: float) -> Result:
+    """Changes the mode; a mode that does not exist is accepted and means nothing, as with PX4."""
+    if not _byte(base_mode) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+        return Result.ACCEPTED
+    main, sub = _byte(main), _byte(sub)
+    if main != _MAIN_AUTO:
+        sub = 0
+    elif sub == 0:
+        sub = Mode.MISSION.sub
+    mode = _MODES.get((main, sub))
+    if mode is None:
+        return Result.TEMPORARILY_REJECTED if main == _MAIN_AUTO else Result.ACCEPTED
+    return copter.set_mode(now_s, mode)
+
+
+def _read(message: Message) -> Order | None:
+    parameters = message.param1, message.param2, message.param3, message.param4
+    if message.get_type() != "COMMAND_INT":
+        return Order(parameters, (message.param5, message.param6, message.param7))
+    if message.x == message.y == _NAN_E7:
+        return None
+    if message.x == message.y == _IGNORED_E7:
+        return Order(parameters, (math.nan, math.nan, message.z))
+    return Order(parameters, (message.x / 1e7, message.y / 1e7, message.z))
+
+
+def _arm_or_disarm(copter: Quadrotor, now_s: float, order: Order) -> tuple[Result, ...]:
+    wish, magic = order.parameters[:2]
+    if wish == 1:
+        return (copter.arm(now_s, forced=magic == FORCED),)
+    if wish == 0:
+        return (copter.disarm(now_s, forced=magic == FORCED),)
+    return (Result.UNSUPPORTED,)
+
+
+def _take_off(copter: Quadrotor, now_s: float, order: Order) -> tuple[Result, ...]:
+    above_sea_m = order.place[2]
+    return (copter.take_off(now_s, above_sea_m - copter.settings.home_altitude_m),)
+
+
+def _enter(mode: Mode) -> Handler:
+    return lambda copter, now_s, _order: (copter.set_mode(now_s, mode),)
+
+
+def _do_set_mode(copter: Quadrotor, now_s: float, order: Order) -> tuple[Result, ...]:
+    """Two answers: one that the command has arrived, and one that tells what came of it."""
+    base_mode, main, sub, _ = order.parameters
+    return Result.ACCEPTED, set_mode(copter, now_s, base_mode=base_mode, main=main, sub=sub)
+
+
+def _change_speed(copter: Quadrotor, now_s: float, order: Order) -> tuple[Result, ...]:
+    return (copter.change_speed(now_s, order.parameters[1]),)
+
+
+def _reposition(copter: Quadrotor, now_s: float, order: Order) -> tuple[Result, ...]:
+    speed_m_s, flags, _, yaw_deg = order.parameters
+    if flags != mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
+        return (Result.UNSUPPORTED,)
+    latitude_deg, longitude_deg, above_sea_m = order.place
+    if math.isinf(above_sea_m):
+        return (Result.DENIED,)
+    east_north_m = None
+    if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
+        if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180):
+            return (Result.DENIED,)
+        place = copter.frame.position(GeoPosition(latitude_deg, longitude_deg))
+        east_north_m = place.east_m, place.north_m
+    result = copter.reposition(
+        now_s,
+        east_north_m=east_north_m,
+        altitude_m=None if math.isnan(above_sea_m) else above_sea_m - copter.settings.home_altitude_m,
+        speed_m_s=speed_m_s,
+        yaw_deg=yaw_deg if math.isfinite(yaw_deg) else None,
+    )
+    return (result,)
+
+
+def _run_checks(copter: Quadrotor, now_s: float, _order: Order) -> tuple[Result, ...]:
+    copter.advance(now_s)
+    return (Result.TEMPORARILY_REJECTED,) if copter.armed else _ACCEPTED
+
+
+def _byte(number: float) -> int:
+    return int(number) if math.isfinite(number) and 0 <= number <= 255 else 0
+
+
+Handler: TypeAlias = Callable[[Quadrotor, float, Order], tuple[Result, ...]]
+
+_HANDLERS: dict[int, Handler] = {
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_or_disarm,
+    mavlink.MAV_CMD_NAV_TAKEOFF: _take_off,
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: _enter(Mode.RTL),
+    mavlink.MAV_CMD_NAV_LAND: _enter(Mode.LAND),
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM: _enter(Mode.LOITER),
+    mavlink.MAV_CMD_DO_SET_MODE: _do_set_mode,
+    mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
+    mavlink.MAV_CMD_DO_REPOSITION: _reposition,
+    mavlink.MAV_CMD_RUN_PREARM_CHECKS: _run_checks,
+}

@@ -1,0 +1,124 @@
+"""What PX4's fail-safes do, and when: each has a cause and an action, and the most severe one acts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from enum import Enum, IntEnum, auto
+
+
+class Cause(Enum):
+    """Why."""
+
+    LOW_BATTERY = auto()
+    CRITICAL_BATTERY = auto()
+    EMERGENCY_BATTERY = auto()
+    MANUAL_CONTROL = auto()
+    GROUND_STATION = auto()
+    OFFBOARD = auto()
+    GEOFENCE = auto()
+    POSITION = auto()
+
+
+class Action(IntEnum):
+    """What is done, from the mildest on; the numbers are those of PX4's events."""
+
+    WARN = 1
+    POSCTL = 2
+    ALTCTL = 3
+    STABILIZED = 4
+    HOLD = 5
+    RTL = 6
+    LAND = 7
+    DESCEND = 8
+    DISARM = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Danger:
+    """What a cause calls for; at once, or after a time in Hold. One that sticks outlives its cause."""
+
+    action: Action
+    at_once: bool = False
+    sticks: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What is begun: the action, or the time in Hold before it."""
+
+    cause: Cause
+    action: Action
+    waits: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    danger: Danger
+    overruled: bool = False
+
+
+class Failsafe:
+    """What is dangerous now, and what is done about it."""
+
+    def __init__(self) -> None:
+        self._known: dict[Cause, _Known] = {}
+        self._acts_s = 0.0
+        self._announced: Change | None = None
+        self.action: Action | None = None
+
+    @property
+    def waits(self) -> bool:
+        """Whether it holds before it acts; nobody's sticks take over then."""
+        return self._announced is not None and self._announced.waits
+
+    def because_of(self, cause: Cause) -> bool:
+        """Whether that is why it acts."""
+        return self.action is not None and self._announced is not None and self._announced.cause is cause
+
+    def watch(self, dangers: Mapping[Cause, Danger], now_s: float, *, delay_s: float) -> Iterator[Change]:
+        """Takes note of what is dangerous now; yields what is begun because of it."""
+        for cause in [cause for cause, known in self._known.items() if cause not in dangers]:
+            if not self._known[cause].danger.sticks or self._known[cause].overruled:
+                del self._known[cause]
+        for cause, danger in dangers.items():
+            if cause not in self._known:
+                self._known[cause] = _Known(danger)
+                if danger.action is Action.WARN:
+                    yield Change(cause, danger.action)
+            elif self._known[cause].danger != danger:
+                self._known[cause] = replace(self._known[cause], danger=danger)
+        yield from self._choose(now_s, delay_s)
+
+    def _choose(self, now_s: float, delay_s: float) -> Iterator[Change]:
+        acting = {
+            cause: known.danger
+            for cause, known in self._known.items()
+            if known.danger.action > Action.WARN and not known.overruled
+        }
+        if not acting:
+            self.action, self._announced = None, None
+            return
+        cause = max(acting, key=lambda each: acting[each].action)
+        danger = acting[cause]
+        if self.action is None:
+            self._acts_s = now_s if danger.at_once or danger.action <= Action.HOLD else now_s + delay_s
+        elif danger.at_once:
+            self._acts_s = min(self._acts_s, now_s)
+        change = Change(cause, danger.action, waits=now_s < self._acts_s)
+        if change != self._announced and not (change.waits and self.waits):
+            yield change
+        self._announced = change
+        self.action = Action.HOLD if change.waits else danger.action
+
+    def overrule(self) -> bool:
+        """A person has commanded something else; whether that ended an action."""
+        acted = self.action is not None
+        self._known = {cause: replace(known, overruled=True) for cause, known in self._known.items()}
+        self.action, self._announced = None, None
+        return acted
+
+    def clear(self) -> None:
+        """Forgets everything, as at disarming."""
+        self._known.clear()
+        self.action, self._announced = None, None

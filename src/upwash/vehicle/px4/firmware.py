@@ -1,0 +1,435 @@
+"""PX4's side of a stand-in's conversations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.geo import Circle, GeoPosition, Position, Velocity
+from upwash.mavlink_px4 import (
+    AVAILABLE_MODES,
+    CUSTOM_MODE_FLAG,
+    EventMessage,
+    ResponseEventErrorMessage,
+    event_text,
+)
+from upwash.vehicle.faults import FaultKind
+from upwash.vehicle.firmware import NOTHING, Message, Reply, Report, asked_by_number
+from upwash.vehicle.px4.commands import obey, set_mode
+from upwash.vehicle.px4.fence import Disc, Fence, Vertex, assembled
+from upwash.vehicle.px4.parameters import Parameters
+from upwash.vehicle.px4.telemetry import REPORTS, UNASKED_S, UNMODELLED, available_modes, heartbeat
+from upwash.vehicle.px4.vehicle import Quadrotor, Setpoint, Sticks, is_sensible
+
+_LOOKS_EVERY_S = 0.05
+_HEARTBEAT_S = 1.0
+_CHECKS_AT_MOST_EVERY_S = 2.0
+_ASKS_AGAIN_S = 0.25
+_MOST_FENCE_ITEMS = 100
+_SEVERITY_OF_PROGRAMS = 8
+_FRAMES_ABOVE_SEA = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
+_FRAMES_ABOVE_HOME = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
+_NO_EAST_NORTH, _NO_ALTITUDE, _NO_VELOCITY, _NO_YAW = 0b11, 0b100, 0b111_000, 1 << 10
+_STICK_FULL = 1000.0
+_COMPANIONS = (mavlink.MAV_TYPE_ONBOARD_CONTROLLER,)
+_FENCE_CORNERS = {
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: True,
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: False,
+}
+_FENCE_CIRCLES = {
+    mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: True,
+    mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: False,
+}
+_ALL_MODES = 2**32 - 1
+# The summaries of the checks, as recorded: their bits are not modelled.
+_SUMMARY_WELL = (0, 1048576, 128, 2155822000, 2155822000)
+_SUMMARY_ILL = (0, 17956864, 128, 2147564416, 2147564416)
+_HEALTH_WELL, _HEALTH_ILL = (0, 939658250, 0, 0), (0, 939658242, 0, 0)
+
+
+class Px4:
+    """A quadrotor that reports, obeys and speaks as PX4 does on an onboard link."""
+
+    stream_groups: Mapping[int, tuple[int, ...]] = {}  # never changed
+    unasked_s: Mapping[int, float] = UNASKED_S
+    told_of_home = (mavlink.MAVLINK_MSG_ID_HOME_POSITION,)
+    wakes_every_s = _LOOKS_EVERY_S
+    texts_only_to_ground_stations = True
+
+    def __init__(self, copter: Quadrotor) -> None:
+        self.copter = copter
+        self.reports: Mapping[float, Report] = {
+            number: partial(report, copter) for number, report in REPORTS.items()
+        } | dict.fromkeys(UNMODELLED, _nothing)
+        self._beats_s: float | None = None
+        self._checked: tuple[str, ...] | None = None
+        self._checks_s = -math.inf
+        self._fence_items: list[Message] = []
+        self._upload: _Upload | None = None
+
+    @property
+    def parameters(self) -> Parameters:
+        """Its parameters."""
+        return self.copter.parameters
+
+    def suffers(self, kind: FaultKind, now_s: float) -> bool:
+        """Whether such a thing is wrong with it now."""
+        return self.copter.suffers(kind, now_s)
+
+    def fail(self, kind: FaultKind, now_s: float) -> None:
+        """Something is wrong with it from now on."""
+        self.copter.fail(kind, now_s)
+
+    def mend(self, kind: FaultKind) -> None:
+        """Nothing of that kind is wrong with it any more."""
+        self.copter.mend(kind)
+
+    def live(self, now_s: float) -> Iterator[Message]:
+        """That it is alive, and what happened."""
+        self.copter.advance(now_s)
+        if self._beats_s is None or now_s >= self._beats_s:
+            begun_s = now_s if self._beats_s is None else self._beats_s
+            self._beats_s = max(begun_s + _HEARTBEAT_S, now_s)
+            if beat := heartbeat(self.copter, now_s):
+                yield beat
+        self._check(now_s)
+        yield from self._said()
+        if self._upload and now_s >= self._upload.asked_s + _ASKS_AGAIN_S:
+            yield self._upload.request(now_s)
+
+    def obey(self, now_s: float, message: Message) -> Reply:
+        """One answer, or two; events tell everyone the reasons."""
+        results = obey(self.copter, now_s, message)
+        if message.command == mavlink.MAV_CMD_RUN_PREARM_CHECKS and results[0] == 0:
+            self._tell_checks(now_s)
+        return Reply(tuple(int(result) for result in results), to_all=tuple(self._said()))
+
+    def requested(self, now_s: float, message: Message) -> Iterable[Message]:
+        """The report of that number; AVAILABLE_MODES by index, 0 for all."""
+        if message.param1 == AVAILABLE_MODES:
+            index = message.param2
+            return available_modes(int(index)) if math.isfinite(index) and 0 <= index < 2**16 else ()
+        return asked_by_number(self.reports, now_s, message.param1)
+
+    def hear(self, now_s: float, message: Message) -> Reply:
+        """Heartbeats, setpoints, sticks, fences, and modes set the old way."""
+        listener = _LISTENERS.get(message.get_type())
+        reply = listener(self, now_s, message) if listener else NOTHING
+        said = tuple(self._said())
+        return Reply(reply.results, reply.to_sender, reply.to_all + said) if said else reply
+
+    def set_parameter(self, now_s: float, name: str, value: float) -> Iterable[Message]:
+        """Changes it, and those that must not be above it."""
+        self.copter.advance(now_s)
+        if self.parameters.set(name, value) and name == "MPC_XY_VEL_MAX":
+            lowered = (
+                ("MPC_XY_CRUISE", "mc_pos_ctrl_cruise_set"),
+                ("MPC_VEL_MANUAL", "mc_pos_ctrl_man_vel_set"),
+            )
+            for limited, event in lowered:
+                most = self.parameters[name]
+                if self.parameters[limited] > most and self.parameters.change(limited, most):
+                    self.copter.events.happened(event, self.copter.uptime_s(now_s), most)
+                    yield from self._parameter(limited)
+        yield from self._said()
+
+    def _parameter(self, name: str) -> Iterator[Message]:
+        if parameter := self.parameters.named(name):
+            yield mavlink.MAVLink_param_value_message(
+                name.encode(), parameter.value, parameter.type, len(self.parameters), parameter.index
+            )
+
+    # --- what happened --------------------------------------------------------------------------------------
+
+    def _said(self) -> Iterator[Message]:
+        for event in self.copter.events.said():
+            yield event
+            text = event_text(event)
+            if event.severity < _SEVERITY_OF_PROGRAMS and text:
+                yield mavlink.MAVLink_statustext_message(event.severity, f"{text}\t".encode()[:50])
+
+    def _check(self, now_s: float) -> None:
+        """Tells what its checks object to when that changes, and not too often."""
+        copter = self.copter
+        if not copter.checked(now_s) or now_s < self._checks_s + _CHECKS_AT_MOST_EVERY_S:
+            return
+        if (*self._objections(now_s), str(copter.placed)) != self._checked:
+            self._tell_checks(now_s)
+
+    def _tell_checks(self, now_s: float) -> None:
+        copter, objections = self.copter, self._objections(now_s)
+        self._checked, self._checks_s = (*objections, str(copter.placed)), now_s
+        uptime_s, happened = copter.uptime_s(now_s), copter.events.happened
+        well = copter.placed
+        happened("commander_arming_check_summary", uptime_s, *(_SUMMARY_WELL if well else _SUMMARY_ILL))
+        for name in objections:
+            modes, component = _CHECKS.get(name, (_ALL_MODES, 20))
+            serious = name == "check_rc_dl_no_dllink" and self.parameters["NAV_DLL_ACT"]
+            happened(name, uptime_s, modes, component, log_levels=0x33 if serious else None)
+        happened("commander_health_summary", uptime_s, *(_HEALTH_WELL if copter.has_fix else _HEALTH_ILL))
+
+    def _objections(self, now_s: float) -> tuple[str, ...]:
+        copter = self.copter
+        names = {
+            "check_estimator_gps_fix_too_low": not copter.has_fix and not copter.placed,
+            "check_modes_local_pos": not copter.placed,
+            "check_modes_global_pos": not copter.placed,
+            "check_modes_mission": True,
+            "check_modes_offboard_signal": not copter.hears_setpoints(now_s),
+            "check_modes_home_position": not copter.ever_had_fix,
+            "check_modes_manual_control": not copter.hears_sticks(now_s),
+            "check_rc_dl_no_dllink": not copter.hears_ground_station(now_s),
+            "check_battery_low": copter.battery_level(now_s) == 2,
+            "check_battery_critical": copter.battery_level(now_s) == 3,
+            "check_battery_emergency": copter.battery_level(now_s) == 4,
+        }
+        return tuple(name for name, objects in names.items() if objects)
+
+    def _hear_event_request(self, _now_s: float, message: Message) -> Reply:
+        events, missed = self.copter.events, message.first_sequence
+        event: EventMessage | None = events.numbered(missed)
+        if event is not None:
+            return Reply(to_sender=(event,))
+        gone = ResponseEventErrorMessage(
+            sequence=missed,
+            sequence_oldest_available=events.oldest,
+            target_system=message.get_srcSystem(),
+            target_component=message.get_srcComponent(),
+            reason=0,
+        )
+        return Reply(to_sender=(gone,))
+
+    # --- who is there, and what they want -------------------------------------------------------------------
+
+    def _hear_heartbeat(self, now_s: float, message: Message) -> Reply:
+        if message.type == mavlink.MAV_TYPE_GCS:
+            self.copter.hear_ground_station(now_s)
+        elif message.type in _COMPANIONS:
+            self.copter.hear_companion(now_s)
+        return NOTHING
+
+    def _hear_mode(self, now_s: float, message: Message) -> Reply:
+        number = message.custom_mode
+        if message.base_mode & CUSTOM_MODE_FLAG:
+            set_mode(
+                self.copter,
+                now_s,
+                base_mode=message.base_mode,
+                main=number >> 16 & 0xFF,
+                sub=number >> 24,
+            )
+        return NOTHING
+
+    def _hear_sticks(self, now_s: float, message: Message) -> Reply:
+        if message.target in (0, 1) and all(
+            abs(axis) <= _STICK_FULL for axis in (message.x, message.y, message.r)
+        ):
+            sticks = Sticks(
+                message.x / _STICK_FULL,
+                message.y / _STICK_FULL,
+                message.r / _STICK_FULL,
+                min(max(message.z, 0.0), _STICK_FULL),
+            )
+            self.copter.move_sticks(now_s, sticks)
+        return NOTHING
+
+    def _hear_local_setpoint(self, now_s: float, message: Message) -> Reply:
+        by_body = message.coordinate_frame == mavlink.MAV_FRAME_BODY_NED
+        if by_body or message.coordinate_frame == mavlink.MAV_FRAME_LOCAL_NED:
+            place = Position(message.y, message.x, -message.z)
+            mask = message.type_mask | (_NO_EAST_NORTH | _NO_ALTITUDE if by_body else 0)
+            heading = math.radians(self.copter.heading_deg(now_s)) if by_body else 0.0
+            self._follow(now_s, message, mask, place, heading)
+        return NOTHING
+
+    def _hear_global_setpoint(self, now_s: float, message: Message) -> Reply:
+        altitude_m = message.alt
+        if message.coordinate_frame in _FRAMES_ABOVE_SEA:
+            altitude_m -= self.copter.settings.home_altitude_m
+        elif message.coordinate_frame in _FRAMES_ABOVE_HOME:
+            altitude_m += self.copter.home_altitude_m() - self.copter.settings.home_altitude_m
+        else:
+            return NOTHING
+        if abs(message.lat_int) <= 900_000_000 and abs(message.lon_int) <= 1_800_000_000:
+            geo = GeoPosition(message.lat_int / 1e7, message.lon_int / 1e7, altitude_m)
+            self._follow(now_s, message, message.type_mask, self.copter.frame.position(geo), 0.0)
+        return NOTHING
+
+    def _follow(self, now_s: float, message: Message, mask: int, place: Position, turned: float) -> None:
+        velocity = None
+        if not mask & _NO_VELOCITY:
+            ahead, right = message.vx, message.vy
+            velocity = Velocity(
+                ahead * math.sin(turned) + right * math.cos(turned),
+                ahead * math.cos(turned) - right * math.sin(turned),
+                -message.vz,
+            )
+        setpoint = Setpoint(
+            east_north_m=None if mask & _NO_EAST_NORTH else (place.east_m, place.north_m),
+            altitude_m=None if mask & _NO_ALTITUDE else place.altitude_m,
+            velocity=velocity,
+            yaw_deg=None if mask & _NO_YAW else math.degrees(message.yaw),
+        )
+        if _makes_sense(setpoint):
+            self.copter.follow(now_s, setpoint)
+
+    # --- the fence ------------------------------------------------------------------------------------------
+
+    def _hear_list_request(self, _now_s: float, message: Message) -> Reply:
+        count = len(self._fence_items) if message.mission_type == mavlink.MAV_MISSION_TYPE_FENCE else 0
+        return Reply(
+            to_sender=(
+                mavlink.MAVLink_mission_count_message(
+                    message.get_srcSystem(), message.get_srcComponent(), count, message.mission_type
+                ),
+            )
+        )
+
+    def _hear_item_request(self, _now_s: float, message: Message) -> Reply:
+        fence = message.mission_type == mavlink.MAV_MISSION_TYPE_FENCE
+        if not (fence and message.seq < len(self._fence_items)):
+            return _acknowledged(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)
+        item = self._fence_items[message.seq]
+        return Reply(
+            to_sender=(
+                mavlink.MAVLink_mission_item_int_message(
+                    message.get_srcSystem(),
+                    message.get_srcComponent(),
+                    message.seq,
+                    item.frame,
+                    item.command,
+                    0,
+                    0,
+                    item.param1,
+                    item.param2,
+                    item.param3,
+                    item.param4,
+                    item.x,
+                    item.y,
+                    item.z,
+                    mission_type=mavlink.MAV_MISSION_TYPE_FENCE,
+                ),
+            )
+        )
+
+    def _hear_clearing(self, _now_s: float, message: Message) -> Reply:
+        if message.mission_type in (mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_ALL):
+            self._fence_items, self.copter.fence = [], Fence()
+        return _acknowledged(message, mavlink.MAV_MISSION_ACCEPTED)
+
+    def _hear_count(self, now_s: float, message: Message) -> Reply:
+        if message.mission_type != mavlink.MAV_MISSION_TYPE_FENCE:
+            return _acknowledged(message, mavlink.MAV_MISSION_UNSUPPORTED)
+        if message.count > _MOST_FENCE_ITEMS:
+            return _acknowledged(message, mavlink.MAV_MISSION_NO_SPACE)
+        if message.count == 0:
+            return self._hear_clearing(now_s, message)
+        self._upload = _Upload(message)
+        return Reply(to_sender=(self._upload.request(now_s),))
+
+    def _hear_item(self, now_s: float, message: Message) -> Reply:
+        upload = self._upload
+        if upload is None or message.mission_type != mavlink.MAV_MISSION_TYPE_FENCE:
+            return _acknowledged(message, mavlink.MAV_MISSION_ERROR)
+        if message.get_srcSystem() != upload.system or message.seq != len(upload.items):
+            return NOTHING  # of somebody else, or once more
+        upload.items.append(message)
+        if len(upload.items) < upload.count:
+            return Reply(to_sender=(upload.request(now_s),))
+        self._upload = None
+        read = [self._fence_item(item) for item in upload.items]
+        fence = assembled([item for item in read if item is not None])
+        if fence is None or None in read:
+            return _acknowledged(message, mavlink.MAV_MISSION_INVALID)
+        self._fence_items, self.copter.fence = upload.items, fence
+        return _acknowledged(message, mavlink.MAV_MISSION_ACCEPTED)
+
+    def _fence_item(self, item: Message) -> Vertex | Disc | None:
+        if item.get_type() == "MISSION_ITEM":
+            latitude_deg, longitude_deg = item.x, item.y
+        else:
+            latitude_deg, longitude_deg = item.x / 1e7, item.y / 1e7
+        if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180 and math.isfinite(item.param1)):
+            return None
+        place = self.copter.frame.position(GeoPosition(latitude_deg, longitude_deg))
+        if item.command in _FENCE_CORNERS:
+            return Vertex(place, int(item.param1), _FENCE_CORNERS[item.command])
+        if item.command in _FENCE_CIRCLES:
+            return Disc(Circle(place, item.param1), _FENCE_CIRCLES[item.command])
+        return None
+
+
+class _Upload:
+    """A fence on its way in: the items so far, each asked for in turn."""
+
+    def __init__(self, message: Message) -> None:
+        self.system, self.component = message.get_srcSystem(), message.get_srcComponent()
+        self.count = int(message.count)
+        self.items: list[Message] = []
+        self.asked_s = -math.inf
+
+    def request(self, now_s: float) -> Message:
+        """Asks for the next item."""
+        self.asked_s = now_s
+        return mavlink.MAVLink_mission_request_int_message(
+            self.system, self.component, len(self.items), mavlink.MAV_MISSION_TYPE_FENCE
+        )
+
+
+def _nothing(_now_s: float) -> None:
+    """The report of what is not modelled."""
+
+
+def _acknowledged(message: Message, result: int) -> Reply:
+    ack = mavlink.MAVLink_mission_ack_message(
+        message.get_srcSystem(), message.get_srcComponent(), result, message.mission_type
+    )
+    return Reply(to_sender=(ack,))
+
+
+def _makes_sense(setpoint: Setpoint) -> bool:
+    """Whether it says something, and something that a copter could do."""
+    velocity, place = setpoint.velocity, setpoint.east_north_m
+    if velocity is None and place is None and setpoint.altitude_m is None:
+        return False
+    numbers = [setpoint.yaw_deg or 0.0, *(place or ()), setpoint.altitude_m or 0.0]
+    if velocity is not None:
+        numbers += [velocity.east_m_s, velocity.north_m_s, velocity.up_m_s]
+    if not all(math.isfinite(number) for number in numbers):
+        return False
+    return is_sensible(Position(*(place or (0.0, 0.0)), setpoint.altitude_m or 0.0))
+
+
+_CHECKS = {
+    "check_estimator_gps_fix_too_low": (8257660, 3),
+    "check_modes_local_pos": (8257660, 17),
+    "check_modes_global_pos": (56, 24),
+    "check_modes_mission": (8, 20),
+    "check_modes_offboard_signal": (16384, 20),
+    "check_modes_home_position": (32, 20),
+    "check_modes_manual_control": (_ALL_MODES, 7),
+    "check_rc_dl_no_dllink": (_ALL_MODES, 12),
+    "check_battery_low": (_ALL_MODES, 11),
+    "check_battery_critical": (_ALL_MODES, 11),
+    "check_battery_emergency": (_ALL_MODES, 11),
+}
+"""The modes that a check concerns, and its health component, as recorded."""
+
+_LISTENERS: dict[str, Callable[[Px4, float, Message], Reply]] = {
+    "HEARTBEAT": Px4._hear_heartbeat,
+    "SET_MODE": Px4._hear_mode,
+    "MANUAL_CONTROL": Px4._hear_sticks,
+    "SET_POSITION_TARGET_LOCAL_NED": Px4._hear_local_setpoint,
+    "SET_POSITION_TARGET_GLOBAL_INT": Px4._hear_global_setpoint,
+    "REQUEST_EVENT": Px4._hear_event_request,
+    "MISSION_REQUEST_LIST": Px4._hear_list_request,
+    "MISSION_REQUEST": Px4._hear_item_request,
+    "MISSION_REQUEST_INT": Px4._hear_item_request,
+    "MISSION_CLEAR_ALL": Px4._hear_clearing,
+    "MISSION_COUNT": Px4._hear_count,
+    "MISSION_ITEM": Px4._hear_item,
+    "MISSION_ITEM_INT": Px4._hear_item,
+}

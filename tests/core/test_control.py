@@ -1,0 +1,166 @@
+"""Whose the vehicle is: each row of the table, and the laws under any sequence of claims, commands and reports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from upwash.core.control import TRANSITIONS, Change, Latch, Owner, Report
+from upwash.errors import AutopilotOverruled
+
+OWN, OTHERS = "GUIDED", ("LOITER", "STABILIZE", "RTL", "LAND")
+MODES = st.sampled_from((OWN, *OTHERS))
+STANDS, FLIES = Report(OWN, armed=False), Report(OWN, armed=True)
+
+
+def claimed(*, flying: bool = False) -> Latch:
+    latch = Latch(0.0)
+    latch.report(FLIES if flying else STANDS, 1.0)
+    latch.claim(2.0, own_mode=OWN, resumes=flying)
+    return latch
+
+
+def test_every_owner_has_a_row_for_every_change_that_can_come() -> None:
+    told: set[tuple[Owner, Change]] = {
+        (Owner.NOBODY, change) for change in Change if change is not Change.DISARMED
+    }
+    told |= {(Owner.PROGRAM, change) for change in Change}
+    for lost in (Owner.PILOT, Owner.FAILSAFE, Owner.UNKNOWN):
+        told |= {(lost, change) for change in (Change.MODE_CHANGED, Change.MODE_FAILED_SAFE, Change.ARMED)}
+    assert set(TRANSITIONS) == told
+
+
+def test_only_a_claim_makes_it_the_programs() -> None:
+    assert {change for (_, change), owner in TRANSITIONS.items() if owner is Owner.PROGRAM} == {
+        Change.CLAIMED
+    }
+    assert {owner for owner, change in TRANSITIONS if change is Change.CLAIMED} == {
+        Owner.NOBODY,
+        Owner.PROGRAM,
+    }
+
+
+@pytest.mark.parametrize(
+    ("report", "resumes", "owner"),
+    [
+        (STANDS, False, Owner.PROGRAM),
+        (STANDS, True, Owner.PROGRAM),
+        (Report("STABILIZE", armed=False), False, Owner.PROGRAM),
+        (FLIES, True, Owner.PROGRAM),
+        (FLIES, False, Owner.PILOT),
+        (Report("LOITER", armed=True), True, Owner.PILOT),
+    ],
+)
+def test_what_can_be_claimed(report: Report, resumes: bool, owner: Owner) -> None:
+    latch = Latch(0.0)
+    latch.report(report, 1.0)
+    latch.claim(2.0, own_mode=OWN, resumes=resumes)
+    assert latch.control.owner is owner
+
+
+def test_before_the_first_report_nothing_can_be_claimed_and_nothing_sent() -> None:
+    latch = Latch(0.0)
+    latch.claim(1.0, own_mode=OWN, resumes=False)
+    with pytest.raises(AutopilotOverruled, match="arm: the program has not taken the vehicle"):
+        latch.require("arm")
+
+
+def test_switches_of_a_vehicle_that_stands_disarmed_are_nobodys_takeover() -> None:
+    latch = claimed()
+    latch.report(Report("LOITER", armed=False), 3.0)
+    assert latch.control.is_ours
+
+
+@pytest.mark.parametrize(
+    ("report", "owner", "why"),
+    [
+        (Report("LOITER", armed=True), Owner.PILOT, "mode LOITER, GUIDED was commanded"),
+        (Report("LAND", armed=True, failsafe="battery"), Owner.FAILSAFE, "mode LAND .battery., GUIDED was"),
+        (Report(OWN, armed=False), Owner.UNKNOWN, "disarmed"),
+    ],
+)
+def test_the_first_difference_closes_the_latch(report: Report, owner: Owner, why: str) -> None:
+    latch = claimed(flying=True)
+    latch.report(report, 7.5)
+    assert (latch.control.owner, latch.control.since_s) == (owner, 7.5)
+    with pytest.raises(AutopilotOverruled, match=f"goto: .*{why}.*; nothing was sent"):
+        latch.require("goto")
+
+
+def test_a_pilot_who_arms_while_the_program_waits_has_the_vehicle() -> None:
+    latch = claimed()
+    latch.report(Report("STABILIZE", armed=True), 3.0)
+    assert latch.control.owner is Owner.PILOT
+
+
+def test_a_command_on_its_way_may_not_have_been_obeyed_yet_and_leads_through_its_modes_in_order() -> None:
+    latch = claimed(flying=True)
+    latch.expect_modes(("TAKEOFF", "LOITER"))
+    for mode in OWN, "TAKEOFF", "TAKEOFF", "LOITER":
+        latch.report(Report(mode, armed=True), 3.0)
+        assert latch.control.is_ours
+    latch.report(Report("TAKEOFF", armed=True), 4.0)
+    assert latch.control.owner is Owner.PILOT
+
+
+def test_arming_and_disarming_by_command_are_no_difference_and_a_refused_one_is_forgotten() -> None:
+    latch = claimed()
+    latch.expect_armed(True)
+    latch.report(FLIES, 3.0)
+    latch.expect_armed(False)
+    latch.report(STANDS, 4.0)
+    assert latch.control.is_ours
+    latch.expect_armed(True)
+    latch.withdraw()
+    latch.report(FLIES, 5.0)
+    assert latch.control.owner is Owner.PILOT
+
+
+def test_a_fail_safe_that_is_told_after_its_mode_is_still_known_as_one_and_a_pilot_may_end_it() -> None:
+    latch = claimed(flying=True)
+    owners = []
+    for report in Report("RTL", True), Report("RTL", True, failsafe="fence"), Report("LOITER", True):
+        latch.report(report, 3.0)
+        owners.append(latch.control.owner)
+    assert owners == [Owner.PILOT, Owner.FAILSAFE, Owner.PILOT]
+
+
+REPORTS = st.builds(Report, MODES, st.booleans(), st.sampled_from(("", "battery")))
+STEPS = st.lists(
+    st.one_of(
+        REPORTS.map(lambda report: lambda latch, now_s: latch.report(report, now_s)),
+        st.lists(MODES, min_size=1, max_size=2).map(
+            lambda modes: lambda latch, _: latch.control.is_ours and latch.expect_modes(modes)
+        ),
+        st.booleans().map(lambda armed: lambda latch, _: latch.control.is_ours and latch.expect_armed(armed)),
+        st.just(lambda latch, _: latch.withdraw()),
+        st.booleans().map(
+            lambda resumes: lambda latch, now_s: latch.claim(now_s, own_mode=OWN, resumes=resumes)
+        ),
+    ),
+    max_size=40,
+)
+
+
+@given(STEPS)
+def test_once_lost_it_is_never_the_programs_again(steps: list[Callable[[Latch, float], object]]) -> None:
+    latch = Latch(0.0)
+    was_ours = lost = False
+    for now_s, step in enumerate(steps):
+        step(latch, float(now_s))
+        lost |= was_ours and not latch.control.is_ours
+        was_ours |= latch.control.is_ours
+        assert not (lost and latch.control.is_ours)
+        assert latch.control.since_s <= now_s
+
+
+@given(REPORTS)
+def test_while_nothing_was_commanded_the_only_state_that_keeps_it_is_the_one_that_was_claimed(
+    report: Report,
+) -> None:
+    latch = claimed(flying=True)
+    latch.report(report, 3.0)
+    assert latch.control.is_ours == (report.mode == OWN and report.armed)

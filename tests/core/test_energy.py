@@ -1,0 +1,357 @@
+"""When a flight has to turn back: held against recorded returns, and against flights that turn back when told."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from upwash.core.energy import (
+    ARDUCOPTER,
+    PX4,
+    STILL,
+    Consumption,
+    Energy,
+    EnergyFacts,
+    Report,
+    Reserve,
+    WayHome,
+    Wind,
+    descent_s,
+    margin,
+    time_home_s,
+)
+from upwash.core.geo import Position, Velocity
+
+HOME = Position(0.0, 0.0)
+RETURNS = Path(__file__).parent / "data/returns.csv"
+
+positions = st.builds(Position, st.floats(-500, 500), st.floats(-500, 500), st.floats(0, 120))
+winds = st.builds(Velocity, st.floats(-15, 15), st.floats(-15, 15))
+ways = st.sampled_from([ARDUCOPTER, PX4])
+percents = st.floats(0, 100)
+rates = st.floats(0.001, 1.0)
+reserves = st.builds(Reserve, st.floats(0, 300), st.none() | st.floats(1, 50))
+stages = st.none() | st.floats(0, 40)
+
+
+def recorded_returns() -> Iterator[tuple[WayHome, Position, Velocity, float]]:
+    with RETURNS.open() as file:
+        for row in csv.DictReader(file):
+            yield (
+                {"arducopter": ARDUCOPTER, "px4": PX4}[row["vehicle"]],
+                Position(float(row["away_m"]), 0.0, float(row["altitude_m"])),
+                Velocity(float(row["speed_m_s"])),
+                float(row["took_s"]),
+            )
+
+
+@pytest.mark.parametrize(("way", "start", "velocity", "took_s"), list(recorded_returns()))
+def test_no_recorded_return_took_longer_than_expected_nor_much_less(
+    way: WayHome, start: Position, velocity: Velocity, took_s: float
+) -> None:
+    expected_s = time_home_s(start, HOME, way, velocity=velocity)
+    assert took_s <= expected_s <= 1.3 * took_s
+
+
+def test_the_way_home_is_the_sum_of_its_parts() -> None:
+    way = WayHome(
+        altitude_m=30.0, climb_m_s=2.0, speed_m_s=10.0, acceleration_m_s2=1.0, hover_s=5.0, descent_m_s=2.0,
+        slowly_below_m=10.0, landing_m_s=0.5,
+    )  # fmt: skip
+    climb_s, way_s, down_s = 20 / 2 + 2, 400 / 10 + 10, 20 / 2 + 2 + 10 / 0.5
+    assert time_home_s(Position(400, 0, 10), HOME, way) == climb_s + way_s + 5.0 + down_s
+    assert time_home_s(Position(400, 0, 10), HOME, way, against_m_s=5.0) == climb_s + 85.0 + 5.0 + down_s
+    assert descent_s(30.0, way) == down_s
+    assert descent_s(5.0, way) == 10.0
+    assert descent_s(-1.0, way) == 0.0
+
+
+# --- more wind, more distance, less battery never delay the return ------------------------------------------
+
+
+@given(
+    start=positions,
+    way=ways,
+    against_m_s=st.floats(0, 30),
+    further=st.floats(1, 3),
+    more_m_s=st.floats(0, 10),
+)
+def test_a_longer_way_and_more_wind_never_take_less_time(
+    start: Position, way: WayHome, against_m_s: float, further: float, more_m_s: float
+) -> None:
+    near_s = time_home_s(start, HOME, way, against_m_s=against_m_s)
+    away = replace(start, east_m=start.east_m * further, north_m=start.north_m * further)
+    assert near_s <= time_home_s(away, HOME, way, against_m_s=against_m_s) + 1e-9
+    assert near_s <= time_home_s(start, HOME, way, against_m_s=against_m_s + more_m_s) + 1e-9
+    assert (
+        near_s <= time_home_s(start, HOME, way, against_m_s=against_m_s, velocity=Velocity(more_m_s)) + 1e-9
+    )
+
+
+@given(
+    percent=percents, less=percents, rate=rates, more=rates, home_s=st.floats(0, 600), longer_s=st.floats(0, 600),
+    reserve=reserves, low=stages,
+)  # fmt: skip
+def test_less_battery_a_higher_rate_and_a_longer_way_never_leave_more_to_spare(
+    *, percent: float, less: float, rate: float, more: float, home_s: float, longer_s: float, reserve: Reserve,
+    low: float | None,
+) -> None:  # fmt: skip
+    now = margin(percent, rate_percent_s=rate, home_s=home_s, reserve=reserve, low_percent=low)
+    for worse in (
+        margin(percent - less, rate_percent_s=rate, home_s=home_s, reserve=reserve, low_percent=low),
+        margin(percent, rate_percent_s=rate + more, home_s=home_s, reserve=reserve, low_percent=low),
+        margin(percent, rate_percent_s=rate, home_s=home_s + longer_s, reserve=reserve, low_percent=low),
+        margin(percent, rate_percent_s=rate, home_s=home_s, reserve=reserve, low_percent=(low or 0) + less),
+    ):
+        assert worse.percent <= now.percent
+        assert worse.turn_back or not now.turn_back
+
+
+@given(start=positions, wind=winds, stronger=st.floats(1, 3), speed_m_s=st.floats(1, 15))
+def test_more_wind_of_the_same_direction_never_takes_less(
+    start: Position, wind: Velocity, stronger: float, speed_m_s: float
+) -> None:
+    def against(wind: Velocity) -> float:
+        seen = Wind()
+        seen.take(Report(0.0, start, wind=wind))
+        return seen.against_m_s(start, HOME, speed_m_s)
+
+    more = Velocity(wind.east_m_s * stronger, wind.north_m_s * stronger)
+    assert 0.0 <= against(wind) <= against(more) + 1e-9
+
+
+@given(
+    falls=st.lists(st.integers(-1, 2), min_size=1, max_size=400), less=st.integers(0, 20),
+    endurance_s=st.none() | st.floats(300, 3000),
+)  # fmt: skip
+def test_a_battery_that_is_emptier_now_never_lasts_longer(
+    falls: list[int], less: int, endurance_s: float | None
+) -> None:
+    usual, emptier = Consumption(endurance_s), Consumption(endurance_s)
+    percent = 90.0
+    for second, fall in enumerate(falls):
+        percent = min(100.0, max(0.0, percent - (fall if second % 10 == 0 else 0)))
+        last = second == len(falls) - 1
+        usual.take(float(second), percent)
+        emptier.take(float(second), percent - (less if last else 0))
+    assert (emptier.rate_percent_s or 0.0) >= (usual.rate_percent_s or 0.0)
+
+
+# --- consumption --------------------------------------------------------------------------------------------
+
+
+@given(
+    rate=st.floats(0.02, 0.3),
+    full=st.floats(60, 100),
+    flown_s=st.integers(60, 400),
+    lost=st.sets(st.integers(1, 400)),
+)
+def test_what_is_measured_is_never_less_than_what_is_used(
+    rate: float, full: float, flown_s: int, lost: set[int]
+) -> None:
+    consumption = Consumption()
+    for second in range(flown_s + 1):
+        known = second in (0, flown_s) or second not in lost
+        consumption.take(float(second), max(0.0, math.floor(full - rate * second)) if known else None)
+    if full - rate * flown_s < 1:
+        return
+    measured = consumption.rate_percent_s
+    assert measured is not None
+    assert rate <= measured + 1e-9
+    assert measured <= rate + 2 / min(flown_s, 180) + 1e-9, "a percent at each end is all that steps hide"
+
+
+def test_before_enough_is_flown_the_configured_endurance_counts() -> None:
+    known, unknown = Consumption(500.0), Consumption()
+    for consumption in (known, unknown):
+        for second in range(59):
+            consumption.take(float(second), 90.0 - second)
+    assert known.rate_percent_s == 0.2
+    assert unknown.rate_percent_s is None
+    unknown.take(60.0, 30.0)
+    assert unknown.rate_percent_s == pytest.approx(61 / 60)
+
+
+def test_a_battery_that_is_never_reported_tells_nothing() -> None:
+    silent = Consumption()
+    for second in range(300):
+        silent.take(float(second), None)
+    assert silent.rate_percent_s is None
+    energy = Energy(Reserve(60.0))
+    energy.take(Report(0.0, HOME))
+    assert energy.margin(Report(0.0, HOME), HOME, EnergyFacts()) is None
+
+
+def test_a_battery_that_was_swapped_is_measured_anew_and_until_then_believed_no_better() -> None:
+    consumption = Consumption()
+    for second in range(301):
+        consumption.take(float(second), float(math.floor(90 - second * 0.2)))
+    before = consumption.rate_percent_s
+    assert before == pytest.approx(0.2, abs=0.007)
+    for second in range(301, 481):
+        consumption.take(float(second), float(math.floor(100 - (second - 301) * 0.1)))
+        assert consumption.rate_percent_s == pytest.approx(before)
+    for second in range(481, 700):
+        consumption.take(float(second), float(math.floor(100 - (second - 301) * 0.1)))
+    assert consumption.rate_percent_s == pytest.approx(0.1, abs=0.007)
+
+
+def test_a_rise_by_a_step_is_no_other_battery() -> None:
+    consumption = Consumption()
+    for second in range(301):
+        consumption.take(float(second), float(math.floor(90 - second * 0.2) + second % 2))
+    assert consumption.rate_percent_s == pytest.approx(0.2, abs=0.015)
+
+
+# --- wind ---------------------------------------------------------------------------------------------------
+
+
+def flown_east(told_m_s: float, ground_m_s: float, seconds: int = 10, up_m_s: float = 0.0) -> Wind:
+    wind = Wind()
+    for second in range(seconds):
+        velocity = Velocity(ground_m_s, 0.0, up_m_s)
+        wind.take(Report(float(second), HOME, velocity=velocity, leg_speed_m_s=told_m_s))
+    return wind
+
+
+def test_a_leg_that_was_slow_tells_of_the_wind_in_its_direction_only() -> None:
+    wind = flown_east(told_m_s=8.0, ground_m_s=5.0)
+    assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 3.0
+    assert wind.against_m_s(HOME, Position(100, 100), 10.0) == pytest.approx(3.0 / math.sqrt(2))
+    assert wind.against_m_s(HOME, Position(0, 100), 10.0) == 0.0
+    assert wind.against_m_s(HOME, Position(-100, 0), 10.0) == 0.0
+    assert wind.against_m_s(HOME, HOME, 10.0) == 0.0
+
+
+def test_what_is_slow_for_another_reason_tells_nothing() -> None:
+    slow = [
+        flown_east(8.0, 5.0, seconds=3),  # too short
+        flown_east(8.0, 5.0, up_m_s=2.0),  # steep
+        flown_east(8.0, 0.1),  # it stands
+        flown_east(8.0, 9.0),  # it is fast
+    ]
+    speeding_up = Wind()
+    for second in range(8):
+        speeding_up.take(Report(float(second), HOME, velocity=Velocity(second), leg_speed_m_s=8.0))
+    holding = Wind()
+    for second in range(8):
+        holding.take(Report(float(second), HOME, velocity=Velocity(5.0)))
+    for wind in (*slow, speeding_up, holding):
+        assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 0.0
+
+
+def test_a_slow_leg_is_forgotten_in_time() -> None:
+    wind = flown_east(8.0, 5.0)
+    wind.take(Report(700.0, HOME))
+    assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 0.0
+
+
+def test_a_reported_wind_counts_by_its_direction_and_never_as_a_help() -> None:
+    wind = Wind()
+    wind.take(Report(0.0, HOME, wind=Velocity(-6.0, 0.0)))
+    wind.take(Report(1.0, HOME))  # a report without it
+    assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 6.0
+    assert wind.against_m_s(HOME, Position(-100, 0), 10.0) == 0.0
+    assert wind.against_m_s(HOME, Position(0, 100), 10.0) == pytest.approx(
+        2.0
+    )  # 8 of 10 m/s are left, across it
+
+
+def test_the_worse_of_report_and_legs_counts() -> None:
+    wind = flown_east(8.0, 5.0)
+    wind.take(Report(10.0, HOME, wind=Velocity(-1.0)))
+    assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 3.0
+
+
+# --- whole flights ------------------------------------------------------------------------------------------
+
+
+@given(
+    way=ways, rate=st.floats(0.03, 0.25), full=st.floats(50, 100), speed_m_s=st.floats(1, 12),
+    altitude_m=st.floats(5, 60), angle=st.floats(0, math.tau), wind=winds, told=st.booleans(),
+    reserve=reserves, low=stages, endurance=st.floats(0.3, 1.0),
+)  # fmt: skip
+def test_a_flight_that_turns_back_when_told_arrives_with_at_least_the_reserve(
+    *, way: WayHome, rate: float, full: float, speed_m_s: float, altitude_m: float, angle: float, wind: Velocity,
+    told: bool, reserve: Reserve, low: float | None, endurance: float,
+) -> None:  # fmt: skip
+    """Straight away from home until told; the vehicle then loses to the wind what a slow leg, or a report, said."""
+    facts = EnergyFacts(low_percent=low, way_home=way)
+    energy = Energy(reserve, endurance_s=endurance * 100 / rate)
+    east, north = math.cos(angle), math.sin(angle)
+    for second in range(3600):
+        left = full - rate * second
+        here = Position(east * speed_m_s * second, north * speed_m_s * second, altitude_m)
+        report = Report(
+            float(second), here, float(math.floor(left)), Velocity(east * speed_m_s, north * speed_m_s), speed_m_s,
+            wind if told else None,
+        )  # fmt: skip
+        energy.take(report)
+        now = energy.margin(report, HOME, facts)
+        assert now is not None
+        if now.turn_back:
+            break
+    else:
+        raise AssertionError("it flew for ever")
+    if second == 0:
+        return  # too little was left for any flight
+    seen = Wind()
+    seen.take(Report(0.0, here, wind=wind if told else STILL))
+    against_m_s = seen.against_m_s(here, HOME, way.speed_m_s)
+    takes_s = time_home_s(here, HOME, way, against_m_s=against_m_s, velocity=Velocity(speed_m_s))
+    at_touchdown = left - rate * takes_s
+    assert at_touchdown >= max(rate * reserve.seconds, low or 0.0, reserve.percent or 0.0) - 1e-6
+
+
+def test_the_vehicle_says_where_it_returns_to() -> None:
+    energy = Energy(Reserve(60.0), endurance_s=1000.0)
+    report = Report(0.0, Position(400, 0, 30), 50.0)
+    energy.take(report)
+    far = energy.margin(report, HOME, EnergyFacts(way_home=PX4))
+    near = energy.margin(report, HOME, EnergyFacts(way_home=PX4, home=Position(400, 0)))
+    assert far is not None and near is not None
+    assert far.home_s > near.home_s + 80.0
+
+
+def test_a_flight_that_ends_where_it_is_needs_the_way_down_only() -> None:
+    energy = Energy(Reserve(60.0), endurance_s=1000.0, lands=True)
+    report = Report(0.0, Position(400, 0, 30), 50.0)
+    energy.take(report)
+    now = energy.margin(report, HOME, EnergyFacts(way_home=PX4))
+    assert now is not None
+    assert now.home_s == 2.0 + PX4.hover_s + descent_s(30.0, PX4)
+
+
+def test_while_no_report_comes_the_battery_is_believed_to_empty_as_before() -> None:
+    energy = Energy(Reserve(60.0), endurance_s=1000.0)
+    energy.take(Report(0.0, HOME, 50.0))
+    for second in range(1, 31):
+        energy.take(Report(float(second), HOME))
+    now = energy.margin(Report(30.0, HOME), HOME, EnergyFacts())
+    assert now is not None
+    assert now.left_percent == pytest.approx(47.0)
+
+
+@pytest.mark.parametrize(
+    ("reserve", "low", "said"),
+    [
+        (Reserve(60.0), None, "81 s to home need 12 %, 60 s of reserve 9 %, 20 % is left"),
+        (Reserve(60.0, 15.0), None, "81 s to home need 12 %, the reserve is 15 %, 20 % is left"),
+        (
+            Reserve(60.0, 15.0),
+            18.0,
+            "81 s to home need 12 %, the vehicle's own low-battery stage is at 18 %, 20 % is left",
+        ),
+    ],
+)
+def test_it_says_its_numbers(reserve: Reserve, low: float | None, said: str) -> None:
+    now = margin(20.4, rate_percent_s=0.15, home_s=81.0, reserve=reserve, low_percent=low)
+    assert str(now) == said
+    assert now.turn_back

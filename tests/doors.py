@@ -1,0 +1,66 @@
+"""Doors for tests: what certificates are shown at, in front of runtimes and listeners."""
+
+from __future__ import annotations
+
+import asyncio
+import tempfile
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from pathlib import Path
+
+from upwash.real.announced import Inside
+from upwash.real.credentials import Credentials
+from upwash.real.door import Door, DoorLimits, Lead, leading, opened_door
+from upwash.real.listener import Listener, WhoIs, cannot_listen
+from upwash.real.runtime import ProcessRuntime, sockets_in
+from upwash.real.streams import listening_socket
+from upwash.real.trust import Trust
+
+MakeListener = Callable[[str, WhoIs], Listener]
+
+
+@asynccontextmanager
+async def led(shown: Credentials) -> AsyncIterator[Lead]:
+    """A way in on loopback."""
+    async with opened_door(Trust(shown)) as door:
+        yield leading(door, "127.0.0.1")
+
+
+@asynccontextmanager
+async def certified_processes(shown: Credentials, *, max_message_bytes: int) -> AsyncIterator[ProcessRuntime]:
+    """A runtime of processes that are reached through a door on loopback."""
+    with tempfile.TemporaryDirectory() as folder:
+        async with led(shown) as lead:
+            yield ProcessRuntime(sockets_in(Path(folder)), lead=lead, max_message_bytes=max_message_bytes)
+
+
+def reached(endpoint: str) -> str:
+    """Where an endpoint is for who is on this machine."""
+    return f"127.0.0.1{endpoint}" if endpoint.startswith(":") else endpoint
+
+
+@contextmanager
+def behind_door(
+    make: MakeListener,
+    shown: Credentials,
+    *,
+    listen: str = "127.0.0.1:0",
+    limits: DoorLimits | None = None,
+) -> Iterator[tuple[Listener, Door, str]]:
+    """A listener that serves behind a door, the door, and its address."""
+    try:
+        outside = listening_socket(listen)
+    except OSError:
+        raise cannot_listen(listen) from None
+    with tempfile.TemporaryDirectory() as folder:
+        inside = Inside(f"{folder}/inside.sock")
+        listener = make(f"unix:{inside.path}", inside.visitor)
+        door = Door(Trust(shown), limits)
+        door.open()
+        listener.start()
+        passage = asyncio.run(door.lead(outside, inside.connect))
+        try:
+            yield listener, door, passage.address
+        finally:
+            asyncio.run(door.close())
+            listener.stop()

@@ -1,0 +1,109 @@
+"""A driver and a stand-in vehicle joined in memory, so that both can live on virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.ports.lossy import Air
+
+from upwash.core.geo import GeoPosition, LocalFrame
+from upwash.real.mavlink import MavlinkAutopilot, connect_autopilot, link
+from upwash.vehicle.ardupilot import ArduCopter
+from upwash.vehicle.clock import Clock
+from upwash.vehicle.conversation import Conversation, Vehicle
+from upwash.vehicle.copter import Copter, VehicleSettings
+
+HOME = GeoPosition(39.3666, 22.9507)
+AGILE = VehicleSettings(
+    home=HOME,
+    acceleration_m_s2=300.0,
+    climb_m_s=100.0,
+    descent_m_s=100.0,
+    return_speed_m_s=100.0,
+    return_altitude_m=0.0,
+    armable_after_s=0.0,
+)
+PERFECT = Air(0.0, seed=1)
+
+
+class Bench:
+    """A vehicle that any number of programs may connect to."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, settings: VehicleSettings, air: Air) -> None:
+        clock = Clock(settings.speedup)
+        self.copter = Copter(settings, now_s=clock.now_s())
+        self.firmware = ArduCopter(self.copter)
+        self.vehicle = Vehicle(self.firmware, clock)
+        self.said: list[str] = []
+        self.deaf = False  # whether the vehicle hears nobody
+        self.mute = False
+        self._air = air
+        monkeypatch.setitem(link._OPENERS, "memory", self._open)
+        Conversation(self.vehicle, write=self._note)
+
+    @property
+    def now_s(self) -> float:
+        return self.vehicle.now_s()
+
+    def parameter(self, name: str) -> float:
+        return self.copter.parameters[name]
+
+    @asynccontextmanager
+    async def program(self) -> AsyncIterator[MavlinkAutopilot]:
+        """A driver; at the end of the block it falls silent without a word, as a program that is killed."""
+        autopilot = await connect_autopilot("memory:vehicle:1", frame=LocalFrame(HOME), ground_speed_m_s=60.0)
+        try:
+            yield autopilot
+        finally:
+            await autopilot.close()
+
+    async def _open(self, _host: str, _port: int, line: Any) -> None:
+        loop = asyncio.get_running_loop()
+
+        def arrive(packet: bytes) -> None:
+            loop.call_soon(line.datagram_received, packet, ("", 1))
+
+        def to_program(data: bytes) -> None:
+            if not self.mute:
+                self._air.carry(data, arrive)
+
+        conversation = Conversation(self.vehicle, write=to_program)
+
+        def to_vehicle(packet: bytes) -> None:
+            for message in mavlink.MAVLink(None).parse_buffer(packet) or []:
+                loop.call_soon(conversation.hear, message)
+
+        def write(data: bytes) -> None:
+            if not self.deaf:
+                self._air.carry(data, to_vehicle)
+
+        line.write = write
+
+    def _note(self, data: bytes) -> None:
+        for message in mavlink.MAVLink(None).parse_buffer(data) or []:
+            if message.get_type() == "STATUSTEXT":
+                self.said.append(message.text)
+
+
+@asynccontextmanager
+async def bench(
+    monkeypatch: pytest.MonkeyPatch, settings: VehicleSettings = AGILE, air: Air = PERFECT
+) -> AsyncIterator[Bench]:
+    """A stand-in that is switched on."""
+    async with AsyncExitStack() as stack:
+        made = Bench(monkeypatch, settings, air)
+        life = asyncio.create_task(made.vehicle.live())
+
+        async def switch_off() -> None:
+            life.cancel()
+            await asyncio.gather(life, return_exceptions=True)
+            for conversation in tuple(made.vehicle.conversations):
+                conversation.end()
+
+        stack.push_async_callback(switch_off)
+        yield made

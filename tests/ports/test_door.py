@@ -1,0 +1,262 @@
+"""The door: who gets through, and how much of it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import re
+import socket
+import ssl
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.doors import behind_door
+
+from upwash.errors import CredentialsError, LinkError, Unreachable
+from upwash.real import credentials as module
+from upwash.real.credentials import Credentials, fingerprint, keys_in, make_keys, read_credentials
+from upwash.real.crowd import Crowd, Recent
+from upwash.real.door import Door, DoorLimits
+from upwash.real.frames import PREFACE, Counted, FrameCounter
+from upwash.real.link import GrpcDialer
+from upwash.real.listener import Caller, Health, Listener, WhoIs
+from upwash.real.trust import Trust
+
+ReadCredentials = Callable[[str], Credentials]
+PATH = "/upwash.test/name"
+WATCH = "/grpc.health.v1.Health/Watch"
+CHECK = "/grpc.health.v1.Health/Check"
+DATA, HEADERS, RST_STREAM, PING = 0, 1, 3, 6
+
+
+def name_of_caller(_path: str, _body: bytes, caller: Caller) -> bytes:
+    return caller.visitor.name.encode()
+
+
+def make(listen: str, who_is: WhoIs) -> Listener:
+    listener = Listener(
+        listen,
+        name_of_caller,
+        max_message_bytes=100_000,
+        concurrent_requests=16,
+        requests_per_drone=16,
+        who_is=who_is,
+    )
+    listener.add(Health(["s1"]))
+    return listener
+
+
+@contextmanager
+def served(shown: Credentials, limits: DoorLimits | None = None) -> Iterator[tuple[Door, str]]:
+    with behind_door(make, shown, limits=limits) as (_, door, address):
+        yield door, address
+
+
+def ask(address: str, shown: Credentials, path: str = PATH, body: bytes = b"", times: int = 1) -> bytes:
+    """The last of several answers over one link."""
+
+    async def talk() -> bytes:
+        link = GrpcDialer("", shown, max_message_bytes=100_000).dial(address, server="s1")
+        try:
+            for _ in range(times):
+                answer = await link.request(path, body, timeout_s=10.0)
+            return answer
+        finally:
+            await link.close()
+
+    return asyncio.run(talk())
+
+
+# --- certificates -------------------------------------------------------------------------------------------
+
+
+def test_a_caller_is_who_its_certificate_says(credentials: ReadCredentials) -> None:
+    with served(credentials("s1")) as (_, address):
+        assert ask(address, credentials("heron")) == b"heron"
+        assert ask(address, credentials("stork")) == b"stork"
+
+
+def test_a_revoked_certificate_gets_no_answer_and_its_connections_end(credentials: ReadCredentials) -> None:
+    heron, stork = credentials("heron"), credentials("stork")
+    without_heron = Trust(credentials("s1"), revoked=frozenset({fingerprint(heron.certificate)}))
+
+    async def revoke_in_between(door: Door, address: str) -> None:
+        link = GrpcDialer("", heron, max_message_bytes=100_000).dial(address, server="s1")
+        assert await link.request(PATH, b"", timeout_s=10.0) == b"heron"
+        await door.trust(without_heron)
+        for _ in range(2):
+            with pytest.raises(Unreachable):
+                await link.request(PATH, b"", timeout_s=10.0)
+        await link.close()
+
+    with served(credentials("s1")) as (door, address):
+        asyncio.run(revoke_in_between(door, address))
+        assert ask(address, stork) == b"stork"
+
+
+def test_two_authorities_are_believed_side_by_side_and_then_only_the_new_one(
+    keys: Path, credentials: ReadCredentials
+) -> None:
+    old, new = credentials("s1"), credentials("other/s1")
+    both = Credentials(old.authority + new.authority, old.certificate, old.key)
+    with served(both) as (door, address):
+        heron = credentials("heron")
+        from_new = credentials("other/heron")  # which believes the daemon's old certificate too, as it has to
+        believing = Credentials(both.authority, from_new.certificate, from_new.key)
+        assert ask(address, heron) == ask(address, believing) == b"heron"
+        asyncio.run(door.trust(Trust(new)))
+        with pytest.raises(Unreachable):
+            ask(address, heron)
+        assert ask(address, from_new) == b"heron"
+
+
+def test_trust_tells_holders_apart(keys: Path, credentials: ReadCredentials) -> None:
+    trust = Trust(credentials("s1"), revoked=frozenset({fingerprint(credentials("stork").certificate)}))
+
+    def der(holder: str) -> bytes:
+        return ssl.PEM_cert_to_DER_cert(credentials(holder).certificate.decode())
+
+    assert trust.holder(der("heron")).visitor.name == "heron"
+    assert trust.holder(der("heron")).visitor.certificate == fingerprint(credentials("heron").certificate)
+    with pytest.raises(CredentialsError, match="stork is revoked"):
+        trust.holder(der("stork"))
+    with pytest.raises(CredentialsError, match="another authority"):
+        trust.holder(der("other/heron"))
+
+
+def test_a_connection_ends_with_its_certificate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, credentials: ReadCredentials
+) -> None:
+    monkeypatch.setattr(module, "_CERTIFICATE_LASTS", timedelta(seconds=3))
+    make_keys(tmp_path, servers=[["s1"]], drones=["mayfly"])
+
+    def read(holder: str) -> Credentials:
+        files = keys_in(tmp_path, holder)
+        return read_credentials(files.authority, files.certificate, files.key)
+
+    async def outlive(address: str) -> None:
+        link = GrpcDialer("", read("mayfly"), max_message_bytes=100_000).dial(address, server="s1")
+        assert await link.request(PATH, b"", timeout_s=10.0) == b"mayfly"
+        async with asyncio.timeout(10.0):
+            while True:
+                try:
+                    await link.request(PATH, b"", timeout_s=10.0)
+                except LinkError:
+                    break
+                await asyncio.sleep(0.1)
+        await link.close()
+
+    with served(read("s1")) as (_, address):
+        asyncio.run(outlive(address))
+
+
+@pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
+def test_tls_1_3_alone_is_spoken(version: ssl.TLSVersion, keys: Path, credentials: ReadCredentials) -> None:
+    files = keys_in(keys, "heron")
+    context = ssl.create_default_context(cafile=str(files.authority))
+    context.load_cert_chain(files.certificate, files.key)
+    context.minimum_version, context.maximum_version = ssl.TLSVersion.TLSv1_2, version
+    with served(credentials("s1")) as (_, address):
+        host, _, port = address.partition(":")
+        with socket.create_connection((host, int(port)), timeout=10.0) as plain:
+            if version is ssl.TLSVersion.TLSv1_3:
+                with context.wrap_socket(plain, server_hostname="s1") as connection:
+                    assert connection.version() == "TLSv1.3"
+            else:
+                with pytest.raises(ssl.SSLError):
+                    context.wrap_socket(plain, server_hostname="s1")
+
+
+# --- how much -----------------------------------------------------------------------------------------------
+
+
+def test_silent_strangers_give_way_to_who_speaks(credentials: ReadCredentials) -> None:
+    few = DoorLimits(strangers=8, strangers_per_address=4)
+    with served(credentials("s1"), few) as (_, address), contextlib.ExitStack() as stack:
+        host, _, port = address.partition(":")
+        silent = [
+            stack.enter_context(socket.create_connection((host, int(port)), timeout=10.0)) for _ in range(20)
+        ]
+        assert ask(address, credentials("heron")) == b"heron"
+        assert [connection.recv(1) for connection in silent[:15]] == [b""] * 15  # hung up on
+
+
+def test_who_begins_too_much_is_shut_out_and_nobody_else(
+    credentials: ReadCredentials, caplog: pytest.LogCaptureFixture
+) -> None:
+    strict = DoorLimits(begun_per_s=1.0, burst_s=20.0)
+    with served(credentials("s1"), strict) as (_, address):
+        assert ask(address, credentials("heron"), times=20) == b"heron"
+        for _ in range(2):  # over a connection of before, and over a new one
+            with pytest.raises(LinkError):
+                ask(address, credentials("heron"), times=20)
+        assert ask(address, credentials("stork"), times=20) == b"stork"
+    said = "\n".join(caplog.messages)
+    assert "hanging up on heron: it begins or breaks off more requests than any drone would" in said
+    assert re.search("refused 127.0.0.1: heron is shut out for another [0-9]+ s", said)
+
+
+def test_a_health_check_is_answered_and_nothing_is_watched(credentials: ReadCredentials) -> None:
+    heron = credentials("heron")
+    with served(credentials("s1")) as (_, address):
+        assert ask(address, heron, CHECK) == ask(address, heron, CHECK, b"\x0a\x02s1") == b"\x08\x01"
+        with pytest.raises(LinkError, match="NOT_FOUND"):
+            ask(address, heron, CHECK, b"\x0a\x02s3")
+        with pytest.raises(LinkError, match="UNIMPLEMENTED"):
+            ask(address, heron, WATCH)
+
+
+def test_a_door_that_closes_leaves_no_thread_and_no_connection(credentials: ReadCredentials) -> None:
+    with served(credentials("s1")) as (_, address):
+        assert ask(address, credentials("heron")) == b"heron"
+        host, _, port = address.partition(":")
+        stranger = socket.create_connection((host, int(port)), timeout=10.0)
+    with stranger, contextlib.suppress(ConnectionResetError):  # where it was not even taken yet
+        assert stranger.recv(1) == b""
+    assert "door" not in [thread.name for thread in threading.enumerate()]
+
+
+# --- what it is made of -------------------------------------------------------------------------------------
+
+
+def frame(kind: int, payload: bytes = b"") -> bytes:
+    return len(payload).to_bytes(3, "big") + bytes([kind, 0]) + bytes(4) + payload
+
+
+@given(
+    st.lists(st.sampled_from([DATA, HEADERS, RST_STREAM, PING]), max_size=30),
+    st.integers(1, 40),
+    st.binary(max_size=20),
+)
+def test_frames_are_counted_however_they_are_cut(kinds: list[int], size: int, payload: bytes) -> None:
+    spoken = PREFACE + b"".join(frame(kind, payload) for kind in kinds)
+    counter, whole = FrameCounter(), Counted()
+    for start in range(0, len(spoken), size):
+        counted = counter.count(spoken[start : start + size])
+        whole.begun += counted.begun
+        whole.pieces += counted.pieces
+        whole.broken_off += counted.broken_off
+        whole.idle += counted.idle
+    assert whole == Counted(*(kinds.count(kind) for kind in (HEADERS, DATA, RST_STREAM, PING)))
+
+
+def test_the_oldest_of_a_crowded_group_goes_and_of_the_largest_where_all_are_too_many() -> None:
+    crowd: Crowd[str] = Crowd(3, most_of_group=2)
+    assert [crowd.enter(member, member[0]) for member in ("a1", "a2", "b1")] == [None, None, None]
+    assert crowd.enter("a3", "a") == "a1"
+    assert crowd.enter("c1", "c") == "a2"
+    crowd.leave("b1")
+    crowd.leave("b1")
+    assert len(crowd) == 2
+
+
+def test_who_was_longest_unseen_is_forgotten() -> None:
+    numbers = iter(range(10))
+    recent = Recent(lambda: next(numbers), most=2)
+    assert [recent.of(name) for name in ("a", "b", "a", "c", "b")] == [0, 1, 0, 2, 3]
