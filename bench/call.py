@@ -40,6 +40,7 @@ CONTENDERS = {
 }
 DAEMON = """\
 listen = "{host}:0"
+runtime = {{ sandbox_as_root = true }}
 service = [{{ name = "echo", program = "bench.echo:Echo" }}]
 server = [{{ name = "s1" }}]
 keys = {{ authority = "authority.pem", certificate = "s1.pem", key = "s1.key" }}

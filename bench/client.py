@@ -121,7 +121,6 @@ async def fly(folder: Path, rounds: int, addresses: Addresses) -> dict[str, list
             onboard_dialer=GrpcDialer("drone", None, max_message_bytes=MAX_MESSAGE_BYTES),
             onboard_runtime=ProcessRuntime(
                 lambda spec: f"unix:{folder}/{spec.name}.sock",
-                credentials=None,
                 max_message_bytes=MAX_MESSAGE_BYTES,
             ),
             camera=FolderCamera(folder, photo_s=0.0),

@@ -25,11 +25,13 @@ from upwash.packaging.image import Recipe, package
 from upwash.ports import Instance, InstanceSpec, Program, Runtime
 from upwash.protocol import service_path
 from upwash.real.credentials import fingerprint, make_keys, read_credentials
+from upwash.real.door import leading, opened_door
 from upwash.real.link import GrpcDialer, GrpcLink
 from upwash.real.lxd.container import ContainerSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
 from upwash.real.lxd.runtime import ContainerRuntime
-from upwash.real.runtime import ProcessRuntime
+from upwash.real.runtime import ProcessRuntime, sockets_in
+from upwash.real.trust import Trust
 from upwash.service import spec_of
 
 SERVER = "bench"
@@ -151,26 +153,26 @@ async def opened(address: str, subnet: IPv4Network) -> AsyncIterator[Bench]:
         await engines[0].import_image(
             package(Recipe(load_service_alone(PROGRAM)), folder, report=lambda _: None)
         )
-        process = ProcessRuntime(
-            lambda _: "127.0.0.1:0", credentials=server, max_message_bytes=MAX_MESSAGE_BYTES
-        )
-        stopped, frozen = (
-            ContainerRuntime(
-                engine,
-                ContainerSettings(subnet),
-                freezes=freezes,
-                credentials=server,
-                max_message_bytes=MAX_MESSAGE_BYTES,
+        async with opened_door(Trust(server)) as door:
+            lead = leading(door, "127.0.0.1")
+            process = ProcessRuntime(sockets_in(folder), lead=lead, max_message_bytes=MAX_MESSAGE_BYTES)
+            stopped, frozen = (
+                ContainerRuntime(
+                    engine,
+                    ContainerSettings(subnet),
+                    freezes=freezes,
+                    lead=lead,
+                    max_message_bytes=MAX_MESSAGE_BYTES,
+                )
+                for engine, freezes in zip(engines, (False, True), strict=True)
             )
-            for engine, freezes in zip(engines, (False, True), strict=True)
-        )
-        dialer = GrpcDialer("drone", drone, max_message_bytes=MAX_MESSAGE_BYTES)
-        try:
-            yield Bench(process, stopped, frozen, dialer, frozenset({fingerprint(drone.certificate)}))
-        finally:
-            await frozen.close()
-            await stopped.prepare([SERVER], [])
-            await stopped.close()
+            dialer = GrpcDialer("drone", drone, max_message_bytes=MAX_MESSAGE_BYTES)
+            try:
+                yield Bench(process, stopped, frozen, dialer, frozenset({fingerprint(drone.certificate)}))
+            finally:
+                await frozen.close()
+                await stopped.prepare([SERVER], [])
+                await stopped.close()
 
 
 if __name__ == "__main__":

@@ -61,6 +61,7 @@ MAX_MESSAGE_BYTES = 16 * 2**20
 MEASURE = spec_of(Echo).methods["measure"]
 DAEMON = """\
 listen = "127.0.0.1:0"
+runtime = {{ sandbox_as_root = true }}
 keys = {{ authority = "authority.pem", certificate = "s1.pem", key = "s1.key" }}
 service = [{{ name = "echo", program = "bench.echo:Echo", pace_s = {takes_s} }}]
 server = [{{ name = "s1", slots = {slots} }}]

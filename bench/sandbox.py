@@ -14,9 +14,11 @@ import msgspec
 from upwash.ports import InstanceSpec, Program
 from upwash.protocol import service_path
 from upwash.real.credentials import Credentials, fingerprint, make_keys, read_credentials
+from upwash.real.door import leading, opened_door
 from upwash.real.link import GrpcDialer, GrpcLink
-from upwash.real.runtime import ProcessInstance, ProcessRuntime
-from upwash.real.sandbox import Limits, Sandbox, find_sandbox
+from upwash.real.runtime import ProcessInstance, ProcessRuntime, sockets_in
+from upwash.real.sandbox import Limits, find_sandbox
+from upwash.real.trust import Trust
 
 REQUEST_BYTES = 430_000
 MAX_MESSAGE_BYTES = 2**20
@@ -37,23 +39,35 @@ async def main() -> None:
             each: read_credentials(folder / "authority.pem", folder / f"{each}.pem", folder / f"{each}.key")
             for each in ("s1", "d1")
         }
-        plain = [await started(None, keys["s1"]) for _ in range(STARTS)]
-        boxed = [await started(sandbox, keys["s1"]) for _ in range(STARTS)]
-        for title, starts in (("plain process", plain), ("bubblewrap", boxed)):
-            print(f"{title:16} ready after {median(start_s for _, start_s in starts):.2f} s")
-        await compare(plain[0][0], boxed[0][0], keys["d1"])
-        for instance, _ in (*plain, *boxed):
+        async with opened_door(Trust(keys["s1"])) as door:
+            plain, boxed = (
+                ProcessRuntime(
+                    sockets_in(folder),
+                    lead=leading(door, "127.0.0.1"),
+                    max_message_bytes=MAX_MESSAGE_BYTES,
+                    sandbox=around,
+                )
+                for around in (None, sandbox)
+            )
+            await compare_runtimes(plain, boxed, keys["d1"])
+
+
+async def compare_runtimes(plain: ProcessRuntime, boxed: ProcessRuntime, drone: Credentials) -> None:
+    """Starts instances of both, and has one of each called."""
+    found = {
+        "plain process": [await started(plain) for _ in range(STARTS)],
+        "bubblewrap": [await started(boxed) for _ in range(STARTS)],
+    }
+    for title, starts in found.items():
+        print(f"{title:16} ready after {median(start_s for _, start_s in starts):.2f} s")
+    await compare(found["plain process"][0][0], found["bubblewrap"][0][0], drone)
+    for starts in found.values():
+        for instance, _ in starts:
             await instance.stop()
 
 
-async def started(sandbox: Sandbox | None, credentials: Credentials) -> tuple[ProcessInstance, float]:
+async def started(runtime: ProcessRuntime) -> tuple[ProcessInstance, float]:
     """An instance, and how long it took until it could be called."""
-    runtime = ProcessRuntime(
-        lambda _: "127.0.0.1:0",
-        credentials=credentials,
-        max_message_bytes=MAX_MESSAGE_BYTES,
-        sandbox=sandbox,
-    )
     began_s = time.perf_counter()
     return await runtime.start(SPEC, called=lambda _: None), time.perf_counter() - began_s
 
