@@ -9,6 +9,7 @@ from pathlib import Path
 
 from upwash.real.announced import Inside
 from upwash.real.doorway import Doorway
+from upwash.real.streams import listening_socket
 
 SILENT = 200
 
@@ -36,3 +37,10 @@ def test_connections_that_say_nothing_keep_nobody_out(tmp_path: Path) -> None:
         honest = stack.enter_context(socket.create_connection(outside.getsockname(), timeout=10.0))
         honest.sendall(b"photo")
         assert honest.recv(4096) == b"photo"
+
+
+def test_what_is_written_to_a_connection_leaves_at_once() -> None:
+    with listening_socket("127.0.0.1:0") as listening, socket.create_connection(listening.getsockname()):
+        connection, _ = listening.accept()
+        with connection:
+            assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)

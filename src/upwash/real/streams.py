@@ -74,7 +74,11 @@ def listening_socket(address: str) -> socket.socket:
     host, _, port = address.rpartition(":")
     family, _, _, _, place = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
     is_any = family == socket.AF_INET6 and place[0] == "::"
-    return socket.create_server(place[:2], family=family, backlog=_BACKLOG, dualstack_ipv6=is_any)
+    listening = socket.create_server(place[:2], family=family, backlog=_BACKLOG, dualstack_ipv6=is_any)
+    # Inherited by each connection: asyncio does not set it on those of a socket that it did not make, and then a
+    # server's second small write waits 40 ms for the acknowledgement of its first.
+    listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return listening
 
 
 def endpoint_of(listening: socket.socket) -> str:
