@@ -12,10 +12,11 @@ from upwash.core.happenings import (
     Happening,
     NetworkLost,
     Prepared,
+    ProbeAnswered,
     RemoteCallCut,
     ServicesStarted,
 )
-from upwash.core.orders import Check, Leave, Order, Prepare, Start
+from upwash.core.orders import Check, Leave, Order, Prepare, Probe, Start
 from upwash.core.selection import Selection
 from upwash.errors import LinkError, NetworkError
 from upwash.ports import Dialer, Journal, Network
@@ -39,6 +40,7 @@ class Envoy:
         tell: Callable[[Happening], None],
     ) -> None:
         self.visit: Visit | None = None
+        self._visited = ""  # the server
         self.cut: RemoteCallCut | None = None  # the call that ended the visit by taking too long
         self._selection = selection
         self._contacts = contacts
@@ -75,8 +77,14 @@ class Envoy:
     async def _follow(self, order: Order) -> None:
         match order:
             case Check(server, check):
-                self.visit = Visit(self._contacts[server], network=self._network, dialer=self._dialer)
-                self._errand = asyncio.create_task(self._ask(self.visit, server, check))
+                await self._pause()
+                self._errand = asyncio.create_task(self._ask(self._visit(server), server, check))
+            case Probe(server):
+                await self._pause()
+                visit = self._visit(server)
+                await visit.hang_up()
+                self.cut = None  # which teaches nothing, as the server is probed
+                self._errand = asyncio.create_task(self._probe(visit, order))
             case Start(server, check) if self.visit is not None:
                 self._errand = asyncio.create_task(self._start(self.visit, server, check))
             case Prepare() if self.visit is not None:
@@ -92,10 +100,22 @@ class Envoy:
                 await _stop(self._watch)
                 self.visit = self.cut = self._errand = self._message = self._watch = None
 
+    async def _pause(self) -> None:
+        """Drops what is under way with the server, without leaving it."""
+        for task in (self._message, self._errand, self._watch):
+            await _stop(task)
+        self._message = self._errand = self._watch = None
+
+    def _visit(self, server: str) -> Visit:
+        """The visit that goes on there, or a new one."""
+        if self.visit is None or self._visited != server:
+            self.visit = Visit(self._contacts[server], network=self._network, dialer=self._dialer)
+            self._visited = server
+        return self.visit
+
     async def _ask(self, visit: Visit, server: str, check: int) -> None:
         try:
-            await visit.join(timeout_s=self._limit_s(server, running=True))
-            self._journal.record("joined", server=server, network=self._contacts[server].network)
+            await self._join(visit, server)
             self._watch = asyncio.create_task(self._notice_loss(visit, check))
             answer = await visit.ask()
         except (NetworkError, LinkError) as error:
@@ -104,6 +124,33 @@ class Envoy:
         self._tell(CheckAnswered(check, answer.running, answer.peers))
         if answer.running:
             await visit.keep_lease()
+
+    async def _join(self, visit: Visit, server: str) -> None:
+        if await visit.join(timeout_s=self._limit_s(server, running=True)):
+            self._journal.record("joined", server=server, network=self._contacts[server].network)
+
+    async def _probe(self, visit: Visit, order: Probe) -> None:
+        """Returns at the first sign of life; a question that is not answered yet keeps the next one from nothing."""
+        asking: set[asyncio.Task[ProbeAnswered]] = set()
+        try:
+            for pause_s in order.probing.pauses_s(alone_s=order.alone_s):
+                answered = await _first_success(asking, within_s=pause_s)
+                if answered is not None:
+                    self._tell(answered)
+                    return
+                asking = {task for task in asking if not task.done()}
+                try:
+                    await self._join(visit, order.server)
+                except NetworkError:
+                    continue
+                if self._watch is None or self._watch.done():
+                    self._watch = asyncio.create_task(_until_lost(visit))
+                asking.add(asyncio.create_task(self._question(visit, order.check)))
+        finally:
+            await _end(asking)
+
+    async def _question(self, visit: Visit, check: int) -> ProbeAnswered:
+        return ProbeAnswered(check, await visit.probe())
 
     async def _notice_loss(self, visit: Visit, check: int) -> None:
         self._tell(NetworkLost(check, await visit.lost()))
@@ -132,6 +179,31 @@ class Envoy:
     def _limit_s(self, server: str, *, running: bool) -> float:
         """How long joining may take, for which it matters nothing whether the services run; or else starting."""
         return max(_CHECK_LEAST_S, _CHECK_FACTOR * self._selection.estimates.check_s(server, running=running))
+
+
+async def _first_success(tasks: set[asyncio.Task[ProbeAnswered]], *, within_s: float) -> ProbeAnswered | None:
+    """What the first of them returns, none of which raises more than a LinkError; None after that time."""
+    loop = asyncio.get_running_loop()
+    until_s, left = loop.time() + within_s, set(tasks)
+    while (left_s := until_s - loop.time()) > 0:
+        if not left:
+            await asyncio.sleep(left_s)
+            break
+        done, left = await asyncio.wait(left, timeout=left_s, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            if not isinstance(task.exception(), LinkError):
+                return task.result()
+    return None
+
+
+async def _until_lost(visit: Visit) -> None:
+    await visit.lost()
+
+
+async def _end(tasks: set[asyncio.Task[ProbeAnswered]]) -> None:
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
 
 
 async def _stop(task: asyncio.Task[None] | None) -> None:

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, NoReturn
 
 import msgspec
@@ -26,7 +27,7 @@ from upwash.core.happenings import (
     RemoteFaultTested,
 )
 from upwash.core.hedging import Hedge, Hedging
-from upwash.core.orders import Check, Command, Leave, Order
+from upwash.core.orders import Check, Command, Leave, Order, Probe
 from upwash.core.policy import Decision, Remote, Wait
 from upwash.core.selection import Selection
 from upwash.core.servers import Change, State
@@ -91,6 +92,16 @@ class _Said:
 
 
 @dataclass(slots=True)
+class _Computing:
+    """The drone's own service at a call: first it may have to be done with an earlier one."""
+
+    operation: Operation
+    asked_s: float
+    began_s: float | None = None
+    task: asyncio.Task[Any] = field(init=False)
+
+
+@dataclass(slots=True)
 class _Attempt:
     """A call to a server, bound to the check that made it READY, and the drone's own service at the same call."""
 
@@ -100,6 +111,7 @@ class _Attempt:
     visit: Visit
     check: int
     deadline_s: float
+    reply: asyncio.Task[Any] | None = None  # where it is not simply waited for
     rival: asyncio.Task[Any] | None = None
     said: _Said | None = None
     verdict: str = ""  # on what it said, as an Outcome's `remote_fault`
@@ -140,7 +152,8 @@ class Offloading:
         self._onboard = onboard
         self._journal = journal
         self._hedging = hedging
-        self._loser: _Loser | None = None  # of the last hedged call, at most one at a time
+        self._losers: list[_Loser] = []
+        self._told = asyncio.Event()  # is set once something has happened
         self._envoys = [
             Envoy(selection, contacts, network=network, dialer=dialer, journal=journal, tell=self.tell)
             for network in networks
@@ -159,12 +172,12 @@ class Offloading:
                 for envoy in self._envoys:
                     tasks.create_task(envoy.run())
         finally:
-            await self._stop_loser()
+            await self._stop_losers()
         raise AssertionError("these tasks never end by themselves")
 
     async def end(self) -> None:
         """Leaves whatever server is selected; to be called while `run` runs, after the last call."""
-        await self._stop_loser()
+        await self._stop_losers()
         self.tell(MissionEnded())
         for envoy in self._envoys:
             await envoy.done()
@@ -185,6 +198,8 @@ class Offloading:
         answer = await self._answer(decision, _Call(operation, method, request))
         if answer.place == PLACE and isinstance(decision, Remote):
             why = f"{why}; {_lost(answer)} on the drone"
+        elif answer.place != PLACE and not isinstance(decision, Remote):
+            why = f"{why}; {answer.place} became of use, and was sooner"
         self._report(
             Outcome(
                 operation,
@@ -277,6 +292,8 @@ class Offloading:
         """Takes in what happened, and does what it calls for."""
         commands = self._selection.handle(happening, now_s=self._now_s(), position=self._autopilot.position)
         self._perform(commands)
+        self._told.set()
+        self._told = asyncio.Event()
 
     def _perform(self, commands: Sequence[Command]) -> None:
         for command in commands:
@@ -293,7 +310,7 @@ class Offloading:
 
         Best to the one that was there last: it says goodbye, if it still has to, before it comes again.
         """
-        if isinstance(order, Check):
+        if isinstance(order, (Check, Probe)) and order.server not in self._visited:
             busy = [self._sent[server] for server in self._visited]
             free = [envoy for envoy in self._envoys if envoy not in busy]
             last = self._sent.get(order.server)
@@ -326,6 +343,9 @@ class Offloading:
             self._hedging.count(local_s)
         if not isinstance(decision, Remote):
             return await self._answer_onboard(call)
+        if decision.raced:
+            attempt = self._send_out(self._attempt(call, decision.server, decision.deadline_s))
+            return await self._answer_onboard(call, instead_of=attempt)
         if (hedge := self._plan_hedge(decision, call.operation)) is not None:
             return await self._answer_hedged(decision, hedge, call)
         attempt = self._attempt(call, decision.server, decision.deadline_s)
@@ -338,6 +358,11 @@ class Offloading:
         envoy = self._sent[server]
         assert envoy.visit is not None  # noqa: S101 - a server is READY only by its visit
         return _Attempt(call, server, envoy, envoy.visit, self._selection.servers[server].check, deadline_s)
+
+    def _send_out(self, attempt: _Attempt) -> _Attempt:
+        """Begins the attempt, beside whatever else is done for the call."""
+        attempt.reply = asyncio.create_task(self._call_server(attempt))
+        return attempt
 
     async def _call_server(self, attempt: _Attempt) -> Any | None:
         """The decoded reply of a server that carries a value, or None where it gave no such reply."""
@@ -392,15 +417,94 @@ class Offloading:
         self.tell(RemoteFaultTested(server, attempt.check, operation, said.delay_s, why, confirmed))
 
     async def _answer_onboard(self, call: _Call, *, instead_of: _Attempt | None = None) -> _Answer:
-        queued_s = await self._queue(call.operation.service)
-        began_s = self._now_s()
-        reply = await self._call_onboard(call)
+        """Has the drone compute the call, and each server that is of use before the drone is done."""
+        return await self._race(call, self._begin_onboard(call), instead_of)
+
+    async def _race(self, call: _Call, computing: _Computing, attempt: _Attempt | None) -> _Answer:
+        """The first answer; the loser runs on, as a computation cannot be broken off, and its answer is dropped.
+
+        `attempt` is the last one at a server, which is over, or under way where it has a `reply`.
+        """
+        try:
+            while True:
+                if attempt is not None and attempt.reply is not None:
+                    attempt.rival = computing.task
+                    if await _first_over(attempt.reply, computing.task) is attempt.reply:
+                        return self._won(attempt, computing)
+                if computing.task.done() or (attempt is not None and attempt.said is not None):
+                    break
+                decision = await self._overtaken(computing, call.operation)
+                if decision is None:
+                    break
+                attempt = self._send_out(self._attempt(call, decision.server, decision.deadline_s))
+            reply = await asyncio.shield(computing.task)
+        except BaseException:
+            under_way = [attempt.reply] if attempt is not None and attempt.reply is not None else []
+            await _end([computing.task, *under_way])
+            raise
+        return self._done_onboard(reply, computing, attempt)
+
+    async def _overtaken(self, computing: _Computing, operation: Operation) -> Remote | None:
+        """Which server is to be at the call too, as soon as one is of use; None where the drone is done before."""
+        if not self._selection.overtakes:
+            return None
+        while not computing.task.done():
+            now_s, position = self._now_s(), self._autopilot.position
+            decision, again_s = self._selection.overtake(
+                operation, began_s=computing.began_s or now_s, now_s=now_s, position=position
+            )
+            if decision is not None:
+                self._decided(operation, decision, ())
+                return decision
+            told = asyncio.create_task(self._told.wait())
+            left_s = again_s - now_s if again_s < math.inf else None
+            await asyncio.wait((computing.task, told), timeout=left_s, return_when=asyncio.FIRST_COMPLETED)
+            told.cancel()
+        return None
+
+    def _begin_onboard(self, call: _Call) -> _Computing:
+        computing = _Computing(call.operation, self._now_s())
+
+        async def compute() -> Any:
+            await self._queue(call.operation.service)
+            computing.began_s = self._now_s()
+            return await self._call_onboard(call)
+
+        computing.task = asyncio.create_task(compute())
+        return computing
+
+    def _done_onboard(self, reply: Any, computing: _Computing, attempt: _Attempt | None) -> _Answer:
+        """The drone's own answer, which was first; `attempt` is the last one at a server, if any was made."""
+        began_s = computing.began_s or computing.asked_s
         delay_s = self._now_s() - began_s
-        if instead_of is not None:
-            self._test(instead_of, reply)
-        self.tell(LocalCallEnded(call.operation, delay_s))
-        verdict = instead_of.verdict if instead_of else ""
-        return _Answer(reply, PLACE, delay_s, instead_of is not None, queued_s=queued_s, remote_fault=verdict)
+        late = attempt is not None and attempt.reply is not None and not attempt.reply.done()
+        if attempt is not None:
+            self._test(attempt, reply)
+            if late and attempt.reply is not None:
+                self._keep(_Loser(attempt.reply))
+        self.tell(LocalCallEnded(computing.operation, delay_s))
+        return _Answer(
+            reply,
+            PLACE,
+            delay_s,
+            fell_back=attempt is not None and not late,
+            queued_s=began_s - computing.asked_s,
+            remote_fault=attempt.verdict if attempt is not None else "",
+        )
+
+    def _won(self, attempt: _Attempt, computing: _Computing) -> _Answer:
+        """The server's answer, which was first."""
+        assert attempt.reply is not None  # noqa: S101 - it has answered
+        now_s, operation = self._now_s(), computing.operation
+        began_s = now_s if computing.began_s is None else computing.began_s
+        if computing.began_s is None:
+            computing.task.cancel()  # it was still in line
+        else:
+            drop = asyncio.create_task(self._drop(operation, computing.task))
+            self._keep(_Loser(drop, operation.service))
+        return _Answer(
+            attempt.reply.result(), attempt.server, now_s - began_s, queued_s=began_s - computing.asked_s
+        )
 
     async def _call_onboard(self, call: _Call) -> Any:
         expected_s = self._selection.estimates.local_s(call.operation) or 0.0
@@ -419,70 +523,49 @@ class Offloading:
     def _plan_hedge(self, decision: Remote, operation: Operation) -> Hedge | None:
         """None where there is no hedging, no budget left for it, or a loser that still runs."""
         local_s = self._selection.estimates.local_s(operation)
-        if self._hedging is None or local_s is None or (self._loser and not self._loser.task.done()):
+        if self._hedging is None or local_s is None or any(not each.task.done() for each in self._losers):
             return None
         return self._hedging.plan(decision.server, operation, local_s=local_s, deadline_s=decision.deadline_s)
 
     async def _answer_hedged(self, decision: Remote, hedge: Hedge, call: _Call) -> _Answer:
-        attempt = self._attempt(call, decision.server, hedge.deadline_s)
-        remote = asyncio.create_task(self._call_server(attempt))
+        attempt = self._send_out(self._attempt(call, decision.server, hedge.deadline_s))
+        remote = attempt.reply
+        assert remote is not None  # noqa: S101 - it was just sent
         try:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(hedge.after_s):
                     await asyncio.shield(remote)
-            if not remote.done():
-                self._journal.record("hedged", server=decision.server, **msgspec.to_builtins(hedge))
-                attempt.rival = asyncio.create_task(self._call_onboard(call))
-                return await self._race(decision, hedge, remote, attempt)
         except BaseException:
-            await _end([each for each in (remote, attempt.rival) if each is not None])
+            await _end([remote])
             raise
-        if (reply := remote.result()) is not None:
-            return _Answer(reply, decision.server)
-        return await self._answer_onboard(call, instead_of=attempt)
-
-    async def _race(
-        self, decision: Remote, hedge: Hedge, remote: asyncio.Task[Any], attempt: _Attempt
-    ) -> _Answer:
-        """The first answer; the loser runs on, as a computation cannot be broken off, and its answer is dropped."""
-        local, operation = attempt.rival, attempt.call.operation
-        assert local is not None  # noqa: S101 - there is no race without it
-        began_s = self._now_s()
-        if await _first_answered(remote, local) is remote:
-            onboard_s = self._now_s() - began_s
-            if self._hedging is not None and hedge.after_s + onboard_s <= decision.deadline_s:
-                self._hedging.added(self._selection.estimates.local_s(operation) or 0.0)
-            self._loser = _Loser(asyncio.create_task(self._drop(operation, local)), operation.service)
-            return _Answer(remote.result(), decision.server, onboard_s, hedged_s=hedge.after_s)
-        reply, onboard_s = local.result(), self._now_s() - began_s
-        self._test(attempt, reply)
-        self.tell(LocalCallEnded(operation, onboard_s))
-        self._loser = _Loser(remote)
-        return _Answer(
-            reply,
-            PLACE,
-            onboard_s,
-            fell_back=_has_failed(remote),
-            hedged_s=hedge.after_s,
-            remote_fault=attempt.verdict,
-        )
+        if remote.done():
+            if (reply := remote.result()) is not None:
+                return _Answer(reply, decision.server)
+            return await self._answer_onboard(call, instead_of=attempt)
+        self._journal.record("hedged", server=decision.server, **msgspec.to_builtins(hedge))
+        answer = await self._race(call, self._begin_onboard(call), attempt)
+        in_time = hedge.after_s + answer.onboard_s <= decision.deadline_s
+        if self._hedging is not None and answer.place == decision.server and in_time:
+            self._hedging.added(self._selection.estimates.local_s(call.operation) or 0.0)
+        return replace(answer, hedged_s=hedge.after_s)
 
     async def _drop(self, operation: Operation, local: asyncio.Task[Any]) -> None:
         with contextlib.suppress(UpwashError):  # which is in the log
             await local
         self._journal.record("dropped", operation=str(operation), place=PLACE)
 
+    def _keep(self, loser: _Loser) -> None:
+        self._losers = [each for each in (*self._losers, loser) if not each.task.done()]
+
     async def _queue(self, service: str) -> float:
-        """Waits until the drone's own service is done with a call that was hedged; returns for how long."""
-        if self._loser is None or self._loser.service != service or self._loser.task.done():
-            return 0.0
+        """Waits until the drone's own service is done with calls that servers answered; returns for how long."""
         began_s = self._now_s()
-        await asyncio.shield(self._loser.task)
+        for loser in [each for each in self._losers if each.service == service and not each.task.done()]:
+            await asyncio.shield(loser.task)
         return self._now_s() - began_s
 
-    async def _stop_loser(self) -> None:
-        if self._loser is not None:
-            await _end([self._loser.task])
+    async def _stop_losers(self) -> None:
+        await _end([each.task for each in self._losers])
 
     # --- in the background ----------------------------------------------------------------------------------
 
@@ -528,13 +611,17 @@ async def _end(tasks: Sequence[asyncio.Task[Any]]) -> None:
     await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def _first_answered(remote: asyncio.Task[Any], local: asyncio.Task[Any]) -> asyncio.Task[Any]:
-    """The one that answers first; the local one where neither does."""
-    first: asyncio.Future[asyncio.Task[Any]] = asyncio.get_running_loop().create_future()
+async def _first_over(remote: asyncio.Task[Any], local: asyncio.Task[Any]) -> asyncio.Task[Any] | None:
+    """The one that answers first; None once the remote one has failed before that."""
+    first: asyncio.Future[asyncio.Task[Any] | None] = asyncio.get_running_loop().create_future()
 
     def note(ended: asyncio.Task[Any]) -> None:
-        if not first.done() and (not _has_failed(ended) or (remote.done() and local.done())):
-            first.set_result(local if _has_failed(ended) else ended)
+        if first.done():
+            return
+        if not _has_failed(ended):
+            first.set_result(ended)
+        elif remote.done():
+            first.set_result(None)
 
     remote.add_done_callback(note)
     local.add_done_callback(note)

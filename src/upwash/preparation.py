@@ -10,6 +10,7 @@ from upwash.core.geo import Waypoint
 from upwash.core.hedging import Hedging
 from upwash.core.itinerary import MissionBeliefs, Step
 from upwash.core.policies import make_policy
+from upwash.core.recovery import Probing
 from upwash.core.selection import Selection, SelectionSettings
 from upwash.errors import UsageError
 from upwash.service import ServiceSpec
@@ -31,10 +32,11 @@ def make_selection(
             patient_first_call=policy.patient_first_call,
         ),
         settings=SelectionSettings(
-            blacklist_s=policy.blacklist_s,
+            blacklist_s=policy.left_alone_s,
             idle_s=policy.idle_s,
             retry_s=policy.retry_s,
             radios=config.network.radios,
+            probing=Probing(probe.first_s, probe.longest_s) if (probe := policy.probing) else None,
         ),
         mission=_mission_beliefs(config, specs, estimates, plan),
     )
@@ -42,7 +44,7 @@ def make_selection(
 
 def make_hedging(config: DroneConfig, offline: Estimates) -> Hedging | None:
     """The hedging that the configuration asks for, if it does, with estimates that have seen no call yet."""
-    hedge = config.policy.hedge
+    hedge = config.policy.hedging
     if hedge is None:
         return None
     return Hedging(
@@ -82,6 +84,7 @@ def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Est
             )
             for server in config.servers
         },
+        slow_apart=config.policy.probing is not None,
     )
 
 

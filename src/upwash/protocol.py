@@ -31,6 +31,9 @@ LEAVE = "/upwash.Daemon/Leave"
 PREPARE = "/upwash.Daemon/Prepare"
 HOLD = "/upwash.Daemon/Hold"
 STATUS = "/upwash.Daemon/Status"
+# gRPC's standard question, to a daemon or an instance of a service, and the answer of one that is well.
+HEALTH_CHECK = "/grpc.health.v1.Health/Check"
+SERVING = b"\x08\x01"
 
 LONGEST_REPLY_BYTES = 2**16  # of a daemon to a drone: results come from instances
 LONGEST_STATUS_BYTES = 2**20  # of a daemon to an operator

@@ -13,6 +13,7 @@ from upwash.errors import LinkError, Refused, Unreachable, UpwashError
 from upwash.ports import Dialer, Link, Network
 from upwash.protocol import (
     AVAILABILITY,
+    HEALTH_CHECK,
     LEAST_LEASE_S,
     LEAVE,
     PREPARE,
@@ -61,14 +62,22 @@ class Visit:
         self._daemon: Link | None = None
         self._instances: dict[str, Link] = {}
         self._lease_s = LEAST_LEASE_S
+        self._joined = False
         self._lost = ""  # why, once the network is
         self._calls = 0
         self._quiet = asyncio.Event()
         self._quiet.set()
 
-    async def join(self, *, timeout_s: float) -> None:
-        """Joins the server's network; raises NetworkError."""
+    async def join(self, *, timeout_s: float) -> bool:
+        """Joins the server's network; whether it had to be joined. Raises NetworkError."""
+        if self._lost:
+            await self._network.leave()
+            self._joined, self._lost = False, ""
+        if self._joined:
+            return False
         await self._network.join(self._contact.network, timeout_s=timeout_s)
+        self._joined = True
+        return True
 
     async def lost(self) -> str:
         """Returns why, once the network that was joined is lost; whatever is under way there has failed by then."""
@@ -85,6 +94,26 @@ class Visit:
                 self._dial(service, answer.endpoints[service])
         running = all(service in self._instances for service in self._contact.services)
         return Answer(running, tuple(answer.peers))
+
+    async def probe(self) -> bool:
+        """Returns once the daemon, and each wanted service that runs, gives a sign of life; whether all of them run.
+
+        Asks over connections of its own, as those of before may be dead without showing it. Raises LinkError.
+        """
+        daemon = self._dialer.dial(self._contact.address, server=self._contact.name)
+        links = [daemon]
+        try:
+            answer = await self._availability(daemon)
+            for service in self._contact.services:
+                if service in answer.endpoints:
+                    address = resolve(answer.endpoints[service], self._contact.address)
+                    links.append(self._dialer.dial(address, server=self._contact.name))
+                    with contextlib.suppress(Refused):  # which is an answer too
+                        await links[-1].request(HEALTH_CHECK, b"", timeout_s=_ANSWER_S)
+        finally:
+            for link in links:
+                await link.close()
+        return all(service in answer.endpoints for service in self._contact.services)
 
     async def start(self, *, timeout_s: float) -> None:
         """Has the services that do not run yet started, and learns their endpoints."""
@@ -153,15 +182,20 @@ class Visit:
         await self._network.leave()
         return answered
 
+    async def hang_up(self) -> None:
+        """Drops the calls under way and every connection, and stays on the network."""
+        await self._hang_up()
+        self._instances, self._daemon = {}, None
+
     async def _hang_up(self) -> None:
         for link in (*self._instances.values(), self._daemon):
             if link is not None:
                 await link.close()
 
-    async def _availability(self) -> AvailabilityReply:
+    async def _availability(self, daemon: Link | None = None) -> AvailabilityReply:
         request = AvailabilityRequest(self._contact.name, list(self._contact.services))
         answer = decode_reply(
-            await self._tell(AVAILABILITY, request, timeout_s=_ANSWER_S),
+            await self._tell(AVAILABILITY, request, timeout_s=_ANSWER_S, daemon=daemon),
             AvailabilityReply,
             sender=self._contact.name,
         )
@@ -170,9 +204,12 @@ class Visit:
         self._lease_s = answer.lease_s
         return answer
 
-    async def _tell(self, path: str, message: msgspec.Struct, *, timeout_s: float) -> bytes:
-        assert self._daemon is not None  # noqa: S101 - dialled by ask()
-        return await self._daemon.request(path, msgspec.msgpack.encode(message), timeout_s=timeout_s)
+    async def _tell(
+        self, path: str, message: msgspec.Struct, *, timeout_s: float, daemon: Link | None = None
+    ) -> bytes:
+        daemon = daemon or self._daemon
+        assert daemon is not None  # noqa: S101 - dialled by ask()
+        return await daemon.request(path, msgspec.msgpack.encode(message), timeout_s=timeout_s)
 
     def _dial(self, service: str, endpoint: str) -> None:
         address = resolve(endpoint, self._contact.address)

@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from upwash.config import (
@@ -74,7 +75,8 @@ def test_a_reserve_of_seconds_leaves_something_to_fly(tmp_path: Path) -> None:
 def test_what_a_file_leaves_out_has_the_printed_defaults(tmp_path: Path) -> None:
     full, short = read(tmp_path, FULL), read(tmp_path, SHORT)
     assert (short.name, short.seed) == ("drone", 1)
-    assert short.policy == full.policy
+    thesis = {"name": "location-aware", "blacklist_s": 60.0}
+    assert msgspec.structs.replace(short.policy, **thesis) == full.policy
     assert short.vehicle == full.vehicle
     assert short.noise == full.noise
     assert (short.mission.program, short.mission.mode) == ("survey", "heavy")

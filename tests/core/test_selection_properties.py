@@ -28,6 +28,7 @@ from upwash.core.happenings import (
     MissionEnded,
     NetworkLost,
     Prepared,
+    ProbeAnswered,
     RemoteCallEnded,
     RemoteCallFailed,
     RemoteCallRaised,
@@ -36,7 +37,7 @@ from upwash.core.happenings import (
 )
 from upwash.core.itinerary import MissionBeliefs, Step
 from upwash.core.look_ahead import LookAhead
-from upwash.core.orders import Check, Command, Leave, Prepare, Start
+from upwash.core.orders import Check, Command, Leave, Prepare, Probe, Start
 from upwash.core.policy import (
     Decision,
     Local,
@@ -48,6 +49,7 @@ from upwash.core.policy import (
     Wait,
     WaitRule,
 )
+from upwash.core.recovery import REST_S, Probing
 from upwash.core.selection import Selection, SelectionSettings
 from upwash.core.servers import SELECTED, TRANSITIONS, Change, State
 
@@ -95,6 +97,7 @@ class Flights(RuleBasedStateMachine):
         plan=st.lists(positions, max_size=6),
         connected=st.booleans(),
         radios=st.sampled_from([1, 1, 2]),
+        probing=st.sampled_from([None, Probing()]),
     )
     def take_off(
         self,
@@ -106,14 +109,15 @@ class Flights(RuleBasedStateMachine):
         *,
         connected: bool,
         radios: int,
+        probing: Probing | None,
     ) -> None:
         self.areas = {f"s{number}": area for number, (area, _) in enumerate(servers, start=1)}
         believed = {f"s{number}": belief for number, (_, belief) in enumerate(servers, start=1)}
         self.selection = Selection(
             self.areas,
-            estimates=Estimates(local_s=local_s, servers=believed),
+            estimates=Estimates(local_s=local_s, servers=believed, slow_apart=probing is not None),
             policy=policy,
-            settings=replace(SETTINGS, radios=radios),
+            settings=replace(SETTINGS, radios=radios, probing=probing),
             mission=MissionBeliefs(
                 [Waypoint(number, place) for number, place in enumerate(plan)],
                 stop=[Step(operation, 1.0) for operation in sorted(local_s)],
@@ -125,7 +129,11 @@ class Flights(RuleBasedStateMachine):
         self.ended = False
         self.states = dict.fromkeys(self.areas, State.AVL)
         self.radios = radios
+        self.probing = probing
         self.joined: list[str] = []  # in use, and in preparation
+        self.probed: dict[str, int] = {}  # by whom, as which check
+        self.let_go_s: dict[str, float] = {}
+        self.doubted: dict[str, set[Operation]] = {}  # those answered since the last failure, by server
         self.entered_s = dict.fromkeys(self.areas, 0.0)
         self.blacklisted_at_s: dict[str, float] = {}
         self.checks: list[int] = []
@@ -211,6 +219,12 @@ class Flights(RuleBasedStateMachine):
         is_joined = self.asked[check] in self.joined and check == self.latest(self.asked[check])
         self.happens(NetworkLost(check, "no carrier"), check=None if is_joined else check)
 
+    @precondition(lambda self: self.probed)
+    @rule(running=st.booleans(), number=st.integers(0, 1))
+    def probe_is_answered(self, number: int, *, running: bool) -> None:
+        check = list(self.probed.values())[number % len(self.probed)]
+        self.happens(ProbeAnswered(check, running))
+
     @rule(operation=operations, delay_s=delays_s)
     def local_call_ends(self, operation: Operation, delay_s: float) -> None:
         self.happens(LocalCallEnded(operation, delay_s))
@@ -222,6 +236,8 @@ class Flights(RuleBasedStateMachine):
         if failed:
             self.happens(RemoteCallFailed(call.server, call.check, "deadline"))
         else:
+            if call.server in self.doubted:
+                self.doubted[call.server].add(call.operation)
             self.happens(RemoteCallEnded(call.server, call.operation, delay_s))
 
     @precondition(lambda self: self.calls)
@@ -229,6 +245,8 @@ class Flights(RuleBasedStateMachine):
     def remote_call_raises(self, back: int, delay_s: float, *, confirmed: bool) -> None:
         call = self.calls.pop(-1 - back % len(self.calls))
         self.happens(RemoteCallRaised(call.server, "raised"))
+        if confirmed and call.server in self.doubted:
+            self.doubted[call.server].add(call.operation)
         tested = RemoteFaultTested(call.server, call.check, call.operation, delay_s, "raised", confirmed)
         self.happens(tested)
         self.happens(LocalCallEnded(call.operation, delay_s))
@@ -248,6 +266,18 @@ class Flights(RuleBasedStateMachine):
             self.calls.append(CallUnderWay(decision.server, self.latest(decision.server), operation))
         if isinstance(decision, Wait):
             self.waits.append((operation, self.latest(decision.server)))
+
+    @rule(operation=operations, since_s=st.sampled_from([0.0, 1.0, 5.0]))
+    def program_asks_who_overtakes(self, operation: Operation, since_s: float) -> None:
+        decision, again_s = self.selection.overtake(
+            operation, began_s=self.now_s - since_s, now_s=self.now_s, position=self.position
+        )
+        if decision is None:
+            assert again_s > self.now_s
+            return
+        assert self.probing is not None and decision.raced
+        self.judge(decision, operation)
+        self.calls.append(CallUnderWay(decision.server, self.latest(decision.server), operation))
 
     @precondition(lambda self: self.waits)
     @rule(back=BACK)
@@ -290,12 +320,24 @@ class Flights(RuleBasedStateMachine):
                     self.entered_s[server] = at_s
                     if after is State.BLACKLISTED:
                         self.blacklisted_at_s[server] = at_s
+                        self.doubted[server] = set()
                 case Leave(server):
-                    assert server in self.joined, "left what was not joined"
+                    assert server in self.joined or server in self.probed, "left what was not joined"
                     assert self.states[server] not in SELECTED
-                    self.joined.remove(server)
+                    if self.probed.pop(server, None) is None:
+                        self.joined.remove(server)
+                    self.let_go_s[server] = self.now_s
+                case Probe(server, check):
+                    assert self.probing is not None
+                    assert self.states[server] is State.BLACKLISTED
+                    assert self.areas[server].contains(self.position)
+                    if server in self.joined:
+                        self.joined.remove(server)
+                    self.probed[server] = check
+                    assert len(self.joined) + len(self.probed) <= self.radios
                 case Check(server, check):
-                    assert len(self.joined) < self.radios, "joined one network too many"
+                    self.probed.pop(server, None)
+                    assert len(self.joined) + len(self.probed) < self.radios, "joined one network too many"
                     assert all(self.states[other] is State.READY for other in self.joined)
                     assert self.states[server] in {State.CHECK, State.CHECK_R}
                     assert self.areas[server].contains(self.position)
@@ -323,6 +365,9 @@ class Flights(RuleBasedStateMachine):
 
     def contact(self, server: str) -> None:
         """Promise 7: a blacklisted server is not contacted before its time."""
+        if self.probing is not None:
+            assert self.states[server] is not State.BLACKLISTED
+            return
         since_s = self.blacklisted_at_s.get(server)
         assert since_s is None or self.now_s - since_s >= SETTINGS.blacklist_s
 
@@ -338,15 +383,29 @@ class Flights(RuleBasedStateMachine):
         if isinstance(decision, Remote):
             self.contact(decision.server)
             assert self.states[decision.server] is State.READY
-            assert decision.deadline_s == max(1.0, min(4 * remote_s, local_s))
+            usual_s = self.selection.estimates.usual_s(decision.server, operation)
+            assert usual_s is not None
+            if decision.why == "on trial" or (decision.raced and decision.deadline_s > local_s):
+                assert decision.raced and decision.deadline_s == max(10.0, local_s)
+                assert usual_s < local_s
+            else:
+                assert decision.deadline_s == max(1.0, min(4 * remote_s, local_s))
+            if self.probing is not None and decision.server in self.doubted and not decision.raced:
+                assert operation in self.doubted[decision.server], "trusted before it has answered"
         else:
+            trusted = operation in self.doubted.get(decision.server, OPERATIONS)
+            assert self.probing is None or trusted, "waited for before it has answered"
             assert self.states[decision.server] in {State.CHECK, State.CHECK_R}
             assert 0 < decision.at_most_s <= local_s * (1 - GAIN_WAIT) - remote_s
 
     def nothing_is_remembered_too_long(self) -> None:
         for name, state in self.states.items():
             age_s = self.now_s - self.entered_s[name]
-            assert state is not State.BLACKLISTED or age_s < SETTINGS.blacklist_s
+            if self.probing is None:
+                assert state is not State.BLACKLISTED or age_s < SETTINGS.blacklist_s
+            elif name not in self.probed:
+                unprobed_s = min(age_s, self.now_s - self.let_go_s.get(name, self.entered_s[name]))
+                assert state is not State.BLACKLISTED or unprobed_s < REST_S
             assert state is not State.AVL_R or age_s < SETTINGS.idle_s
 
     def nothing_better_is_left(self) -> None:
@@ -362,6 +421,8 @@ class Flights(RuleBasedStateMachine):
             reachable = {name for name in reachable if estimates.mean_call_s(name) < local_s}
         if self.ended or isinstance(policy, LocalOnly):
             reachable = set()
+        if current is not None and current.name not in reachable and current.name in self.doubted:
+            return  # it is kept for trials, and no other would do
         if not isinstance(policy, LookAhead):  # which knows better than to take whatever there is
             assert (current is None) == (not reachable)
         if current is not None:
@@ -375,7 +436,11 @@ class Flights(RuleBasedStateMachine):
     @invariant()
     def the_selected_servers_are_those_that_are_joined(self) -> None:
         assert sorted(self.joined) == sorted(name for name, state in self.states.items() if state in SELECTED)
-        assert len(self.joined) <= self.radios
+        assert len(self.joined) + len(self.probed) <= self.radios
+
+    @invariant()
+    def failed_servers_are_probed_as_far_as_there_are_radios(self) -> None:
+        assert all(self.states[name] is State.BLACKLISTED for name in self.probed)
 
     @invariant()
     def the_one_in_use_was_joined_first(self) -> None:

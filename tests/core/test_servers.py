@@ -39,6 +39,8 @@ TABLE = {
     (CHECK_R, "network_lost"): BLACKLISTED,
     (READY, "network_lost"): BLACKLISTED,
     (BLACKLISTED, "blacklist_expired"): AVL,
+    (BLACKLISTED, "probed"): AVL,  # a sign of life: not all services run
+    (BLACKLISTED, "probed_running"): AVL_R,
     (AVL_R, "idle_expired"): AVL,
     (AVL, "prepared"): AVL_R,  # a peer's word: its services are being started
     (AVL_R, "prepared"): AVL_R,

@@ -128,7 +128,7 @@ def slow_at_first(scenario: str, *, patient_first_call: bool) -> Run:
     """The scenario with servers on which a service's first call takes 2 s longer."""
     replace, config = msgspec.structs.replace, read_scenario(FILES[scenario], policy="look-ahead")
     servers = tuple(replace(each, truth=replace(each.truth, first_extra_s=2.0)) for each in config.servers)
-    policy = replace(config.policy, patient_first_call=patient_first_call)
+    policy = replace(config.policy, patient_first_call=patient_first_call, blacklist_s=60.0, hedge=False)
     return simulate(replace(config, servers=servers, policy=policy))
 
 

@@ -36,6 +36,8 @@ remote_call_s = {{ light = 0.3, heavy = 0.7 }}
 {truth}
 """
 
+THESIS = '[policy]\nname = "location-aware"\n'
+
 
 def fly(
     tmp_path: Path, program: str = "survey", *, truth: str = "", check_s: float = 11.5, more: str = ""
@@ -89,7 +91,7 @@ def test_remote_calls_that_fail_are_answered_on_the_drone_and_blacklist_the_serv
     run = fly(
         tmp_path,
         truth="join_s = 1.0\nstart_s = 1.0",
-        more='[[fault]]\ntarget = "link:s1"\nkind = "stuck"\nfrom_s = 50.0\n',
+        more=THESIS + '[[fault]]\ntarget = "link:s1"\nkind = "stuck"\nfrom_s = 50.0\n',
     )
     call = run.result.calls[2]
     assert call.place == "local"
@@ -118,11 +120,11 @@ def remote_estimates(run: Run) -> list[float]:
 
 
 def test_a_call_cut_short_by_a_server_that_is_alive_makes_it_look_slower(tmp_path: Path) -> None:
-    run = fly(tmp_path, truth=LOADED)
+    run = fly(tmp_path, truth=LOADED, more=THESIS)
     assert run.result.totals.fallbacks == 1
     (cut,) = events(run, "remote_failed")
     assert "no answer within 2.8 s" in cut["why"]
-    longer = fly(tmp_path, truth=LOADED, more="[policy]\nblacklist_s = 1.0\n")
+    longer = fly(tmp_path, truth=LOADED, more=THESIS + "blacklist_s = 1.0\n")
     assert remote_estimates(longer)[1] == pytest.approx((0.7 + 0.7 + 2.8) / 3)
 
 
@@ -130,7 +132,8 @@ def test_a_call_cut_short_by_a_dead_link_says_nothing_of_the_server(tmp_path: Pa
     run = fly(
         tmp_path,
         truth="join_s = 1.0\nstart_s = 1.0",
-        more='[policy]\nblacklist_s = 1.0\n[[fault]]\ntarget = "link:s1"\nkind = "stuck"\nfrom_s = 50\nto_s = 60\n',
+        more=THESIS
+        + 'blacklist_s = 1.0\n[[fault]]\ntarget = "link:s1"\nkind = "stuck"\nfrom_s = 50\nto_s = 60\n',
     )
     assert run.result.totals.fallbacks == 1
     assert set(remote_estimates(run)) == {0.7}

@@ -13,7 +13,8 @@ LATE_AFTER_S = 1.4  # twice the offline estimate
 
 
 def fly(*faults: dict[str, Any], hedged: bool = True, range_m: float = 500.0, **tables: Any) -> Run:
-    policy = {"hedge": {"after": "p95", "budget": 0.1}} if hedged else {}
+    hedge = {"hedge": {"after": "p95", "budget": 0.1}} if hedged else {}
+    policy = {"name": "location-aware", **hedge}
     s1 = server("s1", 0.0, 0.0, range_m=range_m)
     return simulate(scenario(s1, faults=faults, policy=policy, **tables))
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import logging
 import sys
 from collections.abc import Callable, Iterator
@@ -27,6 +28,7 @@ from upwash.core.instances import Command as HostCommand
 from upwash.core.instances import Denied, Host, StartInstance
 from upwash.core.policy import Call as CallSituation
 from upwash.core.policy import Deadline, Decision, Remote, Wait, WaitRule
+from upwash.core.recovery import Failures, Probing, Recovery
 from upwash.core.selection import Selection
 from upwash.core.servers import Event, Server, State
 from upwash.core.visitors import Visitor
@@ -461,8 +463,8 @@ def every_endpoint_dialled() -> contextlib.AbstractContextManager[object]:
     async def greedy(self: Visit) -> Any:
         wanted, answered = self._contact, Visit._availability
 
-        async def availability(visit: Visit) -> Any:
-            answer = await answered(visit)
+        async def availability(visit: Visit, daemon: Any = None) -> Any:
+            answer = await answered(visit, daemon)
             self._contact = replace(wanted, services=(*wanted.services, *answer.endpoints))
             return answer
 
@@ -501,6 +503,27 @@ def faults_as_told() -> contextlib.AbstractContextManager[object]:
 def refusals_as_told() -> contextlib.AbstractContextManager[object]:
     """Why a request was refused is written into the log as it is."""
     return patch("upwash.sim.link.printable", lambda text: text)
+
+
+def probed_without_pause() -> contextlib.AbstractContextManager[object]:
+    """A failed server is asked again and again."""
+    return patch.object(Probing, "pauses_s", lambda *_, **__: itertools.repeat(0.05))
+
+
+def probed_once() -> contextlib.AbstractContextManager[object]:
+    """A failed server that gives no sign of life at once is given up."""
+    pauses_s = Probing.pauses_s
+    return patch.object(Probing, "pauses_s", lambda *how, **more: itertools.islice(pauses_s(*how, **more), 2))
+
+
+def trusted_however_often_it_fails() -> contextlib.AbstractContextManager[object]:
+    """A server that keeps failing is asked as soon as one that failed once."""
+    return patch.object(Failures, "alone_s", 0.0)
+
+
+def trusted_without_trial() -> contextlib.AbstractContextManager[object]:
+    """A server that failed costs time again before it has answered a call."""
+    return patch.object(Recovery, "in_doubt", lambda *_: False)
 
 
 DEFECTS = (
@@ -543,6 +566,10 @@ DEFECTS = (
     Defect("what a server says is logged as it is", texts_as_told),
     Defect("why a request was refused is logged as it is", refusals_as_told),
     Defect("what a server says was raised is logged as it is", faults_as_told),
+    Defect("a failed server is probed without pause", probed_without_pause),
+    Defect("a failed server is probed only once", probed_once),
+    Defect("a server that keeps failing is not left alone for longer", trusted_however_often_it_fails),
+    Defect("a server that failed gets a call without a trial", trusted_without_trial),
     Defect("a decision depends on something besides the seed", chance_from_outside),
 )
 

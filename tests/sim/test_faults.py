@@ -156,9 +156,10 @@ def test_a_link_that_is_down(kind: str, after_s: float, why: str) -> None:
 def test_a_call_is_cut_at_once_by_a_network_that_is_lost_but_ends_with_its_deadline_where_nothing_gets_through(
     kind: str, lost_s: float, why: str
 ) -> None:
-    ready = fly()
+    policy = {"name": "location-aware"}
+    ready = fly(policy=policy)
     call = events(ready, "call")[1]
-    broken = fly(fault("link:s1", kind, from_s=call["t"] - 0.1))
+    broken = fly(fault("link:s1", kind, from_s=call["t"] - 0.1), policy=policy)
     at = events(broken, "call")[1]
     assert (call["place"], at["place"], at["fell_back"]) == ("s1", "local", True)
     assert at["delay_s"] == pytest.approx(lost_s + 10.0)

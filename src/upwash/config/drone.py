@@ -40,6 +40,7 @@ from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.geofence import Fence
 from upwash.plans import Ending, Plan
 
+Pause = Annotated[float, Meta(ge=0.2, le=60, description="a number from 0.2 to 60, in seconds")]
 AtLeastOneSecond = Annotated[float, Meta(ge=1, description="a number of at least 1, in seconds")]
 DeadManSilence = Annotated[float, Meta(ge=5, le=600, description="a number from 5 to 600, in seconds")]
 PairInMetres = Annotated[tuple[float, float], Meta(description="a pair [east, north] in metres")]
@@ -149,6 +150,9 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     park_seed: Seed | None = None
 
 
+_LEFT_ALONE_S = 60.0
+
+
 class HedgeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """When the drone's own service starts on a remote call that is late, and the share of extra work it may do."""
 
@@ -161,18 +165,60 @@ class HedgeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         return int(self.after[1:]) / 100
 
 
-class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When to offload, and where to."""
+class ProbeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The pauses between questions to a server that failed: the first one, and the longest."""
 
-    name: Literal["local-only", "opportunistic", "location-aware", "look-ahead"] = "location-aware"
+    first_s: Pause = 0.5
+    longest_s: Pause = 1.0
+
+    def __post_init__(self) -> None:
+        if self.first_s > self.longest_s:
+            raise ValueError(f"first_s is {self.first_s}, and longest_s only {self.longest_s}: pauses grow")
+
+
+class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """When to offload, and where to.
+
+    A server that fails is left alone for `blacklist_s`, or probed; where neither key is given look-ahead probes, and
+    the thesis's policies leave it alone for 60 s. Where `hedge` is not given look-ahead hedges, and they do not.
+    """
+
+    name: Literal["local-only", "opportunistic", "location-aware", "look-ahead"] = "look-ahead"
     gain_switch: Fraction = 0.25
     gain_wait: Fraction = 0.25
     period_s: Positive = 1.0
-    blacklist_s: AtLeastOneSecond = 60.0
+    blacklist_s: AtLeastOneSecond | None = None
+    probe: ProbeConfig | None = None
     idle_s: NotNegative = 180.0
     retry_s: NotNegative = 300.0
     patient_first_call: bool = False
-    hedge: HedgeConfig | None = None
+    hedge: HedgeConfig | bool | None = None
+
+    def __post_init__(self) -> None:
+        if self.blacklist_s is not None and self.probe is not None:
+            raise ValueError(
+                "blacklist_s leaves a server that failed alone, and probe asks it again: give one of them"
+            )
+
+    @property
+    def probing(self) -> ProbeConfig | None:
+        """How a server that failed is probed; None where it is left alone for `left_alone_s`."""
+        if self.blacklist_s is not None:
+            return None
+        return self.probe or (ProbeConfig() if self.name == "look-ahead" else None)
+
+    @property
+    def left_alone_s(self) -> float:
+        """For how long a server that failed is left alone where it is not probed: 60 s, as in the thesis."""
+        return _LEFT_ALONE_S if self.blacklist_s is None else self.blacklist_s
+
+    @property
+    def hedging(self) -> HedgeConfig | None:
+        """How calls are hedged, where they are."""
+        if isinstance(self.hedge, HedgeConfig):
+            return self.hedge
+        wanted = self.name == "look-ahead" if self.hedge is None else self.hedge
+        return HedgeConfig() if wanted else None
 
 
 class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

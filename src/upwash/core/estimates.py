@@ -71,10 +71,21 @@ class Estimates:
     """Every estimate of one drone, learnt from its calls and checks.
 
     The operations are those of `local_s`; an operation that a server's beliefs do not name is not hosted there.
+    With `slow_apart` a call that took longer than one on the drone does not enter the mean: it stands beside it, as
+    the least that the next one will take, until one is faster or `forget_slow_calls` drops it. A call that was cut
+    short then teaches nothing at all.
     """
 
-    def __init__(self, *, local_s: Mapping[Operation, float], servers: Mapping[str, Beliefs]) -> None:
+    def __init__(
+        self,
+        *,
+        local_s: Mapping[Operation, float],
+        servers: Mapping[str, Beliefs],
+        slow_apart: bool = False,
+    ) -> None:
         self._beliefs = dict(servers)
+        self._slow_apart = slow_apart
+        self._slow_s: dict[str, dict[Operation, float]] = {server: {} for server in servers}
         self._local = {operation: Window.filled(delay_s) for operation, delay_s in local_s.items()}
         self._remote = {
             server: {
@@ -106,6 +117,13 @@ class Estimates:
 
     def remote_s(self, server: str, operation: Operation) -> float | None:
         """Delay of a remote call, transfer included (`Call_s`); None where the server does not host it."""
+        window = self._remote[server].get(operation)
+        if window is None:
+            return None
+        return max(window.mean_s, self._slow_s[server].get(operation, 0.0))
+
+    def usual_s(self, server: str, operation: Operation) -> float | None:
+        """As `remote_s`, whatever the last call there took."""
         window = self._remote[server].get(operation)
         return window.mean_s if window else None
 
@@ -156,7 +174,7 @@ class Estimates:
         """
         self._warm[server].add(operation.service)
         estimate_s = self.remote_s(server, operation)
-        if estimate_s is not None and waited_s > estimate_s:
+        if not self._slow_apart and estimate_s is not None and waited_s > estimate_s:
             self._learn_remote(server, operation, waited_s, now_s=now_s)
 
     def observe_check(self, server: str, delay_s: float, *, started: bool) -> None:
@@ -174,11 +192,14 @@ class Estimates:
         Only calls change the estimate of a remote call, and a server that looks slow gets none. Returns whether
         anything was forgotten.
         """
-        windows, forgot = self._remote[server], False
+        windows, slow_s, forgot = self._remote[server], self._slow_s[server], False
         for operation, last_s in self._last_remote_call_s[server].items():
-            if now_s - last_s < retry_s or windows[operation].mean_s < self._local[operation].mean_s:
+            if now_s - last_s < retry_s:
                 continue
-            windows[operation] = Window.filled(self._beliefs[server].remote_s[operation])
+            if windows[operation].mean_s >= self._local[operation].mean_s:
+                windows[operation] = Window.filled(self._beliefs[server].remote_s[operation])
+            elif slow_s.pop(operation, None) is None:
+                continue
             self._mean_call_s.clear()
             forgot = True
         return forgot
@@ -189,8 +210,11 @@ class Estimates:
         return call_s if remote_s is None else min(call_s, remote_s)
 
     def _learn_remote(self, server: str, operation: Operation, delay_s: float, *, now_s: float) -> None:
-        windows = self._remote[server]
-        windows[operation] = windows[operation].observe(delay_s)
+        if self._slow_apart and delay_s >= self._local[operation].mean_s:
+            self._slow_s[server][operation] = delay_s
+        else:
+            self._slow_s[server].pop(operation, None)
+            self._remote[server][operation] = self._remote[server][operation].observe(delay_s)
         self._warm[server].add(operation.service)
         self._last_remote_call_s[server][operation] = now_s
         self._mean_call_s.clear()

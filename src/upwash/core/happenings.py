@@ -41,6 +41,14 @@ class CheckFailed:
 
 
 @dataclass(frozen=True, slots=True)
+class ProbeAnswered:
+    """A server that had failed gave a sign of life, it and the wanted services that run there, or not all do."""
+
+    check: int
+    running: bool
+
+
+@dataclass(frozen=True, slots=True)
 class NetworkLost:
     """The network that was joined for the check is no longer connected."""
 
@@ -147,6 +155,7 @@ Happening = (
     | CheckAnswered
     | ServicesStarted
     | CheckFailed
+    | ProbeAnswered
     | NetworkLost
     | Prepared
     | LocalCallEnded

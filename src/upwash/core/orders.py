@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from upwash.core.recovery import Probing
 from upwash.core.servers import Change
 
 
@@ -20,6 +21,19 @@ class Check:
 
     server: str
     check: int
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """Ask the server, which failed, for a sign of life, after the pauses that `probing` allows; join it for that.
+
+    The first pause is `alone_s` at least.
+    """
+
+    server: str
+    check: int
+    alone_s: float
+    probing: Probing
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,5 +55,5 @@ class Prepare:
     hold_s: float
 
 
-Order = Check | Start | Prepare | Leave
+Order = Check | Probe | Start | Prepare | Leave
 Command = Change | Order

@@ -32,20 +32,18 @@ def look_out(
     selected: Sequence[Server],
     *,
     now_s: float,
-    blacklist_s: float,
+    banned_s: Mapping[str, float],
     idle_s: float,
 ) -> Outlook:
     """The outlook on the expected calls; servers that gain nothing, or are blacklisted by then, are left out.
 
+    `banned_s` says of blacklisted servers for how much longer they are.
     The first of the selected servers is in use; the check of another goes on, or is over, whatever the drone uses.
     """
     local_s = estimates.mean_call_s()
     seen = dict.fromkeys(name for call in expected for name in call.in_range_s)
     gaining = {name: servers[name] for name in seen if estimates.mean_call_s(name) < local_s}
-    banned_s = {
-        name: server.since_s + blacklist_s - now_s if server.state is State.BLACKLISTED else -math.inf
-        for name, server in gaining.items()
-    }
+    banned_s = {name: banned_s.get(name, -math.inf) for name in gaining}
     rests_s = {server.name: _rest_s(server, estimates, now_s) for server in selected}
     checks = {name: _check_times(server, estimates, now_s, idle_s) for name, server in gaining.items()}
     for server in selected[1:]:

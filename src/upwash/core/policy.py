@@ -83,11 +83,15 @@ class Local:
 
 @dataclass(frozen=True, slots=True)
 class Remote:
-    """Run the call on the server, for at most `deadline_s`; then on the drone."""
+    """Run the call on the server, for at most `deadline_s`; then on the drone.
+
+    `raced` where the drone's own service is at the call meanwhile, and the first answer counts.
+    """
 
     server: str
     deadline_s: float
     why: str
+    raced: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ class State(StrEnum):
     CHECK = "CHECK"  # selected; being joined and asked, services to be started
     CHECK_R = "CHECK-R"  # selected; being joined and asked, services believed to run
     READY = "READY"  # selected; calls may be sent
-    BLACKLISTED = "BLACKLISTED"  # failed lately; not to be contacted
+    BLACKLISTED = "BLACKLISTED"  # failed lately; left alone, or asked for a sign of life
 
 
 SELECTED = frozenset({State.CHECK, State.CHECK_R, State.READY})
@@ -45,6 +45,8 @@ class Event(StrEnum):
     CALL_FAILED_OUT_OF_RANGE = "call_failed_out_of_range"
     NETWORK_LOST = "network_lost"  # in range, though: out of range is a de-selection
     BLACKLIST_EXPIRED = "blacklist_expired"
+    PROBED = "probed"  # it gave a sign of life, and not all services run
+    PROBED_RUNNING = "probed_running"  # the services that run there did, too
     IDLE_EXPIRED = "idle_expired"
     PREPARED = "prepared"  # a peer of it says that its services are being started
 
@@ -68,6 +70,8 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.CHECK_R, Event.NETWORK_LOST): State.BLACKLISTED,
     (State.READY, Event.NETWORK_LOST): State.BLACKLISTED,
     (State.BLACKLISTED, Event.BLACKLIST_EXPIRED): State.AVL,
+    (State.BLACKLISTED, Event.PROBED): State.AVL,
+    (State.BLACKLISTED, Event.PROBED_RUNNING): State.AVL_R,
     (State.AVL_R, Event.IDLE_EXPIRED): State.AVL,
     (State.AVL, Event.PREPARED): State.AVL_R,
     (State.AVL_R, Event.PREPARED): State.AVL_R,
@@ -97,6 +101,7 @@ class Server:
     check: int = 0  # the number of the latest check of it
     checked_since_s: float = 0.0  # t_check: when it was last selected
     start_requested: bool = False  # during the check that runs, or the last one
+    joined_before: bool = False  # that check, as the server was being probed
     in_range_since_s: float | None = None
     peers: frozenset[str] = frozenset()  # the servers that its daemon can have prepared, as it last said
     history: deque[Change] = field(default_factory=lambda: deque(maxlen=_HISTORY_LENGTH))

@@ -15,15 +15,24 @@ from typing import Any
 
 import msgspec
 
-from upwash.config import DroneConfig, server_area, waypoints
+from upwash.config import (
+    DroneConfig,
+    FaultConfig,
+    ProbeConfig,
+    ServerConfig,
+    server_area,
+    server_truth,
+    waypoints,
+)
 from upwash.core.control import Owner
 from upwash.core.geo import Position
 from upwash.core.instances import HostSettings
+from upwash.core.recovery import REST_S
 from upwash.core.servers import SELECTED, TRANSITIONS, Event, State
 from upwash.lab import probing
 from upwash.lab.field import daemon_address
 from upwash.lab.run import Run
-from upwash.protocol import AVAILABILITY, LEAVE
+from upwash.protocol import AVAILABILITY, HEALTH_CHECK, LEAVE
 
 Fact = Mapping[str, Any]  # an event of a log
 Breach = tuple[Fact | None, str]  # the bad event, where one can be named, and what is bad about it
@@ -36,6 +45,10 @@ _FAREWELL_S = 0.5  # a drone says goodbye to its last server
 _LOOK_S = 1.0  # a daemon looks no more often at what has come to its end
 _LEASE_S, _HOLD_S = HostSettings().lease_s, HostSettings().hold_s
 _MOST_ASKED = 10  # in a second, by a drone that renews a lease of 2 s and checks again and again
+_ANSWER_S = 5.0  # for which a daemon's word is waited for
+_CHECK_LEAST_S, _CHECK_FACTOR = 10.0, 3.0  # of how long joining may take, by what is believed of it
+_WELL_S = 60.0  # without failures, until those before are forgotten
+_JOINING_S = 30.0  # for a network that was off the air when joining it began
 _LONGEST_TEXT = 3000  # of a log, where reasons are put together
 _DONE = {"return": "landed", "land": "landed", "hold": "left_hovering", "disarm": "disarmed"}
 _KEEP_TRYING_S = 600.0  # a safe end is given up no earlier
@@ -58,6 +71,7 @@ class Promise(IntEnum):
     VEHICLE_FIRST = 13
     PILOT_WINS = 14
     LIARS = 15
+    RECOVERY = 17
 
     def __str__(self) -> str:
         return f"promise {self.value} ({self.name.lower().replace('_', ' ')})"
@@ -115,12 +129,23 @@ class Call:
     def allowed_s(self) -> float:
         """What the rules allowed it to wait and to try: what was not allowed counts 0.
 
-        A hedged call was tried alone until the drone's own service started; what comes then is that one's time.
+        A hedged call was tried alone until the drone's own service started; what comes then is that one's time, as
+        in a call that is raced.
         """
         waits_s = sum((each.get("at_most_s", 0.0) for each in self.decisions), self.queued_s)
         if self.hedged is not None:
             return waits_s + float(self.hedged["after_s"])
-        return sum((each.get("deadline_s", 0.0) for each in self.decisions), waits_s)
+        return waits_s + (self.sent["deadline_s"] if self.sent is not None else 0.0)
+
+    @property
+    def tried(self) -> list[Fact]:
+        """The decisions for servers."""
+        return [each for each in self.decisions if each["decision"] == "remote"]
+
+    @property
+    def sent(self) -> Fact | None:
+        """The decision for a server alone, if there was one, with the drone's own service not at the call too."""
+        return next((each for each in self.tried if not each["raced"]), None)
 
     @property
     def queued_s(self) -> float:
@@ -130,7 +155,8 @@ class Call:
     @property
     def computed(self) -> bool:
         """Whether the drone's own service was at it."""
-        return self.hedged is not None or self.ended["place"] == "local"
+        raced = any(each["raced"] for each in self.tried) and self.ended["onboard_s"] > 0
+        return self.hedged is not None or self.ended["place"] == "local" or raced
 
     @property
     def bound_s(self) -> float:
@@ -239,6 +265,8 @@ def _allowed_too_much(decided: Fact, gain_wait: float, *, patient: bool) -> Iter
         if decided["at_most_s"] > longest_s + _ROUNDING_S:
             yield decided, f"may wait {decided['at_most_s']:.3f} s, worthwhile are {longest_s:.3f} s"
     elif decided["decision"] == "remote":
+        if decided["raced"]:  # which costs no time
+            return
         expected_s = math.inf if patient else _REMOTE_FACTOR * decided["remote_s"]
         longest_s = max(_REMOTE_LEAST_S, min(expected_s, decided["local_s"]))
         if decided["deadline_s"] > longest_s + _ROUNDING_S:
@@ -252,9 +280,9 @@ def _service(fact: Fact) -> str:
 
 def _hedged_too_late(call: Call) -> Iterator[Breach]:
     """The drone's own service starts within the server's deadline, which grows by a local call at most."""
-    if (hedged := call.hedged) is None:
+    hedged, decided = call.hedged, call.sent
+    if hedged is None or decided is None:
         return
-    decided = call.decisions[-1]
     if hedged["after_s"] > decided["deadline_s"] + _ROUNDING_S:
         yield (
             hedged,
@@ -280,17 +308,21 @@ def one_answer(history: History) -> Iterator[Breach]:
 
 
 def _unbelievable(call: Call) -> Iterator[Breach]:
-    ended, tried = call.ended, [each for each in call.decisions if each["decision"] == "remote"]
-    if len(tried) > 1:
-        yield tried[1], "a second server was tried for one call"
+    ended, alone = call.ended, [each for each in call.tried if not each["raced"]]
+    if len(alone) > 1 or (alone and alone[0] is not call.tried[0]):
+        yield alone[-1], "a second server was tried for one call, and the drone's own service was not at it"
     if ended["place"] == "local":
         return
-    if not tried or tried[-1]["server"] != ended["place"]:
+    answering = [each for each in call.tried if each["server"] == ended["place"]]
+    if not answering:
         yield ended, f"was answered by {ended['place']}, where it was not sent"
         return
-    deadline_s = (call.hedged or tried[-1])["deadline_s"]
-    if (took_s := ended["t"] - tried[-1]["t"]) > deadline_s + _SLACK_S:
-        yield ended, f"was answered {took_s:.3f} s after it was sent, the deadline was {deadline_s:.3f} s"
+    late_s = [
+        ended["t"] - each["t"] - (call.hedged or each if each is call.sent else each)["deadline_s"]
+        for each in answering
+    ]
+    if min(late_s) > _SLACK_S:
+        yield ended, f"was answered {min(late_s):.3f} s after the deadline"
 
 
 def truthful_errors(history: History) -> Iterator[Breach]:
@@ -398,11 +430,14 @@ def in_range(history: History) -> Iterator[Breach]:
 
 
 def respect(history: History) -> Iterator[Breach]:
-    """A blacklisted server is left alone, but for the farewell; a call goes to a server that is READY."""
+    """A blacklisted server is left alone, but for the farewell and probes; a call goes to a server that is READY."""
+    if history.config.policy.probing is not None:
+        yield from _probed_too_much(history)
+        return
     blacklisted: dict[str, list[tuple[float, float]]] = {}
     for event in history.run.events:
         if event["event"] in _CHANGES and event["after"] == State.BLACKLISTED:
-            until_s = event["t"] + history.config.policy.blacklist_s
+            until_s = event["t"] + history.config.policy.left_alone_s
             blacklisted.setdefault(event["server"], []).append((event["t"], until_s))
         elif event["event"] == Event.SELECTED:
             spells = blacklisted.get(event["server"], [])
@@ -414,6 +449,145 @@ def respect(history: History) -> Iterator[Breach]:
         for from_s, until_s in blacklisted.get(fact["server"], []):
             if fact["path"] != LEAVE and from_s + _ROUNDING_S < fact["t"] < until_s - _ROUNDING_S:
                 yield fact, f"{fact['server']} is blacklisted until {until_s:.3f} s"
+
+
+@dataclass(slots=True)
+class _Spell:
+    """For how long a server was blacklisted, and from when on it could be probed."""
+
+    from_s: float
+    probed_s: float
+    until_s: float = math.inf
+
+
+def _spells(history: History) -> dict[str, list[_Spell]]:
+    """The spells of each server, by what it had failed before."""
+    probing = history.config.policy.probing or ProbeConfig()
+    spells: dict[str, list[_Spell]] = {}
+    failures: dict[str, tuple[int, float]] = {}  # how many in a row, and when the last one was
+    for event in history.run.events:
+        if event["event"] not in _CHANGES:
+            continue
+        server, now_s = event["server"], event["t"]
+        if event["after"] == State.BLACKLISTED:
+            count, last_s = failures.get(server, (0, -math.inf))
+            if event["event"] != Event.NETWORK_LOST:
+                forgotten = now_s - last_s > _WELL_S + _alone_s(count)
+                count, last_s = failures[server] = (1 if forgotten else count + 1, now_s)
+            alone_s = max(last_s + _alone_s(count) - now_s, probing.first_s)
+            spells.setdefault(server, []).append(_Spell(now_s, now_s + alone_s))
+        elif event["before"] == State.BLACKLISTED:
+            spells[server][-1].until_s = now_s
+    return spells
+
+
+def _alone_s(failures: int) -> float:
+    """How long a server is left alone after so many failures in a row."""
+    return min(10.0, 2.0 ** (failures - 2)) if failures > 1 else 0.0
+
+
+def _probed_too_much(history: History) -> Iterator[Breach]:
+    """Failed servers are asked for a sign of life alone, at the pace that was set, and by how often they failed."""
+    probing, spells = history.config.policy.probing or ProbeConfig(), _spells(history)
+    for event in history.run.events:
+        if event.get("decision") == "remote" and event["state"] != State.READY:
+            yield event, f"{event['selected']} is {event['state']}"
+    last_s: dict[str, float] = {}
+    for fact in history.own("sent"):
+        server, now_s = fact["server"], fact["t"]
+        spell = next(
+            (each for each in spells.get(server, []) if each.from_s + _ROUNDING_S < now_s < each.until_s),
+            None,
+        )
+        if spell is None or fact["path"] == LEAVE:
+            continue
+        if fact["path"] not in (AVAILABILITY, HEALTH_CHECK):
+            yield fact, f"{server} is blacklisted until {spell.until_s:.3f} s"
+        elif fact["path"] == AVAILABILITY:
+            if now_s < spell.probed_s - _ROUNDING_S:
+                yield fact, f"{server} is to be left alone until {spell.probed_s:.3f} s"
+            if now_s - last_s.get(server, -math.inf) < probing.first_s - _ROUNDING_S:
+                yield fact, f"{server} was asked {now_s - last_s[server]:.3f} s before"
+            last_s[server] = now_s
+
+
+# --- 17: recovery -------------------------------------------------------------------------------------------
+
+
+def recovered(history: History) -> Iterator[Breach]:
+    """A server that failed costs no time again until it has answered a call; once well it is back within bounds."""
+    if history.config.policy.probing is None:
+        return
+    yield from _trusted_too_soon(history.run.events)
+    yield from _left_unused(history)
+
+
+def _trusted_too_soon(events: Iterable[Fact]) -> Iterator[Breach]:
+    """Until an operation is answered there, calls of it that go there are raced, and nobody waits for the server."""
+    doubted: dict[
+        str, set[str]
+    ] = {}  # operations that were answered since the last failure, by server that failed
+    for event in events:
+        match event:
+            case {"event": "decided", "server": server, "operation": operation} if server in doubted:
+                if operation not in doubted[server] and not event.get("raced"):
+                    yield event, f"{server} has answered no call of {operation} since it failed"
+            case {"event": name, "after": State.BLACKLISTED, "server": server} if name in _CHANGES:
+                doubted[server] = set()
+            case {"event": "call", "place": place, "operation": operation}:
+                if event.get("remote_fault") == "confirmed":
+                    for answered in doubted.values():
+                        answered.add(operation)
+                elif place in doubted:
+                    doubted[place].add(operation)
+            case {"event": "dropped", "place": place, "operation": operation} if place in doubted:
+                doubted[place].add(operation)
+            case {"event": "remote_raised", "server": server, "operation": operation} if server in doubted:
+                doubted[server].add(operation)  # where the drone's own service confirms it
+
+
+def _left_unused(history: History) -> Iterator[Breach]:
+    """A failed server that is well again, and in range all the time, does not stay blacklisted."""
+    events, spells = history.run.events, _spells(history)
+    ends = (each["t"] for each in events if each["event"] in ("mission_ended", "mission_completed"))
+    end_s = next(ends, events[-1]["t"])
+    for server in _joinable(history):
+        area = server_area(server, history.config.mission.home)
+        outside_s = [
+            each["t"]
+            for each in events
+            if each["event"] == "position"
+            and not area.contains(Position(each["east_m"], each["north_m"], each["altitude_m"]))
+        ]
+        for spell in spells.get(server.name, []):
+            since_s = max(
+                spell.probed_s,
+                *(t for t in outside_s if t < spell.until_s),
+                *(each.to_s for each in _faults_of(history, server.name) if each.from_s < spell.until_s),
+                0.0,
+            )
+            unused_s = min(spell.until_s, end_s) - since_s
+            if unused_s > REST_S + _JOINING_S + 2 * _ANSWER_S:
+                yield None, f"{server.name} was well and in range for {unused_s:.3f} s, and still blacklisted"
+
+
+def _joinable(history: History) -> Iterator[ServerConfig]:
+    """The servers that can serve the drone whenever they are well: all that it wants, soon enough, and alone."""
+    config = history.config
+    wanted = {service.name for service in config.services}
+    for server in config.servers:
+        truth = server_truth(server, config.services)
+        shared = any(
+            fact["event"] == "asked" and fact.get("server") == server.name and fact["drone"] != config.name
+            for fact in history.seen
+        )
+        longest_s = max(_CHECK_LEAST_S, _CHECK_FACTOR * server.check_running_s)
+        if not shared and wanted <= set(truth.images) and truth.join_s <= longest_s:
+            yield server
+
+
+def _faults_of(history: History, server: str) -> Iterator[FaultConfig]:
+    return (each for each in history.config.faults if each.target in (server, f"link:{server}"))
 
 
 # --- 8: no harm ---------------------------------------------------------------------------------------------
@@ -444,19 +618,19 @@ def no_harm(history: History) -> Iterator[Breach]:
 
 def _hedged_too_much(history: History) -> Iterator[Breach]:
     """A hedge starts only while what was computed for nothing is within the share of what all calls would take."""
-    hedge = history.config.policy.hedge
+    hedge = history.config.policy.hedging
     calls_s = extra_s = 0.0
     for call in calls_of(history.run.events):
         if not call.decisions:  # it runs once, and on the drone
             continue
-        decided = call.decisions[-1]
+        decided = call.sent or call.decisions[-1]
         calls_s += decided["local_s"] or 0.0
         if call.hedged is None:
             continue
         if hedge is None or extra_s > hedge.budget * calls_s + _ROUNDING_S:
             yield call.hedged, f"{extra_s:.3f} s were computed for nothing, of {calls_s:.3f} s in all calls"
         remote_s = call.ended["t"] - decided["t"]
-        if call.ended["place"] != "local" and remote_s <= decided["deadline_s"] - _ROUNDING_S:
+        if call.ended["place"] == decided.get("server") and remote_s <= decided["deadline_s"] - _ROUNDING_S:
             extra_s += decided["local_s"]
 
 
@@ -603,20 +777,30 @@ def unswayed(history: History) -> Iterator[Breach]:
 
 
 def _dialled_elsewhere(history: History) -> Iterator[Breach]:
-    """At each visit the daemon, and a port of its host for each service that is wanted."""
+    """At each visit, or probe, the daemon, and a port of its host for each service that is wanted."""
     services = len(history.config.services)
     dialled: Counter[str] = Counter()  # of a server, since its daemon was
+    allowed: Counter[str] = Counter()
+    last_s: dict[str, float] = {}
     for fact in history.own("dialled"):
         server, address = fact["server"], fact["address"]
         if address == daemon_address(server):
-            dialled[server] = 0
+            if (
+                fact["t"] - last_s.get(server, -math.inf) > _ANSWER_S
+            ):  # else an earlier probe may be under way
+                dialled[server] = allowed[server] = 0
+            last_s[server] = fact["t"]
+            allowed[server] += services
             continue
         host, _, port = address.rpartition(":")
         if host != daemon_address(server).rpartition(":")[0] or not port.isdecimal():
             yield fact, f"{server} had the drone call {address!r:.100}"
         dialled[server] += 1
-        if dialled[server] > services:
-            yield fact, f"{server} had the drone call {dialled[server]} addresses for {services} services"
+        if dialled[server] > allowed[server]:
+            yield (
+                fact,
+                f"{server} had the drone call {dialled[server]} addresses instead of {allowed[server]}",
+            )
 
 
 def _asked_too_often(history: History) -> Iterator[Breach]:
@@ -656,4 +840,5 @@ CHECKS: Mapping[Promise, Callable[[History], Iterator[Breach]]] = {
     Promise.VEHICLE_FIRST: vehicle_first,
     Promise.PILOT_WINS: pilot_wins,
     Promise.LIARS: unswayed,
+    Promise.RECOVERY: recovered,
 }

@@ -36,6 +36,7 @@ class World:
         chance = random.Random(f"world/{self._number}")  # noqa: S311 - not for secrets
         document = _with_peers(_Draft(chance, self._number).document(), self._number)
         document = _with_slow_first_calls(document, self._number)
+        document = _with_probing(document, self._number)
         self._documents = [_with_radios(document, self._number)]
         for number in range(2, 2 + chance.choices((0, 1, 2), (75, 19, 6))[0]):
             self._documents.append(_companion(self._documents[0], chance, number))
@@ -221,6 +222,21 @@ def _with_slow_first_calls(document: Document, number: int) -> Document:
     document["policy"]["patient_first_call"] = True
     for server in document["server"]:
         server["truth"]["first_extra_s"] = chance.choice((0.0, 1.0, 4.0))
+    return document
+
+
+def _with_probing(document: Document, number: int) -> Document:
+    """In every second world servers that failed are probed, in the others left alone; in some the name says all."""
+    chance = random.Random(f"probing/{number}")  # noqa: S311 - not for secrets
+    policy = document["policy"]
+    if chance.random() < 0.5:
+        policy.setdefault("hedge", False)
+        return document
+    del policy["blacklist_s"]
+    if chance.random() < 0.7:
+        first_s = chance.choice((0.2, 0.5, 2.0))
+        policy["probe"] = {"first_s": first_s, "longest_s": first_s * chance.choice((1, 2, 10))}
+        policy.setdefault("hedge", False)
     return document
 
 

@@ -16,6 +16,7 @@ import grpc
 
 from upwash.core.visitors import Visitor
 from upwash.errors import Refused, UpwashError, UsageError
+from upwash.protocol import HEALTH_CHECK, SERVING
 from upwash.real.link import DRONE_METADATA
 from upwash.real.log import Sparing
 from upwash.text import printable
@@ -40,8 +41,7 @@ _REFUSING = (
 )
 _LONGEST_NAME = 255
 _LAST_REQUESTS_S = 5.0  # for handlers that are told that nobody waits
-HEALTH_CHECK = "/grpc.health.v1.Health/Check"  # gRPC's standard question, with the name of a server
-SERVING, NOT_SERVING = b"\x08\x01", b"\x08\x02"  # and its answers, a HealthCheckResponse each
+NOT_SERVING = b"\x08\x02"  # a HealthCheckResponse, as SERVING is
 
 
 @dataclass(frozen=True, slots=True)

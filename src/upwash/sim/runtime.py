@@ -16,7 +16,7 @@ from upwash.core.estimates import Operation
 from upwash.core.visitors import Visitor
 from upwash.errors import InstanceError, Refused
 from upwash.ports import Answered, InstanceSpec, unheard
-from upwash.protocol import service_path
+from upwash.protocol import HEALTH_CHECK, SERVING, service_path
 from upwash.service import Method, ServiceSpec
 from upwash.sim.faults import Plugboard
 
@@ -137,6 +137,8 @@ class ModelInstance:
             self._ended.set_result(how)
 
     async def _answer(self, path: str, body: bytes, drone: Visitor) -> bytes:
+        if path == HEALTH_CHECK:
+            return SERVING
         if path not in self._methods:
             raise Refused(f"no method {path} here")
         method, reply = self._methods[path]

@@ -174,7 +174,7 @@ def _broken(flown: Flown, stops: Sequence[tuple[float, float]]) -> Iterator[str]
     yield from _unfinished(flown)
     yield from _misheard(flown)
     policy = flown.config.policy
-    written_late = msgspec.structs.replace(policy, blacklist_s=policy.blacklist_s - _WRITTEN_WITHIN_S)
+    written_late = msgspec.structs.replace(policy, blacklist_s=policy.left_alone_s - _WRITTEN_WITHIN_S)
     for part in flown.parts:
         yield from _checked(msgspec.structs.replace(flown.config, policy=written_late), part, _OF_SERVERS)
         yield from _checked(flown.config, _without(part, stops), _OF_CALLS)
