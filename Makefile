@@ -45,6 +45,7 @@ bench: $(READY)
 	$(BIN)/python -m bench.decide
 	$(BIN)/python -m bench.view
 	$(BIN)/python -m bench.metrics
+	$(BIN)/python -m bench.weight
 
 # Pins every dependency for Linux and macOS, x86-64 and aarch64, and every supported Python.
 lock: $(READY)

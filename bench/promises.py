@@ -15,6 +15,7 @@ from typing import TypeVar
 import msgspec
 from bench.load import Row, Soak
 from bench.results import FOLDER, Result, leave, read
+from bench.weight import Line
 from tests.fuzz.campaign import Fuzzed
 from tests.system.faults.verdict import Figures
 from tests.system.hostile import Attacked
@@ -137,6 +138,22 @@ def _soak(result: Result) -> str:
     )
 
 
+def _weight(result: Result) -> str:
+    rows = (
+        (
+            line.what,
+            f"{line.weight.proportional_mb:.1f}",
+            f"{line.weight.own_mb:.1f}",
+            f"{line.weight.alone_mb:.1f}",
+            f"{line.ratio_to_grpc:.2f}",
+            f"{line.ratio_to_http:.2f}",
+        )
+        for line in _figures(result, list[Line])
+    )
+    head = ("MB, medians", "proportional", "own", "alone", "alone / gRPC client", "alone / HTTP client")
+    return f"`{result.command}` {_measured(result)}:\n\n{_table(head, rows)}"
+
+
 PARTS: Mapping[str, Callable[[Result], str]] = {
     "chaos": _chaos,
     "faults": _faults,
@@ -144,6 +161,7 @@ PARTS: Mapping[str, Callable[[Result], str]] = {
     "fuzz": _fuzz,
     "load": _load,
     "soak": _soak,
+    "weight": _weight,
 }
 
 

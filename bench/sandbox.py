@@ -15,9 +15,10 @@ from upwash.ports import InstanceSpec, Program
 from upwash.protocol import service_path
 from upwash.real.credentials import Credentials, fingerprint, make_keys, read_credentials
 from upwash.real.door import leading, opened_door
+from upwash.real.limits import Limits
 from upwash.real.link import GrpcDialer, GrpcLink
 from upwash.real.runtime import ProcessInstance, ProcessRuntime, sockets_in
-from upwash.real.sandbox import Limits, find_sandbox
+from upwash.real.sandbox import find_sandbox
 from upwash.real.trust import Trust
 
 REQUEST_BYTES = 430_000

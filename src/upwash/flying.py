@@ -1,22 +1,26 @@
-"""Flies, shows how it goes, and tells what it came to."""
+"""Flies, shows how it goes, and tells what it came to.
+
+What draws for a person is imported where it draws: with rich it is 1.9 MB, which a flight that nobody watches need
+not hold.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from enum import Enum
 from pathlib import Path
-
-from rich.console import Console
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
 
 from upwash import event_log
 from upwash.config import DroneConfig, waypoints
 from upwash.errors import MissionStopped, NotKept, UsageError
 from upwash.launch import fly
 from upwash.loading import extra
-from upwash.narration import counted
+from upwash.narration import Narrator, counted
 from upwash.real.journal import read_events
 from upwash.real.log_file import Unwritten
 from upwash.report.exports import write_result
@@ -24,7 +28,11 @@ from upwash.report.record import record_of
 from upwash.results import RunResult, read_result
 from upwash.running import ready_program
 from upwash.streams import forgiving_streams
-from upwash.terminal import Progress, print_result
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from upwash.terminal import Progress
 
 _AT_ONCE = (
     "the program was stopped at once, and sends nothing more: a vehicle in the air goes on with what it was last "
@@ -58,11 +66,10 @@ def fly_with_progress(
     """
     unwritten = Unwritten()
     with forgiving_streams() as output:
-        console = Console(markup=False) if show is Show.PROGRESS else _silent_console()
-        progress = Progress(config, len(waypoints(config.mission)), console)
+        progress = _progress(config) if show is Show.PROGRESS else _Unseen()
 
         def what_is_not_kept() -> list[str]:
-            problems = _show_result(config, log, unwritten, show, console) if progress.started else []
+            problems = _show_result(config, log, unwritten, show) if progress.started else []
             output.flush()
             if output.trouble:
                 problems.append(f"standard output could not be written ({output.trouble.strerror})")
@@ -96,14 +103,46 @@ def fly_with_progress(
         raise NotKept(f"the mission was flown to its end, but {'; '.join(problems)}")
 
 
-def _silent_console() -> Console:
-    """One that is no terminal even where there is one: else it would swallow what the mission prints."""
-    return Console(quiet=True, force_terminal=False)
+class _Unseen:
+    """Follows the events of a flight that is not shown."""
+
+    def __init__(self) -> None:
+        self._narrator = Narrator()
+
+    def __enter__(self) -> _Unseen:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        pass
+
+    @property
+    def started(self) -> bool:
+        """Whether the mission has begun."""
+        return self._narrator.started
+
+    def follow(self, event: Mapping[str, Any]) -> None:
+        """Takes in one event."""
+        self._narrator.tell(event)
 
 
-def _show_result(
-    config: DroneConfig, log: Path, unwritten: Unwritten, show: Show, console: Console
-) -> list[str]:
+def _progress(config: DroneConfig) -> Progress:
+    from upwash.terminal import Progress
+
+    return Progress(config, len(waypoints(config.mission)), _console())
+
+
+def _console(*, stderr: bool = False) -> Console:
+    from rich.console import Console
+
+    return Console(markup=False, stderr=stderr)
+
+
+def _show_result(config: DroneConfig, log: Path, unwritten: Unwritten, show: Show) -> list[str]:
     """Shows what the flight came to, by its log and what that lacks; returns what is wrong with the log."""
     problems = []
     if unwritten.why:
@@ -115,13 +154,19 @@ def _show_result(
         events = [*read_events(log), *map(event_log.decode, unwritten.lines)]
         if show is Show.JSON:
             sys.stdout.write(write_result(record_of(events, log)) + "\n")
-        elif (result := read_result(events)).calls:
-            paced = any(service.local_pace_s for service in config.services)
-            print_result(result, console, paced=paced)
-            console.print(f"event log: {log}", soft_wrap=True)
+        elif (result := read_result(events)).calls and show is Show.PROGRESS:
+            _print_result(result, config, log)
     except UsageError as error:
         problems.append(f"its result cannot be told: {error}")
     return problems
+
+
+def _print_result(result: RunResult, config: DroneConfig, log: Path) -> None:
+    from upwash.terminal import print_result
+
+    console = _console()
+    print_result(result, console, paced=any(service.local_pace_s for service in config.services))
+    console.print(f"event log: {log}", soft_wrap=True)
 
 
 @contextlib.contextmanager
@@ -138,7 +183,7 @@ def _shown_live(log: Path, port: int | None, photos: Path | None, *, resumes: bo
     arguments = ["view", str(log), "--port", str(port)]
     arguments += ["--photos", str(photos)] if photos else []
     with ready_program(f"{log.stem}-view", log.parent, *arguments) as address:
-        Console(stderr=True, markup=False).print(f"live view: {address}", soft_wrap=True)
+        _console(stderr=True).print(f"live view: {address}", soft_wrap=True)
         yield
 
 

@@ -47,13 +47,12 @@ from upwash.resumption import waypoints_done
 from upwash.service import spec_of
 from upwash.sim.camera import RenderedCamera
 from upwash.sim.network import Cell, ModelNetwork, NoNetwork
-from upwash.vehicle.copter import VehicleSettings
-from upwash.vehicle.px4.vehicle import Px4Settings
-from upwash.vehicle.server import serve_vehicle
 from upwash.visit import Contact
 
 if TYPE_CHECKING:
     from upwash.real.survey import Finding
+    from upwash.vehicle.copter import VehicleSettings
+    from upwash.vehicle.px4.vehicle import Px4Settings
 
 _MAX_MESSAGE_BYTES = 16 * 2**20
 _TRACK_PERIOD_S = 1.0
@@ -401,6 +400,8 @@ async def run_vehicle(
     signing_key: Path | None = None,
 ) -> None:
     """Runs a stand-in vehicle until SIGTERM or Ctrl-C; `ready` is told the address once it answers."""
+    from upwash.vehicle.server import serve_vehicle  # with its firmwares 2.6 MB, which a drone need not hold
+
     signing = Signing(read_key(signing_key)) if signing_key else None
     vehicle = await serve_vehicle(listen, settings, signing=signing)
     stopped = asyncio.Event()

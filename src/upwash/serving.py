@@ -23,9 +23,10 @@ from upwash.loading import extra
 from upwash.ports import InstanceSpec, Program, Runtime
 from upwash.real.announced import Inside
 from upwash.real.door import Door, Seen, door_limits, leading, opened_door, raise_limit_of_files
+from upwash.real.limits import Limits
 from upwash.real.listener import Caller, Health, Listener, cannot_listen
 from upwash.real.runtime import ProcessRuntime, sockets_in
-from upwash.real.sandbox import Limits, Sandbox, find_sandbox
+from upwash.real.sandbox import Sandbox, find_sandbox
 from upwash.real.service_manager import ServiceManager
 from upwash.real.signals import ending_in_time, on_hangup, stopping_politely
 from upwash.real.streams import listening_socket

@@ -23,9 +23,10 @@ from tests.children import expect_no_child
 from upwash.errors import InstanceError, LinkError, UsageError
 from upwash.ports import InstanceSpec, Program
 from upwash.protocol import service_path
+from upwash.real.limits import Limits
 from upwash.real.link import GrpcDialer
 from upwash.real.runtime import ProcessInstance, ProcessRuntime
-from upwash.real.sandbox import Limits, Sandbox, code_of, files_in, find_sandbox
+from upwash.real.sandbox import Sandbox, code_of, files_in, find_sandbox
 from upwash.real.syscalls import call_filter
 from upwash.service import load_service, spec_of
 

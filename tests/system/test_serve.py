@@ -44,7 +44,8 @@ from upwash.real.credentials import (
     renew_authority,
     revoke,
 )
-from upwash.real.sandbox import Limits, find_sandbox
+from upwash.real.limits import Limits
+from upwash.real.sandbox import find_sandbox
 
 pytestmark = pytest.mark.system
 

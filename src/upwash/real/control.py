@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from upwash.real.sandbox import Limits
+from upwash.real.limits import Limits
 
 MOST_REPORTS_PER_S = 1000  # one for each call, and one a second for each drone
 

@@ -18,7 +18,6 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from upwash.config import KeysConfig
 from upwash.core.visitors import Role
 from upwash.errors import CredentialsError, NotWritten, UsageError
 from upwash.output import flush_to_disk, write_file
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
     from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
     from cryptography.x509 import Certificate, ExtensionType
+
+    from upwash.config import KeysConfig
 
 _AUTHORITY_LASTS = timedelta(days=3652)
 _CERTIFICATE_LASTS = timedelta(days=730)
@@ -152,6 +153,8 @@ class _NewFile:
 
 def keys_in(folder: Path, name: str) -> KeysConfig:
     """Where `make_keys` put the files of the holder of that name."""
+    from upwash.config import KeysConfig  # 1.3 MB, which a service's process never needs
+
     folder = folder.absolute()
     return KeysConfig(
         authority=folder / "authority.pem", certificate=folder / f"{name}.pem", key=folder / f"{name}.key"

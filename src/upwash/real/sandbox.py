@@ -1,4 +1,4 @@
-"""What a service instance may see and use: bubblewrap's arguments, and limits that it puts on itself.
+"""What a service instance may see: bubblewrap's arguments. What it may use, it puts on itself: see `limits`.
 
 In a sandbox there is no network but the socket that the instance inherits, no file but the system's, Python's and the
 service's own, all read-only, a /tmp of its own in memory, no process but the instance's, and of the kernel what
@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import os
-import resource
 import shutil
 import subprocess
 import sys
@@ -18,10 +17,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
-
 from upwash.errors import UsageError
 from upwash.ports import Program
+from upwash.real.limits import Limits
 from upwash.real.syscalls import call_filter
 
 _PROBE_S = 10.0
@@ -60,26 +58,7 @@ _HIDDEN = (
 # Sets what only a process can set for itself, and leaves nothing of the daemon's environment in any process inside.
 # When the machine runs out of memory, these processes are the first to be killed.
 _LAUNCHER = ("/bin/sh", "-c", 'echo 1000 >/proc/self/oom_score_adj; exec /usr/bin/env -i "$@"', "sh")
-_MOST_FILES = 4096  # open at once: of 1024 connections, two ends of each and what gRPC adds
-_NO_CORE = 1  # 0 would still have the kernel pipe one to whoever collects them
 _ENVIRONMENT = ("LANG", "LC_ALL", "TZ", "GRPC_VERBOSITY", "OMP_NUM_THREADS")
-
-
-class Limits(msgspec.Struct, frozen=True):
-    """What an instance may use: memory for each of its processes, so many of them and their threads, files."""
-
-    memory_bytes: int
-    processes: int
-    disk_bytes: int
-
-    def apply(self) -> None:
-        """Puts them on this process and all that it will start; nothing can lift them again."""
-        resource.setrlimit(resource.RLIMIT_DATA, (self.memory_bytes, self.memory_bytes))
-        resource.setrlimit(resource.RLIMIT_NPROC, (self.processes, self.processes))
-        resource.setrlimit(resource.RLIMIT_FSIZE, (self.disk_bytes, self.disk_bytes))
-        resource.setrlimit(resource.RLIMIT_CORE, (_NO_CORE, _NO_CORE))
-        most_files = min(_MOST_FILES, resource.getrlimit(resource.RLIMIT_NOFILE)[1])
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most_files, most_files))
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,12 +17,13 @@ from upwash.errors import LinkError, Refused, UsageError
 from upwash.ports import Dialer, InstanceSpec, Program, Runtime
 from upwash.protocol import service_path
 from upwash.real.credentials import Credentials, fingerprint
+from upwash.real.limits import Limits
 from upwash.real.link import GrpcDialer
 from upwash.real.lxd.container import ContainerSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
 from upwash.real.lxd.runtime import ContainerRuntime
 from upwash.real.runtime import ProcessRuntime
-from upwash.real.sandbox import Limits, Sandbox, find_sandbox
+from upwash.real.sandbox import Sandbox, find_sandbox
 from upwash.service import load_service, spec_of
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
