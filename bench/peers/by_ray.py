@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
 import threading
@@ -12,7 +11,8 @@ from collections.abc import Callable
 import ray
 
 TIMEOUT_S = 2.0
-_LOOK_S = 0.1
+_PROBE = "import ray, sys; ray.init(f'ray://{sys.argv[1]}')"  # its port is open before it can do anything
+_PAUSE_S = 0.5
 
 
 def serve(address: str, compute: object) -> None:
@@ -27,18 +27,10 @@ def serve(address: str, compute: object) -> None:
         ),
         stdout=subprocess.DEVNULL,
     )
-    while not _answers(host, int(port)):
-        time.sleep(_LOOK_S)
+    while subprocess.run((sys.executable, "-c", _PROBE, address), check=False).returncode != 0:
+        time.sleep(_PAUSE_S)
     print("ready", flush=True)
     threading.Event().wait()
-
-
-def _answers(host: str, port: int) -> bool:
-    try:
-        socket.create_connection((host, port), timeout=1.0).close()
-    except OSError:
-        return False
-    return True
 
 
 class Client:
