@@ -40,6 +40,14 @@ def test_what_was_computed_twice_shows_and_what_was_before_the_calls_does_not() 
     assert figures.longest_s == 5.0
 
 
+def test_the_servers_own_delay_is_that_of_its_answers_before_the_fault() -> None:
+    before, none = (figures_of(TOLD, Fault(11.0, to_s, to_s)).remote_s for to_s in (18.0, 11.0))
+    assert before is not None
+    assert none is not None
+    assert round(before, 6) == 0.7
+    assert round(none, 6) == 0.95  # of all of them, as there was no fault
+
+
 def test_the_server_is_back_with_its_first_answer_after_the_fault() -> None:
     figures = figures_of(TOLD, Fault(11.0, 18.0, 19.5))
     assert figures.back_s is not None

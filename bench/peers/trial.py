@@ -97,8 +97,10 @@ def figures_of(told: Sequence[Mapping[str, Any]], fault: Fault) -> Figures:
     calls = [each for each in told if each["what"] == "call"]
     computed = [each["place"] for each in told if each["what"] == "computed" and each["at_s"] >= began_s]
     remote = [call for call in calls if call["place"] == "server"]
-    before_s = [call["at_s"] - call["began_s"] for call in remote if call["at_s"] <= fault.from_s]
     struck = fault.to_s > fault.from_s
+    undisturbed_s = [
+        call["at_s"] - call["began_s"] for call in remote if not struck or call["at_s"] <= fault.from_s
+    ]
     back_s = next((call["at_s"] for call in remote if struck and call["at_s"] >= fault.to_s), None)
     return Figures(
         total_s=calls[-1]["at_s"] - calls[0]["began_s"],
@@ -108,7 +110,7 @@ def figures_of(told: Sequence[Mapping[str, Any]], fault: Fault) -> Figures:
         by_drone=sum(call["place"] == "drone" for call in calls),
         server_computed=computed.count("server"),
         drone_computed=computed.count("drone"),
-        remote_s=median(before_s) if before_s else None,
+        remote_s=median(undisturbed_s) if undisturbed_s else None,
         back_s=None if back_s is None else back_s - fault.to_s,
         back_after_ready_s=None if back_s is None else back_s - fault.ready_s,
     )
