@@ -85,7 +85,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--local", nargs="+", type=float, default=[3.0, 10.0], metavar="SECONDS")
     parser.add_argument("--calls", type=int, default=60)
     parser.add_argument("--fault-s", type=float, default=30.0)
-    parser.add_argument("--at-once", type=int, default=4, help="trials at the same time (default 4)")
+    parser.add_argument("--at-once", type=int, default=7, help="trials at the same time (default 7)")
     parser.add_argument(
         "--upwash",
         action="append",
