@@ -2,8 +2,12 @@
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
+PEERS := .venv-peers/bin
+PEERS_READY := .venv-peers/.ready
+LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
+    --no-emit-find-links --no-annotate --no-header
 
-.PHONY: run test test-system native lint format docs bench lock clean
+.PHONY: run test test-system native lint format docs bench bench-peers lock clean
 
 # make run ARGS=--live shows the flight on a page meanwhile.
 run: $(READY)
@@ -47,14 +51,19 @@ bench: $(READY)
 	$(BIN)/python -m bench.metrics
 	$(BIN)/python -m bench.weight
 
+# upwash beside others when a server fails, as root: docs/peers.md. The others have an environment of their own.
+bench-peers: $(READY) $(PEERS_READY)
+	$(BIN)/python -m bench.peers $(ARGS)
+
 # Pins every dependency for Linux and macOS, x86-64 and aarch64, and every supported Python.
 lock: $(READY)
 	$(BIN)/python -m pip install --quiet uv
-	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
-	    --no-emit-find-links --no-annotate --no-header --all-extras --group dev --group clients --group docs pyproject.toml -o requirements.lock
+	$(LOCK) --all-extras --group dev --group clients --group docs pyproject.toml -o requirements.lock
+	$(LOCK) bench/peers/requirements.in -o bench/peers/requirements.txt
+	$(LOCK) --constraint bench/peers/requirements.txt bench/peers/requirements-ray.in -o bench/peers/requirements-ray.txt
 
 clean:
-	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache runs dist
+	rm -rf .venv .venv-peers .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache runs dist
 
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "upwash needs Python 3.11 or newer; set PYTHON=python3.12, for instance")'
@@ -62,4 +71,11 @@ $(READY): requirements.lock pyproject.toml
 	@echo "installing the pinned packages into .venv: some minutes, once"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $@
+
+# Ray has no wheels for some processors and Pythons: its row is left out there.
+$(PEERS_READY): bench/peers/requirements.txt bench/peers/requirements-ray.txt
+	$(PYTHON) -m venv .venv-peers
+	$(PEERS)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r bench/peers/requirements.txt
+	-$(PEERS)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r bench/peers/requirements-ray.txt
 	touch $@

@@ -1,4 +1,4 @@
-"""Writes the measured parts of docs/promises.md and docs/performance.md: `python -m bench.promises`.
+"""Writes the measured parts of docs/promises.md, docs/performance.md and docs/peers.md: `python -m bench.promises`.
 
 They come from bench/results. Each part stands between two comments that name it; `--chaos FILE` takes up
 first what `upwash chaos --out FILE` left.
@@ -14,6 +14,8 @@ from typing import TypeVar
 
 import msgspec
 from bench.load import Row, Soak
+from bench.peers.order import Comparison
+from bench.peers.table import tables
 from bench.results import FOLDER, Result, leave, read
 from bench.weight import Line
 from tests.fuzz.campaign import Fuzzed
@@ -23,7 +25,7 @@ from tests.system.hostile import Attacked
 from upwash.lab.chaos_display import Summary
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGES = ("promises.md", "performance.md")
+PAGES = ("promises.md", "performance.md", "peers.md")
 T = TypeVar("T")
 
 
@@ -154,6 +156,16 @@ def _weight(result: Result) -> str:
     return f"`{result.command}` {_measured(result)}:\n\n{_table(head, rows)}"
 
 
+def _peers(result: Result) -> str:
+    figures = _figures(result, Comparison)
+    versions = ", ".join(f"{name} {version}" for name, version in figures.versions.items())
+    measured = (
+        f"`{result.command}` {_measured(result)}: {figures.calls} calls, a fault of {figures.fault_s:g} s, "
+        f"{figures.at_once} trials at once on {figures.cores} cores, {figures.took_s / 60:.0f} minutes; {versions}."
+    )
+    return "\n\n".join((measured, *tables(figures.trials)))
+
+
 PARTS: Mapping[str, Callable[[Result], str]] = {
     "chaos": _chaos,
     "faults": _faults,
@@ -162,6 +174,7 @@ PARTS: Mapping[str, Callable[[Result], str]] = {
     "load": _load,
     "soak": _soak,
     "weight": _weight,
+    "peers": _peers,
 }
 
 
