@@ -47,7 +47,7 @@ def world(seed: int, way: FaultConfig | None, hedge: HedgeConfig | None) -> Dron
     return DroneConfig(
         seed=seed,
         mission=MissionConfig(grid=GridConfig(columns=9, rows=9, spacing_m=20.0)),
-        policy=PolicyConfig(hedge=hedge),
+        policy=PolicyConfig(name="location-aware", hedge=hedge),
         services=(ServiceConfig(name="detector", local_call_s={"light": 3.0, "heavy": 10.0}),),
         servers=tuple(server(name, number) for number, name in enumerate(names)),
         noise=NoiseConfig(call=0.03, leg=0.02),

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from upwash.config import DroneConfig, HedgeConfig, NoiseConfig, ServerConfig
+from upwash.config import DroneConfig, NoiseConfig, ServerConfig
 from upwash.core.policies import POLICIES
 from upwash.errors import UpwashError
 from upwash.lab import processes
@@ -38,7 +38,7 @@ class Entrant(NamedTuple):
 
     name: str
     policy: str
-    hedge: HedgeConfig | None = None
+    left_alone_s: float | None = None  # after a failure, and nothing is hedged
     among_peers: bool = False  # every server is a peer of every other
 
     def enters(self, config: DroneConfig) -> DroneConfig:
@@ -47,13 +47,16 @@ class Entrant(NamedTuple):
         config = with_policy(config, self.policy)
         if self.among_peers:
             config = replace(config, servers=_all_peers(config.servers))
-        return replace(config, policy=replace(config.policy, hedge=self.hedge or config.policy.hedge))
+        if self.left_alone_s is None:
+            return config
+        policy = replace(config.policy, blacklist_s=self.left_alone_s, probe=None, hedge=False)
+        return replace(config, policy=policy)
 
 
 ENTRANTS = (
     *(Entrant(policy, policy) for policy in POLICIES),
     Entrant("look-ahead, prepare", "look-ahead", among_peers=True),
-    Entrant("look-ahead, hedging", "look-ahead", hedge=HedgeConfig()),
+    Entrant("look-ahead, left alone", "look-ahead", left_alone_s=60.0),
 )
 
 
