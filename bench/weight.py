@@ -199,7 +199,8 @@ def flying(folder: Path, checkout: Path, *, with_server: bool) -> Iterator[tuple
 def _wait_for_calls(program: subprocess.Popen[bytes], log: Path, said: Path, *, place: str) -> None:
     give_up_s = time.monotonic() + LONGEST_S
     while True:
-        events = [msgspec.json.decode(line) for line in log.read_bytes().splitlines()] if log.exists() else []
+        lines = log.read_bytes().split(b"\n")[:-1] if log.exists() else []  # the last may not be whole yet
+        events = [msgspec.json.decode(line) for line in lines]
         places = [event["place"] for event in events if event["event"] == "call"]
         if len(places) >= CALLS and places[-1] == place:
             return

@@ -72,6 +72,7 @@ class _Answer:
     hedged_s: float | None = None
     queued_s: float = 0.0
     remote_fault: str = ""
+    overtook: bool = False  # a server that became of use while the drone was at it
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +199,7 @@ class Offloading:
         answer = await self._answer(decision, _Call(operation, method, request))
         if answer.place == PLACE and isinstance(decision, Remote):
             why = f"{why}; {_lost(answer)} on the drone"
-        elif answer.place != PLACE and not isinstance(decision, Remote):
+        elif answer.overtook:
             why = f"{why}; {answer.place} became of use, and was sooner"
         self._report(
             Outcome(
@@ -243,6 +244,8 @@ class Offloading:
 
     def _report(self, outcome: Outcome) -> None:
         facts = msgspec.to_builtins(outcome)
+        if not outcome.queued_s:  # omitted by identity otherwise, which a computed zero has not
+            facts.pop("queued_s", None)
         self._journal.record("call", **{**facts, "operation": str(outcome.operation)})
 
     # --- deciding -------------------------------------------------------------------------------------------
@@ -425,18 +428,22 @@ class Offloading:
 
         `attempt` is the last one at a server, which is over, or under way where it has a `reply`.
         """
+        overtaking = False
         try:
             while True:
                 if attempt is not None and attempt.reply is not None:
                     attempt.rival = computing.task
                     if await _first_over(attempt.reply, computing.task) is attempt.reply:
-                        return self._won(attempt, computing)
+                        return replace(self._won(attempt, computing), overtook=overtaking)
                 if computing.task.done() or (attempt is not None and attempt.said is not None):
                     break
                 decision = await self._overtaken(computing, call.operation)
                 if decision is None:
                     break
-                attempt = self._send_out(self._attempt(call, decision.server, decision.deadline_s))
+                attempt, overtaking = (
+                    self._send_out(self._attempt(call, decision.server, decision.deadline_s)),
+                    True,
+                )
             reply = await asyncio.shield(computing.task)
         except BaseException:
             under_way = [attempt.reply] if attempt is not None and attempt.reply is not None else []
@@ -451,15 +458,22 @@ class Offloading:
         while not computing.task.done():
             now_s, position = self._now_s(), self._autopilot.position
             decision, again_s = self._selection.overtake(
-                operation, began_s=computing.began_s or now_s, now_s=now_s, position=position
+                operation,
+                began_s=now_s if computing.began_s is None else computing.began_s,
+                now_s=now_s,
+                position=position,
             )
             if decision is not None:
                 self._decided(operation, decision, ())
                 return decision
             told = asyncio.create_task(self._told.wait())
             left_s = again_s - now_s if again_s < math.inf else None
-            await asyncio.wait((computing.task, told), timeout=left_s, return_when=asyncio.FIRST_COMPLETED)
-            told.cancel()
+            try:
+                await asyncio.wait(
+                    (computing.task, told), timeout=left_s, return_when=asyncio.FIRST_COMPLETED
+                )
+            finally:
+                told.cancel()
         return None
 
     def _begin_onboard(self, call: _Call) -> _Computing:
@@ -475,7 +489,7 @@ class Offloading:
 
     def _done_onboard(self, reply: Any, computing: _Computing, attempt: _Attempt | None) -> _Answer:
         """The drone's own answer, which was first; `attempt` is the last one at a server, if any was made."""
-        began_s = computing.began_s or computing.asked_s
+        began_s = computing.asked_s if computing.began_s is None else computing.began_s
         delay_s = self._now_s() - began_s
         late = attempt is not None and attempt.reply is not None and not attempt.reply.done()
         if attempt is not None:

@@ -114,6 +114,8 @@ def _beliefs(decision: Mapping[str, Any]) -> str:
 
 def _verdict(decision: Mapping[str, Any]) -> str:
     match decision["decision"]:
+        case "remote" if decision.get("raced"):
+            return f"run on {decision['server']} too, for at most {decision['deadline_s']:.1f} s, and on the drone"
         case "remote":
             return f"run on {decision['server']}, for at most {decision['deadline_s']:.1f} s"
         case "wait":

@@ -206,10 +206,11 @@ class Selection:
         self, operation: Operation, check: int, *, now_s: float, position: Position
     ) -> tuple[Decision, list[Command]]:
         """Where a call shall run whose wait for that check is over; it does not wait again."""
-        decision, commands = self._decide(operation, now_s=now_s, position=position)
-        if self.current is None or self.current.check != check:
-            decision = Local("the check failed or was given up")
-        elif isinstance(decision, Remote):
+        decision: Decision = Local("the check failed or was given up")
+        commands: list[Command] = []
+        if self.current is not None and self.current.check == check:
+            decision, commands = self._decide(operation, now_s=now_s, position=position)
+        if isinstance(decision, Remote):
             decision = replace(decision, why="server became ready")
         elif isinstance(decision, Wait):
             decision = Local("not ready in time")
@@ -262,7 +263,7 @@ class Selection:
                 return [self._ready(server, Event.STARTED, now_s)]
             case ProbeAnswered(check, running) if server := self._probed_by(check):
                 event = Event.PROBED_RUNNING if running else Event.PROBED
-                return [server.apply(event, now_s=now_s)]
+                return [server.apply(event, now_s=now_s, why="it gives a sign of life")]
             case CheckFailed(check, why) if server := self._checked(check, CHECKING):
                 return self._failed(server, Event.CHECK_FAILED, why, now_s)
             case NetworkLost(check, why) if server := self._checked(check):

@@ -145,7 +145,7 @@ class Call:
     @property
     def sent(self) -> Fact | None:
         """The decision for a server alone, if there was one, with the drone's own service not at the call too."""
-        return next((each for each in self.tried if not each["raced"]), None)
+        return next((each for each in self.tried if not each.get("raced")), None)
 
     @property
     def queued_s(self) -> float:
@@ -155,7 +155,7 @@ class Call:
     @property
     def computed(self) -> bool:
         """Whether the drone's own service was at it."""
-        raced = any(each["raced"] for each in self.tried) and self.ended["onboard_s"] > 0
+        raced = any(each.get("raced") for each in self.tried) and self.ended["onboard_s"] > 0
         return self.hedged is not None or self.ended["place"] == "local" or raced
 
     @property
@@ -265,7 +265,7 @@ def _allowed_too_much(decided: Fact, gain_wait: float, *, patient: bool) -> Iter
         if decided["at_most_s"] > longest_s + _ROUNDING_S:
             yield decided, f"may wait {decided['at_most_s']:.3f} s, worthwhile are {longest_s:.3f} s"
     elif decided["decision"] == "remote":
-        if decided["raced"]:  # which costs no time
+        if decided.get("raced"):  # which costs no time
             return
         expected_s = math.inf if patient else _REMOTE_FACTOR * decided["remote_s"]
         longest_s = max(_REMOTE_LEAST_S, min(expected_s, decided["local_s"]))
@@ -308,7 +308,7 @@ def one_answer(history: History) -> Iterator[Breach]:
 
 
 def _unbelievable(call: Call) -> Iterator[Breach]:
-    ended, alone = call.ended, [each for each in call.tried if not each["raced"]]
+    ended, alone = call.ended, [each for each in call.tried if not each.get("raced")]
     if len(alone) > 1 or (alone and alone[0] is not call.tried[0]):
         yield alone[-1], "a second server was tried for one call, and the drone's own service was not at it"
     if ended["place"] == "local":
