@@ -195,8 +195,11 @@ def test_the_mission_survives_the_kill_of_instances(demonstration: Demonstration
     )
     os.kill(onboard.pid, signal.SIGKILL)
     result = demonstration.finish()
-    assert result.totals.fallbacks == 1, "the call to the killed instance was answered on the drone"
+    assert (
+        result.completed and result.totals.calls == 12
+    )  # by the drone, or by the server where it was back first
     events = [event["event"] for event in demonstration.events()]
+    assert events.count("remote_failed") == 1, "the call to the killed instance"
     assert "local_ended" in events
     assert events.count("local_ready") == 2
 
