@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
-from typing import NoReturn
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, NoReturn
 
 from upwash.core.happenings import (
     CheckAnswered,
@@ -71,8 +71,7 @@ class Envoy:
                 finally:
                     self._orders.task_done()
         finally:
-            for task in (self._message, self._errand, self._watch):
-                await _stop(task)
+            await self._pause()
 
     async def _follow(self, order: Order) -> None:
         match order:
@@ -147,7 +146,7 @@ class Envoy:
                     self._watch = asyncio.create_task(_until_lost(visit))
                 asking.add(asyncio.create_task(self._question(visit, order.check)))
         finally:
-            await _end(asking)
+            await end_all(asking)
 
     async def _question(self, visit: Visit, check: int) -> ProbeAnswered:
         return ProbeAnswered(check, await visit.probe())
@@ -200,7 +199,8 @@ async def _until_lost(visit: Visit) -> None:
     await visit.lost()
 
 
-async def _end(tasks: set[asyncio.Task[ProbeAnswered]]) -> None:
+async def end_all(tasks: Collection[asyncio.Task[Any]]) -> None:
+    """Cancels the tasks and waits for their ends, whatever they are."""
     for task in tasks:
         task.cancel()
     await asyncio.gather(*tasks, return_exceptions=True)

@@ -31,7 +31,7 @@ from upwash.core.orders import Check, Command, Leave, Order, Probe
 from upwash.core.policy import Decision, Remote, Wait
 from upwash.core.selection import Selection
 from upwash.core.servers import Change, State
-from upwash.envoy import Envoy
+from upwash.envoy import Envoy, end_all
 from upwash.errors import AutopilotLost, DeadlineExceeded, LinkError, UpwashError
 from upwash.onboard import PLACE, OnboardServices
 from upwash.ports import Autopilot, Dialer, Journal, Network
@@ -447,7 +447,7 @@ class Offloading:
             reply = await asyncio.shield(computing.task)
         except BaseException:
             under_way = [attempt.reply] if attempt is not None and attempt.reply is not None else []
-            await _end([computing.task, *under_way])
+            await end_all([computing.task, *under_way])
             raise
         return self._done_onboard(reply, computing, attempt)
 
@@ -550,7 +550,7 @@ class Offloading:
                 async with asyncio.timeout(hedge.after_s):
                     await asyncio.shield(remote)
         except BaseException:
-            await _end([remote])
+            await end_all([remote])
             raise
         if remote.done():
             if (reply := remote.result()) is not None:
@@ -579,7 +579,7 @@ class Offloading:
         return self._now_s() - began_s
 
     async def _stop_losers(self) -> None:
-        await _end([each.task for each in self._losers])
+        await end_all([each.task for each in self._losers])
 
     # --- in the background ----------------------------------------------------------------------------------
 
@@ -616,13 +616,6 @@ def _lost(answer: _Answer) -> str:
     if answer.remote_fault:
         return f"it raised there, which was {answer.remote_fault}"
     return "no usable answer, so" if answer.fell_back else "late, and sooner"
-
-
-async def _end(tasks: Sequence[asyncio.Task[Any]]) -> None:
-    """Cancels the tasks and waits for their ends, whatever they are."""
-    for task in tasks:
-        task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
 
 
 async def _first_over(remote: asyncio.Task[Any], local: asyncio.Task[Any]) -> asyncio.Task[Any] | None:

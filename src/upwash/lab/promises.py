@@ -431,9 +431,17 @@ def in_range(history: History) -> Iterator[Breach]:
 
 def respect(history: History) -> Iterator[Breach]:
     """A blacklisted server is left alone, but for the farewell and probes; a call goes to a server that is READY."""
+    for event in history.run.events:
+        if event.get("decision") == "remote" and event["state"] != State.READY:
+            yield event, f"{event['selected']} is {event['state']}"
     if history.config.policy.probing is not None:
         yield from _probed_too_much(history)
-        return
+    else:
+        yield from _contacted_too_soon(history)
+
+
+def _contacted_too_soon(history: History) -> Iterator[Breach]:
+    """A server that is not probed is left alone for the time that was set."""
     blacklisted: dict[str, list[tuple[float, float]]] = {}
     for event in history.run.events:
         if event["event"] in _CHANGES and event["after"] == State.BLACKLISTED:
@@ -443,8 +451,6 @@ def respect(history: History) -> Iterator[Breach]:
             spells = blacklisted.get(event["server"], [])
             if spells and event["t"] < spells[-1][1] - _ROUNDING_S:
                 yield event, f"{event['server']} is blacklisted until {spells[-1][1]:.3f} s"
-        elif event.get("decision") == "remote" and event["state"] != State.READY:
-            yield event, f"{event['selected']} is {event['state']}"
     for fact in history.own("sent"):
         for from_s, until_s in blacklisted.get(fact["server"], []):
             if fact["path"] != LEAVE and from_s + _ROUNDING_S < fact["t"] < until_s - _ROUNDING_S:
@@ -489,9 +495,6 @@ def _alone_s(failures: int) -> float:
 def _probed_too_much(history: History) -> Iterator[Breach]:
     """Failed servers are asked for a sign of life alone, at the pace that was set, and by how often they failed."""
     probing, spells = history.config.policy.probing or ProbeConfig(), _spells(history)
-    for event in history.run.events:
-        if event.get("decision") == "remote" and event["state"] != State.READY:
-            yield event, f"{event['selected']} is {event['state']}"
     last_s: dict[str, float] = {}
     for fact in history.own("sent"):
         server, now_s = fact["server"], fact["t"]
