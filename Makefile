@@ -7,14 +7,21 @@ PEERS_READY := .venv-peers/.ready
 LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
     --no-emit-find-links --no-annotate --no-header
 
-.PHONY: run test test-system native lint format docs bench bench-peers lock clean
+# Without it each of the programs that a test starts would compile all modules anew.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: run test test-long test-system native lint format docs bench bench-peers lock clean
 
 # make run ARGS=--live shows the flight on a page meanwhile.
 run: $(READY)
 	$(BIN)/upwash demo $(ARGS)
 
 test: $(READY)
-	$(BIN)/python -m pytest -n 5 --dist loadgroup -m "not root"
+	$(BIN)/python -m pytest -n 5 --dist loadgroup -m "not root and not long"
+
+# Searches through many drawn worlds, attacks on running programs, flights in real time, each bench once.
+test-long: $(READY)
+	$(BIN)/python -m pytest -n 4 --dist loadgroup -m "long and not root"
 
 # Needs root: network namespaces, containers, system services. Each test says why if it cannot run here.
 # Those of the sandbox are among them, as nothing brings bubblewrap before.
@@ -36,15 +43,18 @@ format: $(READY)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-# The pages of docs/ as a site in dist/docs, with pictures that upwash draws meanwhile.
+# The pages of docs/ as a site in dist/docs, with pictures that upwash draws meanwhile; docs/api.md is made anew before.
 docs: $(READY)
+	$(BIN)/python site/api.py
+	$(BIN)/python site/event_log.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict -f site/mkdocs.yml
 	@echo "open dist/docs/index.html, or: $(BIN)/python -m http.server --directory dist/docs"
 
 bench: $(READY)
-	$(BIN)/python bench/call.py
+	$(BIN)/python -m bench.call
 	$(BIN)/python -m bench.sandbox
-	$(BIN)/python bench/simulate.py
+	$(BIN)/python -m bench.simulate
+	$(BIN)/python -m bench.fleets
 	$(BIN)/python -m bench.detector
 	$(BIN)/python -m bench.decide
 	$(BIN)/python -m bench.view

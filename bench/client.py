@@ -13,10 +13,10 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn, cast
+from typing import cast
 
 import grpc
 import msgspec
@@ -24,33 +24,28 @@ from bench.echo import REPLY_BYTES, Echo, OnboardEcho
 from bench.servers import GRPC_PATH, LENGTH_BYTES
 
 from upwash.config import DroneConfig, MissionConfig, NetworkConfig, PolicyConfig, ServerConfig, ServiceConfig
-from upwash.core.geo import Circle, Position
-from upwash.drone import Drone, Flight, World
-from upwash.ports import Autopilot, Program
+from upwash.core.geo import Position
+from upwash.core.servers import State
+from upwash.drone.api import Drone
+from upwash.drone.flight import Flight, Ports
+from upwash.drone.networks import NoNetwork
+from upwash.eventlog import schema
+from upwash.eventlog.schema import Event
+from upwash.ports import Program
 from upwash.real.camera import FolderCamera
 from upwash.real.credentials import Credentials, read_credentials
 from upwash.real.journal import FileJournal, JournalNotifier
 from upwash.real.link import CHANNEL_OPTIONS, GrpcDialer
 from upwash.real.runtime import ProcessRuntime
-from upwash.sim.network import NoNetwork
+from upwash.sim.autopilot import ModelAutopilot
+from upwash.vehicle import arducopter
 
 MAX_MESSAGE_BYTES = 16 * 2**20
 READY_S = 20.0
-WARM_UP_ROUNDS = 20
+MOST_WARM_UP_ROUNDS = 20
 SERVICES: dict[str, type] = {"echo": Echo, "onboardecho": OnboardEcho}
 
 Call = Callable[[bytes], bytes]
-
-
-class ParkedAutopilot:
-    """A vehicle that stays at home."""
-
-    position = Position(0.0, 0.0)
-
-    async def border_crossed(self, _: Sequence[Circle]) -> NoReturn:
-        """Never: it does not move."""
-        await asyncio.get_running_loop().create_future()
-        raise AssertionError("this future is never settled")
 
 
 @dataclass(frozen=True)
@@ -94,9 +89,10 @@ async def fly(folder: Path, rounds: int, addresses: Addresses) -> dict[str, list
     credentials = read_credentials(folder / "authority.pem", folder / "drone.pem", folder / "drone.key")
     delays_s: dict[str, list[float]] = {}
     ready = threading.Event()
+    warm_up_rounds = min(rounds, MOST_WARM_UP_ROUNDS)
 
-    def watch(entry: Mapping[str, Any]) -> None:
-        if entry.get("after") == "READY":
+    def watch(event: Event) -> None:
+        if isinstance(event, schema.Step) and event.after is State.READY:
             ready.set()
 
     def mission(drone: Drone) -> None:
@@ -110,12 +106,12 @@ async def fly(folder: Path, rounds: int, addresses: Addresses) -> dict[str, list
                 "remote": drone.service(Echo).measure,
                 "local": drone.service(OnboardEcho).measure,
             }
-            _interleaved(contenders, photo, rounds=WARM_UP_ROUNDS)
+            _interleaved(contenders, photo, rounds=warm_up_rounds)
             delays_s.update(_interleaved(contenders, photo, rounds=rounds))
 
     with contextlib.closing(FileJournal(folder / "events.jsonl", watchers=(watch,))) as journal:
-        world = World(
-            autopilot=cast(Autopilot, ParkedAutopilot()),
+        ports = Ports(
+            autopilot=ModelAutopilot(Position(0.0, 0.0), ground_speed_m_s=1.0, manner=arducopter),
             networks=[NoNetwork()],
             dialer=GrpcDialer("drone", credentials, max_message_bytes=MAX_MESSAGE_BYTES),
             onboard_dialer=GrpcDialer("drone", None, max_message_bytes=MAX_MESSAGE_BYTES),
@@ -129,9 +125,9 @@ async def fly(folder: Path, rounds: int, addresses: Addresses) -> dict[str, list
         )
         programs = {name: Program(f"{cls.__module__}:{cls.__name__}") for name, cls in SERVICES.items()}
         await Flight(
-            mission, _config(addresses.daemon), services=SERVICES, programs=programs, world=world
+            mission, _config(addresses.daemon), services=SERVICES, programs=programs, ports=ports
         ).run()
-    _check_places(journal.path, rounds + WARM_UP_ROUNDS)
+    _check_places(journal.path, rounds + warm_up_rounds)
     return delays_s
 
 

@@ -6,7 +6,6 @@ image of bench/echo.py's service, and makes and deletes containers for a server 
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import contextlib
 import os
@@ -19,12 +18,13 @@ from pathlib import Path
 from statistics import median
 
 from bench.echo import Echo
+from bench.program import command_line, machine
 
-from upwash.bundled import load_service_alone
+from upwash.missions.bundled import load_service_alone
 from upwash.packaging.image import Recipe, package
 from upwash.ports import Instance, InstanceSpec, Program, Runtime
-from upwash.protocol import service_path
-from upwash.real.credentials import fingerprint, make_keys, read_credentials
+from upwash.real.authority import make_keys
+from upwash.real.credentials import fingerprint, read_credentials
 from upwash.real.door import leading, opened_door
 from upwash.real.link import GrpcDialer, GrpcLink
 from upwash.real.lxd.container import ContainerSettings
@@ -32,14 +32,15 @@ from upwash.real.lxd.engine import Engine, EngineAddress
 from upwash.real.lxd.runtime import ContainerRuntime
 from upwash.real.runtime import ProcessRuntime, sockets_in
 from upwash.real.trust import Trust
-from upwash.service import spec_of
+from upwash.rpc.protocol import service_path
+from upwash.rpc.service import spec_of
 
 SERVER = "bench"
 PROGRAM = "bench.echo:Echo"
 REQUEST_BYTES = 430_000
-STARTS = 5
+STARTS, QUICK_STARTS = 5, 1
 WARM_UP_CALLS = 20
-CALLS = 200
+CALLS, QUICK_CALLS = 200, 2
 MOST_OVER_PROCESS = 1.1
 MAX_MESSAGE_BYTES = 2**24
 SPEC = InstanceSpec(SERVER, "echo", Program(PROGRAM))
@@ -64,27 +65,28 @@ class Bench:
         )
 
 
-async def main(engine: str, subnet: IPv4Network) -> None:
+async def main(engine: str, subnet: IPv4Network, *, starts: int, calls: int) -> None:
     """Measures and prints; a missed limit is printed as such and is no failure."""
-    load = ", ".join(f"{load:.2f}" for load in os.getloadavg())
-    print(f"{os.cpu_count()} cores, load {load}")
+    print(machine())
     async with opened(engine, subnet) as bench:
-        print(f"\nfrom the request to the first answer, {STARTS} times: median (least to most)")
+        print(f"\nfrom the request to the first answer, {starts} times: median (least to most)")
         for title, runtime, before in (
             ("process", bench.process, None),
             ("container, new", bench.stopped, lambda: bench.stopped.prepare([SERVER], [])),
             ("container, stopped", bench.stopped, None),
             ("container, frozen", bench.frozen, None),
         ):
-            report(title, await starts(bench, runtime, before))
-        await calls(bench)
+            report(title, await start_repeatedly(bench, runtime, before, times=starts))
+        await compare_calls(bench, times=calls)
 
 
-async def starts(bench: Bench, runtime: Runtime, before: Callable[[], Awaitable[None]] | None) -> list[float]:
+async def start_repeatedly(
+    bench: Bench, runtime: Runtime, before: Callable[[], Awaitable[None]] | None, *, times: int
+) -> list[float]:
     """How long each start took; the first is left out where it only prepares the others."""
     photo = os.urandom(1000)
     found: list[float] = []
-    for _ in range(STARTS + (before is None)):
+    for _ in range(times + (before is None)):
         if before is not None:
             await before()
         began_s = time.perf_counter()
@@ -95,10 +97,10 @@ async def starts(bench: Bench, runtime: Runtime, before: Callable[[], Awaitable[
         found.append(time.perf_counter() - began_s)
         await link.close()
         await instance.stop()
-    return found[-STARTS:]
+    return found[-times:]
 
 
-async def calls(bench: Bench) -> None:
+async def compare_calls(bench: Bench, *, times: int) -> None:
     """Compares calls into a container with calls into a process, in turns."""
     photo = os.urandom(REQUEST_BYTES)
     instances = [
@@ -107,13 +109,13 @@ async def calls(bench: Bench) -> None:
     links = [bench.dial(instance) for instance in instances]
     for instance in instances:
         await instance.admit(bench.drone)
-    rounds = [[await call(link, photo) for link in links] for _ in range(WARM_UP_CALLS + CALLS)][
+    rounds = [[await call(link, photo) for link in links] for _ in range(WARM_UP_CALLS + times)][
         WARM_UP_CALLS:
     ]
     for link, instance in zip(links, instances, strict=True):
         await link.close()
         await instance.stop()
-    print(f"\na call of {REQUEST_BYTES} bytes, {CALLS} times in turns: median")
+    print(f"\na call of {REQUEST_BYTES} bytes, {times} times in turns: median")
     for title, delays in zip(("process", "container"), zip(*rounds, strict=True), strict=True):
         print(f"{title:24}{median(delays) * 1e3:8.2f} ms")
     ratio = median(contained / alone for alone, contained in rounds)
@@ -176,10 +178,11 @@ async def opened(address: str, subnet: IPv4Network) -> AsyncIterator[Bench]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = command_line("containers", __doc__)
     parser.add_argument("--engine", default="unix:/var/lib/lxd/unix.socket", help="where the engine is")
     parser.add_argument(
         "--subnet", type=IPv4Network, default=IPv4Network("10.147.75.0/24"), help="for containers"
     )
     asked = parser.parse_args()
-    asyncio.run(main(asked.engine, asked.subnet))
+    starts, calls = (QUICK_STARTS, QUICK_CALLS) if asked.quick else (STARTS, CALLS)
+    asyncio.run(main(asked.engine, asked.subnet, starts=starts, calls=calls))

@@ -1,7 +1,8 @@
-"""What the detector costs: from a photo's bytes to its boxes, against the network alone and the JPEG's decoding.
+"""What the detector costs: `python -m bench.detector`.
 
-For the bundled network, and for YOLOv3 at its full size with random weights: that one is for its time only, what it
-"finds" means nothing. See docs/performance.md.
+From a photo's bytes to its boxes, against the network alone and the JPEG's decoding. For the bundled network, and for
+YOLOv3 at its full size with random weights: that one is for its time only, what it "finds" means nothing. See
+docs/performance.md.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import os
 import resource
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -21,6 +22,7 @@ from typing import TypeVar
 import cv2
 import numpy as np
 import onnxruntime
+from bench.program import command_line, machine
 from tests.services.darknet_models import write_labels, write_model, yolov3
 
 from upwash.services import Detector, Mode, ModelFiles
@@ -66,19 +68,25 @@ class Delays:
 
 def main() -> None:
     """Measures and prints; a missed limit is printed as such and is no failure."""
+    quick = command_line("detector", __doc__).parse_args().quick
     photo = render_photo(PHOTO_SEED).jpeg
-    load = ", ".join(f"{load:.2f}" for load in os.getloadavg())
-    print(f"photo of 1440 x 1080 pixels, {len(photo)} bytes; {THREADS} threads, load {load}")
+    print(f"photo of 1440 x 1080 pixels, {len(photo)} bytes; {THREADS} threads; {machine()}")
     with tempfile.TemporaryDirectory(prefix="upwash-bench-") as name:
         os.environ["XDG_CACHE_HOME"] = f"{name}/cache"
-        for contest in (
-            Contest("bundled network", SOLAR_PARK, rounds=40, confidence=0.25),
-            # What random numbers "find" means nothing, and there is too much of it: a score that none reaches.
-            Contest(
-                "YOLOv3, random weights (timing only)", random_yolov3(Path(name)), rounds=10, confidence=1.0
-            ),
-        ):
+        for contest in quick_contests() if quick else contests(Path(name)):
             report(contest, in_a_process(first_start, contest, photo), in_a_process(measure, contest, photo))
+
+
+def contests(folder: Path) -> Iterator[Contest]:
+    """Those that are measured."""
+    yield Contest("bundled network", SOLAR_PARK, rounds=40, confidence=0.25)
+    # What random numbers "find" means nothing, and there is too much of it: a score that none reaches.
+    yield Contest("YOLOv3, random weights (timing only)", random_yolov3(folder), rounds=10, confidence=1.0)
+
+
+def quick_contests() -> Iterator[Contest]:
+    """The bundled network alone: YOLOv3 takes a minute to make."""
+    yield Contest("bundled network", SOLAR_PARK, rounds=1, confidence=0.25)
 
 
 def random_yolov3(folder: Path) -> ModelFiles:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from upwash.service import service
+from upwash.rpc.service import service
 
 REPLY_BYTES = 100
 

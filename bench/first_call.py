@@ -1,56 +1,77 @@
-"""What patience with a first call is worth: `python -m bench.first_call [SEEDS]`.
+"""What patience with a first call is worth: `python -m bench.first_call`.
 
-Every scenario and the thesis's eight cells under `look-ahead` and `location-aware`, with and without
+Every scenario of one drone and the thesis's eight cells under `look-ahead` and `location-aware`, with and without
 `patient_first_call`, where a service's first call on a server takes as long as the others, 0.5, 2 or 5 s longer.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
 from statistics import fmean
 
 import msgspec
+from bench.program import command_line
 
 from upwash.config import DroneConfig
-from upwash.lab.comparison import World, scenario_worlds, thesis_worlds
+from upwash.lab.comparison import NamedScenario, read_scenarios, thesis_scenarios
 from upwash.lab.confidence import mean_of
 from upwash.lab.run import simulate
 from upwash.lab.simulation import with_policy
 
 POLICIES = ("look-ahead", "location-aware")
 EXTRAS_S = (0.0, 0.5, 2.0, 5.0)
-SCENARIOS = sorted(Path("scenarios").glob("*.toml"))
+SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
 
 
-def main(seeds: int = 30) -> None:
+def main() -> None:
     """Flies and prints minutes without patience, and what it changes, paired by seed, ± 95 %."""
-    print("| policy | first call | world | without | changes by | |")
+    parser = command_line("first_call", __doc__)
+    parser.add_argument("seeds", type=int, nargs="?", default=30)
+    options = parser.parse_args()
+    if options.quick:
+        table(POLICIES[:1], EXTRAS_S[1:2], thesis_scenarios()[:1], seeds=2)
+    else:
+        own = [scenario for scenario in read_scenarios(SCENARIOS) if not scenario.config.drones]
+        table(POLICIES, EXTRAS_S, [*thesis_scenarios(), *own], seeds=options.seeds)
+
+
+def table(
+    policies: Sequence[str], extras_s: Sequence[float], scenarios: Sequence[NamedScenario], *, seeds: int
+) -> None:
+    """Prints a line for each policy, longer first call and scenario."""
+    print("| policy | first call | scenario | without | changes by | |")
     print("|---|---|---|---|---|---|")
-    for policy, extra_s, world in product(
-        POLICIES, EXTRAS_S, (*thesis_worlds(), *scenario_worlds(SCENARIOS))
-    ):
-        without_min, changes_min = zip(*flown(world, policy, extra_s, seeds), strict=True)
+    for policy, extra_s, scenario in product(policies, extras_s, scenarios):
+        without_min, changes_min = zip(*flown(scenario, policy, extra_s, seeds), strict=True)
         mean, change = fmean(without_min), mean_of(changes_min)
         print(
-            f"| {policy} | +{extra_s:g} s | {world.name} | {mean:.2f} | {change.value:+.2f} ± {change.margin:.2f} "
+            f"| {policy} | +{extra_s:g} s | {scenario.name} | {mean:.2f} | {change.value:+.2f} ± {change.margin:.2f} "
             f"| {100 * change.value / mean:+.1f} % |",
             flush=True,
         )
 
 
-def flown(world: World, policy: str, extra_s: float, seeds: int) -> Iterator[tuple[float, float]]:
-    """Minutes of each seed's mission without patience, and how many more or less with it."""
-    config = with_policy(slow_at_first(world.config, extra_s), policy)
+def flown(scenario: NamedScenario, policy: str, extra_s: float, seeds: int) -> Iterator[tuple[float, float]]:
+    """Minutes of each seed's mission without patience, and how many more or less with it.
+
+    A call is hedged by nobody and a failed server left alone: a hedged call has that time anyway.
+    """
+    config = with_policy(slow_at_first(scenario.config, extra_s), policy)
     for seed in range(1, seeds + 1):
         without, patient = (
             simulate(
                 msgspec.structs.replace(
                     config,
                     seed=seed,
-                    policy=msgspec.structs.replace(config.policy, patient_first_call=patient_first_call),
+                    policy=msgspec.structs.replace(
+                        config.policy,
+                        patient_first_call=patient_first_call,
+                        blacklist_s=60.0,
+                        probe=None,
+                        hedge=False,
+                    ),
                 )
             ).result.mission_time_s
             / 60
@@ -69,4 +90,4 @@ def slow_at_first(config: DroneConfig, extra_s: float) -> DroneConfig:
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    main()

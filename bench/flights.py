@@ -1,6 +1,7 @@
 """Flies the stand-in beside other flights of a real ArduCopter: legs at several speeds, changes on the way, returns.
 
-Run from the repository: python -m bench.flights. tests/vehicle/data says where the recorded figures come from.
+Run from the repository: `python -m bench.flights`, a second. tests/vehicle/data says where the recorded figures come
+from.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from pathlib import Path
 
 from upwash.core.geo import GeoPosition, Position, distance_m
 from upwash.vehicle.answers import LandedState, Result
-from upwash.vehicle.copter import Copter, Mode, VehicleSettings
+from upwash.vehicle.copter import Copter
+from upwash.vehicle.modes import Mode
+from upwash.vehicle.settings import VehicleSettings
 
 DATA = Path(__file__).parents[1] / "tests" / "vehicle" / "data"
 SETTINGS = VehicleSettings(home=GeoPosition(39.3666, 22.9507), armable_after_s=0.0)

@@ -1,4 +1,4 @@
-"""What many drones get from one daemon: 430 KB photos, a service of 50 ms, slots for all of them and for a tenth.
+"""What many drones get from one daemon: 430 KB photos, a service of 50 ms, slots for all of them, or in turns.
 
 `python -m bench.load` (some minutes) compares each number of drones with the same drones at a bare gRPC server, in
 the same run; `python -m bench.load --soak 600` watches what the daemon holds over ten minutes. See
@@ -7,9 +7,10 @@ docs/performance.md.
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import contextlib
+import itertools
+import math
 import os
 import random
 import shlex
@@ -18,20 +19,25 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import quantiles
+from typing import Literal
 
 import msgspec
 from bench.call import REQUEST_BYTES, running
 from bench.echo import REPLY_BYTES, Echo
+from bench.program import command_line, machine
 from bench.results import leave
 from bench.servers import GRPC_PATH
 from tests.system.daemons import children, memory_bytes
 
-from upwash.errors import LinkError
-from upwash.protocol import (
+from upwash.errors import LinkError, NoLease
+from upwash.real.authority import keys_in, make_keys
+from upwash.real.credentials import read_credentials
+from upwash.real.link import GrpcDialer
+from upwash.rpc.protocol import (
     AVAILABILITY,
     LEAVE,
     START,
@@ -44,19 +50,14 @@ from upwash.protocol import (
     resolve,
     service_path,
 )
-from upwash.real.credentials import keys_in, make_keys, read_credentials
-from upwash.real.link import GrpcDialer
-from upwash.service import spec_of
+from upwash.rpc.service import spec_of
 
-PERIOD_S = 1.0  # between a drone's calls: ten times as often as one that flies from photo to photo
 TAKES_S = 0.05
-VISIT_CALLS = 3  # then a drone leaves, and others may come
-TURNED_AWAY_S = 1.0  # until it asks again
+VISIT_CALLS = 3  # over one connection to the bare server; in a soak a drone leaves then, and comes again
+TURN_S = 5.0  # the least that can be configured: some turns fit into a minute
 DEADLINE_S = 30.0  # far more than a drone would wait: what is late is to be seen
-WARM_UP_S = 10.0
 IN_TURN = 4  # times as long where drones take turns
 SOAK_DRONES = 15
-SOAK_LOOK_S = 10.0
 MAX_MESSAGE_BYTES = 16 * 2**20
 MEASURE = spec_of(Echo).methods["measure"]
 DAEMON = """\
@@ -64,8 +65,25 @@ listen = "127.0.0.1:0"
 runtime = {{ sandbox_as_root = true }}
 keys = {{ authority = "authority.pem", certificate = "s1.pem", key = "s1.key" }}
 service = [{{ name = "echo", program = "bench.echo:Echo", pace_s = {takes_s} }}]
-server = [{{ name = "s1", slots = {slots} }}]
+server = [{{ name = "s1", slots = {slots}, turn_s = {turn_s} }}]
 """
+Slots = int | Literal["auto"] | None  # None: the bare server
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How fast all goes."""
+
+    period_s: float  # between a drone's calls
+    warm_up_s: float
+    look_s: float  # between two looks at what the daemon holds in a soak
+
+
+FULL = Pace(
+    period_s=1.0, warm_up_s=10.0, look_s=10.0
+)  # ten times as often as a drone that flies from photo to photo
+QUICK = Pace(period_s=0.2, warm_up_s=0.5, look_s=0.5)
+QUICK_DRONES, QUICK_S = 1, 1.0
 
 Tell = Callable[[str, bytes], Awaitable[bytes]]
 
@@ -77,7 +95,7 @@ class Seen:
     from_s: float = 0.0  # calls that begin earlier do not count: connections are made, the service started
     delays_s: list[float] = field(default_factory=list)
     served: Counter[str] = field(default_factory=Counter)
-    turned_away: int = 0  # no free slot
+    turned_away: int = 0  # questions without a free slot
     failed: Counter[str] = field(default_factory=Counter)  # calls, by why
     leases: set[str] = field(default_factory=set)
     most_leases: int = 0
@@ -98,7 +116,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     """One line of the table; `slots` are a daemon's, None stands for the bare server."""
 
     drones: int
-    slots: int | None
+    slots: Slots
     throughput_per_s: float
     p50_s: float
     p99_s: float
@@ -109,55 +127,60 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     most_calls: int
 
 
-HEAD = """\
-| drones | server | calls/s | p50, ms | p99, ms | failed | turned away | most at once | calls of a drone |
-|---|---|---|---|---|---|---|---|---|"""
+HEAD = (
+    *("drones", "server", "calls/s", "p50, ms", "p99, ms"),
+    *("failed", "turned away", "leases at most", "calls of a drone"),
+)
 
 
 # --- drones -------------------------------------------------------------------------------------------------
 
 
 class Drone:
-    """A drone that visits one server again and again."""
+    """A drone at one server; it stays for as long as it may, or for so many calls a visit."""
 
-    def __init__(self, name: str, keys: Path, seen: Seen, *, seed: int) -> None:
+    def __init__(
+        self, name: str, keys: Path, seen: Seen, pace: Pace, *, seed: int, visit_calls: int | None = None
+    ) -> None:
         files = keys_in(keys, name)
         credentials = read_credentials(files.authority, files.certificate, files.key)
         self.name = name
         self._dialer = GrpcDialer(name, credentials, max_message_bytes=MAX_MESSAGE_BYTES)
         self._seen = seen
+        self._period_s = pace.period_s
+        self._visit_calls = visit_calls
         self._chance = random.Random(seed)
         self._photo = self._chance.randbytes(REQUEST_BYTES)
 
     async def visit_daemon(self, address: str, until_s: float) -> None:
-        """Asks for a place, calls, leaves, and comes again."""
+        """Asks for a slot until it gets one, calls for as long as its turn lasts, and asks again."""
         await self._arrive()
         while time.perf_counter() < until_s:
             try:
                 await self._visit(address, until_s)
+            except NoLease:
+                self._seen.leases.discard(self.name)
             except LinkError as error:
                 self._note(error)
-                await self._pause()
+                await asyncio.sleep(self._period_s)
 
     async def _visit(self, address: str, until_s: float) -> None:
         async with self._linked(address) as tell:
-            request = AvailabilityRequest("s1", ["echo"])
-            answer = decode_reply(
-                await tell(AVAILABILITY, msgspec.msgpack.encode(request)), AvailabilityReply, sender="s1"
-            )
-            if not answer.available:
+            while not (answer := await _available(tell)).available:
                 self._seen.turned_away += 1
-                await self._pause()
-                return
+                await asyncio.sleep(answer.ask_again_s)
+                if time.perf_counter() >= until_s:
+                    return
             self._seen.admitted(self.name)
             endpoint = answer.endpoints.get("echo") or await _started(tell)
             async with self._linked(resolve(endpoint, address)) as call:
-                for _ in range(VISIT_CALLS):
+                for _ in itertools.count() if self._visit_calls is None else range(self._visit_calls):
+                    if time.perf_counter() >= until_s:
+                        break
                     _, body = MEASURE.encode((self._photo,), {})
                     await self._timed(call, service_path("echo", "measure"), body, until_s)
             self._seen.leases.discard(self.name)  # before it says so, as the daemon knows before it hears so
             await tell(LEAVE, msgspec.msgpack.encode(LeaveRequest("s1")))
-            await self._pause()
 
     async def visit_bare(self, address: str, until_s: float) -> None:
         """Calls."""
@@ -168,10 +191,7 @@ class Drone:
                     await self._timed(call, GRPC_PATH, self._photo, until_s)
 
     async def _arrive(self) -> None:
-        await asyncio.sleep(self._chance.uniform(0.0, PERIOD_S))
-
-    async def _pause(self) -> None:
-        await asyncio.sleep(TURNED_AWAY_S * self._chance.uniform(0.5, 1.5))
+        await asyncio.sleep(self._chance.uniform(0.0, self._period_s))
 
     def _note(self, error: LinkError) -> None:
         if time.perf_counter() >= self._seen.from_s:
@@ -191,12 +211,19 @@ class Drone:
             return
         try:
             reply = await call(path, body)
+        except NoLease:
+            raise
         except LinkError as error:
             self._note(error)
         else:
             assert len(reply) >= REPLY_BYTES
             self._seen.answered(self.name, began_s, time.perf_counter())
-        await asyncio.sleep(PERIOD_S - (time.perf_counter() - began_s))
+        await asyncio.sleep(self._period_s - (time.perf_counter() - began_s))
+
+
+async def _available(tell: Tell) -> AvailabilityReply:
+    request = msgspec.msgpack.encode(AvailabilityRequest("s1", ["echo"]))
+    return decode_reply(await tell(AVAILABILITY, request), AvailabilityReply, sender="s1")
 
 
 async def _started(tell: Tell) -> str:
@@ -211,23 +238,23 @@ async def _started(tell: Tell) -> str:
 # --- the table ----------------------------------------------------------------------------------------------
 
 
-def measure(drones: int, *, seconds: float, keys: Path) -> Iterator[Row]:
-    """The bare server, a daemon with a slot for each drone, and for longer one with slots for a tenth."""
-    for slots in dict.fromkeys((None, drones, max(1, drones // 10))):
+def measure(drones: int, pace: Pace, *, seconds: float, keys: Path) -> Iterator[Row]:
+    """The bare server, a daemon with a slot for each drone, and for longer two where they may have to take turns."""
+    for slots in dict.fromkeys((None, drones, "auto", max(1, drones // 10))):
         lasts_s = seconds if slots in (None, drones) else IN_TURN * seconds
         seen = Seen()
-        fleet = _fleet(drones, keys, seen)
+        fleet = _fleet(drones, keys, seen, pace)
         with _server(slots, keys) as (_, address):
-            seen.from_s = time.perf_counter() + WARM_UP_S
-            asyncio.run(_all_at(address, fleet, WARM_UP_S + lasts_s, bare=slots is None))
-        cuts_s = quantiles(seen.delays_s, n=100)
+            seen.from_s = time.perf_counter() + pace.warm_up_s
+            asyncio.run(_all_at(address, fleet, pace.warm_up_s + lasts_s, bare=slots is None))
+        p50_s, p99_s = _middle_and_tail(seen.delays_s)
         calls = [seen.served[drone.name] for drone in fleet]
         yield Row(
             drones=drones,
             slots=slots,
             throughput_per_s=len(seen.delays_s) / lasts_s,
-            p50_s=cuts_s[49],
-            p99_s=cuts_s[98],
+            p50_s=p50_s,
+            p99_s=p99_s,
             failed=seen.failed.total(),
             turned_away=seen.turned_away,
             most_leases=seen.most_leases,
@@ -236,8 +263,19 @@ def measure(drones: int, *, seconds: float, keys: Path) -> Iterator[Row]:
         )
 
 
-def _fleet(drones: int, keys: Path, seen: Seen) -> list[Drone]:
-    return [Drone(f"drone-{number}", keys, seen, seed=number) for number in range(drones)]
+def _middle_and_tail(delays_s: Sequence[float]) -> tuple[float, float]:
+    """The median and the 99th percentile; NaN where there are too few to say."""
+    if len(delays_s) < 2:
+        return math.nan, math.nan
+    cuts_s = quantiles(delays_s, n=100)
+    return cuts_s[49], cuts_s[98]
+
+
+def _fleet(drones: int, keys: Path, seen: Seen, pace: Pace, *, visit_calls: int | None = None) -> list[Drone]:
+    return [
+        Drone(f"drone-{number}", keys, seen, pace, seed=number, visit_calls=visit_calls)
+        for number in range(drones)
+    ]
 
 
 async def _all_at(address: str, drones: Sequence[Drone], seconds: float, *, bare: bool) -> None:
@@ -249,12 +287,14 @@ async def _all_at(address: str, drones: Sequence[Drone], seconds: float, *, bare
 
 
 @contextlib.contextmanager
-def _server(slots: int | None, keys: Path) -> Iterator[tuple[int, str]]:
+def _server(slots: Slots, keys: Path) -> Iterator[tuple[int, str]]:
     """The process and its address: a daemon with that many slots, or the bare server."""
     if slots is None:
         command: tuple[str, ...] = ("bench.servers", "grpc", "127.0.0.1", str(keys), str(TAKES_S))
     else:
-        (keys / "daemon.toml").write_text(DAEMON.format(slots=slots, takes_s=TAKES_S))
+        (keys / "daemon.toml").write_text(
+            DAEMON.format(slots=msgspec.json.encode(slots).decode(), turn_s=TURN_S, takes_s=TAKES_S)
+        )
         command = ("upwash", "serve", "--config", str(keys / "daemon.toml"))
     before = set(children(os.getpid()))
     with running((sys.executable, "-m", *command), log=keys / "servers.log") as address:
@@ -262,20 +302,23 @@ def _server(slots: int | None, keys: Path) -> Iterator[tuple[int, str]]:
         yield process, address
 
 
-def _printed(row: Row) -> str:
-    who = "bare gRPC" if row.slots is None else f"upwash, {row.slots} slots"
-    admitted = ("", "") if row.slots is None else (row.turned_away, row.most_leases)
-    cells = (
+def cells(row: Row) -> Sequence[object]:
+    """The row as the table has it."""
+    return (
         row.drones,
-        who,
+        "bare gRPC" if row.slots is None else f"upwash, {row.slots} slot{'s' * (row.slots != 1)}",
         f"{row.throughput_per_s:.1f}",
         f"{row.p50_s * 1e3:.0f}",
         f"{row.p99_s * 1e3:.0f}",
         row.failed,
-        *admitted,
+        "" if row.slots is None else row.turned_away,
+        "" if row.slots is None else row.most_leases,
         f"{row.least_calls} to {row.most_calls}",
     )
-    return f"| {' | '.join(map(str, cells))} |"
+
+
+def _line(each: Iterable[object]) -> str:
+    return f"| {' | '.join(map(str, each))} |"
 
 
 # --- the soak -----------------------------------------------------------------------------------------------
@@ -301,34 +344,35 @@ class Soak(msgspec.Struct, frozen=True, kw_only=True):
     held: list[Held]
 
 
-def soak(seconds: float, *, keys: Path) -> Soak:
+def soak(seconds: float, pace: Pace, *, keys: Path) -> Soak:
     """Fifteen drones, three quarters of what the service can do, that come and go."""
     seen = Seen()
     with _server(SOAK_DRONES, keys) as (process, address):
         held: list[Held] = []
         over = threading.Event()
-        watching = threading.Thread(target=_watch, args=(process, held, over))
+        watching = threading.Thread(target=_watch, args=(process, held, over, pace.look_s))
         watching.start()
         try:
-            asyncio.run(_all_at(address, _fleet(SOAK_DRONES, keys, seen), seconds, bare=False))
+            fleet = _fleet(SOAK_DRONES, keys, seen, pace, visit_calls=VISIT_CALLS)
+            asyncio.run(_all_at(address, fleet, seconds, bare=False))
         finally:
             over.set()
             watching.join()
-    cuts_s = quantiles(seen.delays_s, n=100)
+    p50_s, p99_s = _middle_and_tail(seen.delays_s)
     return Soak(
         seconds=seconds,
         drones=SOAK_DRONES,
         calls=len(seen.delays_s),
         failed=seen.failed.total(),
-        p50_s=cuts_s[49],
-        p99_s=cuts_s[98],
+        p50_s=p50_s,
+        p99_s=p99_s,
         held=held,
     )
 
 
-def _watch(process: int, held: list[Held], over: threading.Event) -> None:
+def _watch(process: int, held: list[Held], over: threading.Event, look_s: float) -> None:
     began_s = time.perf_counter()
-    while not over.wait(SOAK_LOOK_S):
+    while not over.wait(look_s):
         everything = [process, *_below(process)]
         now = Held(
             at_s=time.perf_counter() - began_s,
@@ -348,7 +392,7 @@ def _below(process: int) -> list[int]:
 
 def main() -> None:
     """Prints the table, or what the soak came to."""
-    parser = argparse.ArgumentParser(prog="python -m bench.load", description=__doc__)
+    parser = command_line("load", __doc__)
     parser.add_argument("--drones", type=int, nargs="+", default=[1, 10, 20, 50, 100, 200])
     parser.add_argument(
         "--seconds",
@@ -359,25 +403,29 @@ def main() -> None:
     parser.add_argument("--soak", type=float, metavar="SECONDS", help="watch one load for so long instead")
     parser.add_argument("--out", type=Path, help="leave the figures there as JSON")
     options = parser.parse_args()
-    load = ", ".join(f"{load:.2f}" for load in os.getloadavg())
-    print(f"{os.cpu_count()} cores, load {load}", flush=True)
+    if options.quick and options.out:
+        parser.error("figures of a quick run mean nothing, and are not kept")
+    pace = FULL
+    if options.quick:
+        pace, options.drones, options.seconds = QUICK, [QUICK_DRONES], QUICK_S
+    print(machine(), flush=True)
     most = SOAK_DRONES if options.soak else max(options.drones)
     with tempfile.TemporaryDirectory(prefix="upwash-load-") as folder:
         keys = Path(folder)
         make_keys(keys, servers=[["s1"]], drones=[f"drone-{number}" for number in range(most)])
         figures: Soak | list[Row]
         if options.soak:
-            figures = soak(options.soak, keys=keys)
+            figures = soak(options.soak, pace, keys=keys)
             print(
                 f"{figures.calls} calls, {figures.failed} failed, p50 {figures.p50_s * 1e3:.0f} ms, "
                 f"p99 {figures.p99_s * 1e3:.0f} ms"
             )
         else:
             figures = []
-            print(HEAD, flush=True)
+            print(_line(HEAD), _line(["---"] * len(HEAD)), sep="\n", flush=True)
             for drones in options.drones:
-                for row in measure(drones, seconds=options.seconds, keys=keys):
-                    print(_printed(row), flush=True)
+                for row in measure(drones, pace, seconds=options.seconds, keys=keys):
+                    print(_line(cells(row)), flush=True)
                     figures.append(row)
     if options.out:
         leave(options.out, command=f"python -m bench.load {shlex.join(sys.argv[1:])}", figures=figures)

@@ -1,32 +1,53 @@
-"""Writes the measured parts of docs/promises.md, docs/performance.md and docs/peers.md: `python -m bench.promises`.
+"""Writes the measured parts of README.md and of pages in docs/: `python -m bench.promises`.
 
 They come from bench/results. Each part stands between two comments that name it; `--chaos FILE` takes up
-first what `upwash chaos --out FILE` left.
+first what `upwash chaos --out FILE` left, `--reproduction FILE` what `upwash reproduce --json FILE` did.
 """
 
 from __future__ import annotations
 
 import argparse
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
 import msgspec
-from bench.load import Row, Soak
+from bench.gains.kept import TABLE
+from bench.gains.kept import read as read_missions
+from bench.gains.tables import Flown
+from bench.gains.tables import tables as gained
+from bench.load import HEAD, Row, Soak, cells
 from bench.peers.order import Comparison
-from bench.peers.table import tables
+from bench.peers.table import brief, tables
+from bench.reproduction import Kept, disagreements, others, sensitivity, shortened, times
 from bench.results import FOLDER, Result, leave, read
+from bench.sharing import HEAD as SHARED
+from bench.sharing import Shared
+from bench.sharing import table as shared_rows
+from bench.validate import COLUMNS, kept, row_of
 from bench.weight import Line
 from tests.fuzz.campaign import Fuzzed
 from tests.system.faults.verdict import Figures
 from tests.system.hostile import Attacked
 
-from upwash.lab.chaos_display import Summary
+from upwash.lab.faults.display import Summary
+from upwash.lab.reproduction.output import decoded
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGES = ("promises.md", "performance.md", "peers.md")
+PAGES = (
+    "promises.md",
+    "performance.md",
+    "peers.md",
+    "reproduction.md",
+    "science.md",
+    "validation.md",
+    "fleets.md",
+    "../README.md",
+)
 T = TypeVar("T")
+_NOT_YET = "Not measured yet."
 
 
 def _figures(result: Result, kind: type[T]) -> T:
@@ -106,25 +127,8 @@ def _fuzz(result: Result) -> str:
 
 
 def _load(result: Result) -> str:
-    rows = (
-        (
-            row.drones,
-            "bare gRPC" if row.slots is None else f"upwash, {row.slots} slot{'s' * (row.slots > 1)}",
-            f"{row.throughput_per_s:.1f}",
-            f"{row.p50_s * 1e3:.0f}",
-            f"{row.p99_s * 1e3:.0f}",
-            row.failed,
-            "" if row.slots is None else row.turned_away,
-            "" if row.slots is None else row.most_leases,
-            f"{row.least_calls} to {row.most_calls}",
-        )
-        for row in _figures(result, list[Row])
-    )
-    head = (
-        *("drones", "server", "calls/s", "p50, ms", "p99, ms"),
-        *("failed", "turned away", "leases at most", "calls of a drone"),
-    )
-    return f"`{result.command}` {_measured(result)}:\n\n{_table(head, rows)}"
+    rows = map(cells, _figures(result, list[Row]))
+    return f"`{result.command}` {_measured(result)}:\n\n{_table(HEAD, rows)}"
 
 
 def _soak(result: Result) -> str:
@@ -166,6 +170,47 @@ def _peers(result: Result) -> str:
     return "\n\n".join((measured, *tables(figures.trials)))
 
 
+def _times(result: Result) -> str:
+    return f"`{result.command}` {_measured(result)}. {times(_figures(result, Kept))}"
+
+
+def _others(result: Result) -> str:
+    return others(_figures(result, Kept))
+
+
+def _sensitivity(result: Result) -> str:
+    return sensitivity(_figures(result, Kept))
+
+
+def _disagreements(_: Result) -> str:
+    return disagreements()
+
+
+def _in_short(result: Result) -> str:
+    return "\n\n".join(brief(_figures(result, Comparison).trials))
+
+
+def _gains(result: Result) -> str:
+    figures = _figures(result, Flown)
+    measured = (
+        f"`{result.command}` {_measured(result)}: {figures.missions:,} missions in {figures.worlds} worlds, "
+        f"{figures.seeds} seeds, {figures.took_s / 60:.0f} minutes on {figures.cores} cores."
+    )
+    return f"{measured}\n\n{gained(read_missions(TABLE))}"
+
+
+def _validation() -> str:
+    rows = [(*row_of(figures), result.commit, result.day) for result, figures in kept()]
+    return _table((*COLUMNS, "commit", "day"), iter(rows)) if rows else _NOT_YET
+
+
+def _sharing(result: Result) -> str:
+    shared = _figures(result, list[Shared])
+    layouts = dict.fromkeys(each.layout for each in shared)
+    tables = (f"**{layout}**\n\n{_table(SHARED, shared_rows(shared, layout))}" for layout in layouts)
+    return "\n\n".join((f"`{result.command}` {_measured(result)}.", *tables))
+
+
 PARTS: Mapping[str, Callable[[Result], str]] = {
     "chaos": _chaos,
     "faults": _faults,
@@ -175,7 +220,15 @@ PARTS: Mapping[str, Callable[[Result], str]] = {
     "soak": _soak,
     "weight": _weight,
     "peers": _peers,
+    "peers_in_short": _in_short,
+    "reproduction": _times,
+    "reproduction_others": _others,
+    "reproduction_sensitivity": _sensitivity,
+    "reproduction_disagreements": _disagreements,
+    "gains": _gains,
+    "sharing": _sharing,
 }
+COLLECTED = {"validation": _validation}  # each from several results
 
 
 # --- the pages ----------------------------------------------------------------------------------------------
@@ -186,28 +239,52 @@ def with_results(page: str) -> str:
 
     def written(part: re.Match[str]) -> str:
         name = part["name"]
-        result = read(name)
-        text = "Not measured yet." if result is None else PARTS[name](result)
-        return f"<!-- measured: {name} -->\n{text}\n<!-- end -->"
+        return f"<!-- measured: {name} -->\n{_text_of(name)}\n<!-- end -->"
 
     return re.sub(r"<!-- measured: (?P<name>\w+) -->\n.*?<!-- end -->", written, page, flags=re.DOTALL)
 
 
-def main() -> None:
-    """Writes the pages."""
+def _text_of(part: str) -> str:
+    if part in COLLECTED:
+        return COLLECTED[part]()
+    result = read(part.partition("_")[0])
+    return _NOT_YET if result is None else PARTS[part](result)
+
+
+def main() -> int:
+    """Writes the pages, or only looks at them."""
     parser = argparse.ArgumentParser(prog="python -m bench.promises", description=__doc__)
     parser.add_argument(
         "--chaos", type=Path, metavar="FILE", help="take up what `upwash chaos --out FILE` left"
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing; 1 where a page is not as it would be"
+    )
+    parser.add_argument(
+        "--reproduction",
+        type=Path,
+        metavar="FILE",
+        help="take up what `upwash reproduce --sensitivity --json FILE` left",
     )
     parser.add_argument("--seeds", default="1..100000", metavar="A..B", help="of those worlds")
     options = parser.parse_args()
     if options.chaos:
         summary = msgspec.json.decode(options.chaos.read_bytes(), type=Summary)
         leave(FOLDER / "chaos.json", command=f"upwash chaos --seeds {options.seeds}", figures=summary)
-    for name in PAGES:
-        page = DOCS / name
-        page.write_text(with_results(page.read_text()))
+    if options.reproduction:
+        results = decoded(options.reproduction.read_bytes())
+        leave(
+            FOLDER / "reproduction.json", command="upwash reproduce --sensitivity", figures=shortened(results)
+        )
+    old = {DOCS / name: (DOCS / name).read_text() for name in PAGES}
+    stale = [page for page, text in old.items() if with_results(text) != text]
+    for page in stale:
+        print(f"{page.name}: {'not as the results say' if options.check else 'written'}")
+        if not options.check:
+            page.write_text(with_results(old[page]))
+    print(f"{len(old) - len(stale)} of {len(old)} pages were as the results say")
+    return int(options.check and bool(stale))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,8 +1,8 @@
 """Writes the names of PX4's events by number, from the event metadata that a build of PX4 leaves behind.
 
-    python bench/px4_events.py build/px4_sitl_default/events/all_events.json > src/upwash/real/mavlink/px4_events.csv
+    python -m bench.px4_events build/px4_sitl_default/events/all_events.json > src/upwash/real/mavlink/px4_events.csv
 
-The driver's words for an event that `upwash.mavlink_px4.EVENTS` does not tell better. Calibration's are left out.
+The driver's words for an event that `upwash.mavlink.px4.EVENTS` does not tell better. Calibration's are left out.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Reads the figures of recorded flights of a PX4, which tests compare the stand-in with, out of the recordings.
 
-Run from the repository: python bench/px4_figures.py FOLDER > tests/vehicle/px4/data/figures.csv, and with --profiles
+Run from the repository: python -m bench.px4_figures FOLDER > tests/vehicle/px4/data/figures.csv, and with --profiles
 for profiles.csv. FOLDER holds a NAME.tlog (MAVLink as received) and a NAME.log (what happened, in words) for each.
 """
 

@@ -1,37 +1,41 @@
-"""What a sandbox costs: the same 430 KB call, by mutual TLS over loopback, of a process without one and with one."""
+"""What a sandbox costs: `python -m bench.sandbox`.
+
+The same 430 KB call, by mutual TLS over loopback, of a process without a sandbox and of one within.
+"""
 
 from __future__ import annotations
 
 import asyncio
-import os
 import tempfile
 import time
 from pathlib import Path
 from statistics import median
 
 import msgspec
+from bench.program import command_line, machine
 
 from upwash.ports import InstanceSpec, Program
-from upwash.protocol import service_path
-from upwash.real.credentials import Credentials, fingerprint, make_keys, read_credentials
+from upwash.real.authority import make_keys
+from upwash.real.credentials import Credentials, fingerprint, read_credentials
 from upwash.real.door import leading, opened_door
 from upwash.real.limits import Limits
 from upwash.real.link import GrpcDialer, GrpcLink
 from upwash.real.runtime import ProcessInstance, ProcessRuntime, sockets_in
 from upwash.real.sandbox import find_sandbox
 from upwash.real.trust import Trust
+from upwash.rpc.protocol import service_path
 
 REQUEST_BYTES = 430_000
 MAX_MESSAGE_BYTES = 2**20
 WARM_UP, ROUNDS, STARTS = 20, 200, 5
+QUICK_ROUNDS, QUICK_STARTS = 2, 1
 SPEC = InstanceSpec("s1", "echo", Program("bench.echo:Echo"))
 BODY = msgspec.msgpack.encode({"photo": bytes(REQUEST_BYTES)})
 
 
-async def main() -> None:
+async def main(rounds: int, starts: int) -> None:
     """Measures and prints."""
-    load = ", ".join(f"{load:.2f}" for load in os.getloadavg())
-    print(f"request {REQUEST_BYTES} bytes, mutual TLS, loopback; {os.cpu_count()} cores, load {load}")
+    print(f"request {REQUEST_BYTES} bytes, mutual TLS, loopback; {machine()}")
     sandbox = find_sandbox(Limits(2**31, 256, 2**28), readable=())
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -50,20 +54,22 @@ async def main() -> None:
                 )
                 for around in (None, sandbox)
             )
-            await compare_runtimes(plain, boxed, keys["d1"])
+            await compare_runtimes(plain, boxed, keys["d1"], rounds, starts)
 
 
-async def compare_runtimes(plain: ProcessRuntime, boxed: ProcessRuntime, drone: Credentials) -> None:
+async def compare_runtimes(
+    plain: ProcessRuntime, boxed: ProcessRuntime, drone: Credentials, rounds: int, starts: int
+) -> None:
     """Starts instances of both, and has one of each called."""
     found = {
-        "plain process": [await started(plain) for _ in range(STARTS)],
-        "bubblewrap": [await started(boxed) for _ in range(STARTS)],
+        "plain process": [await started(plain) for _ in range(starts)],
+        "bubblewrap": [await started(boxed) for _ in range(starts)],
     }
-    for title, starts in found.items():
-        print(f"{title:16} ready after {median(start_s for _, start_s in starts):.2f} s")
-    await compare(found["plain process"][0][0], found["bubblewrap"][0][0], drone)
-    for starts in found.values():
-        for instance, _ in starts:
+    for title, instances in found.items():
+        print(f"{title:16} ready after {median(start_s for _, start_s in instances):.2f} s")
+    await compare(found["plain process"][0][0], found["bubblewrap"][0][0], drone, rounds)
+    for instances in found.values():
+        for instance, _ in instances:
             await instance.stop()
 
 
@@ -73,22 +79,22 @@ async def started(runtime: ProcessRuntime) -> tuple[ProcessInstance, float]:
     return await runtime.start(SPEC, called=lambda _: None), time.perf_counter() - began_s
 
 
-async def compare(plain: ProcessInstance, boxed: ProcessInstance, drone: Credentials) -> None:
+async def compare(plain: ProcessInstance, boxed: ProcessInstance, drone: Credentials, rounds: int) -> None:
     """Calls the two in turn and prints the medians, and the median of the rounds' ratios."""
     dialer = GrpcDialer("d1", drone, max_message_bytes=MAX_MESSAGE_BYTES)
     links = []
     for instance in (plain, boxed):
         await instance.admit(frozenset({fingerprint(drone.certificate)}))
         links.append(dialer.dial(f"127.0.0.1{instance.endpoint}", server="s1"))
-    for _ in range(WARM_UP):
+    for _ in range(min(rounds, WARM_UP)):
         for link in links:
             await call(link)
-    rounds = [[await call(link) for link in links] for _ in range(ROUNDS)]
-    for title, delays_s in zip(("plain process", "bubblewrap"), zip(*rounds, strict=True), strict=True):
+    found = [[await call(link) for link in links] for _ in range(rounds)]
+    for title, delays_s in zip(("plain process", "bubblewrap"), zip(*found, strict=True), strict=True):
         print(f"{title:16} {median(delays_s) * 1e3:.2f} ms")
-    more_s = median(boxed_s - plain_s for plain_s, boxed_s in rounds)
-    ratio = median(boxed_s / plain_s for plain_s, boxed_s in rounds)
-    print(f"in bubblewrap {more_s * 1e3:+.2f} ms, {ratio:.2f} times, medians of {ROUNDS} rounds")
+    more_s = median(boxed_s - plain_s for plain_s, boxed_s in found)
+    ratio = median(boxed_s / plain_s for plain_s, boxed_s in found)
+    print(f"in bubblewrap {more_s * 1e3:+.2f} ms, {ratio:.2f} times, medians of {rounds} rounds")
     for link in links:
         await link.close()
 
@@ -101,4 +107,5 @@ async def call(link: GrpcLink) -> float:
 
 
 if __name__ == "__main__":
-    asyncio.run(main())
+    quick = command_line("sandbox", __doc__).parse_args().quick
+    asyncio.run(main(*(QUICK_ROUNDS, QUICK_STARTS) if quick else (ROUNDS, STARTS)))

@@ -1,18 +1,20 @@
-"""What a simulated mission costs: one alone, many in a campaign, and how it grows with servers and waypoints.
+"""What a simulated mission costs: `python -m bench.simulate`.
 
-The mission is the thesis's in heavy mode with offloading (scenarios/thesis.toml). See docs/campaigns.md.
+One alone, many in a campaign, and how it grows with servers and waypoints. The mission is the thesis's in heavy mode
+with offloading (scenarios/thesis.toml). See docs/campaigns.md.
 """
 
 from __future__ import annotations
 
-import os
 import tempfile
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
 import msgspec
+from bench.program import command_line, machine
 
 from upwash.config import (
     DroneConfig,
@@ -29,64 +31,81 @@ from upwash.lab.run import simulate
 from upwash.lab.sweep import read_sweep
 
 SCENARIO = Path(__file__).resolve().parent.parent / "scenarios" / "thesis.toml"
-WARM_UP, ROUNDS = 3, 21
-CAMPAIGN_SEEDS, CAMPAIGN_WORKERS = 300, 2
-GROWTH_ROUNDS = 3
+CAMPAIGN_WORKERS = 2
 LEAST_REAL_TIME = 20_000
 LEAST_MISSIONS_PER_MINUTE = 1_000
 MOST_GROWTH = 1.2  # of the cost per waypoint and server in range, from the smallest to the largest
 
 
+@dataclass(frozen=True)
+class Extent:
+    """How much is measured."""
+
+    warm_up: int
+    rounds: int
+    seeds: int  # of the campaign
+    growth_rounds: int
+    sides: Sequence[int]  # of the grids
+    servers: Sequence[int]
+
+
+FULL = Extent(
+    warm_up=3, rounds=21, seeds=300, growth_rounds=3, sides=(11, 32, 100), servers=(1, 3, 10, 32, 100)
+)
+QUICK = Extent(warm_up=0, rounds=1, seeds=2, growth_rounds=1, sides=(2, 3), servers=(1, 2))
+
+
 def main() -> None:
     """Measures and prints; a missed limit is printed as such and is no failure."""
-    load = ", ".join(f"{load:.2f}" for load in os.getloadavg())
-    print(f"{os.cpu_count()} cores, load {load}")
+    extent = QUICK if command_line("simulate", __doc__).parse_args().quick else FULL
+    print(machine())
     config = read_drone_config(SCENARIO)
-    measure_speed(config)
-    measure_campaign()
-    measure_growth(config)
+    measure_speed(config, extent)
+    measure_campaign(extent)
+    measure_growth(config, extent)
 
 
-def measure_speed(config: DroneConfig) -> None:
+def measure_speed(config: DroneConfig, extent: Extent) -> None:
     """One mission alone, against the time that it would take in the air."""
     mission_s = simulate(config).result.mission_time_s
-    took_s = seconds(config, rounds=ROUNDS, warm_up=WARM_UP)
+    took_s = seconds(config, rounds=extent.rounds, warm_up=extent.warm_up)
     print(
-        f"\none mission of {mission_s / 60:.1f} min: median {1e3 * median(took_s):.1f} ms of {ROUNDS}", end=""
+        f"\none mission of {mission_s / 60:.1f} min: median {1e3 * median(took_s):.1f} ms of {extent.rounds}",
+        end="",
     )
     print(f" (from {1e3 * min(took_s):.1f} to {1e3 * max(took_s):.1f})")
     print(verdict("times real time", mission_s / median(took_s), LEAST_REAL_TIME))
 
 
-def measure_campaign() -> None:
+def measure_campaign(extent: Extent) -> None:
     """A campaign, from its start to its sorted file."""
     with tempfile.TemporaryDirectory() as folder:
-        file = CampaignFile.open(
-            Path(folder) / "campaign.csv", read_sweep(SCENARIO, [], seeds=CAMPAIGN_SEEDS)
-        )
+        file = CampaignFile.open(Path(folder) / "campaign.csv", read_sweep(SCENARIO, [], seeds=extent.seeds))
         began_s = time.perf_counter()
         run_campaign(file, fly=in_processes(CAMPAIGN_WORKERS))
         took_s = time.perf_counter() - began_s
-    print(f"\na campaign of {CAMPAIGN_SEEDS} missions in {CAMPAIGN_WORKERS} processes: {took_s:.1f} s")
-    print(verdict("missions per minute", 60 * CAMPAIGN_SEEDS / took_s, LEAST_MISSIONS_PER_MINUTE))
+    print(f"\na campaign of {extent.seeds} missions in {CAMPAIGN_WORKERS} processes: {took_s:.1f} s")
+    print(verdict("missions per minute", 60 * extent.seeds / took_s, LEAST_MISSIONS_PER_MINUTE))
 
 
-def measure_growth(config: DroneConfig) -> None:
+def measure_growth(config: DroneConfig, extent: Extent) -> None:
     """The cost by waypoints, by servers of which few are in range, and by servers that all are."""
     print("\nwaypoints  servers  in range       ms  µs/waypoint  µs/(waypoint x (1 + in range))")
-    grow("waypoints", [with_grid(config, side) for side in (11, 32, 100)])
-    grow(
-        "servers, in a line", [with_servers(config, count, spacing_m=150.0) for count in (1, 3, 10, 32, 100)]
+    grids = [with_grid(config, side) for side in extent.sides]
+    in_line, near = (
+        [with_servers(config, count, spacing_m=spacing_m) for count in extent.servers]
+        for spacing_m in (150.0, 0.5)
     )
-    grow("servers, all near", [with_servers(config, count, spacing_m=0.5) for count in (1, 3, 10, 32, 100)])
+    for what, sizes in ("waypoints", grids), ("servers, in a line", in_line), ("servers, all near", near):
+        grow(what, sizes, rounds=extent.growth_rounds)
 
 
-def grow(what: str, sizes: Sequence[DroneConfig]) -> None:
+def grow(what: str, sizes: Sequence[DroneConfig], *, rounds: int) -> None:
     """Prints a line for each size, and how the cost per waypoint and server in range has grown."""
     print(f"- {what}")
     costs_us = []
-    rounds = [[seconds(config, rounds=1, warm_up=0)[0] for config in sizes] for _ in range(1 + GROWTH_ROUNDS)]
-    for config, took in zip(sizes, zip(*rounds[1:], strict=True), strict=True):  # the first round warms up
+    found = [[seconds(config, rounds=1, warm_up=0)[0] for config in sizes] for _ in range(1 + rounds)]
+    for config, took in zip(sizes, zip(*found[1:], strict=True), strict=True):  # the first round warms up
         took_s = median(took)
         count, servers, in_range = len(waypoints(config.mission)), len(config.servers), mean_in_range(config)
         cost_us = 1e6 * took_s / count

@@ -1,7 +1,7 @@
 """Flies the thesis's grid from rest with the stand-in and sets it beside the recorded flight of an ArduCopter.
 
-Run from the repository: python bench/vehicle.py. The client does what the recording's did: the next target 3 s after
-arrival, which is within 1 m and below 0.5 m/s; all times are the vehicle's own, read from its reports.
+Run from the repository: `python -m bench.vehicle`. The client does what the recording's did: the next target 3 s
+after arrival, which is within 1 m and below 0.5 m/s; all times are the vehicle's own, read from its reports.
 """
 
 from __future__ import annotations
@@ -11,18 +11,20 @@ import csv
 import math
 import statistics
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from bench.program import command_line
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position, distance_m
 from upwash.real.mavlink import MavlinkLink
-from upwash.vehicle.copter import VehicleSettings
 from upwash.vehicle.server import serve_vehicle
+from upwash.vehicle.settings import VehicleSettings
 
 SPEEDUP = 10.0
+QUICK_SPEEDUP, QUICK_LEGS = 40.0, 2
 REPORTS_HZ = 10.0
 HOME = GeoPosition(39.3666, 22.9507)
 ALTITUDE_M, GROUND_SPEED_M_S, HOVER_S = 15.0, 4.0, 3.0
@@ -212,6 +214,15 @@ def _table(was: Times, flown: Times) -> str:
     )
 
 
+def main() -> None:
+    """Flies and prints."""
+    was, targets = recorded()
+    speedup = SPEEDUP
+    if command_line("vehicle", __doc__).parse_args().quick:
+        was, targets = replace(was, legs_s=was.legs_s[:QUICK_LEGS]), targets[:QUICK_LEGS]
+        speedup = QUICK_SPEEDUP
+    print(_table(was, asyncio.run(fly_grid_over_udp(targets, speedup=speedup))))
+
+
 if __name__ == "__main__":
-    before, where = recorded()
-    print(_table(before, asyncio.run(fly_grid_over_udp(where, speedup=SPEEDUP))))
+    main()

@@ -1,7 +1,8 @@
-"""How soon a page shows what a log says: a mission of 2,000 waypoints, nearly over, with ten positions a second.
+"""How soon a page shows what a log says: `python -m bench.view`.
 
-Prints the delay from the end of the write of an event to the frame in which the page shows it, in a headless Chromium
-on this machine, for the drone's positions and for calls, and for how long the page was busy meanwhile.
+The mission has 2,000 waypoints and is nearly over; there are ten positions a second. Prints the delay from the end of
+the write of an event to the frame in which the page shows it, in a headless Chromium on this machine, for the drone's
+positions and for calls, and for how long the page was busy meanwhile.
 """
 
 from __future__ import annotations
@@ -11,19 +12,19 @@ import json
 import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any
 
+from bench.program import command_line
 from tests.system.browser import Browser, browser, why_not
 
-from upwash.running import ready_program
+from upwash.launch.processes import ready_program
 
-WAYPOINTS, COLUMNS, SPACING_M = 2_000, 50, 20.0
-DONE = 1_950  # waypoints before anybody looks
+COLUMNS, SPACING_M = 50, 20.0
 PERIOD_S = 0.1
 FIXES_A_WAYPOINT = 60
-WATCHED_S = 30.0
 LIMIT_S = 0.5
 WATCH = """
 window.shown = {where: [], calls: []};
@@ -42,55 +43,81 @@ watch(".totals", /(\\d+) calls/, shown.calls);
 """
 
 
+@dataclass(frozen=True)
+class Extent:
+    """How much is measured."""
+
+    waypoints: int
+    done: int  # of them, before anybody looks
+    watched_s: float
+
+
+FULL = Extent(waypoints=2_000, done=1_950, watched_s=30.0)
+QUICK = Extent(waypoints=12, done=10, watched_s=7.0)  # long enough for a waypoint's call
+
+
 def main() -> None:
     """Measures, and prints."""
+    extent = QUICK if command_line("view", __doc__).parse_args().quick else FULL
     if missing := why_not():
         print(f"not measured: {missing}")
         return
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "events.jsonl"
-        events = mission()
-        before = list(itertools.takewhile(lambda event: event.get("waypoint") != DONE, events))
+        events = mission(extent.waypoints)
+        before = list(itertools.takewhile(lambda event: event.get("waypoint") != extent.done, events))
         log.write_text("".join(map(line, before)))
         print(f"{len(before)} events, {log.stat().st_size / 1e6:.1f} MB, before the page is opened")
         with (
             ready_program("view", log.parent, "view", str(log), "--port", "0") as address,
             browser(Path(folder) / "profile") as page,
         ):
-            watch(page, address, log, events, began_s=before[-1]["t"])
+            watch(page, address, log, events, extent, began_s=before[-1]["t"])
 
 
 def watch(
-    page: Browser, address: str, log: Path, events: Iterator[dict[str, Any]], *, began_s: float
+    page: Browser,
+    address: str,
+    log: Path,
+    events: Iterator[dict[str, Any]],
+    extent: Extent,
+    *,
+    began_s: float,
 ) -> None:
     """Writes what comes next at its time, and compares with when the page shows it."""
     opened_s = time.monotonic()
     page.open(address)
-    page.wait_until(lambda: f"{DONE} calls" in page.text(".totals"))
+    page.wait_until(lambda: f"{extent.done} calls" in page.text(".totals"))
     print(f"the page shows all of it {time.monotonic() - opened_s:.1f} s after it is opened")
     page.run(WATCH)
     worked_s = busy_s(page)
-    fixes, calls = write(log, events, began_s=began_s)
+    fixes, calls = write(log, events, extent, began_s=began_s)
     time.sleep(2 * LIMIT_S)
     worked_s = busy_s(page) - worked_s
+    page.wait_until(lambda: shows(page, "where", max(fixes)) and shows(page, "calls", max(calls)))
     for name, written, shown in (
         ("positions", fixes, page.run("return shown.where")),
         ("calls", calls, page.run("return shown.calls")),
     ):
         report(name, written, shown)
-    print(f"the page was busy for {100 * worked_s / WATCHED_S:.0f} % of the time")
+    print(f"the page was busy for {100 * worked_s / extent.watched_s:.0f} % of the time")
+
+
+def shows(page: Browser, name: str, value: int) -> bool:
+    """Whether the page has shown that value, or a later one."""
+    return any(other >= value for other, _ in page.run(f"return shown.{name}"))
 
 
 def write(
-    log: Path, events: Iterator[dict[str, Any]], *, began_s: float
+    log: Path, events: Iterator[dict[str, Any]], extent: Extent, *, began_s: float
 ) -> tuple[dict[int, float], dict[int, float]]:
     """When, in ms since 1970, each fix was written, known by its altitude, and each call, by its number."""
     fixes, calls = dict[int, float](), dict[int, float]()
-    number = DONE
+    number = extent.done
     start_s = time.monotonic()
     with log.open("ab", buffering=0) as file:
         for event in events:
-            if event["t"] - began_s > WATCHED_S:
+            if event["t"] - began_s > extent.watched_s:
                 break
             time.sleep(max(0.0, start_s + event["t"] - began_s - time.monotonic()))
             file.write(line(event).encode())
@@ -123,10 +150,10 @@ def busy_s(page: Browser) -> float:
     return float(next(each["value"] for each in metrics if each["name"] == "TaskDuration"))
 
 
-def mission() -> Iterator[dict[str, Any]]:
+def mission(waypoints: int) -> Iterator[dict[str, Any]]:
     """The events of the flight; its altitude is a number that each position has for itself, in metres."""
     places = [
-        (SPACING_M * (number % COLUMNS), SPACING_M * (number // COLUMNS)) for number in range(WAYPOINTS)
+        (SPACING_M * (number % COLUMNS), SPACING_M * (number // COLUMNS)) for number in range(waypoints)
     ]
     ranges = {
         f"s{number}": {
@@ -138,7 +165,7 @@ def mission() -> Iterator[dict[str, Any]]:
     home = {"latitude_deg": 39.3666, "longitude_deg": 22.9507}
     yield {"t": 0.0, "event": "log_opened", "time": "2026-01-01T00:00:00+00:00"}
     yield {"t": 0.0, "event": "planned", "home": home, "waypoints_m": places, "ranges": ranges}
-    yield {"t": 0.0, "event": "mission_started", "policy": "location-aware", "waypoints": WAYPOINTS}
+    yield {"t": 0.0, "event": "mission_started", "policy": "location-aware", "waypoints": waypoints}
     fix, at_s = 0, 0.0
     for waypoint, (east_m, north_m) in enumerate(places):
         yield {"t": at_s, "event": "leg", "waypoint": waypoint, "east_m": east_m, "north_m": north_m}
@@ -155,16 +182,16 @@ def mission() -> Iterator[dict[str, Any]]:
         place = ("local", "s0", "s1", "s2")[waypoint % 4]
         here = {"east_m": east_m, "north_m": north_m, "altitude_m": float(fix)}
         yield {"t": at_s, "event": "arrived", "waypoint": waypoint, "east_m": east_m, "north_m": north_m}
-        yield {"t": at_s, "event": "photo", "source": "camera", "position": here}
+        yield {"t": at_s, "event": "photo", "source": "camera", "bytes": 1, "age_s": 0.0, "position": here}
         yield {
             "t": at_s, "event": "decided", "operation": "detector.process_photo[heavy]", "decision": "local",
             "why": "no server selected", "local_s": 10.0, "selected": None, "state": None, "remote_s": None,
-            "position": here,
+            "check_s": None, "check_elapsed_s": None, "position": here,
         }  # fmt: skip
         yield {
             "t": at_s, "event": "call", "operation": "detector.process_photo[heavy]", "place": place,
-            "decision": "server ready", "delay_s": 1.0 + waypoint % 7, "waited_s": 0.0, "wait": "",
-            "fell_back": False,
+            "decision": "server ready", "at_s": at_s, "onboard_s": 0.0, "delay_s": 1.0 + waypoint % 7,
+            "waited_s": 0.0, "wait": "", "fell_back": False,
         }  # fmt: skip
 
 

@@ -11,7 +11,6 @@ the same processes take where nothing else runs: their own pages, and each page 
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
 import re
@@ -31,10 +30,12 @@ import grpc
 import msgspec
 from bench.call import running
 from bench.echo import answer
+from bench.program import command_line
 from bench.results import FOLDER, leave
 from bench.servers import GRPC_PATH
+from tests.system.daemons import children
 
-from upwash.real.credentials import make_keys
+from upwash.real.authority import make_keys
 
 ROOT = Path(__file__).parents[1]
 CALLS = 6  # before it is weighed: the first ones still load what they need
@@ -105,9 +106,21 @@ print("called", flush=True)
 sys.stdin.read()
 """
 PROGRAMS = {  # what each imports before it is asked for anything that not every flight needs
-    "upwash fly": "upwash.cli upwash.config upwash.flying",
+    "upwash fly": "upwash.cli.main upwash.cli.flying",
     "its service": "upwash.real.instance",
 }
+
+
+class Extent(msgspec.Struct, frozen=True):
+    """How much is measured."""
+
+    calls: int  # of each flight, before it is weighed
+    with_server: Sequence[bool]  # a flight for each, in each round
+    programs: Sequence[str]  # whose modules are weighed
+
+
+FULL = Extent(CALLS, (False, True), tuple(PROGRAMS))
+QUICK = Extent(1, (False,), ("its service",))
 
 
 class Weight(msgspec.Struct, frozen=True):
@@ -158,16 +171,13 @@ def _mappings(process: int) -> Iterator[tuple[str, Mapping[str, int]]]:
     yield head, kept
 
 
-def _children(process: int) -> list[int]:
-    threads = Path(f"/proc/{process}/task").glob("*/children")
-    return [int(child) for thread in threads for child in thread.read_text().split()]
-
-
 # --- the contenders -----------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
-def flying(folder: Path, checkout: Path, *, with_server: bool) -> Iterator[tuple[int, int]]:
+def flying(
+    folder: Path, checkout: Path, *, with_server: bool, calls: int = CALLS
+) -> Iterator[tuple[int, int]]:
     """The processes of a drone that flies and has called its service: the program's, and its own service's."""
     upwash = (sys.executable, "-m", "upwash")
     paths = os.pathsep.join(str(each) for each in (checkout / "src", ROOT))
@@ -191,21 +201,23 @@ def flying(folder: Path, checkout: Path, *, with_server: bool) -> Iterator[tuple
                 subprocess.Popen(fly, cwd=folder, env=environment, stdout=output, stderr=output)
             )
         stack.callback(program.kill)  # its service ends with it
-        _wait_for_calls(program, log, said, place="s1" if with_server else "local")
-        (service,) = _children(program.pid)
+        _wait_for_calls(program, log, said, calls, place="s1" if with_server else "local")
+        (service,) = children(program.pid)
         yield program.pid, service
 
 
-def _wait_for_calls(program: subprocess.Popen[bytes], log: Path, said: Path, *, place: str) -> None:
+def _wait_for_calls(
+    program: subprocess.Popen[bytes], log: Path, said: Path, calls: int, *, place: str
+) -> None:
     give_up_s = time.monotonic() + LONGEST_S
     while True:
         lines = log.read_bytes().split(b"\n")[:-1] if log.exists() else []  # the last may not be whole yet
         events = [msgspec.json.decode(line) for line in lines]
         places = [event["place"] for event in events if event["event"] == "call"]
-        if len(places) >= CALLS and places[-1] == place:
+        if len(places) >= calls and places[-1] == place:
             return
         if program.poll() is not None or time.monotonic() > give_up_s:
-            raise SystemExit(f"the drone made no {CALLS} calls:\n{said.read_text()}")
+            raise SystemExit(f"the drone made no {calls} calls:\n{said.read_text()}")
         time.sleep(0.1)
 
 
@@ -249,18 +261,20 @@ class _Echo(BaseHTTPRequestHandler):
         """Says nothing."""
 
 
-def round_of(folder: Path, checkouts: Mapping[str, Path], addresses: tuple[str, str]) -> dict[str, Weight]:
-    """Every contender, one after the other."""
+def round_of(
+    folder: Path, checkouts: Mapping[str, Path], addresses: tuple[str, str], extent: Extent
+) -> dict[str, Weight]:
+    """Every contender, one after the other; each flight is with a server or without one."""
     found = {}
     for what, code, address in zip(
         ("gRPC client", "HTTP client"), (GRPC_CLIENT, HTTP_CLIENT), addresses, strict=True
     ):
         with client(code, address) as process:
             found[what] = weigh(process)
-    for with_server in (False, True):
+    for with_server in extent.with_server:
         where = "with a server" if with_server else "on its own"
         for title, checkout in checkouts.items():
-            with flying(folder, checkout, with_server=with_server) as (program, service):
+            with flying(folder, checkout, with_server=with_server, calls=extent.calls) as (program, service):
                 found[f"drone {where}{title}"] = weigh(program, service)
                 found[f"— its program{title}, {where}"] = weigh(program)
                 found[f"— its service{title}, {where}"] = weigh(service)
@@ -335,10 +349,10 @@ def module_weights(modules: str, checkout: Path) -> dict[str, float]:
     return {name: int(size) / 1e6 for name, size in map(str.split, told.splitlines())}
 
 
-def show_modules(checkout: Path) -> None:
-    """Prints which modules and packages of the two programs are the heaviest."""
-    for title, modules in PROGRAMS.items():
-        weights = module_weights(modules, checkout)
+def show_modules(checkout: Path, programs: Sequence[str]) -> None:
+    """Prints which modules and packages of the programs are the heaviest."""
+    for title in programs:
+        weights = module_weights(PROGRAMS[title], checkout)
         packages = defaultdict[str, float](float)
         for name, megabytes in weights.items():
             packages[name.partition(".")[0]] += megabytes
@@ -354,24 +368,25 @@ def _largest(weights: Mapping[str, float]) -> str:
 
 def main() -> None:
     """Measures and prints."""
-    parser = argparse.ArgumentParser(prog="python -m bench.weight", description=__doc__)
+    parser = command_line("weight", __doc__)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--against", type=Path, metavar="DIR", help="fly this checkout's programs too")
     parser.add_argument("--keep", action="store_true", help="leave the figures in bench/results/weight.json")
     options = parser.parse_args()
+    if options.quick and options.keep:
+        parser.error("figures of a quick run mean nothing, and are not kept")
     if not Path("/proc/self/smaps").exists():
         print("no /proc/PID/smaps here: not measured")
         return
+    extent, count = (QUICK, 1) if options.quick else (FULL, options.rounds)
     checkouts = {"": ROOT}
     if options.against:
         checkouts = {" before": options.against.resolve(), "": ROOT}
     with tempfile.TemporaryDirectory(prefix="upwash-weight-") as name, echoing() as addresses:
         make_keys(Path(name), servers=[["s1"]], drones=["drone"])
-        rounds = [round_of(Path(name), checkouts, addresses) for _ in range(options.rounds)]
+        rounds = [round_of(Path(name), checkouts, addresses, extent) for _ in range(count)]
     lines = summary(rounds)
-    print(
-        f"{'MB, medians of ' + str(options.rounds):40} {'proportional':>13} {'own':>6} {'alone':>6}", end=""
-    )
+    print(f"{'MB, medians of ' + str(count):40} {'proportional':>13} {'own':>6} {'alone':>6}", end="")
     print("   alone / gRPC client, / HTTP client")
     for line in lines:
         weight = line.weight
@@ -380,11 +395,9 @@ def main() -> None:
             f" {line.ratio_to_grpc:15.2f} {line.ratio_to_http:15.2f}"
         )
     for checkout in checkouts.values():
-        show_modules(checkout)
+        show_modules(checkout, extent.programs)
     if options.keep:
-        command = f"python -m bench.weight --rounds {options.rounds}" + " --against DIR" * bool(
-            options.against
-        )
+        command = f"python -m bench.weight --rounds {count}" + " --against DIR" * bool(options.against)
         leave(FOLDER / "weight.json", command=f"{command} --keep", figures=lines)
 
 

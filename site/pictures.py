@@ -1,4 +1,4 @@
-"""Draws the site's pictures with the project's own commands, at build time.
+"""Draws the site's pictures at build time: with the project's own commands, and a server's states from their table.
 
 A page asks for one in a comment, which whoever reads the page elsewhere does not see:
 
@@ -9,6 +9,7 @@ An HTML page among them is linked to.
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -23,11 +24,15 @@ from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[1]
 THESIS = str(ROOT / "scenarios" / "thesis.toml")
+UPWASH = ("-m", "upwash")
 COMMANDS = (
-    ("simulate", THESIS, "--figures", ".", "--log", "with.jsonl"),
-    ("simulate", THESIS, "--policy", "local-only", "--log", "without.jsonl"),
-    ("check", THESIS, "--figures", "."),
-    ("report", "with.jsonl", "without.jsonl", "-o", "report.html"),
+    (*UPWASH, "simulate", THESIS, "--figures", ".", "--log", "with.jsonl"),
+    (*UPWASH, "simulate", THESIS, "--policy", "local-only", "--log", "without.jsonl"),
+    (*UPWASH, "check", THESIS, "--figures", "."),
+    (*UPWASH, "report", "with.jsonl", "without.jsonl", "-o", "report.html"),
+    (*UPWASH, "reproduce", "--seeds", "1", "--figures", "."),
+    (str(ROOT / "site" / "states.py"), "states.png"),
+    ("-m", "bench.gains", "--figure", "gains.png"),
 )
 MADE = ("*.png", "report.html")
 
@@ -37,10 +42,15 @@ _LINK = re.compile(r"\[([^\]]+)\]\(((?:\.\./)+[^)#]+)(?:#[^)]*)?\)")
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Adds the pictures, and the report that one of the pages shows."""
+    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]  # bench/ is not installed
     with TemporaryDirectory(prefix="upwash-docs-") as folder:
         for command in COMMANDS:
             subprocess.run(
-                [sys.executable, "-m", "upwash", *command], cwd=folder, check=True, capture_output=True
+                [sys.executable, *command],
+                cwd=folder,
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+                check=True,
+                capture_output=True,
             )
         for pattern in MADE:
             for file in sorted(Path(folder).glob(pattern)):

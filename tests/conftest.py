@@ -11,8 +11,9 @@ from tests.engines import Kind, OwnEngine, own_engine, why_not
 from tests.system.fake_networkmanager import bus_daemon
 from tests.system.radios import Field, field_below
 
-from upwash.cli import main
-from upwash.real.credentials import Credentials, make_keys, read_credentials
+from upwash.cli.main import main
+from upwash.real.authority import make_keys
+from upwash.real.credentials import Credentials, read_credentials
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 
@@ -29,6 +30,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if flight.get_closest_marker("xdist_group") is None:
             flight.add_marker(pytest.mark.xdist_group(f"flights-{number % 2}"))
     items[:] = flights + [item for item in items if item not in flights]
+    for item in items:  # what a module's tests share is made once, and not by every process
+        if _shares_with_its_module(item) and item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
+
+
+def _shares_with_its_module(item: pytest.Item) -> bool:
+    if item.get_closest_marker("system"):  # which wait for other programs most of the time
+        return False
+    known = getattr(item, "_fixtureinfo", None)
+    found = known.name2fixturedefs.values() if known is not None else ()
+    return any(definition.scope == "module" for definitions in found for definition in definitions)
 
 
 @pytest.fixture(scope="session")
@@ -89,7 +101,7 @@ def _engine(kind: Kind) -> Iterator[OwnEngine]:
 @pytest.fixture(scope="session")
 def workbench_image(services: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The image of the workbench."""
-    from upwash.bundled import load_service_alone
+    from upwash.missions.bundled import load_service_alone
     from upwash.packaging.image import Recipe, package
 
     return package(

@@ -54,7 +54,7 @@ def behind_door(
         raise cannot_listen(listen) from None
     with tempfile.TemporaryDirectory() as folder:
         inside = Inside(f"{folder}/inside.sock")
-        listener = make(f"unix:{inside.path}", inside.visitor)
+        listener = make(f"unix:{inside.path}", inside.client)
         door = Door(Trust(shown), limits)
         door.open()
         listener.start()

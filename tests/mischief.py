@@ -13,7 +13,7 @@ import socket
 import time
 from pathlib import Path
 
-from upwash.service import service
+from upwash.rpc.service import service
 
 
 @service

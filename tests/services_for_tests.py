@@ -6,11 +6,12 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Literal
 
-from upwash.service import service
+from upwash.rpc.service import service
 
 Mode = Literal["light", "heavy"]
 
@@ -72,6 +73,26 @@ class Workbench:
         """As progress bars do, which return the carriage and never end the line."""
         sys.stdout.write("." * length + "\r")
         sys.stdout.flush()
+
+
+@service(concurrency=2)
+class Duet:
+    """Computes for two at a time: one alone waits for the other."""
+
+    def __init__(self) -> None:
+        self._both = threading.Barrier(2, timeout=10.0)
+        self._counting = threading.Lock()
+        self._playing = self._most = 0
+
+    def play(self) -> int:
+        """Returns once another call is under way too; says how many ever were."""
+        with self._counting:
+            self._playing += 1
+            self._most = max(self._most, self._playing)
+        self._both.wait()
+        with self._counting:
+            self._playing -= 1
+            return self._most
 
 
 @service

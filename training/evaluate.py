@@ -40,7 +40,7 @@ def main() -> None:
     """Prints a table of the scores by mode and label."""
     arguments = _arguments()
     detector = Detector(model=arguments.model)
-    seeds = _SEEDS[arguments.photos]
+    seeds = _SEEDS[arguments.photos][: arguments.first]
     photos = [
         _Looked(photo.truth, {mode: _look(detector, photo, mode) for mode in get_args(Mode)})
         for photo in track(_rendered(seeds), arguments.photos, total=len(seeds))
@@ -109,8 +109,8 @@ def _found_by_size(photos: Sequence[_Looked]) -> Table:
                 )
                 for photo in _judged(photos, mode, "hot-spot")
             ]
-            row.append(f"{recall(sized, confidence=_USUAL_CONFIDENCE):.3f}")
-        count = sum(len(photo.truth) for photo in sized)
+            count = sum(len(photo.truth) for photo in sized)
+            row.append(f"{recall(sized, confidence=_USUAL_CONFIDENCE):.3f}" if count else "-")
         table.add_row(f"{at_least} to {below} px", str(count), *row)
     return table
 
@@ -118,6 +118,7 @@ def _found_by_size(photos: Sequence[_Looked]) -> Table:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("photos", choices=_SEEDS, nargs="?", default="validation")
+    parser.add_argument("--first", type=int, metavar="N", help="score the first photos only")
     parser.add_argument(
         "--model",
         type=_model,

@@ -39,7 +39,7 @@ def main() -> None:
     torch.set_num_threads(THREADS)
     network = Network(arguments.cfg)
     _expect_nothing(network)
-    learning = learning_set(TRAINING_SEEDS, arguments.cache)
+    learning = learning_set(TRAINING_SEEDS[: arguments.first], arguments.cache)
     for step, average in train(network, learning, steps=arguments.steps):
         if step % _WRITE_EVERY == 0 or step == arguments.steps:
             average.write_weights(arguments.weights, seen=step * BATCH)
@@ -114,6 +114,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--cfg", type=Path, default=MODELS / "solar_park.cfg")
     parser.add_argument("--weights", type=Path, default=MODELS / "solar_park.weights", help="file to write")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir(), "upwash-training"))
+    parser.add_argument("--first", type=int, metavar="N", help="learn from the first photos only")
     parser.add_argument("--steps", type=int, default=2_000)
     return parser.parse_args()
 

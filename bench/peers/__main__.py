@@ -22,7 +22,7 @@ import msgspec
 from bench.peers.order import FIGURES, SCENARIOS, Comparison, Figures, Order, Peer, Trial, write_order
 from bench.peers.programs import last_line
 from bench.peers.table import tables
-from bench.results import FOLDER, leave
+from bench.results import FOLDER, Result, leave
 
 from upwash.emulation.enclosure import require_root_and_tools
 from upwash.emulation.tools import require_tools
@@ -57,8 +57,9 @@ def main() -> int:
     require_tools({"nft": "nftables"})
     versions = _versions(options.python) | {"upwash": version("upwash")}
     peers = list(_available(options.peers, options.upwash, versions))
-    began_s = time.monotonic()
-    trials = list(_trials(options, peers))
+    earlier = _kept(options.add) if options.add else None
+    began_s = time.monotonic() - (earlier.took_s if earlier else 0.0)
+    trials = [*(earlier.trials if earlier else ()), *_trials(options, peers)]
     comparison = Comparison(
         versions=versions,
         cores=os.cpu_count() or 1,
@@ -80,6 +81,8 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m bench.peers", description=__doc__)
     modules = [peer.module for peer in PEERS]
     parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--first-round", type=int, default=1, help="where some were made before (default 1)")
+    parser.add_argument("--add", type=Path, metavar="FILE", help="count the trials that --out left there too")
     parser.add_argument("--scenarios", nargs="+", choices=SCENARIOS, default=SCENARIOS)
     parser.add_argument("--peers", nargs="+", choices=modules, default=modules)
     parser.add_argument("--local", nargs="+", type=float, default=[3.0, 10.0], metavar="SECONDS")
@@ -98,6 +101,10 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--folder", type=Path, help="keeps what the trials leave")
     parser.add_argument("--out", type=Path, help=f"leave the figures there as JSON: {FOLDER.name}/peers.json")
     return parser.parse_args()
+
+
+def _kept(file: Path) -> Comparison:
+    return msgspec.convert(msgspec.json.decode(file.read_bytes(), type=Result).figures, Comparison)
 
 
 def _versions(python: Path) -> dict[str, str]:
@@ -136,7 +143,7 @@ def _trials(options: argparse.Namespace, peers: Sequence[Peer]) -> Iterator[Tria
                 round=number,
                 folder=(options.folder or Path(own)).absolute() / f"{number}-{scenario}-{local_s:g}-{place}",
             )
-            for number in range(options.rounds)
+            for number in range(options.first_round - 1, options.first_round - 1 + options.rounds)
             for scenario in options.scenarios
             for local_s in options.local
             for place, peer in enumerate(peers)

@@ -1,21 +1,115 @@
-"""Runs a drone's heavy computations on the drone or on an edge server, without the mission knowing."""
+"""Runs a drone's heavy computations on the drone or on an edge server, without the mission knowing.
+
+Public are the names in `__all__` here and in `upwash.services`, which docs/api.md describes. All else may change.
+"""
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
-from upwash.service import once, service
+from upwash.errors import (
+    AutopilotError,
+    AutopilotLost,
+    AutopilotOverruled,
+    AutopilotRefused,
+    AutopilotTimeout,
+    CameraError,
+    ConfigError,
+    DeclarationError,
+    InstanceError,
+    MissionFailed,
+    MissionStopped,
+    ModelError,
+    ServiceError,
+    UpwashError,
+    UsageError,
+)
+from upwash.rpc.service import once, service
+
+__all__ = [
+    "AutopilotError",
+    "AutopilotLost",
+    "AutopilotOverruled",
+    "AutopilotRefused",
+    "AutopilotTimeout",
+    "Bound",
+    "CallResult",
+    "CameraError",
+    "ComparedPolicy",
+    "ConfigError",
+    "DeclarationError",
+    "Drone",
+    "EnergyTotals",
+    "Event",
+    "FleetBound",
+    "FleetSimulation",
+    "InstanceError",
+    "MissionFailed",
+    "MissionStopped",
+    "ModelError",
+    "Photographer",
+    "Position",
+    "RunResult",
+    "ServiceError",
+    "Simulation",
+    "Totals",
+    "UpwashError",
+    "UsageError",
+    "User",
+    "Vehicle",
+    "Waypoint",
+    "compare",
+    "once",
+    "read_log",
+    "read_result",
+    "service",
+    "simulate",
+    "simulate_fleet",
+]
 
 if TYPE_CHECKING:
-    from upwash.drone import Drone
+    from upwash.core.bound import Bound, FleetBound
+    from upwash.core.geo import Position, Waypoint
+    from upwash.drone.api import Drone, Photographer, User, Vehicle
+    from upwash.eventlog.log import read as read_log
+    from upwash.eventlog.results import CallResult, EnergyTotals, RunResult, Totals, read_result
+    from upwash.eventlog.schema import Event
+    from upwash.lab.comparison import ComparedPolicy, compare
+    from upwash.lab.fleet import FleetSimulation, simulate_fleet
+    from upwash.lab.simulation import Simulation, simulate
+else:
+    _MODULES = {
+        "Bound": "upwash.core.bound",
+        "CallResult": "upwash.eventlog.results",
+        "ComparedPolicy": "upwash.lab.comparison",
+        "Drone": "upwash.drone.api",
+        "EnergyTotals": "upwash.eventlog.results",
+        "Event": "upwash.eventlog.schema",
+        "FleetBound": "upwash.core.bound",
+        "FleetSimulation": "upwash.lab.fleet",
+        "Photographer": "upwash.drone.api",
+        "Position": "upwash.core.geo",
+        "RunResult": "upwash.eventlog.results",
+        "Simulation": "upwash.lab.simulation",
+        "Totals": "upwash.eventlog.results",
+        "User": "upwash.drone.api",
+        "Vehicle": "upwash.drone.api",
+        "Waypoint": "upwash.core.geo",
+        "compare": "upwash.lab.comparison",
+        "read_log": "upwash.eventlog.log:read",
+        "read_result": "upwash.eventlog.results",
+        "simulate": "upwash.lab.simulation",
+        "simulate_fleet": "upwash.lab.fleet",
+    }
 
-__all__ = ["Drone", "once", "service"]
+    def __getattr__(name: str) -> object:
+        """Imports what a service's process never needs when it is first asked for."""
+        if name not in _MODULES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        module, _, called = _MODULES[name].partition(":")
+        return getattr(import_module(module), called or name)
 
-
-def __getattr__(name: str) -> object:
-    """`Drone` is imported when it is first asked for: a service's process never needs it."""
-    if name == "Drone":
-        from upwash.drone import Drone
-
-        return Drone
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    def __dir__() -> list[str]:
+        """For completion in a notebook."""
+        return sorted({*globals(), *__all__})

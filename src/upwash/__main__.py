@@ -2,6 +2,6 @@
 
 import sys
 
-from upwash.cli import main
+from upwash.cli.main import main
 
 sys.exit(main())

@@ -154,6 +154,19 @@ class Refused(LinkError):
     """The other side said no, with its reason."""
 
 
+class NoLease(Refused):
+    """An instance serves this drone no more, or not yet: it has to ask for a slot."""
+
+
+class NoSlot(Refused):
+    """A server serves as many drones as it can; so many wait, with this one, which is to ask again in so long."""
+
+    def __init__(self, why: str, *, waiting: int, ask_again_s: float) -> None:
+        super().__init__(why)
+        self.waiting = waiting
+        self.ask_again_s = ask_again_s
+
+
 class GarbledReply(LinkError):
     """An answer came that cannot be decoded."""
 

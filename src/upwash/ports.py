@@ -15,22 +15,13 @@ from upwash.core.control import Control
 from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Circle, Position, Velocity
 from upwash.core.geofence import Fence
-
-SEVERITIES = (
-    "emergency",
-    "alert",
-    "critical",
-    "error",
-    "warning",
-    "notice",
-    "info",
-    "debug",
-)  # MAVLink's, from 0
+from upwash.eventlog.schema import Event
+from upwash.support.heat import Surroundings
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleText:
-    """What the vehicle said in words; the severity is one of `SEVERITIES`, by its number."""
+    """What the vehicle said in words; the severity is one of `eventlog.schema.SEVERITIES`, by its number."""
 
     severity: int
     text: str
@@ -118,6 +109,10 @@ class Autopilot(Protocol):
     @property
     def velocity(self) -> Velocity | None:
         """How it moves over the ground, as last reported; None where the vehicle does not say."""
+
+    @property
+    def heading_deg(self) -> float | None:
+        """Where its nose points, clockwise from north, as last reported; None where the vehicle does not say."""
 
     @property
     def wind(self) -> Velocity | None:
@@ -256,8 +251,8 @@ class Notifier(Protocol):
 class Journal(Protocol):
     """The event log: what happened, in order, never lost."""
 
-    def record(self, event: str, **facts: object) -> None:
-        """Adds one event with its facts, stamped with the time."""
+    def record(self, event: Event) -> None:
+        """Adds one event, stamped with the time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,6 +272,7 @@ class InstanceSpec:
     program: Program
     pace_s: Mapping[str, float] = field(default_factory=dict)  # least time a call takes, by profile key
     start_pace_s: float = 0.0  # least time a start takes
+    heats: Surroundings | None = None  # of a computer that gets hot: paced calls take longer then
     methods: frozenset[str] = (
         frozenset()
     )  # that it declares, as far as known: answers of others are not believed
@@ -294,8 +290,11 @@ class Instance(Protocol):
     def endpoint(self) -> str:
         """The address to dial."""
 
-    async def admit(self, drones: frozenset[str]) -> None:
-        """Has only these drones, known by `Visitor.key`, get an answer; returns when that is so."""
+    async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
+        """Has only these drones, known by `Client.key`, get an answer; returns when that is so.
+
+        Those that are `finishing` get one to the calls that have arrived.
+        """
 
     async def drain(self, why: str) -> None:
         """Has every further call refused for that reason; returns when none is under way any more."""
@@ -307,10 +306,23 @@ class Instance(Protocol):
         """Ends the instance and everything it started; returns when it is gone."""
 
 
-Answered = Callable[[str, float], None]
+@dataclass(frozen=True, slots=True)
+class AnsweredCall:
+    """A call that an instance has answered, of a drone known by `Client.key`.
+
+    It was there as a whole for `queued_s` before its turn came, and from then on took `took_s`.
+    """
+
+    drone: str
+    method: str
+    queued_s: float
+    took_s: float
 
 
-def unheard(_method: str, _took_s: float) -> None:
+Answered = Callable[[AnsweredCall], None]
+
+
+def ignored(_call: AnsweredCall) -> None:
     """Nobody wants to know what calls take."""
 
 
@@ -318,10 +330,10 @@ class Runtime(Protocol):
     """Starts service instances: processes, containers, or models of them."""
 
     async def start(
-        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = unheard
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
     ) -> Instance:
         """Returns when the instance is ready to serve; raises InstanceError.
 
-        `called(drone)` when a drone that is admitted calls, known by `Visitor.key`, `answered(method, took_s)` at the
-        end of each call. Both are the instance's word, which a service may forge.
+        `called(drone)` when a drone that is admitted calls, known by `Client.key`, `answered(call)` at the end of
+        each call of such a drone. Both are the instance's word, which a service may forge.
         """

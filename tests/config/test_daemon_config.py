@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -86,7 +87,13 @@ def test_without_certificates_it_may_not_listen_to_others(tmp_path: Path, addres
         ('images = ["detector"]', 'images = ["detecter"]', "server[0].images", 'did you mean "detector"?'),
         ('images = ["detector"]', "images = [1]", "server[0].images[0]", "a string, found 1"),
         ("slots = 1", "slots = 0.5", "server[0].slots", "an integer of at least 1"),
+        ("slots = 1", "slots = 0", "server[0].slots", 'at least 1, or "auto", found 0'),
+        ("slots = 1", 'slots = "many"', "server[0].slots", 'at least 1, or "auto", found "many"'),
+        ("slots = 1", "turn_s = 4.9", "server[0].turn_s", "at least 5, in seconds, or inf for turns"),
+        ("slots = 1", "turn_s = nan", "server[0].turn_s", "a finite number"),
+        ("lease_s = 30.0", "lease_s = inf", "lease_s", "a finite number"),
         ('name = "s2"', 'name = "s1"', "server[1].name", 'a second server named "s1"'),
+        ('name = "s2"', 'name = "local"', "server[1].name", "stands for the drone itself in results"),
         ('name = "counter"', 'name = "detector"', "service[1].name", 'a second service named "detector"'),
         ('name = "counter"', 'name = "count er"', "service[1].name", "letters, digits"),
         ('kind = "process"', 'kind = "docker"', "runtime.kind", 'one of "lxd", "process"'),
@@ -107,6 +114,11 @@ def test_a_refusal_names_the_key_and_the_remedy(
         read(tmp_path, FULL.replace(old, new, 1))
     assert refusal.value.key == key
     assert named in refusal.value.problem
+
+
+def test_a_turn_may_have_no_end(tmp_path: Path) -> None:
+    config = read(tmp_path, FULL.replace("slots = 1", "turn_s = inf", 1))
+    assert [(each.slots, each.turn_s) for each in config.identities] == [("auto", math.inf), ("auto", 30.0)]
 
 
 PEER = '[[peer]]\nname = "s3"\naddress = "10.0.0.3:7070"\n'

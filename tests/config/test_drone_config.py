@@ -54,10 +54,12 @@ def test_every_printed_value_is_read(tmp_path: Path) -> None:
     assert config.network.kind == "wired"
     assert config.services[0].local_call_s == {"light": 3.0, "heavy": 10.0}
     assert config.services[0].local_pace_s == {"light": 3.0}
+    assert config.services[0].local_joining_slowdown == {"light": 0.1}
     assert (server.network, server.address, server.bandwidth_bit_s) == ("s1-net", "10.10.1.1:7070", 54e6)
     assert server.remote_call_s == {"detector": {"light": 0.3, "heavy": 0.7}}
     assert server.processing_s == {"detector": {"light": 0.2, "heavy": 0.6}}
     assert server.truth.remote_call_s == {"detector": {"light": 0.3, "heavy": 7.7}}
+    assert server.truth.leave_s == 1.5
     assert config.heat is not None
     assert config.faults[0].to_s == 420.0
 
@@ -83,7 +85,7 @@ def test_what_a_file_leaves_out_has_the_printed_defaults(tmp_path: Path) -> None
     assert (short.mission.altitude_m, short.mission.ground_speed_m_s) == (20.0, 4.0)
     assert short.services[0].request_bytes == 425_000
     assert (short.servers[0].check_s, short.servers[0].check_running_s) == (11.5, 3.5)
-    assert short.network.kind == "stand-in"
+    assert short.network.kind == "wired"
     assert short.servers[0].network == "s1"
     assert (short.heat, short.keys, short.faults) == (None, None, ())
     assert short.autopilot == AutopilotConfig(connection=None, on_failure="return")
@@ -136,9 +138,19 @@ def test_a_flat_time_stands_beside_a_nested_one_in_either_order(tmp_path: Path) 
 def test_what_is_true_is_what_is_believed_unless_told(tmp_path: Path) -> None:
     config = read(tmp_path, SHORT)
     truth = server_truth(config.servers[0], config.services)
-    assert (truth.join_s, truth.start_s, truth.slots, truth.radio) == (3.5, 8.0, 1, "fixed")
+    assert (truth.join_s, truth.start_s, truth.slots, truth.radio) == (3.5, 8.0, "auto", "fixed")
     assert truth.images == ("detector", "counter")
     assert truth.remote_call_s == config.servers[0].remote_call_s
+
+
+@pytest.mark.parametrize(("written", "turn_s"), [("turn_s = 5", 5.0), ("turn_s = inf", math.inf), ("", 30.0)])
+def test_a_turn_lasts_30_s_or_as_told_and_may_have_no_end(
+    tmp_path: Path, written: str, turn_s: float
+) -> None:
+    """By itself a default of 30 s is not too short for a network that takes longer to join."""
+    join_s = 3.5 if written else 40.0
+    config = read(tmp_path, SHORT + f"[server.truth]\njoin_s = {join_s}\n{written}\n")
+    assert server_truth(config.servers[1], config.services).turn_s == turn_s
 
 
 def test_a_true_time_replaces_only_the_believed_one_of_its_operation(tmp_path: Path) -> None:
@@ -300,12 +312,25 @@ REFUSED = [
     ("{ light = 3.0, heavy = 10.0 }", "true", "service[0].local_call_s", "seconds of at least 0"),
     ("light = 3.0, heavy", "light = -3.0, heavy", "service[0].local_call_s", '"light": -3.0'),
     ("local_pace_s = { light", "local_pace_s = { lihgt", "service[0].local_pace_s", 'did you mean "light"?'),
+    (
+        "local_joining_slowdown = { light",
+        "local_joining_slowdown = { lihgt",
+        "service[0].local_joining_slowdown",
+        'did you mean "light"?',
+    ),
+    ("{ light = 0.1 }", "{ light = -0.1 }", "service[0].local_joining_slowdown", "at least 0"),
     ("[[server]]", "[[service]]\nname='detector'\nlocal_call_s=1\n[[server]]", "service[1].name", "its own"),
     (
         "[server.truth]",
         '[[server]]\nname="s1"\neast_m=0\nnorth_m=0\nrange_m=1\nremote_call_s={light=1,heavy=1}\n[server.truth]',
         "server[1].name",
         'a second server named "s1"',
+    ),
+    (
+        'name = "s1"',
+        'name = "local"',
+        "server[0].name",
+        "stands for the drone itself in results: rename the server",
     ),
     ("[[server]]", "[[server]]\nlatitude_deg = 39.0", "server[0].east_m", "either east_m and north_m, or"),
     ("north_m = 80.0", "", "server[0].east_m", "either east_m and north_m, or"),
@@ -321,11 +346,23 @@ REFUSED = [
     ("{ light = 0.3, heavy = 7.7 }", "{ detector = { light = -1 } }", "server[0].truth.remote_call_s", "-1"),
     ("{ light = 0.3, heavy = 7.7 }", "{ night = 1 }", "server[0].truth.remote_call_s", "light, heavy"),
     ('radio = "fixed"', 'radio = "disk54"', "server[0].truth.radio", "fixed, disc54, disc12 or a csv file"),
-    ("slots = 1", "slots = 0", "server[0].truth.slots", "at least 1"),
+    ("slots = 1", "slots = 0", "server[0].truth.slots", 'at least 1, or "auto", found 0'),
+    ("slots = 1", 'slots = "many"', "server[0].truth.slots", 'at least 1, or "auto", found "many"'),
+    ("slots = 1", "turn_s = 4.9", "server[0].truth.turn_s", "at least 5, in seconds, or inf"),
+    ("slots = 1", "turn_s = -inf", "server[0].truth.turn_s", "a finite number"),
+    (
+        "join_s = 3.5",
+        "join_s = 5.1\nturn_s = 5",
+        "server[0].truth.turn_s",
+        "truth.join_s = 5.1: let a turn last",
+    ),
+    ("leave_s = 1.5", "leave_s = inf", "server[0].truth.leave_s", "a finite number"),
     ('images = ["detector"]', 'images = ["dtector"]', "server[0].truth.images", 'did you mean "detector"?'),
     ("join_s = 3.5", "join_s = -1", "server[0].truth.join_s", "at least 0"),
+    ("leave_s = 1.5", "leave_s = -1", "server[0].truth.leave_s", "at least 0"),
     ("load_w = 4.0", "load_w = -4.0", "heat.load_w", "at least 0"),
     ("leg = 0.0", "leg = -0.1", "noise.leg", "at least 0"),
+    ("join = 0.0", "join = -0.1", "noise.join", "at least 0"),
     ('target = "s1"', 'target = "link:s2"', "fault[0].target", "allowed: s1, link:s1, autopilot"),
     ('kind = "stuck"', 'kind = "broken"', "fault[0].kind", '"flapping"'),
     ("to_s = 420.0", "to_s = 200.0", "fault[0].to_s", "before from_s = 300"),

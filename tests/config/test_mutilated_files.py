@@ -9,7 +9,7 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from upwash.config import server_position, server_truth, waypoints
+from upwash.config import fleet_of, server_position, server_truth, waypoints
 from upwash.config.daemon import daemon_config
 from upwash.config.drone_file import drone_config
 from upwash.errors import ConfigError
@@ -55,7 +55,7 @@ def mutilate(data: st.DataObject, document: dict[str, Any]) -> None:
 
 
 @settings(max_examples=300, deadline=None)
-@given(data=st.data(), name=st.sampled_from(["full", "several"]), mutilations=st.integers(1, 3))
+@given(data=st.data(), name=st.sampled_from(["full", "several", "fleet"]), mutilations=st.integers(1, 3))
 def test_of_a_drone(data: st.DataObject, name: str, mutilations: int) -> None:
     document = tomllib.loads((FOLDER / f"{name}.toml").read_text())
     for _ in range(mutilations):
@@ -66,7 +66,7 @@ def test_of_a_drone(data: st.DataObject, name: str, mutilations: int) -> None:
         assert refusal.key
         assert refusal.problem
         return
-    assert waypoints(config.mission)
+    assert all(waypoints(drone.mission) for drone in fleet_of(config))
     for server in config.servers:
         assert server_position(server, config.mission.home)
         assert server_truth(server, config.services).start_s >= 0

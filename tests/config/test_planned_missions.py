@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests import events
 
 from upwash import Drone
 from upwash.config import DroneConfig, HomeConfig, ending, geofence, read_drone_config, waypoints
@@ -175,15 +176,17 @@ def here(mission: Any) -> str:
 
 
 def event(run: Run, name: str) -> dict[str, Any]:
-    return next(event for event in run.events if event["event"] == name)
+    return next(event for event in events.written(run.events) if event["event"] == name)
 
 
 def test_a_plan_is_flown_as_it_says(tmp_path: Path) -> None:
     run = simulate(read(tmp_path))
     assert (run.failure, run.result.waypoints, run.result.undone) == ("", 3, [])
     assert event(run, "took_off")["altitude_m"] == 20.0
-    legs = {each["waypoint"]: each["t"] for each in run.events if each["event"] == "leg"}
-    arrivals = {each["waypoint"]: each["t"] for each in run.events if each["event"] == "arrived"}
+    legs = {each["waypoint"]: each["t"] for each in events.written(run.events) if each["event"] == "leg"}
+    arrivals = {
+        each["waypoint"]: each["t"] for each in events.written(run.events) if each["event"] == "arrived"
+    }
     # 111 m north of home at 5 m/s, another 111 m at 2.5 m/s, and the time to speed up and brake at 1 m/s²
     assert arrivals[0] - legs[0] == pytest.approx(111.1 / 5 + 5, abs=0.1)
     assert arrivals[1] - legs[1] == pytest.approx(111.1 / 2.5 + 2.5, abs=0.1)
@@ -194,7 +197,7 @@ def test_a_plan_that_lands_at_its_end_does_not_return(tmp_path: Path) -> None:
     plan["mission"]["items"][5].update(command=21, frame=3, params=[0, 0, 0, None, 39.3686, 22.9527, 0])
     run = simulate(read(tmp_path, plan=plan))
     assert run.failure == ""
-    assert "returning" not in [each["event"] for each in run.events]
+    assert "returning" not in [each["event"] for each in events.written(run.events)]
     assert event(run, "landing")["t"] < event(run, "landed")["t"]
 
 

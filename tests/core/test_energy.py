@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from upwash.core.energy import (
@@ -227,7 +227,7 @@ def test_a_leg_that_was_slow_tells_of_the_wind_in_its_direction_only() -> None:
     assert wind.against_m_s(HOME, Position(100, 100), 10.0) == pytest.approx(3.0 / math.sqrt(2))
     assert wind.against_m_s(HOME, Position(0, 100), 10.0) == 0.0
     assert wind.against_m_s(HOME, Position(-100, 0), 10.0) == 0.0
-    assert wind.against_m_s(HOME, HOME, 10.0) == 0.0
+    assert wind.against_m_s(HOME, HOME, 10.0) == 3.0, "at most so much: in which direction is not known"
 
 
 def test_what_is_slow_for_another_reason_tells_nothing() -> None:
@@ -278,11 +278,22 @@ def test_the_worse_of_report_and_legs_counts() -> None:
     altitude_m=st.floats(5, 60), angle=st.floats(0, math.tau), wind=winds, told=st.booleans(),
     reserve=reserves, low=stages, endurance=st.floats(0.3, 1.0),
 )  # fmt: skip
+@example(  # with little to spare between one look at the battery and the next
+    way=PX4, rate=0.25, full=50.0, speed_m_s=6.0, altitude_m=5.0, angle=0.0, wind=Velocity(0.0, 4.0), told=True,
+    reserve=Reserve(3.0, None), low=None, endurance=1.0,
+)  # fmt: skip
+@example(  # from home, where the wind of the way back is not known yet
+    way=PX4, rate=0.21875, full=55.0, speed_m_s=5.0, altitude_m=5.0, angle=0.0, wind=Velocity(0.0, 5.0), told=True,
+    reserve=Reserve(0.0, None), low=39.0, endurance=1.0,
+)  # fmt: skip
 def test_a_flight_that_turns_back_when_told_arrives_with_at_least_the_reserve(
     *, way: WayHome, rate: float, full: float, speed_m_s: float, altitude_m: float, angle: float, wind: Velocity,
     told: bool, reserve: Reserve, low: float | None, endurance: float,
 ) -> None:  # fmt: skip
-    """Straight away from home until told; the vehicle then loses to the wind what a slow leg, or a report, said."""
+    """Straight away from home until told; the vehicle then loses to the wind what a slow leg, or a report, said.
+
+    It looks once a second, and is told a second later: together the 2 s that the way home is expected to begin with.
+    """
     facts = EnergyFacts(low_percent=low, way_home=way)
     energy = Energy(reserve, endurance_s=endurance * 100 / rate)
     east, north = math.cos(angle), math.sin(angle)
@@ -305,7 +316,8 @@ def test_a_flight_that_turns_back_when_told_arrives_with_at_least_the_reserve(
     seen = Wind()
     seen.take(Report(0.0, here, wind=wind if told else STILL))
     against_m_s = seen.against_m_s(here, HOME, way.speed_m_s)
-    takes_s = time_home_s(here, HOME, way, against_m_s=against_m_s, velocity=Velocity(speed_m_s))
+    before = Position(here.east_m - east * speed_m_s, here.north_m - north * speed_m_s, altitude_m)
+    takes_s = 1.0 + time_home_s(before, HOME, way, against_m_s=against_m_s, velocity=Velocity(speed_m_s))
     at_touchdown = left - rate * takes_s
     assert at_touchdown >= max(rate * reserve.seconds, low or 0.0, reserve.percent or 0.0) - 1e-6
 

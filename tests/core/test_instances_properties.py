@@ -8,30 +8,30 @@ from __future__ import annotations
 
 import copy
 
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from upwash.core.instances import (
-    Admit,
+from upwash.core.admission import (
+    AdmissionController,
+    AdmissionSettings,
     Available,
     Command,
     Denied,
     Held,
-    Host,
-    HostSettings,
-    InstanceState,
     Pending,
     Running,
     ServerOffer,
-    StartInstance,
-    StopInstance,
 )
-from upwash.core.visitors import Role, Visitor
+from upwash.core.clients import Client, Role
+from upwash.core.instances import InstanceState, StartInstance, StopInstance
+from upwash.core.leases import Admit
 
 OFFERED = {"s1": ["counter", "detector"], "s2": ["detector"]}
-SETTINGS = HostSettings(lease_s=30.0, idle_stop_s=100.0, hold_s=50.0)
-PEER = Visitor("s3", "53", Role.SERVER)
+SETTINGS = AdmissionSettings(lease_s=30.0, idle_stop_s=100.0, hold_s=50.0)
+TURN_S = 30.0
+PEER = Client("s3", "53", Role.SERVER)
 
 servers = st.sampled_from(list(OFFERED))
 services = st.sampled_from(["counter", "detector"])
@@ -44,7 +44,7 @@ class Daemon(RuleBasedStateMachine):
     @initialize(slots=st.fixed_dictionaries({"s1": st.integers(1, 2), "s2": st.integers(0, 2)}))
     def boot(self, slots: dict[str, int]) -> None:
         self.slots = slots
-        self.host = Host(
+        self.host = AdmissionController(
             {name: ServerOffer(frozenset(images), slots[name]) for name, images in OFFERED.items()},
             SETTINGS,
             peers=[PEER.name],
@@ -76,7 +76,7 @@ class Daemon(RuleBasedStateMachine):
     @rule(server=servers, wanted=st.lists(services, max_size=2), drone=drones)
     def drone_asks(self, server: str, wanted: list[str], drone: str) -> None:
         before = self.after_a_look()
-        answer, commands = self.host.availability(server, wanted, Visitor(drone), now_s=self.now_s)
+        answer, commands = self.host.availability(server, wanted, Client(drone), now_s=self.now_s)
         self.answered(
             server, wanted, drone, granted=isinstance(answer, Available), before=before, commands=commands
         )
@@ -90,7 +90,7 @@ class Daemon(RuleBasedStateMachine):
     @rule(server=servers, service=services, drone=drones)
     def drone_wants_a_start(self, server: str, service: str, drone: str) -> None:
         place, before, lived = (server, service), self.after_a_look(), dict(self.living)
-        answer, commands = self.host.start(server, service, Visitor(drone), now_s=self.now_s)
+        answer, commands = self.host.start(server, service, Client(drone), now_s=self.now_s)
         self.answered(
             server, [service], drone, granted=not isinstance(answer, Denied), before=before, commands=commands
         )
@@ -118,7 +118,7 @@ class Daemon(RuleBasedStateMachine):
         known_s = self.lease_ends_s.get((server, drone), self.now_s)
         has_come = known_s > self.now_s and (server, drone) not in self.expected
         answer, commands = self.host.hold(
-            server, wanted, Visitor(drone), peer=PEER, for_s=for_s, now_s=self.now_s
+            server, wanted, Client(drone), peer=PEER, for_s=for_s, now_s=self.now_s
         )
         is_held = isinstance(answer, Held)
         others = sum(
@@ -134,6 +134,7 @@ class Daemon(RuleBasedStateMachine):
             before=before,
             commands=commands,
             allowed=not (is_half or in_vain),
+            asks=False,
         )
         if is_held:
             self.lease_ends_s[server, drone] = max(known_s, end_s) if has_come else end_s
@@ -144,7 +145,7 @@ class Daemon(RuleBasedStateMachine):
     @rule(server=servers, drone=drones)
     def drone_leaves(self, server: str, drone: str) -> None:
         self.lease_ends_s.pop((server, drone), None)
-        self.carry_out(self.host.leave(server, Visitor(drone)))
+        self.carry_out(self.host.leave(server, Client(drone), now_s=self.now_s))
 
     @precondition(lambda self: self.serving)
     @rule(data=st.data(), drone=drones)
@@ -189,7 +190,7 @@ class Daemon(RuleBasedStateMachine):
 
     # ---- the daemon
 
-    def after_a_look(self) -> tuple[Host, list[Command]]:
+    def after_a_look(self) -> tuple[AdmissionController, list[Command]]:
         """The host as a mere look at this moment would leave it, and whom the look wants admitted."""
         looked = copy.deepcopy(self.host)
         return looked, [command for command in looked.look(now_s=self.now_s) if isinstance(command, Admit)]
@@ -201,15 +202,31 @@ class Daemon(RuleBasedStateMachine):
         drone: str,
         *,
         granted: bool,
-        before: tuple[Host, list[Command]],
+        before: tuple[AdmissionController, list[Command]],
         commands: list[Command],
         allowed: bool = True,
+        asks: bool = True,
     ) -> None:
-        """A request is granted where there are images and a slot; one that is denied only ends leases."""
+        """A request is granted where there are images and a slot; one that is denied only ends leases.
+
+        Where others wait for a slot turns.py says whose it is: one that is free, or the one of a drone that yields.
+        """
         looked, expected = before
         holders = looked.leases(server)
-        room = drone in holders or len(holders) < self.slots[server]
-        assert granted == (allowed and room and set(wanted) <= set(OFFERED[server]))
+        accounts = next(each.accounts for each in looked.servers(now_s=self.now_s) if each.name == server)
+        others = {each.drone for each in accounts if each.waits_s is not None} - ({drone} if asks else set())
+        free = self.slots[server] - len(holders)
+        room = drone in holders or free > len(others)
+        possible = allowed and set(wanted) <= set(OFFERED[server])
+        yields = holders - self.host.leases(server)
+        if asks and drone not in holders and (others or yields):
+            assert not granted or possible
+        else:
+            assert granted == (possible and room)
+        for each in accounts:
+            if each.drone in yields:
+                assert asks and granted and each.holds_s is not None and each.holds_s >= TURN_S
+                self.lease_ends_s[server, each.drone] = self.now_s
         self.carry_out(commands)
         if granted:
             self.lease_ends_s[server, drone] = self.now_s + SETTINGS.lease_s
@@ -222,7 +239,8 @@ class Daemon(RuleBasedStateMachine):
     def carry_out(self, commands: list[Command]) -> None:
         for command in commands:
             match command:
-                case Admit(server, admitted):
+                case Admit(server, admitted, finishing):
+                    assert not finishing & admitted
                     for drone in self.admitted[server] - admitted:
                         end_s = self.lease_ends_s.pop((server, drone), self.now_s)
                         assert end_s <= self.now_s, "a lease ended before its time"
@@ -268,5 +286,12 @@ class Daemon(RuleBasedStateMachine):
                 assert self.host.state(server, service) is expected
 
 
+class ManyDaemons(Daemon):
+    """The same, with enough daemons to meet what is rare."""
+
+
+UNHURRIED = settings(stateful_step_count=40, deadline=None)
 TestDaemon = Daemon.TestCase
-TestDaemon.settings = settings(max_examples=250, stateful_step_count=40, deadline=None)
+TestDaemon.settings = settings(UNHURRIED, max_examples=100)
+TestManyDaemons = pytest.mark.long(ManyDaemons.TestCase)
+TestManyDaemons.settings = settings(UNHURRIED, max_examples=500)

@@ -6,7 +6,7 @@ import pytest
 
 from upwash.core.estimates import Operation
 from upwash.core.geo import Circle, Position, Waypoint
-from upwash.core.itinerary import ExpectedCall, Itinerary, MissionBeliefs, Step
+from upwash.core.mission_model import ExpectedCall, MissionBeliefs, MissionModel, Step
 
 HEAVY = Operation("detector", "process_photo", "heavy")
 DIRT = Operation("dirt", "measure")
@@ -15,25 +15,25 @@ AREAS = {"near": Circle(Position(0.0, 0.0), 25.0), "far": Circle(Position(70.0, 
 LEG_S, PHOTO_S = 9.0, 1.0  # 20 m at 4 m/s and 1 m/s²
 
 
-def itinerary(*, speeds_m_s: dict[int, float] | None = None) -> Itinerary:
+def mission_model(*, speeds_m_s: dict[int, float] | None = None) -> MissionModel:
     plan = [Waypoint(number, place, (speeds_m_s or {}).get(number)) for number, place in enumerate(PLACES)]
-    return Itinerary(MissionBeliefs(plan, 4.0, 1.0, [Step(HEAVY, PHOTO_S)]), AREAS)
+    return MissionModel(MissionBeliefs(plan, 4.0, 1.0, [Step(HEAVY, PHOTO_S)]), AREAS)
 
 
 def gaps_s(calls: list[ExpectedCall]) -> list[float]:
     return [round(call.gap_s, 9) for call in calls]
 
 
-def at_first(*, now_s: float = 0.0) -> Itinerary:
-    """Standing at the first waypoint since that time."""
-    expected = itinerary()
+def at_first(*, now_s: float = 0.0) -> MissionModel:
+    """Snapshot at the first waypoint since that time."""
+    expected = mission_model()
     expected.leg_begun(PLACES[0], PLACES[0], None, now_s=now_s)
     expected.arrived(now_s=now_s)
     return expected
 
 
 def test_nothing_is_expected_before_the_first_leg_nor_when_the_course_is_lost() -> None:
-    expected = itinerary()
+    expected = mission_model()
     assert expected.coming(PLACES[0], now_s=0.0, count=20) == []
     expected.leg_begun(PLACES[0], PLACES[1], None, now_s=0.0)
     expected.lost()
@@ -104,14 +104,14 @@ def test_the_acceleration_is_learnt_from_the_legs() -> None:
 
 
 def test_the_speed_of_a_leg_may_be_its_own() -> None:
-    expected = itinerary(speeds_m_s={2: 2.0})
+    expected = mission_model(speeds_m_s={2: 2.0})
     expected.leg_begun(PLACES[0], PLACES[1], 4.0, now_s=0.0)
     calls = expected.coming(PLACES[0], now_s=0.0, count=3)
     assert gaps_s(calls) == [LEG_S + PHOTO_S, 12.0 + PHOTO_S, 12.0 + PHOTO_S]
 
 
 def test_off_the_plan_calls_are_expected_to_go_on_around_there() -> None:
-    expected = itinerary()
+    expected = mission_model()
     expected.leg_begun(PLACES[0], Position(0.0, 20.0, 20.0), None, now_s=0.0)
     calls = expected.coming(PLACES[0], now_s=0.0, count=4)
     assert gaps_s(calls) == [LEG_S + PHOTO_S] * 4
@@ -119,7 +119,7 @@ def test_off_the_plan_calls_are_expected_to_go_on_around_there() -> None:
 
 
 def test_a_plan_that_is_left_and_taken_up_again_goes_on_from_there() -> None:
-    expected = itinerary()
+    expected = mission_model()
     expected.leg_begun(PLACES[0], Position(0.0, 20.0, 20.0), None, now_s=0.0)
     expected.arrived(now_s=9.0)
     expected.call_begun(HEAVY, now_s=10.0)

@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
+from upwash.core.forecast import Forecast
 from upwash.core.look_ahead import LookAhead
-from upwash.core.outlook import Outlook
-from upwash.core.policy import Call, Choice, Coming, Decision, Local, LocationAware, Option, Remote, Situation
+from upwash.core.policy import (
+    CallInputs,
+    Choice,
+    Coming,
+    Decision,
+    Local,
+    LocationAware,
+    Option,
+    Remote,
+    Situation,
+)
 from upwash.core.schedule import CheckTimes, ComingCall, Offer
 from upwash.core.servers import State
 
@@ -21,25 +31,27 @@ def calls(*servers: str) -> list[ComingCall]:
 
 
 def choose(
-    outlook: Outlook | None, *, in_range: str, current: str | None = None, under_way: Decision | None = None
+    forecast: Forecast | None, *, in_range: str, current: str | None = None, under_way: Decision | None = None
 ) -> str | None:
     options = [Option(server, REMOTE_S, 0.0) for server in in_range]
     return (
-        LookAhead().choose(Situation(options, current, LOCAL_S, under_way=under_way, outlook=outlook)).server
+        LookAhead()
+        .choose(Situation(options, current, LOCAL_S, under_way=under_way, forecast=forecast))
+        .server
     )
 
 
 def test_the_server_of_the_next_call_is_chosen_once_it_is_in_range() -> None:
-    outlook = Outlook(calls("b", "b", "b"), CHECKS, 0.0)
-    assert choose(outlook, in_range="a", current="a") == "a"
-    assert choose(outlook, in_range="ab", current="a") == "b"
-    assert choose(outlook, in_range="") is None
-    assert choose(outlook, in_range="a") is None
-    assert choose(outlook, in_range="b") == "b"
+    forecast = Forecast(calls("b", "b", "b"), CHECKS, 0.0)
+    assert choose(forecast, in_range="a", current="a") == "a"
+    assert choose(forecast, in_range="ab", current="a") == "b"
+    assert choose(forecast, in_range="") is None
+    assert choose(forecast, in_range="a") is None
+    assert choose(forecast, in_range="b") == "b"
 
 
 def test_a_server_is_not_left_for_one_that_is_just_as_good() -> None:
-    assert choose(Outlook(calls("ab", "ab", "ab"), CHECKS, 0.0), in_range="ab", current="b") == "b"
+    assert choose(Forecast(calls("ab", "ab", "ab"), CHECKS, 0.0), in_range="ab", current="b") == "b"
 
 
 def test_it_is_left_before_its_range_ends_if_the_next_one_would_not_be_ready_otherwise() -> None:
@@ -48,32 +60,32 @@ def test_it_is_left_before_its_range_ends_if_the_next_one_would_not_be_ready_oth
         ComingCall(LOCAL_S, GAP_S, [Offer("a", 8.0, GAP_S), Offer("b", REMOTE_S, GAP_S)]),
         *calls("b", "b"),
     ]
-    assert choose(Outlook(leaving, slow, 0.0), in_range="ab", current="a") == "b"
+    assert choose(Forecast(leaving, slow, 0.0), in_range="ab", current="a") == "b"
 
 
 def test_nothing_is_left_while_a_call_goes_on_there() -> None:
-    outlook = Outlook(calls("b", "b", "b"), CHECKS, 0.0)
-    assert choose(outlook, in_range="ab", current="a", under_way=Remote("a", 4.0, "server ready")) == "a"
-    assert choose(outlook, in_range="ab", current="a", under_way=Local("not faster there")) == "b"
+    forecast = Forecast(calls("b", "b", "b"), CHECKS, 0.0)
+    assert choose(forecast, in_range="ab", current="a", under_way=Remote("a", 4.0, "server ready")) == "a"
+    assert choose(forecast, in_range="ab", current="a", under_way=Local("not faster there")) == "b"
 
 
 def test_a_check_goes_on_as_long_as_a_call_does() -> None:
-    outlook = Outlook(calls("b", "b", "b"), CHECKS, 5.0)
-    assert choose(outlook, in_range="ab", current="a", under_way=Local("too late to pay off")) == "a"
-    assert choose(outlook, in_range="ab", current="a") == "b"
+    forecast = Forecast(calls("b", "b", "b"), CHECKS, 5.0)
+    assert choose(forecast, in_range="ab", current="a", under_way=Local("too late to pay off")) == "a"
+    assert choose(forecast, in_range="ab", current="a") == "b"
 
 
 def test_a_server_out_of_range_is_not_kept() -> None:
-    outlook = Outlook(calls("b", "b"), CHECKS, 0.0)
-    assert choose(outlook, in_range="", current="a") is None
+    forecast = Forecast(calls("b", "b"), CHECKS, 0.0)
+    assert choose(forecast, in_range="", current="a") is None
 
 
 def test_the_server_that_comes_next_is_named_with_the_time_until_its_range() -> None:
     leaving = [*calls("a", ""), ComingCall(LOCAL_S, GAP_S, [Offer("b", REMOTE_S, 5.0)]), *calls("b")]
-    situation = Situation([Option("a", REMOTE_S, 0.0)], "a", LOCAL_S, outlook=Outlook(leaving, CHECKS, 0.0))
+    situation = Situation([Option("a", REMOTE_S, 0.0)], "a", LOCAL_S, forecast=Forecast(leaving, CHECKS, 0.0))
     assert LookAhead().choose(situation).coming == Coming("b", 3 * GAP_S - 5.0 + REMOTE_S + LOCAL_S)
     staying = Situation(
-        [Option("a", REMOTE_S, 0.0)], "a", LOCAL_S, outlook=Outlook(calls("a", "a"), CHECKS, 0.0)
+        [Option("a", REMOTE_S, 0.0)], "a", LOCAL_S, forecast=Forecast(calls("a", "a"), CHECKS, 0.0)
     )
     assert LookAhead().choose(staying).coming is None
 
@@ -85,5 +97,5 @@ def test_where_nothing_is_foreseen_it_is_location_aware() -> None:
 
 
 def test_a_call_is_decided_as_by_location_aware() -> None:
-    call = Call("a", State.CHECK, LOCAL_S, REMOTE_S, check_expected_s=12.0, check_elapsed_s=9.0)
+    call = CallInputs("a", State.CHECK, LOCAL_S, REMOTE_S, check_expected_s=12.0, check_elapsed_s=9.0)
     assert LookAhead().decide(call) == LocationAware().decide(call)

@@ -6,31 +6,38 @@ import math
 
 import pytest
 
-from upwash.core.instances import (
-    Admit,
+from upwash.core.admission import (
+    AdmissionController,
+    AdmissionSettings,
     Available,
     Command,
     Denied,
     Held,
-    Host,
-    HostSettings,
     ServerOffer,
-    StartInstance,
 )
-from upwash.core.visitors import LeaseStatus, Role, Visitor
+from upwash.core.clients import Client, LeaseStatus, Role
+from upwash.core.instances import StartInstance
+from upwash.core.leases import Admit
 
-S1 = Visitor("s1", "51", Role.SERVER)
-D1, D2 = Visitor("d1", "d1"), Visitor("d2", "d2")
+S1 = Client("s1", "51", Role.SERVER)
+D1, D2 = Client("d1", "d1"), Client("d2", "d2")
 
 
-def peer_host(*, slots: int = 1) -> Host:
+def peer_host(*, slots: int = 1) -> AdmissionController:
     """s2, whose peers are s1 and s3; a slot is held for 60 s at most."""
-    settings = HostSettings(lease_s=30.0, idle_stop_s=600.0, hold_s=60.0)
-    return Host({"s2": ServerOffer(frozenset({"detector"}), slots)}, settings, peers=["s1", "s3"])
+    settings = AdmissionSettings(lease_s=30.0, idle_stop_s=600.0, hold_s=60.0)
+    return AdmissionController(
+        {"s2": ServerOffer(frozenset({"detector"}), slots)}, settings, peers=["s1", "s3"]
+    )
 
 
 def hold(
-    machine: Host, drone: Visitor = D1, *, peer: Visitor = S1, for_s: float = 40.0, now_s: float = 0.0
+    machine: AdmissionController,
+    drone: Client = D1,
+    *,
+    peer: Client = S1,
+    for_s: float = 40.0,
+    now_s: float = 0.0,
 ) -> tuple[Held | Denied, list[Command]]:
     return machine.hold("s2", ["detector"], drone, peer=peer, for_s=for_s, now_s=now_s)
 
@@ -45,7 +52,8 @@ def test_a_slot_is_held_and_the_service_started_for_a_drone_that_is_expected() -
     assert commands == [Admit("s2", frozenset({"d1"})), StartInstance("s2", "detector", 1)]
     assert isinstance(machine.availability("s2", [], D2, now_s=39.9)[0], Denied)
     machine.ready("s2", "detector", 1, ":9000", now_s=12.0)
-    assert machine.availability("s2", ["detector"], D1, now_s=39.9)[0] == Available({"detector": ":9000"})
+    available, _ = machine.availability("s2", ["detector"], D1, now_s=39.9)
+    assert available == Available({"detector": ":9000"}, waiting=1)
     machine.look(now_s=60.0)
     assert machine.leases("s2") == {"d1"}, "it came: the lease is its own, and lasts as any other"
 
@@ -76,13 +84,13 @@ def test_word_may_come_again_and_the_services_are_started_once() -> None:
 @pytest.mark.parametrize(
     ("peer", "why"),
     [
-        (Visitor("s4", "54", Role.SERVER), "s4 is no peer of this daemon"),
-        (Visitor("d2", "d2"), "d2 is no peer of this daemon"),
-        (Visitor("s3", "d3", Role.DRONE), "s3 is no daemon"),
-        (Visitor("s3", "0c", Role.OPERATOR), "s3 is no daemon"),
+        (Client("s4", "54", Role.SERVER), "s4 is no peer of this daemon"),
+        (Client("d2", "d2"), "d2 is no peer of this daemon"),
+        (Client("s3", "d3", Role.DRONE), "s3 is no daemon"),
+        (Client("s3", "0c", Role.OPERATOR), "s3 is no daemon"),
     ],
 )
-def test_only_the_daemons_that_are_named_may_ask(peer: Visitor, why: str) -> None:
+def test_only_the_daemons_that_are_named_may_ask(peer: Client, why: str) -> None:
     machine = peer_host()
     answer, commands = hold(machine, peer=peer)
     assert isinstance(answer, Denied)
@@ -98,29 +106,29 @@ def test_it_is_refused_where_the_drone_itself_would_be() -> None:
     )
     machine.availability("s2", [], D2, now_s=0.0)
     assert hold(machine) == (Denied("s2 has no free slot: 1 of 1 in use"), [])
-    machine.revoke(frozenset({"d1"}))
+    machine.revoke(frozenset({"d1"}), now_s=0.0)
     assert hold(machine) == (Denied("the certificate of d1 is revoked"), [])
-    machine.revoke(frozenset({"51"}))
+    machine.revoke(frozenset({"51"}), now_s=0.0)
     assert hold(machine) == (Denied("the certificate of s1 is revoked"), [])
-    machine.revoke(frozenset())
+    machine.revoke(frozenset(), now_s=0.0)
     machine.close("shutting down")
     assert hold(machine) == (Denied("shutting down"), [])
 
 
 def test_a_peer_gets_half_of_the_slots_and_leaves_the_others_to_drones_that_are_here() -> None:
     machine = peer_host(slots=4)
-    invented = [Visitor(f"x{number}", f"x{number}") for number in range(4)]
+    invented = [Client(f"x{number}", f"x{number}") for number in range(4)]
     answers = [hold(machine, drone)[0] for drone in invented]
     assert answers == [Held(), Held(), *[Denied("s1 has 2 slots held, half of all")] * 2]
     assert hold(machine, invented[0])[0] == Held(), "again, for the same drone"
     assert isinstance(machine.availability("s2", [], D1, now_s=1.0)[0], Available)
-    assert hold(machine, D2, peer=Visitor("s3", "53", Role.SERVER))[0] == Held()
+    assert hold(machine, D2, peer=Client("s3", "53", Role.SERVER))[0] == Held()
 
 
 def test_a_peer_whose_drones_never_come_is_refused_for_a_while() -> None:
     machine = peer_host()
     for number in range(3):
-        assert hold(machine, Visitor(f"x{number}", f"x{number}"), now_s=50.0 * number)[0] == Held()
+        assert hold(machine, Client(f"x{number}", f"x{number}"), now_s=50.0 * number)[0] == Held()
     assert hold(machine, now_s=150.0)[0] == Denied("the last 3 drones that s1 expected did not come")
     assert isinstance(hold(machine, now_s=749.0)[0], Denied)
     assert hold(machine, now_s=751.0)[0] == Held()
@@ -129,19 +137,17 @@ def test_a_peer_whose_drones_never_come_is_refused_for_a_while() -> None:
 def test_a_drone_that_comes_clears_the_peer() -> None:
     machine = peer_host()
     for number in range(6):
-        invented = Visitor(f"x{number}", f"x{number}")
+        invented = Client(f"x{number}", f"x{number}")
         assert hold(machine, invented, now_s=50.0 * number)[0] == Held()
         if number == 2:
             machine.availability("s2", [], invented, now_s=50.0 * number + 1)
-            machine.leave("s2", invented)
+            machine.leave("s2", invented, now_s=0.0)
 
 
 def test_a_peer_takes_no_lease_from_a_drone_that_is_here() -> None:
     machine = peer_host()
     machine.availability("s2", [], D1, now_s=0.0)
-    assert hold(machine, Visitor("d1", "another"))[0] == Denied(
-        "d1 is here already, with another certificate"
-    )
+    assert hold(machine, Client("d1", "another"))[0] == Denied("d1 is here already, with another certificate")
     hold(machine, for_s=1.0)
     assert machine.look(now_s=29.9) == [], "its own lease is not made shorter"
 
@@ -156,7 +162,7 @@ def test_a_daemon_itself_is_not_served() -> None:
 def test_an_operator_sees_for_whom_a_slot_is_held() -> None:
     machine = peer_host()
     hold(machine)
-    shown = machine.show(Visitor("alice", "0c", Role.OPERATOR), now_s=10.0)
+    shown = machine.show(Client("alice", "0c", Role.OPERATOR), now_s=10.0)
     assert not isinstance(shown, Denied)
     assert shown[0][0].leases == [LeaseStatus("d1", "d1", 30.0, held_by="s1")]
 
@@ -164,7 +170,7 @@ def test_an_operator_sees_for_whom_a_slot_is_held() -> None:
 # ---- at the server that the drone comes from
 
 
-def visited() -> Host:
+def visited() -> AdmissionController:
     """The host with d1 on s2 from 0 s on."""
     machine = peer_host(slots=2)
     machine.availability("s2", [], D1, now_s=0.0)
@@ -183,7 +189,7 @@ def test_a_drone_that_is_served_may_send_word_to_one_peer_at_a_time() -> None:
 def test_leaving_and_coming_again_gives_no_second_slot() -> None:
     machine = visited()
     machine.send_ahead("s2", "s1", D1, for_s=50.0, now_s=0.0)
-    machine.leave("s2", D1)
+    machine.leave("s2", D1, now_s=0.0)
     machine.availability("s2", [], D1, now_s=1.0)
     assert isinstance(machine.send_ahead("s2", "s3", D1, for_s=50.0, now_s=2.0)[0], Denied)
 
@@ -207,7 +213,7 @@ def test_a_second_wish_that_is_refused_or_short_does_not_undo_the_first() -> Non
 
 def test_a_drone_that_is_not_served_sends_no_word() -> None:
     machine = visited()
-    for drone in (D2, Visitor("d1", "another")):
+    for drone in (D2, Client("d1", "another")):
         assert machine.send_ahead("s2", "s1", drone, for_s=9.0, now_s=0.0)[0] == Denied(
             f"{drone.name} has no lease on s2"
         )

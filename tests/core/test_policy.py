@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from upwash.core.estimates import Beliefs, Estimates, Operation
 from upwash.core.policies import make_policy
 from upwash.core.policy import (
-    Call,
+    CallInputs,
     Deadline,
     Local,
     LocalOnly,
@@ -86,7 +86,7 @@ def test_local_only_never_leaves_the_drone() -> None:
     assert isinstance(LocalOnly().decide(READY), Local)
 
 
-READY = Call("s1", State.READY, local_s=8.0, remote_s=1.0, check_expected_s=5.0, check_elapsed_s=0.0)
+READY = CallInputs("s1", State.READY, local_s=8.0, remote_s=1.0, check_expected_s=5.0, check_elapsed_s=0.0)
 OFFLOADING = [Opportunistic(wait=WaitRule(0.25)), LocationAware(wait=WaitRule(0.25))]
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from upwash.core.commands import Check, Effect, Full, Leave, Start
 from upwash.core.estimates import Beliefs, Estimates, Operation
-from upwash.core.geo import Circle, Position
-from upwash.core.happenings import (
+from upwash.core.events import (
     CheckAnswered,
     CheckFailed,
+    LeaseRenewed,
     LocalCallEnded,
-    Looked,
     MissionEnded,
     NetworkLost,
     Prepared,
@@ -19,8 +19,11 @@ from upwash.core.happenings import (
     RemoteCallRaised,
     RemoteFaultTested,
     ServicesStarted,
+    SlotRefused,
+    Tick,
+    TurnOver,
 )
-from upwash.core.orders import Check, Command, Leave, Start
+from upwash.core.geo import Circle, Position
 from upwash.core.policy import (
     Deadline,
     Local,
@@ -32,6 +35,7 @@ from upwash.core.policy import (
     Wait,
     WaitRule,
 )
+from upwash.core.recovery import Probing
 from upwash.core.selection import Selection, SelectionSettings
 from upwash.core.servers import Change, State
 from upwash.errors import TransitionError
@@ -51,7 +55,7 @@ def selection(policy: Policy | None = None, *, s1_s: float = 0.75, s2_s: float =
     return Selection(AREAS, estimates=estimates, policy=policy or LocationAware())
 
 
-def written(commands: list[Command]) -> list[str]:
+def written(commands: list[Effect]) -> list[str]:
     """The commands in words, without their reasons."""
     words = []
     for command in commands:
@@ -69,7 +73,7 @@ def written(commands: list[Command]) -> list[str]:
 
 def with_s1_ready(machine: Selection, *, position: Position = UNDER_S1) -> Selection:
     """The machine with s1 selected at 0 s by check 1, and READY at 10 s."""
-    machine.handle(Looked(), now_s=0.0, position=position)
+    machine.handle(Tick(), now_s=0.0, position=position)
     machine.handle(CheckAnswered(1, running=False), now_s=2.0, position=position)
     machine.handle(ServicesStarted(1), now_s=10.0, position=position)
     assert machine.servers["s1"].state is State.READY
@@ -78,9 +82,111 @@ def with_s1_ready(machine: Selection, *, position: Position = UNDER_S1) -> Selec
 
 def with_s1_left_running(machine: Selection) -> Selection:
     """The machine after s1 was READY and its range was left at 20 s: s1 is AVL-R, nothing is selected."""
-    with_s1_ready(machine).handle(Looked(), now_s=20.0, position=NOWHERE)
+    with_s1_ready(machine).handle(Tick(), now_s=20.0, position=NOWHERE)
     assert machine.servers["s1"].state is State.AVL_R
     return machine
+
+
+# ---- trials
+
+
+def test_a_trial_that_fails_as_the_range_ends_is_over() -> None:
+    settings = SelectionSettings(probing=Probing())
+    beliefs = {name: Beliefs(11.5, 3.5, {HEAVY: 0.7}) for name in AREAS}
+    estimates = Estimates(local_s={HEAVY: 8.0}, servers=beliefs, slow_apart=True)
+    machine = with_s1_ready(Selection(AREAS, estimates=estimates, policy=LocationAware(), settings=settings))
+    machine.handle(RemoteCallEnded("s1", HEAVY, 9.0), now_s=20.0, position=UNDER_S1)  # slower than the drone
+    decision, _ = machine.decide(HEAVY, now_s=25.0, position=UNDER_S1)
+    assert isinstance(decision, Remote) and decision.raced
+    machine.handle(RemoteCallFailed("s1", 1, "gone"), now_s=26.0, position=NOWHERE)
+    machine.handle(Tick(), now_s=60.0, position=UNDER_S1)
+    machine.handle(CheckAnswered(2, running=True), now_s=62.0, position=UNDER_S1)
+    assert machine.servers["s1"].state is State.READY
+    again, _ = machine.decide(HEAVY, now_s=63.0, position=UNDER_S1)
+    assert isinstance(again, Remote) and again.raced
+
+
+# ---- turns
+
+
+def test_a_server_without_a_slot_goes_on_being_asked_and_no_call_waits_for_it() -> None:
+    machine = selection()
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
+    assert machine.handle(SlotRefused(1, 3), now_s=2.0, position=UNDER_S1) == [Full("s1", 1, 3)]
+    assert machine.handle(SlotRefused(1, 2), now_s=4.0, position=UNDER_S1) == [], "it is no news"
+    assert not machine.is_awaited(1)
+    decision, effects = machine.decide(HEAVY, now_s=5.0, position=UNDER_S1)
+    assert (decision, effects) == (Local("s1 has no free slot"), [])
+    machine.handle(CheckAnswered(1, running=True), now_s=6.0, position=UNDER_S1)
+    assert isinstance(machine.decide(HEAVY, now_s=7.0, position=UNDER_S1)[0], Remote)
+
+
+def test_the_time_for_which_a_slot_was_waited_for_teaches_nothing_about_checks() -> None:
+    machine = selection()
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
+    machine.handle(SlotRefused(1, 1), now_s=2.0, position=UNDER_S1)
+    machine.handle(CheckAnswered(1, running=True), now_s=40.0, position=UNDER_S1)
+    assert machine.estimates.check_s("s1", running=True) == 3.5
+
+
+@pytest.mark.parametrize("policy", [LocationAware(), Opportunistic()])
+def test_another_server_is_preferred_to_one_without_a_slot_and_of_two_such_the_drone_stays(
+    policy: Policy,
+) -> None:
+    machine = selection(policy)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_BOTH)
+    left = machine.handle(SlotRefused(1, 1), now_s=2.0, position=UNDER_BOTH)
+    assert written(left) == ["s1 CHECK AVL", "leave s1", "s2 AVL CHECK", "check s2 2"]
+    assert written(machine.handle(SlotRefused(2, 1), now_s=5.0, position=UNDER_BOTH)) == []
+    assert machine.current is machine.servers["s2"]
+    back = machine.handle(LocalCallEnded(HEAVY, 8.0), now_s=62.5, position=UNDER_BOTH)
+    assert written(back)[:2] == ["s2 CHECK AVL", "leave s2"], "s1 may have a slot again after a minute"
+
+
+def test_a_turn_that_is_over_has_the_server_asked_again_over_the_same_network() -> None:
+    machine = with_s1_ready(selection())
+    again = machine.handle(TurnOver(1, "others wait"), now_s=50.0, position=UNDER_S1)
+    assert written(again) == ["s1 READY CHECK-R", "check s1 2"]
+    decision, _ = machine.decide(HEAVY, now_s=51.0, position=UNDER_S1)
+    assert decision == Local("s1 has no free slot")
+    assert machine.handle(TurnOver(1, "others wait"), now_s=52.0, position=UNDER_S1) == [], (
+        "of an earlier turn"
+    )
+    ready = machine.handle(CheckAnswered(2, running=True), now_s=80.0, position=UNDER_S1)
+    assert written(ready) == ["s1 CHECK-R READY"]
+
+
+def test_a_server_that_gives_turns_and_answers_no_call_has_failed() -> None:
+    machine = with_s1_ready(selection())
+    for check in (1, 2):
+        machine.handle(TurnOver(check, "no lease", in_call=True), now_s=20.0 * check, position=UNDER_S1)
+        machine.handle(CheckAnswered(check + 1, running=True), now_s=20.0 * check + 2, position=UNDER_S1)
+        assert machine.servers["s1"].state is State.READY
+    machine.handle(TurnOver(3, "no lease", in_call=True), now_s=60.0, position=UNDER_S1)
+    assert machine.servers["s1"].state is State.BLACKLISTED
+
+
+def test_answers_between_turns_keep_a_server_from_being_taken_for_failed() -> None:
+    machine = with_s1_ready(selection())
+    for check in range(1, 6):
+        machine.handle(RemoteCallEnded("s1", HEAVY, 0.75), now_s=20.0 * check - 5, position=UNDER_S1)
+        machine.handle(TurnOver(check, "no lease", in_call=True), now_s=20.0 * check, position=UNDER_S1)
+        machine.handle(CheckAnswered(check + 1, running=True), now_s=20.0 * check + 2, position=UNDER_S1)
+    assert machine.servers["s1"].state is State.READY
+
+
+@pytest.mark.parametrize(("s1_s", "stays"), [(5.0, True), (7.0, False)])
+def test_where_others_wait_a_drone_that_gains_little_leaves_its_slot_to_them(
+    s1_s: float, *, stays: bool
+) -> None:
+    machine = with_s1_ready(selection(s1_s=s1_s))
+    effects = machine.handle(LeaseRenewed(1, 1), now_s=20.0, position=UNDER_S1)
+    assert (machine.current is not None) == stays, "a local call takes 8 s, and 0.25 of that is to be gained"
+    assert written(effects) == ([] if stays else ["s1 READY AVL-R", "leave s1"])
+    if not stays:
+        assert machine.handle(LocalCallEnded(HEAVY, 8.0), now_s=79.0, position=UNDER_S1) == []
+        again = machine.handle(LocalCallEnded(HEAVY, 8.0), now_s=81.0, position=UNDER_S1)
+        assert written(again) == ["s1 AVL-R CHECK-R", "check s1 2"], "nobody was seen waiting for a minute"
 
 
 # ---- checks
@@ -88,26 +194,26 @@ def with_s1_left_running(machine: Selection) -> Selection:
 
 def test_a_server_in_range_is_selected_and_checked() -> None:
     machine = selection()
-    assert written(machine.handle(Looked(), now_s=5.0, position=UNDER_S1)) == ["s1 AVL CHECK", "check s1 1"]
+    assert written(machine.handle(Tick(), now_s=5.0, position=UNDER_S1)) == ["s1 AVL CHECK", "check s1 1"]
     assert machine.current is machine.servers["s1"]
-    assert machine.is_checking(1)
+    assert machine.is_awaited(1)
 
 
 def test_out_of_every_range_nothing_is_wanted() -> None:
     machine = selection()
-    assert machine.handle(Looked(), now_s=0.0, position=NOWHERE) == []
+    assert machine.handle(Tick(), now_s=0.0, position=NOWHERE) == []
     assert machine.current is None
 
 
 def test_looking_again_does_not_check_again() -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
-    assert machine.handle(Looked(), now_s=1.0, position=UNDER_S1) == []
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
+    assert machine.handle(Tick(), now_s=1.0, position=UNDER_S1) == []
 
 
 def test_a_service_that_does_not_run_is_started_once() -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
     not_running = CheckAnswered(1, running=False)
     assert written(machine.handle(not_running, now_s=2.0, position=UNDER_S1)) == ["start s1 1"]
     assert machine.handle(not_running, now_s=3.0, position=UNDER_S1) == []
@@ -115,7 +221,7 @@ def test_a_service_that_does_not_run_is_started_once() -> None:
 
 def test_started_services_make_the_server_ready_and_teach_how_long_a_check_takes() -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=5.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=5.0, position=UNDER_S1)
     machine.handle(CheckAnswered(1, running=False), now_s=7.0, position=UNDER_S1)
     assert written(machine.handle(ServicesStarted(1), now_s=22.5, position=UNDER_S1)) == ["s1 CHECK READY"]
     assert machine.estimates.check_s("s1", running=False) == pytest.approx((11.5 + 11.5 + 17.5) / 3)
@@ -124,7 +230,7 @@ def test_started_services_make_the_server_ready_and_teach_how_long_a_check_takes
 
 def test_a_service_found_running_makes_the_server_ready_at_once() -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=5.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=5.0, position=UNDER_S1)
     running = CheckAnswered(1, running=True)
     assert written(machine.handle(running, now_s=11.0, position=UNDER_S1)) == ["s1 CHECK READY"]
     assert machine.estimates.check_s("s1", running=True) == pytest.approx((3.5 + 3.5 + 6.0) / 3)
@@ -133,7 +239,7 @@ def test_a_service_found_running_makes_the_server_ready_at_once() -> None:
 
 def test_a_server_left_running_is_believed_to_run() -> None:
     machine = with_s1_left_running(selection())
-    again = machine.handle(Looked(), now_s=30.0, position=UNDER_S1)
+    again = machine.handle(Tick(), now_s=30.0, position=UNDER_S1)
     assert written(again) == ["s1 AVL-R CHECK-R", "check s1 2"]
     ready = machine.handle(CheckAnswered(2, running=True), now_s=33.0, position=UNDER_S1)
     assert written(ready) == ["s1 CHECK-R READY"]
@@ -142,7 +248,7 @@ def test_a_server_left_running_is_believed_to_run() -> None:
 
 def test_a_belief_that_proves_wrong_falls_back_without_starting_the_clock_again() -> None:
     machine = with_s1_left_running(selection())
-    machine.handle(Looked(), now_s=30.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=30.0, position=UNDER_S1)
     fallback = machine.handle(CheckAnswered(2, running=False), now_s=33.0, position=UNDER_S1)
     assert written(fallback) == ["s1 CHECK-R CHECK", "start s1 2"]
     decision, _ = machine.decide(HEAVY, now_s=33.0, position=UNDER_S1)
@@ -156,7 +262,7 @@ def test_a_belief_that_proves_wrong_falls_back_without_starting_the_clock_again(
 
 def test_after_a_failed_check_the_next_best_is_selected_in_the_same_step() -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=0.0, position=UNDER_BOTH)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_BOTH)
     failed = CheckFailed(1, "no slot")
     assert written(machine.handle(failed, now_s=3.0, position=UNDER_BOTH)) == [
         "s1 CHECK BLACKLISTED",
@@ -168,7 +274,7 @@ def test_after_a_failed_check_the_next_best_is_selected_in_the_same_step() -> No
 
 def test_when_all_servers_are_blacklisted_the_drone_is_on_its_own() -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=0.0, position=UNDER_BOTH)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_BOTH)
     machine.handle(CheckFailed(1, "no slot"), now_s=3.0, position=UNDER_BOTH)
     last = machine.handle(CheckFailed(2, "no answer"), now_s=8.0, position=UNDER_BOTH)
     assert written(last) == ["s2 CHECK BLACKLISTED", "leave s2"]
@@ -177,39 +283,39 @@ def test_when_all_servers_are_blacklisted_the_drone_is_on_its_own() -> None:
 
 def test_the_reason_of_a_failure_is_kept() -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
     change = machine.handle(CheckFailed(1, "no slot"), now_s=3.0, position=UNDER_S1)[0]
     assert isinstance(change, Change)
     assert (change.why, change.at_s) == ("no slot", 3.0)
 
 
 def test_a_check_that_leaves_the_range_is_no_failure_of_the_server() -> None:
-    for happening in (Looked(), CheckFailed(1, "no answer")):
+    for event in (Tick(), CheckFailed(1, "no answer")):
         machine = selection()
-        machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
-        commands = machine.handle(happening, now_s=3.0, position=NOWHERE)
+        machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
+        commands = machine.handle(event, now_s=3.0, position=NOWHERE)
         assert written(commands) == ["s1 CHECK AVL", "leave s1"]
 
 
 def test_a_check_that_leaves_the_range_after_the_start_was_requested() -> None:
-    for happening in (Looked(), CheckFailed(1, "no answer")):
+    for event in (Tick(), CheckFailed(1, "no answer")):
         machine = selection()
-        machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+        machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
         machine.handle(CheckAnswered(1, running=False), now_s=2.0, position=UNDER_S1)
-        commands = machine.handle(happening, now_s=3.0, position=NOWHERE)
+        commands = machine.handle(event, now_s=3.0, position=NOWHERE)
         assert written(commands) == ["s1 CHECK AVL-R", "leave s1"]
 
 
 def test_a_check_of_a_running_server_that_leaves_the_range() -> None:
     machine = with_s1_left_running(selection())
-    machine.handle(Looked(), now_s=30.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=30.0, position=UNDER_S1)
     commands = machine.handle(CheckFailed(2, "no answer"), now_s=31.0, position=NOWHERE)
     assert written(commands) == ["s1 CHECK-R AVL-R", "leave s1"]
 
 
 def test_a_start_that_failed_is_a_failed_check() -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
     machine.handle(CheckAnswered(1, running=False), now_s=2.0, position=UNDER_S1)
     failed = machine.handle(CheckFailed(1, "no image"), now_s=3.0, position=UNDER_S1)
     assert written(failed) == ["s1 CHECK BLACKLISTED", "leave s1"]
@@ -228,14 +334,14 @@ def test_a_result_of_an_earlier_check_changes_nothing(
     stale: CheckAnswered | ServicesStarted | CheckFailed,
 ) -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
-    machine.handle(Looked(), now_s=1.0, position=NOWHERE)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=1.0, position=NOWHERE)
     assert machine.handle(stale, now_s=2.0, position=NOWHERE) == []
-    machine.handle(Looked(), now_s=3.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=3.0, position=UNDER_S1)
     assert machine.handle(stale, now_s=4.0, position=UNDER_S1) == []
     assert machine.servers["s1"].state is State.CHECK
-    assert machine.is_checking(2)
-    assert not machine.is_checking(1)
+    assert machine.is_awaited(2)
+    assert not machine.is_awaited(1)
 
 
 def test_a_result_that_comes_again_changes_nothing() -> None:
@@ -248,7 +354,7 @@ def test_a_result_that_comes_again_changes_nothing() -> None:
 
 def test_services_cannot_be_started_by_a_check_that_asked_for_no_start() -> None:
     machine = with_s1_left_running(selection())
-    machine.handle(Looked(), now_s=30.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=30.0, position=UNDER_S1)
     with pytest.raises(TransitionError, match="started is impossible in CHECK-R"):
         machine.handle(ServicesStarted(2), now_s=31.0, position=UNDER_S1)
 
@@ -271,16 +377,16 @@ def test_a_network_that_is_lost_out_of_range_is_no_failure_of_the_server() -> No
 
 def test_a_network_that_is_lost_during_a_check_ends_it() -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
     lost = machine.handle(NetworkLost(1, "no carrier"), now_s=4.0, position=UNDER_S1)
     assert written(lost) == ["s1 CHECK BLACKLISTED", "leave s1"]
 
 
 def test_a_network_that_an_earlier_check_joined_can_be_lost_without_consequence() -> None:
     machine = with_s1_left_running(selection())
-    machine.handle(Looked(), now_s=21.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=21.0, position=UNDER_S1)
     assert machine.handle(NetworkLost(1, "no carrier"), now_s=22.0, position=UNDER_S1) == []
-    assert machine.is_checking(2)
+    assert machine.is_awaited(2)
     assert (
         with_s1_left_running(selection()).handle(NetworkLost(1, "late"), now_s=22.0, position=NOWHERE) == []
     )
@@ -310,12 +416,12 @@ def test_a_failed_call_of_an_earlier_visit_changes_nothing(failed: RemoteCallFai
 
 def test_a_failed_call_of_the_last_visit_does_not_end_the_check_of_this_one() -> None:
     machine = with_s1_left_running(selection())
-    machine.handle(Looked(), now_s=21.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=21.0, position=UNDER_S1)
     assert machine.handle(RemoteCallFailed("s1", 1, "deadline"), now_s=22.0, position=UNDER_S1) == []
-    assert machine.is_checking(2)
+    assert machine.is_awaited(2)
 
 
-def raised_on_s1(machine: Selection, *, check: int = 1, confirmed: bool) -> list[Command]:
+def raised_on_s1(machine: Selection, *, check: int = 1, confirmed: bool) -> list[Effect]:
     """What is to be done when s1 has said that a call raised, and the drone's own service has had it too."""
     doubted = machine.handle(RemoteCallRaised("s1", "raised"), now_s=19.0, position=UNDER_BOTH)
     assert doubted == []
@@ -360,15 +466,15 @@ def test_a_server_left_for_its_slow_calls_is_tried_again() -> None:
     machine = with_s1_ready(selection())
     machine.handle(RemoteCallEnded("s1", HEAVY, 30.0), now_s=40.0, position=UNDER_S1)
     assert machine.current is None
-    before = machine.handle(Looked(), now_s=339.9, position=UNDER_S1)
+    before = machine.handle(Tick(), now_s=339.9, position=UNDER_S1)
     assert written(before) == ["s1 AVL-R AVL"]
-    again = machine.handle(Looked(), now_s=340.0, position=UNDER_S1)
+    again = machine.handle(Tick(), now_s=340.0, position=UNDER_S1)
     assert written(again) == ["s1 AVL CHECK", "check s1 2"]
 
 
 def test_a_server_is_selected_once_the_drone_itself_became_slower() -> None:
     machine = selection(s1_s=8.5)
-    assert machine.handle(Looked(), now_s=0.0, position=UNDER_S1) == []
+    assert machine.handle(Tick(), now_s=0.0, position=UNDER_S1) == []
     hot = machine.handle(LocalCallEnded(HEAVY, 14.0), now_s=14.0, position=UNDER_S1)
     assert written(hot) == ["s1 AVL CHECK", "check s1 1"]
 
@@ -378,52 +484,52 @@ def test_a_server_is_selected_once_the_drone_itself_became_slower() -> None:
 
 def test_the_old_server_is_left_before_the_new_one_is_joined() -> None:
     machine = with_s1_ready(selection(s1_s=2.0, s2_s=0.5))
-    assert machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH) == []  # 1.5 of 8 s: not enough
+    assert machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH) == []  # 1.5 of 8 s: not enough
     slower = machine.handle(RemoteCallEnded("s1", HEAVY, 5.0), now_s=21.0, position=UNDER_BOTH)
     assert written(slower) == ["s1 READY AVL-R", "leave s1", "s2 AVL CHECK", "check s2 2"]
 
 
 def test_from_range_to_range_in_one_step() -> None:
     machine = with_s1_ready(selection())
-    crossed = machine.handle(Looked(), now_s=20.0, position=UNDER_S2)
+    crossed = machine.handle(Tick(), now_s=20.0, position=UNDER_S2)
     assert written(crossed) == ["s1 READY AVL-R", "leave s1", "s2 AVL CHECK", "check s2 2"]
 
 
 def test_a_check_under_way_is_given_up_for_a_much_better_server() -> None:
     machine = selection(s1_s=4.0, s2_s=0.5)
-    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
-    better = machine.handle(Looked(), now_s=1.0, position=UNDER_BOTH)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
+    better = machine.handle(Tick(), now_s=1.0, position=UNDER_BOTH)
     assert written(better) == ["s1 CHECK AVL", "leave s1", "s2 AVL CHECK", "check s2 2"]
 
 
 def test_opportunistic_stays_where_it_came_first() -> None:
     machine = with_s1_ready(selection(Opportunistic(), s1_s=7.0, s2_s=0.5))
-    assert machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH) == []
+    assert machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH) == []
     assert machine.handle(RemoteCallEnded("s1", HEAVY, 30.0), now_s=21.0, position=UNDER_BOTH) == []
-    crossed = machine.handle(Looked(), now_s=30.0, position=UNDER_S2)
+    crossed = machine.handle(Tick(), now_s=30.0, position=UNDER_S2)
     assert written(crossed) == ["s1 READY AVL-R", "leave s1", "s2 AVL CHECK", "check s2 2"]
 
 
 def test_opportunistic_counts_from_when_a_range_was_entered() -> None:
     machine = selection(Opportunistic())
-    machine.handle(Looked(), now_s=0.0, position=UNDER_S2)
-    machine.handle(Looked(), now_s=1.0, position=UNDER_BOTH)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S2)
+    machine.handle(Tick(), now_s=1.0, position=UNDER_BOTH)
     machine.handle(CheckFailed(1, "no slot"), now_s=2.0, position=UNDER_BOTH)  # s2; s1 is being checked
     machine.handle(CheckFailed(2, "no slot"), now_s=3.0, position=UNDER_BOTH)
-    both_back = machine.handle(Looked(), now_s=63.0, position=UNDER_BOTH)
+    both_back = machine.handle(Tick(), now_s=63.0, position=UNDER_BOTH)
     assert written(both_back) == ["s1 BLACKLISTED AVL", "s2 BLACKLISTED AVL", "s2 AVL CHECK", "check s2 3"]
 
 
 def test_local_only_contacts_nobody() -> None:
     machine = selection(LocalOnly())
     for now_s, position in enumerate([UNDER_S1, UNDER_BOTH, UNDER_S2]):
-        assert machine.handle(Looked(), now_s=float(now_s), position=position) == []
+        assert machine.handle(Tick(), now_s=float(now_s), position=position) == []
 
 
 def test_a_server_without_the_drones_services_is_no_candidate() -> None:
     estimates = Estimates(local_s={HEAVY: 8.0}, servers={"s1": Beliefs(11.5, 3.5, {})})
     machine = Selection({"s1": AREAS["s1"]}, estimates=estimates, policy=LocationAware())
-    assert machine.handle(Looked(), now_s=0.0, position=UNDER_S1) == []
+    assert machine.handle(Tick(), now_s=0.0, position=UNDER_S1) == []
 
 
 # ---- memory
@@ -431,22 +537,22 @@ def test_a_server_without_the_drones_services_is_no_candidate() -> None:
 
 def test_a_blacklisted_server_is_left_alone_for_its_time() -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
     machine.handle(CheckFailed(1, "no slot"), now_s=3.0, position=UNDER_S1)
-    assert machine.handle(Looked(), now_s=62.9, position=UNDER_S1) == []
-    over = machine.handle(Looked(), now_s=63.0, position=UNDER_S1)
+    assert machine.handle(Tick(), now_s=62.9, position=UNDER_S1) == []
+    over = machine.handle(Tick(), now_s=63.0, position=UNDER_S1)
     assert written(over) == ["s1 BLACKLISTED AVL", "s1 AVL CHECK", "check s1 2"]
 
 
 def test_a_server_not_selected_for_long_is_no_longer_believed_to_run() -> None:
     machine = with_s1_left_running(selection())
-    assert machine.handle(Looked(), now_s=199.9, position=NOWHERE) == []
-    assert written(machine.handle(Looked(), now_s=200.0, position=NOWHERE)) == ["s1 AVL-R AVL"]
+    assert machine.handle(Tick(), now_s=199.9, position=NOWHERE) == []
+    assert written(machine.handle(Tick(), now_s=200.0, position=NOWHERE)) == ["s1 AVL-R AVL"]
 
 
 def test_a_selected_server_is_never_idle() -> None:
     machine = with_s1_ready(selection())
-    assert machine.handle(Looked(), now_s=5000.0, position=UNDER_S1) == []
+    assert machine.handle(Tick(), now_s=5000.0, position=UNDER_S1) == []
 
 
 # ---- where a call shall run
@@ -476,18 +582,18 @@ def test_the_first_call_after_a_start_is_told_from_the_others() -> None:
     assert deadline_s(20.0) == 8.0
     machine.handle(RemoteCallEnded("s1", HEAVY, 0.75), now_s=20.75, position=UNDER_S1)
     assert deadline_s(30.0) == 3.0
-    machine.handle(Looked(), now_s=40.0, position=NOWHERE)
-    machine.handle(Looked(), now_s=50.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=40.0, position=NOWHERE)
+    machine.handle(Tick(), now_s=50.0, position=UNDER_S1)
     machine.handle(CheckAnswered(2, running=True), now_s=52.0, position=UNDER_S1)
     assert deadline_s(53.0) == 3.0  # the same instance
-    machine.handle(Looked(), now_s=60.0, position=NOWHERE)
+    machine.handle(Tick(), now_s=60.0, position=NOWHERE)
     machine.handle(Prepared("s1", "s2"), now_s=70.0, position=NOWHERE)
-    machine.handle(Looked(), now_s=80.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=80.0, position=UNDER_S1)
     machine.handle(CheckAnswered(3, running=True), now_s=82.0, position=UNDER_S1)
     assert deadline_s(83.0) == 8.0
     machine.handle(RemoteCallEnded("s1", HEAVY, 0.75), now_s=84.0, position=UNDER_S1)
-    machine.handle(Looked(), now_s=90.0, position=NOWHERE)
-    machine.handle(Looked(), now_s=100.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=90.0, position=NOWHERE)
+    machine.handle(Tick(), now_s=100.0, position=UNDER_S1)
     machine.handle(CheckAnswered(4, running=False), now_s=102.0, position=UNDER_S1)
     machine.handle(ServicesStarted(4), now_s=110.0, position=UNDER_S1)
     assert deadline_s(111.0) == 8.0
@@ -523,7 +629,7 @@ def test_a_call_during_a_check_waits_if_the_server_is_ready_soon(
     elapsed_s: float, decision_class: type
 ) -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=100.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=100.0, position=UNDER_S1)
     decision, commands = machine.decide(HEAVY, now_s=100.0 + elapsed_s, position=UNDER_S1)
     assert isinstance(decision, decision_class)
     assert commands == []
@@ -533,17 +639,39 @@ def test_a_call_during_a_check_waits_if_the_server_is_ready_soon(
 
 def test_a_check_of_a_running_service_is_awaited_from_its_start() -> None:
     machine = with_s1_left_running(selection())
-    machine.handle(Looked(), now_s=30.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=30.0, position=UNDER_S1)
     decision, _ = machine.decide(HEAVY, now_s=30.0, position=UNDER_S1)
     assert isinstance(decision, Wait)  # 3.5 s, not 11.5 s
 
 
 def test_a_check_out_of_range_is_not_awaited() -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
     decision, commands = machine.decide(HEAVY, now_s=10.0, position=NOWHERE)
     assert isinstance(decision, Local)
     assert written(commands) == ["s1 CHECK AVL", "leave s1"]
+
+
+def test_a_decision_has_the_inputs_that_it_was_made_from_though_it_leaves_the_server() -> None:
+    machine = with_s1_ready(selection())
+    local_s, remote_s = machine.estimates.local_s(HEAVY), machine.estimates.remote_s("s1", HEAVY)
+    decision, commands = machine.decide(HEAVY, now_s=20.0, position=NOWHERE)
+    assert written(commands) == ["s1 READY AVL-R", "leave s1"]
+    known = decision.inputs
+    assert (known.server, known.state, known.check) == ("s1", State.READY, 1)
+    assert (known.local_s, known.remote_s) == (local_s, remote_s)
+    decision, _ = machine.decide(HEAVY, now_s=20.0, position=NOWHERE)
+    assert (decision.inputs.server, decision.inputs.local_s) == (None, local_s)
+
+
+def test_a_check_says_how_long_its_parts_may_take() -> None:
+    machine = selection()
+    check = machine.handle(Tick(), now_s=0.0, position=UNDER_S1)[-1]
+    assert isinstance(check, Check)
+    assert check.join_limit_s == 3.0 * machine.estimates.check_s("s1", running=True)
+    (start,) = machine.handle(CheckAnswered(1, running=False), now_s=2.0, position=UNDER_S1)
+    assert isinstance(start, Start)
+    assert start.limit_s == 3.0 * machine.estimates.check_s("s1", running=False)
 
 
 def test_after_a_wait_the_server_that_became_ready_gets_the_call() -> None:
@@ -556,16 +684,16 @@ def test_after_a_wait_the_server_that_became_ready_gets_the_call() -> None:
 
 def test_after_a_wait_that_was_too_short_the_call_runs_here() -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
     decision, commands = machine.decide_after_wait(HEAVY, 1, now_s=15.25, position=UNDER_S1)
     assert isinstance(decision, Local)  # it does not wait twice
     assert commands == []
-    assert machine.is_checking(1)
+    assert machine.is_awaited(1)
 
 
 def test_after_a_wait_for_a_check_that_failed_the_call_runs_here() -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=0.0, position=UNDER_S1)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
     machine.handle(CheckFailed(1, "no slot"), now_s=3.0, position=UNDER_S1)
     decision, _ = machine.decide_after_wait(HEAVY, 1, now_s=3.0, position=UNDER_S1)
     assert isinstance(decision, Local)
@@ -573,7 +701,7 @@ def test_after_a_wait_for_a_check_that_failed_the_call_runs_here() -> None:
 
 def test_after_a_wait_for_one_check_the_outcome_of_another_does_not_count() -> None:
     machine = selection()
-    machine.handle(Looked(), now_s=0.0, position=UNDER_BOTH)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_BOTH)
     machine.handle(CheckFailed(1, "no slot"), now_s=3.0, position=UNDER_BOTH)
     machine.handle(CheckAnswered(2, running=True), now_s=4.0, position=UNDER_BOTH)
     assert machine.servers["s2"].state is State.READY
@@ -595,7 +723,7 @@ def test_after_the_mission_nobody_is_selected_any_more() -> None:
     machine = with_s1_ready(selection())
     ended = machine.handle(MissionEnded(), now_s=20.0, position=UNDER_S1)
     assert written(ended) == ["s1 READY AVL-R", "leave s1"]
-    assert machine.handle(Looked(), now_s=21.0, position=UNDER_BOTH) == []
+    assert machine.handle(Tick(), now_s=21.0, position=UNDER_BOTH) == []
     assert machine.current is None
 
 
@@ -639,7 +767,7 @@ def with_two_radios(*, s2_s: float) -> Selection:
 
 def test_a_better_server_is_checked_while_the_one_before_is_still_used() -> None:
     machine = with_two_radios(s2_s=0.5)
-    commands = machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH)
+    commands = machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH)
     assert written(commands) == ["s2 AVL CHECK", "check s2 2"]
     decision, _ = machine.decide(HEAVY, now_s=21.0, position=UNDER_BOTH)
     assert isinstance(decision, Remote)
@@ -656,20 +784,20 @@ def test_a_better_server_is_checked_while_the_one_before_is_still_used() -> None
 
 def test_the_server_in_preparation_takes_the_place_of_one_that_is_lost() -> None:
     machine = with_two_radios(s2_s=0.5)
-    machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH)
+    machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH)
     failed = machine.handle(RemoteCallFailed("s1", 1, "no answer"), now_s=22.0, position=UNDER_BOTH)
     assert written(failed) == ["s1 READY BLACKLISTED", "leave s1"]
     assert machine.current is machine.servers["s2"]
-    assert machine.is_checking(2)
+    assert machine.is_awaited(2)
     machine = with_two_radios(s2_s=0.5)
-    machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH)
-    assert written(machine.handle(Looked(), now_s=23.0, position=UNDER_S2)) == ["s1 READY AVL-R", "leave s1"]
+    machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH)
+    assert written(machine.handle(Tick(), now_s=23.0, position=UNDER_S2)) == ["s1 READY AVL-R", "leave s1"]
     assert machine.current is machine.servers["s2"]
 
 
 def test_a_failed_preparation_leaves_the_server_in_use_alone() -> None:
     machine = with_two_radios(s2_s=0.5)
-    machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH)
+    machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH)
     failed = machine.handle(CheckFailed(2, "no carrier"), now_s=22.0, position=UNDER_BOTH)
     assert written(failed) == ["s2 CHECK BLACKLISTED", "leave s2"]
     assert machine.current is machine.servers["s1"]
@@ -677,14 +805,14 @@ def test_a_failed_preparation_leaves_the_server_in_use_alone() -> None:
 
 def test_a_server_that_is_no_longer_faster_than_the_drone_is_not_kept_until_the_next_is_ready() -> None:
     machine = with_two_radios(s2_s=0.5)
-    machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH)
+    machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH)
     commands = [
         command
         for now_s in (24.0, 27.0, 30.0)
         for command in machine.handle(LocalCallEnded(HEAVY, 3.0), now_s=now_s, position=UNDER_BOTH)
     ]
     assert written(commands) == ["s1 READY AVL-R", "leave s1"]
-    assert machine.is_checking(2)
+    assert machine.is_awaited(2)
     decision, _ = machine.decide(HEAVY, now_s=30.5, position=UNDER_BOTH)
     assert isinstance(decision, Wait)
     assert decision.server == "s2"
@@ -703,7 +831,7 @@ def test_what_was_prepared_is_given_up_too_for_a_third_server() -> None:
     )
     beside_s3 = Position(100.0, 80.0)
     with_s1_ready(machine)
-    assert written(machine.handle(Looked(), now_s=20.0, position=beside_s3)) == ["s2 AVL CHECK", "check s2 2"]
+    assert written(machine.handle(Tick(), now_s=20.0, position=beside_s3)) == ["s2 AVL CHECK", "check s2 2"]
     for now_s in (21.0, 22.0):
         machine.handle(LocalCallEnded(HEAVY, 3.0), now_s=now_s, position=beside_s3)
     commands = machine.handle(LocalCallEnded(HEAVY, 3.0), now_s=23.0, position=UNDER_BOTH)
@@ -720,6 +848,6 @@ def test_what_was_prepared_is_given_up_too_for_a_third_server() -> None:
 
 def test_both_are_left_at_the_end() -> None:
     machine = with_two_radios(s2_s=0.5)
-    machine.handle(Looked(), now_s=20.0, position=UNDER_BOTH)
+    machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH)
     ended = machine.handle(MissionEnded(), now_s=22.0, position=UNDER_BOTH)
     assert written(ended) == ["s1 READY AVL-R", "leave s1", "s2 CHECK AVL", "leave s2"]

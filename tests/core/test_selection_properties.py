@@ -7,6 +7,7 @@ with one radio or two, and objects where they make no sense.
 from __future__ import annotations
 
 import copy
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import pytest
@@ -14,17 +15,16 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from upwash.core.commands import Check, Effect, Leave, Prepare, Probe, Start
 from upwash.core.estimates import Beliefs, Estimates, Operation
-from upwash.core.geo import Circle, Position, Waypoint
-from upwash.core.happenings import (
+from upwash.core.events import (
     Arrived,
     CheckAnswered,
     CheckFailed,
-    CourseLost,
-    Happening,
+    Event,
+    LeaseRenewed,
     LegBegun,
     LocalCallEnded,
-    Looked,
     MissionEnded,
     NetworkLost,
     Prepared,
@@ -34,10 +34,14 @@ from upwash.core.happenings import (
     RemoteCallRaised,
     RemoteFaultTested,
     ServicesStarted,
+    SlotRefused,
+    TargetUnknown,
+    Tick,
+    TurnOver,
 )
-from upwash.core.itinerary import MissionBeliefs, Step
+from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.look_ahead import LookAhead
-from upwash.core.orders import Check, Command, Leave, Prepare, Probe, Start
+from upwash.core.mission_model import MissionBeliefs, Step
 from upwash.core.policy import (
     Decision,
     Local,
@@ -51,10 +55,10 @@ from upwash.core.policy import (
 )
 from upwash.core.recovery import REST_S, Probing
 from upwash.core.selection import Selection, SelectionSettings
-from upwash.core.servers import SELECTED, TRANSITIONS, Change, State
+from upwash.core.servers import CHECKING, SELECTED, TRANSITIONS, Change, State
 
 OPERATIONS = [Operation("detector", "process_photo", "heavy"), Operation("counter", "count")]
-GAIN_SWITCH = GAIN_WAIT = 0.25
+GAIN_SWITCH = GAIN_WAIT = GAIN_SLOT = 0.25
 POLICIES: list[Policy] = [
     LocationAware(gain_switch=GAIN_SWITCH, wait=WaitRule(GAIN_WAIT)),
     Opportunistic(wait=WaitRule(GAIN_WAIT)),
@@ -134,6 +138,7 @@ class Flights(RuleBasedStateMachine):
         self.probed: dict[str, int] = {}  # by whom, as which check
         self.let_go_s: dict[str, float] = {}
         self.doubted: dict[str, set[Operation]] = {}  # those answered since the last failure, by server
+        self.slow: set[tuple[str, Operation]] = set()  # no sooner there than on the drone, when last answered
         self.entered_s = dict.fromkeys(self.areas, 0.0)
         self.blacklisted_at_s: dict[str, float] = {}
         self.checks: list[int] = []
@@ -162,7 +167,7 @@ class Flights(RuleBasedStateMachine):
 
     @rule()
     def course_is_lost(self) -> None:
-        self.happens(CourseLost())
+        self.happens(TargetUnknown())
 
     @rule(step_s=steps_s)
     def time_passes(self, step_s: float) -> None:
@@ -172,16 +177,16 @@ class Flights(RuleBasedStateMachine):
     def fly_and_look(self, position: Position, step_s: float) -> None:
         self.fly(position)
         self.time_passes(step_s)
-        self.happens(Looked())
+        self.happens(Tick())
 
     @rule()
     def look(self) -> None:
-        self.happens(Looked())
+        self.happens(Tick())
 
-    @precondition(lambda self: any(map(self.selection.is_checking, self.checks)))
+    @precondition(lambda self: any(map(self.selection.is_awaited, self.checks)))
     @rule(running=st.booleans())
     def check_goes_on(self, *, running: bool) -> None:
-        check = next(check for check in reversed(self.checks) if self.selection.is_checking(check))
+        check = next(check for check in reversed(self.checks) if self.selection.is_awaited(check))
         self.happens(ServicesStarted(check) if check in self.starts else self.answer(check, running=running))
 
     @precondition(lambda self: self.checks)
@@ -193,6 +198,24 @@ class Flights(RuleBasedStateMachine):
     def answer(self, check: int, *, running: bool) -> CheckAnswered:
         server = self.asked[check]
         return CheckAnswered(check, running, tuple(sorted(self.peers[server])))
+
+    @precondition(lambda self: self.checks)
+    @rule(back=BACK, waiting=st.integers(1, 3))
+    def slot_is_refused(self, back: int, waiting: int) -> None:
+        check = self.checks[-1 - back % len(self.checks)]
+        self.happens(SlotRefused(check, waiting), check=check)
+
+    @precondition(lambda self: self.checks)
+    @rule(back=BACK, waiting=st.integers(0, 2))
+    def lease_is_renewed(self, back: int, waiting: int) -> None:
+        check = self.checks[-1 - back % len(self.checks)]
+        self.happens(LeaseRenewed(check, waiting), check=check, states={State.READY})
+
+    @precondition(lambda self: self.checks)
+    @rule(back=BACK, in_call=st.booleans())
+    def turn_is_over(self, back: int, *, in_call: bool) -> None:
+        check = self.checks[-1 - back % len(self.checks)]
+        self.happens(TurnOver(check, "others wait", in_call), check=check, states={State.READY})
 
     @precondition(lambda self: self.announced)
     @rule()
@@ -238,6 +261,7 @@ class Flights(RuleBasedStateMachine):
         else:
             if call.server in self.doubted:
                 self.doubted[call.server].add(call.operation)
+            self.note_delay(call, delay_s)
             self.happens(RemoteCallEnded(call.server, call.operation, delay_s))
 
     @precondition(lambda self: self.calls)
@@ -247,6 +271,8 @@ class Flights(RuleBasedStateMachine):
         self.happens(RemoteCallRaised(call.server, "raised"))
         if confirmed and call.server in self.doubted:
             self.doubted[call.server].add(call.operation)
+        if confirmed:
+            self.note_delay(call, delay_s)
         tested = RemoteFaultTested(call.server, call.check, call.operation, delay_s, "raised", confirmed)
         self.happens(tested)
         self.happens(LocalCallEnded(call.operation, delay_s))
@@ -295,21 +321,37 @@ class Flights(RuleBasedStateMachine):
 
     # ---- the drone program
 
-    def happens(self, happening: Happening, *, check: int | None = None) -> None:
+    def note_delay(self, call: CallUnderWay, delay_s: float) -> None:
+        """Notes whether the answer came sooner than the drone's own would have."""
+        local_s = self.selection.estimates.local_s(call.operation)
+        assert local_s is not None
+        if delay_s < local_s:
+            self.slow.discard((call.server, call.operation))
+        else:
+            self.slow.add((call.server, call.operation))
+
+    def happens(
+        self, event: Event, *, check: int | None = None, states: Collection[State] = CHECKING
+    ) -> None:
         """The machine takes it in; what belongs to a check that is over must be worth no more than a look."""
-        if check is not None and not self.selection.is_checking(check):
+        if check is not None and not self.is_at(check, states):
             looked = copy.deepcopy(self.selection)
-            expected = looked.handle(Looked(), now_s=self.now_s, position=self.position)
-            commands = self.selection.handle(happening, now_s=self.now_s, position=self.position)
+            expected = looked.handle(Tick(), now_s=self.now_s, position=self.position)
+            commands = self.selection.handle(event, now_s=self.now_s, position=self.position)
             assert commands == expected
             assert self.selection.servers == looked.servers
         else:
-            commands = self.selection.handle(happening, now_s=self.now_s, position=self.position)
+            commands = self.selection.handle(event, now_s=self.now_s, position=self.position)
         self.carry_out(commands)
         self.nothing_is_remembered_too_long()
         self.nothing_better_is_left()
 
-    def carry_out(self, commands: list[Command]) -> None:
+    def is_at(self, check: int, states: Collection[State]) -> bool:
+        """Whether that check is the server's latest, and the server, selected still, in one of the states."""
+        server = self.asked[check]
+        return check == self.latest(server) and server in self.joined and self.states[server] in states
+
+    def carry_out(self, commands: list[Effect]) -> None:  # noqa: PLR0915 - one case for each command
         for command in commands:
             match command:
                 case Change(server, event, before, after, at_s):
@@ -335,6 +377,10 @@ class Flights(RuleBasedStateMachine):
                         self.joined.remove(server)
                     self.probed[server] = check
                     assert len(self.joined) + len(self.probed) <= self.radios
+                case Check(server, check) if server in self.joined:  # its turn is over
+                    assert self.states[server] is State.CHECK_R
+                    self.checks.append(check)
+                    self.asked[check] = server
                 case Check(server, check):
                     self.probed.pop(server, None)
                     assert len(self.joined) + len(self.probed) < self.radios, "joined one network too many"
@@ -385,7 +431,7 @@ class Flights(RuleBasedStateMachine):
             assert self.states[decision.server] is State.READY
             usual_s = self.selection.estimates.usual_s(decision.server, operation)
             assert usual_s is not None
-            if decision.why == "on trial" or (decision.raced and decision.deadline_s > local_s):
+            if self.in_doubt(decision.server, operation):
                 assert decision.raced and decision.deadline_s == max(10.0, local_s)
                 assert usual_s < local_s
             else:
@@ -419,17 +465,35 @@ class Flights(RuleBasedStateMachine):
         }
         if isinstance(policy, LocationAware | LookAhead):
             reachable = {name for name in reachable if estimates.mean_call_s(name) < local_s}
+        servers = self.selection.servers
+        for name in list(reachable):
+            gain_s = local_s - estimates.mean_call_s(name)
+            if servers[name].is_contended(self.now_s) and gain_s <= GAIN_SLOT * local_s:
+                reachable.remove(name)
         if self.ended or isinstance(policy, LocalOnly):
             reachable = set()
-        if current is not None and current.name not in reachable and current.name in self.doubted:
+        if current is not None and current.name not in reachable and self.is_tried(current.name):
             return  # it is kept for trials, and no other would do
         if not isinstance(policy, LookAhead):  # which knows better than to take whatever there is
             assert (current is None) == (not reachable)
         if current is not None:
             assert current.name in reachable
             if isinstance(policy, LocationAware) and len(self.joined) == 1:
-                best_s = min(estimates.mean_call_s(name) for name in reachable)
+                with_slots = {name for name in reachable if not servers[name].is_full(self.now_s)}
+                assert current.name in (with_slots or reachable)
+                best_s = min(estimates.mean_call_s(name) for name in with_slots or reachable)
                 assert (estimates.mean_call_s(current.name) - best_s) / local_s <= GAIN_SWITCH
+
+    def in_doubt(self, server: str, operation: Operation) -> bool:
+        """Whether a call there is a trial."""
+        unanswered = server in self.doubted and operation not in self.doubted[server]
+        return self.probing is not None and (unanswered or (server, operation) in self.slow)
+
+    def is_tried(self, server: str) -> bool:
+        """Whether calls to the server may be trials: it failed, or an operation is slow there."""
+        return self.probing is not None and (
+            server in self.doubted or any(server == slow for slow, _ in self.slow)
+        )
 
     # ---- what always holds
 
@@ -452,7 +516,13 @@ class Flights(RuleBasedStateMachine):
         assert {name: server.state for name, server in self.selection.servers.items()} == self.states
 
 
-TestFlights = pytest.mark.timeout(900)(Flights.TestCase)  # a failure is made small for up to 300 s
-TestFlights.settings = settings(
-    max_examples=500, stateful_step_count=50, deadline=None, suppress_health_check=[HealthCheck.too_slow]
-)
+class ManyFlights(Flights):
+    """The same, with enough flights to meet what is rare."""
+
+
+UNHURRIED = settings(stateful_step_count=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+A_FAILURE_IS_MADE_SMALL = pytest.mark.timeout(900)  # for up to 300 s
+TestFlights = A_FAILURE_IS_MADE_SMALL(Flights.TestCase)
+TestFlights.settings = settings(UNHURRIED, max_examples=100)
+TestManyFlights = pytest.mark.long(A_FAILURE_IS_MADE_SMALL(ManyFlights.TestCase))
+TestManyFlights.settings = settings(UNHURRIED, max_examples=1000)

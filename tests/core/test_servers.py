@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from upwash.core.geo import Circle, Position
-from upwash.core.servers import CHECKING, SELECTED, TRANSITIONS, Change, Event, Server, State
+from upwash.core.servers import CHECKING, SELECTED, TRANSITIONS, Change, Server, State, Trigger
 from upwash.errors import TransitionError
 
 AVL, AVL_R, CHECK, CHECK_R, READY, BLACKLISTED = (
@@ -35,6 +35,7 @@ TABLE = {
     (READY, "deselected"): AVL_R,  # out of range, slower than local, better one
     (READY, "call_failed_in_range"): BLACKLISTED,
     (READY, "call_failed_out_of_range"): AVL_R,
+    (READY, "turn_over"): CHECK_R,  # its slot is another drone's: asked for one again
     (CHECK, "network_lost"): BLACKLISTED,
     (CHECK_R, "network_lost"): BLACKLISTED,
     (READY, "network_lost"): BLACKLISTED,
@@ -57,7 +58,7 @@ WAY_TO = {
 
 IMPOSSIBLE = [
     (state, str(event))
-    for state, event in itertools.product(State, Event)
+    for state, event in itertools.product(State, Trigger)
     if (state, str(event)) not in TABLE
 ]
 
@@ -66,7 +67,7 @@ def server_in(state: State) -> Server:
     """A server that went to the state by the table, one second a step."""
     server = Server("s1", Circle(Position(0.0, 0.0), 100.0))
     for step, event in enumerate(WAY_TO[state], start=1):
-        server.apply(Event(event), now_s=float(step))
+        server.apply(Trigger(event), now_s=float(step))
     assert server.state is state
     return server
 
@@ -75,8 +76,8 @@ def server_in(state: State) -> Server:
 def test_every_row_of_the_table(state: State, event: str) -> None:
     server = server_in(state)
     after = TABLE[state, event]
-    change = server.apply(Event(event), now_s=42.0, why="for a test")
-    assert change == Change("s1", Event(event), state, after, 42.0, "for a test")
+    change = server.apply(Trigger(event), now_s=42.0, why="for a test")
+    assert change == Change("s1", Trigger(event), state, after, 42.0, "for a test", server.check)
     assert (server.state, server.since_s) == (after, 42.0)
     assert server.history[-1] == change
 
@@ -85,7 +86,7 @@ def test_every_row_of_the_table(state: State, event: str) -> None:
 def test_any_other_step_raises_with_the_servers_history(state: State, event: str) -> None:
     server = server_in(state)
     with pytest.raises(TransitionError) as caught:
-        server.apply(Event(event), now_s=42.0)
+        server.apply(Trigger(event), now_s=42.0)
     said = str(caught.value)
     assert f"server s1: {event} is impossible in {state}" in said
     history = said.partition("before that: ")[2].split("; ")
@@ -113,7 +114,7 @@ def test_the_three_states_of_a_selected_server() -> None:
 def test_selection_starts_the_clock_of_the_check(state: State) -> None:
     server = server_in(state)
     server.start_requested = True  # left over from an earlier check
-    server.apply(Event.SELECTED, now_s=42.0)
+    server.apply(Trigger.SELECTED, now_s=42.0)
     assert server.checked_since_s == 42.0
     assert not server.start_requested
 
@@ -121,7 +122,7 @@ def test_selection_starts_the_clock_of_the_check(state: State) -> None:
 def test_a_check_that_finds_the_service_stopped_keeps_its_clock() -> None:
     server = server_in(CHECK_R)
     selected_s = server.checked_since_s
-    server.apply(Event.FOUND_STOPPED, now_s=42.0)
+    server.apply(Trigger.FOUND_STOPPED, now_s=42.0)
     assert server.checked_since_s == selected_s == 4.0
 
 
@@ -150,6 +151,6 @@ def test_only_a_selected_server_can_be_deselected(state: State) -> None:
 def test_the_history_keeps_the_latest_steps_only() -> None:
     server = server_in(AVL)
     for step in range(1000):
-        server.apply(Event.SELECTED if step % 2 == 0 else Event.DESELECTED, now_s=float(step))
+        server.apply(Trigger.SELECTED if step % 2 == 0 else Trigger.DESELECTED, now_s=float(step))
     assert len(server.history) == 20
     assert server.history[-1].at_s == 999.0

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import argparse
 import re
+import runpy
 import shlex
+import tomllib
 from pathlib import Path
 
 import msgspec
 import pytest
-from bench import promises
 from bench.results import FOLDER
 
-import upwash
-from upwash.cli import _parser
-from upwash.config import read_daemon_config, read_drone_config
+from bench import promises
+from upwash.cli.main import _parser
+from upwash.config import FleetDroneConfig, read_daemon_config, read_drone_config
+from upwash.core.servers import TRANSITIONS
 
 KEYS_AND_REST = """
 [keys]
@@ -43,6 +45,23 @@ def test_pages_that_are_named_exist(page: Path) -> None:
         assert (ROOT / name).exists(), f"{page.name} names {name}"
 
 
+def test_the_page_of_the_event_log_says_what_the_types_say() -> None:
+    page = runpy.run_path(str(ROOT / "site" / "event_log.py"))["page"]()
+    assert page == (ROOT / "docs" / "event-log.md").read_text(), (
+        "run make docs, or python site/event_log.py alone"
+    )
+
+
+def test_the_diagram_of_states_has_every_step_of_their_table(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    drawing = runpy.run_path(str(ROOT / "site" / "states.py"))
+    steps = drawing["steps"]()
+    drawn = {(before, trigger): after for (before, after), triggers in steps.items() for trigger in triggers}
+    assert drawn == TRANSITIONS
+    drawing["draw_states"](tmp_path / "states.png")
+    assert (tmp_path / "states.png").read_bytes().startswith(b"\x89PNG")
+
+
 @pytest.mark.parametrize("name", promises.PAGES)
 def test_measured_parts_are_what_the_results_say(name: str) -> None:
     page = (promises.DOCS / name).read_text()
@@ -52,7 +71,17 @@ def test_measured_parts_are_what_the_results_say(name: str) -> None:
 def test_every_result_that_is_kept_is_on_a_page() -> None:
     pages = "".join((promises.DOCS / name).read_text() for name in promises.PAGES)
     shown = set(re.findall(r"<!-- measured: (\w+) -->", pages))
-    assert shown == set(promises.PARTS) >= {file.stem for file in FOLDER.glob("*.json")}
+    assert shown == promises.PARTS.keys() | promises.COLLECTED.keys()
+    assert promises.PARTS.keys() >= {file.stem for file in FOLDER.glob("*.json")}
+    assert promises.COLLECTED.keys() >= {folder.name for folder in FOLDER.iterdir() if folder.is_dir()}
+
+
+def test_whoever_cites_upwash_names_its_version_and_license() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    cited = (ROOT / "CITATION.cff").read_text()
+    for key in ("version", "license"):
+        assert f"\n{key}: {project[key]}\n" in cited
+    assert all(f"  - name: {author['name']}\n" in cited for author in project["authors"])
 
 
 def test_the_page_on_containers_shows_a_runtime_that_is_understood(tmp_path: Path) -> None:
@@ -103,11 +132,6 @@ def test_the_readme_shows_the_example_that_is_tested() -> None:
         assert code in example, f"README's {code!r} is not in examples/patrol.py"
 
 
-def test_the_public_names_are_these() -> None:
-    assert upwash.__all__ == ["Drone", "once", "service"]
-    assert all(hasattr(upwash, name) for name in upwash.__all__)
-
-
 def test_make_run_and_make_test_are_the_readmes_commands() -> None:
     readme, makefile = (ROOT / "README.md").read_text(), (ROOT / "Makefile").read_text()
     for command in ("run", "test"):
@@ -130,7 +154,8 @@ def test_the_configuration_page_shows_a_file_that_is_understood(tmp_path: Path) 
         config.servers[0],
         config.servers[0].truth,
     ):
-        known = set(msgspec.structs.asdict(table)) - {"services", "servers", "faults", "waypoints_m", "plan"}
+        known = set(msgspec.structs.asdict(table)) - {"services", "servers", "faults", "drones"}
+        known -= {"waypoints_m", "plan"}
         known -= {"processing_s", "images", "local_first_extra_s", "latitude_deg", "longitude_deg"}
         tables = {
             "mission",
@@ -141,8 +166,10 @@ def test_the_configuration_page_shows_a_file_that_is_understood(tmp_path: Path) 
             "camera",
             "policy",
             "heat",
+            "energy",
             "noise",
             "truth",
             "settings",
         }
         assert known - tables <= written, f"not on the page: {known - tables - written}"
+    assert set(FleetDroneConfig.__struct_fields__) <= written | {"waypoints_m", "plan"}

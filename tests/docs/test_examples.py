@@ -12,9 +12,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from upwash.bundled import load_services
 from upwash.config import read_daemon_config, read_drone_config
-from upwash.service import spec_of
+from upwash.missions.bundled import load_services
+from upwash.rpc.service import spec_of
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCENARIOS = sorted(file for file in EXAMPLES.glob("*.toml") if "[mission]" in file.read_text())
@@ -32,6 +32,29 @@ def test_an_example_is_flown_on_the_drone_and_on_its_server(scenario: Path) -> N
     totals = msgspec.json.decode(run.stdout)["totals"]
     assert totals["local"] > 0
     assert totals["remote"]["s1"] > 0
+
+
+def test_a_notebook_shows_what_a_server_is_worth_in_any_folder(tmp_path: Path) -> None:
+    run = subprocess.run(
+        [sys.executable, str(EXAMPLES / "notebook.py")],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    alone, offloading, *_ = (line for line in run.stdout.splitlines() if "calls on the drone" in line)
+    assert alone.endswith("5 of 5 calls on the drone")
+    assert offloading.endswith("1 of 5 calls on the drone")
+    means_s = {
+        tuple(words[:3:2]): float(words[3])
+        for line in run.stdout.splitlines()
+        if len(words := line.split()) > 7 and words[1] == "m"
+    }
+    assert len(means_s) == 6
+    for range_m in ("20", "40", "80"):
+        assert means_s[range_m, "look-ahead"] < means_s[range_m, "local-only"]
+    assert means_s["80", "look-ahead"] < means_s["20", "look-ahead"]
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from upwash.cli import main
+from upwash.cli.main import main
 from upwash.config import read_daemon_config, read_drone_config
 
 ROOT = Path(__file__).parents[2]
@@ -46,11 +46,13 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_every_page_is_on_the_site(site: Path) -> None:
     pages = {page.relative_to(DOCS).with_suffix(".html") for page in DOCS.glob("**/*.md")}
     assert pages <= {page.relative_to(site) for page in site.glob("**/*.html")}
 
 
+@pytest.mark.long
 def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
     for page in site.glob("**/*.html"):
         text = page.read_text()
@@ -62,6 +64,7 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
         assert not re.search(r"(url\(|@import)\s*[\"']?(https?:)?//", style.read_text()), style.name
 
 
+@pytest.mark.long
 def test_every_picture_that_a_page_asks_for_is_shown(site: Path) -> None:
     asked = 0
     for page in DOCS.glob("**/*.md"):

@@ -11,18 +11,20 @@ from upwash.config import DroneConfig, PeerConfig, read_daemon_config, read_dron
 from upwash.config.drone import TruthConfig
 from upwash.emulation.files import daemon_config, write_daemon_file, write_drone_file
 from upwash.emulation.native import WIFI, wifi_of
-from upwash.emulation.order import Order, Paces, emulated, left_out, server_paces
+from upwash.emulation.request import EmulationRequest, Paces, emulated, left_out, server_paces
 from upwash.errors import UsageError
-from upwash.real.credentials import keys_in
+from upwash.real.authority import keys_in
 
 ROOT = Path(__file__).parents[2]
-SCENARIOS = sorted((ROOT / "scenarios").glob("*.toml"))
+SCENARIOS = [
+    file for file in sorted((ROOT / "scenarios").glob("*.toml")) if not file.stem.startswith("fleet-")
+]
 THESIS = ROOT / "scenarios" / "thesis.toml"
 DEMONSTRATION = ROOT / "scenarios" / "demonstration.toml"
 
 
-def order(tmp_path: Path, *scenarios: Path, drones: int = 1) -> Order:
-    return Order(scenarios=scenarios, drones=drones, folder=tmp_path)
+def order(tmp_path: Path, *scenarios: Path, drones: int = 1) -> EmulationRequest:
+    return EmulationRequest(scenarios=scenarios, drones=drones, folder=tmp_path)
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda file: file.stem)
@@ -78,22 +80,52 @@ def test_a_daemon_is_told_its_paces_slots_and_images(tmp_path: Path) -> None:
 
 def test_what_cannot_be_emulated_is_named_and_left_out() -> None:
     thesis = read_drone_config(THESIS)
-    assert left_out(thesis) == ["heat", "local_first_extra_s"]
+    assert left_out(thesis) == ["local_first_extra_s", "local_joining_slowdown"]
     assert left_out(emulated(thesis)) == []
     assert emulated(thesis).services[0].local_pace_s == {"light": 3.0, "heavy": 10.0}
     server = msgspec.structs.replace(thesis.servers[0], truth=TruthConfig(first_extra_s=2.0))
     slow_at_first = msgspec.structs.replace(emulated(thesis), servers=(server,))
     assert left_out(slow_at_first) == ["first_extra_s"]
     assert left_out(emulated(slow_at_first)) == []
+    service = msgspec.structs.replace(thesis.services[0], local_joining_slowdown={"light": 0.1})
+    slow_meanwhile = msgspec.structs.replace(emulated(thesis), services=(service,))
+    assert "local_joining_slowdown" in left_out(slow_meanwhile)
+    assert left_out(emulated(slow_meanwhile)) == []
 
 
 def test_several_drones_are_told_apart_and_a_single_one_keeps_its_name(tmp_path: Path) -> None:
-    def names(order: Order) -> list[str]:
-        return [config.name for config in order.read()]
+    def names(request: EmulationRequest) -> list[str]:
+        return [each.config.name for each in request.read()]
 
     assert names(order(tmp_path, DEMONSTRATION)) == ["drone"]
     assert names(order(tmp_path, DEMONSTRATION, drones=3)) == ["drone-1", "drone-2", "drone-3"]
     assert names(order(tmp_path, DEMONSTRATION, DEMONSTRATION)) == ["drone-1", "drone-2"]
+
+
+FLEET = """
+[[drone]]
+name = "d1"
+
+[[drone]]
+name = "d2"
+departs_s = 20.0
+local_call_s = { light = 6.0 }
+"""
+
+
+def test_the_drones_of_a_scenario_have_their_own_times_and_departures(tmp_path: Path) -> None:
+    fleet = tmp_path / "fleet.toml"
+    fleet.write_text(DEMONSTRATION.read_text() + FLEET)
+    d1, d2 = order(tmp_path, fleet).read()
+    assert (d1.config.name, d1.departs_s, d1.config.services[0].local_pace_s["light"]) == ("d1", 0.0, 1.0)
+    assert (d2.config.name, d2.departs_s, d2.config.services[0].local_pace_s["light"]) == ("d2", 20.0, 6.0)
+
+
+def test_a_drone_that_vanishes_is_not_emulated(tmp_path: Path) -> None:
+    fleet = tmp_path / "fleet.toml"
+    fleet.write_text(DEMONSTRATION.read_text() + FLEET + "vanishes_s = 60.0\n")
+    with pytest.raises(UsageError, match=r"fleet.toml: d2 vanishes, .*: remove its vanishes_s"):
+        order(tmp_path, fleet).read()
 
 
 def test_scenarios_of_different_servers_are_not_emulated_together(tmp_path: Path) -> None:
@@ -103,7 +135,7 @@ def test_scenarios_of_different_servers_are_not_emulated_together(tmp_path: Path
 
 def test_an_order_survives_its_way_to_the_enclosed_program(tmp_path: Path) -> None:
     sent = order(tmp_path, DEMONSTRATION, drones=2)
-    assert Order.decoded(sent.encoded()) == sent
+    assert EmulationRequest.decoded(sent.encoded()) == sent
 
 
 def radio_of(config: DroneConfig, radio: str, range_m: float = 100.0) -> DroneConfig:

@@ -18,13 +18,20 @@ from typing import Any
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash import event_log
 from upwash.config import read_drone_config
 from upwash.config.daemon import read_daemon_config
 from upwash.errors import CredentialsError, GarbledReply, Refused, UsageError
-from upwash.mavlink_signing import Signing
+from upwash.eventlog import log as event_log
+from upwash.mavlink.signing import Signing
 from upwash.plans.reading import read_plan
-from upwash.protocol import (
+from upwash.real.authority import keys_in, make_keys
+from upwash.real.control import Called, Ended, Ready, Said, from_instance, line
+from upwash.real.credentials import read_credentials
+from upwash.real.mavlink.arducopter import ARDUCOPTER
+from upwash.real.mavlink.hearing import Hearing, from_autopilot
+from upwash.real.mavlink.peer import Peer
+from upwash.real.mavlink.telemetry import Telemetry
+from upwash.rpc.protocol import (
     AvailabilityReply,
     AvailabilityRequest,
     LeaveRequest,
@@ -34,13 +41,7 @@ from upwash.protocol import (
     decode_reply,
     decode_request,
 )
-from upwash.real.control import Called, Ended, Ready, Said, from_instance, line
-from upwash.real.credentials import keys_in, make_keys, read_credentials
-from upwash.real.mavlink.arducopter import ARDUCOPTER
-from upwash.real.mavlink.hearing import Hearing, from_autopilot
-from upwash.real.mavlink.peer import Peer
-from upwash.real.mavlink.telemetry import Telemetry
-from upwash.service import spec_of
+from upwash.rpc.service import spec_of
 from upwash.services import Detector
 from upwash.services.darknet.layers import read_network
 from upwash.services.darknet.weights import WeightsFile

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from tests.fuzz.decoders import decoders, model_with
 
 from upwash.errors import CredentialsError, ModelError
-from upwash.real.credentials import make_keys, read_credentials
+from upwash.real.authority import make_keys
+from upwash.real.credentials import read_credentials
 
 ODD = (
     b"",

@@ -8,15 +8,15 @@ import signal
 import statistics
 import subprocess
 import sys
-import time
 from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 from random import Random
 
 import msgspec
 import pytest
+from tests.waiting import wait_for
 
-from upwash.cli import main
+from upwash.cli.main import main
 from upwash.config import drone_config, read_document, read_drone_config
 from upwash.errors import ConfigError, UsageError
 from upwash.lab import processes
@@ -147,6 +147,15 @@ def test_a_key_names_a_table_without_name_by_its_number(scenario: Path) -> None:
         file.write('[[fault]]\ntarget = "s1"\nkind = "stuck"\n')
     changed = with_value(read_document(scenario), scenario, "fault.0.kind", "slow")
     assert [fault.kind for fault in drone_config(changed, scenario).faults] == ["slow"]
+
+
+def test_turns_without_end_can_be_set_and_are_told_as_written(scenario: Path) -> None:
+    sweep = read_sweep(scenario, ["server.s1.truth.turn_s=30,inf"], seeds=1)
+    assert [each.values for each in sweep.combinations] == [("30",), ("inf",)]
+    flown = [drone_config(each.document, scenario).servers[0].truth.turn_s for each in sweep.combinations]
+    assert flown == [30.0, math.inf]
+    with pytest.raises(ConfigError, match="a finite number, found inf"):
+        read_sweep(scenario, ["server.s1.truth.join_s=3,inf"], seeds=1)
 
 
 def test_a_key_adds_the_tables_that_lead_to_it(scenario: Path) -> None:
@@ -370,7 +379,7 @@ def test_what_takes_long_enough_is_also_flown_in_other_processes(
     monkeypatch: pytest.MonkeyPatch, worth_s: float, here_alone: bool
 ) -> None:
     monkeypatch.setattr(processes, "_WORTH_STARTING_S", worth_s)
-    with processes.here_first(_process_of, range(6), workers=1) as results:
+    with processes.here_first(_process_of, range(6), workers=2) as results:
         found = list(results)
     assert sorted(part for part, _ in found) == list(range(6))
     assert ({process for _, process in found} == {os.getpid()}) is here_alone
@@ -395,11 +404,7 @@ def test_a_killed_campaign_leaves_no_process_behind_and_is_continued(
         ) as campaign,
     ):  # fmt: skip
         os.close(writing)
-        until_s = time.monotonic() + 120
-        while not (out.exists() and out.read_bytes().count(b"\n") > 1):
-            assert campaign.poll() is None
-            assert time.monotonic() < until_s
-            time.sleep(0.02)
+        wait_for(lambda: out.exists() and out.read_bytes().count(b"\n") > 1, within_s=120.0, process=campaign)
         if how is signal.SIGINT:
             os.killpg(campaign.pid, how)  # as a terminal does
         else:
@@ -432,11 +437,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             )  # fmt: skip
             stack.callback(process.wait)
             stack.callback(process.kill)
-            until_s = time.monotonic() + 120
-            while not _address(file):
-                assert process.poll() is None
-                assert time.monotonic() < until_s
-                time.sleep(0.02)
+            wait_for(lambda: _address(file), within_s=120.0, process=process)
         yield _address(file)
 
 

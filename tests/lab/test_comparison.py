@@ -1,4 +1,4 @@
-"""`upwash compare`: every policy in the same worlds."""
+"""`upwash compare`: every policy in the same scenarios."""
 
 from __future__ import annotations
 
@@ -6,30 +6,72 @@ from pathlib import Path
 
 import pytest
 
-from upwash.cli import main
-from upwash.lab.comparison import ENTRANTS, compare, scenario_worlds, thesis_worlds
+import upwash
+from upwash.cli.main import main
+from upwash.lab import processes
+from upwash.lab.comparison import ENTRANTS, thesis_scenarios
 
 ROOT = Path(__file__).parents[2]
 LINE = ROOT / "scenarios" / "power-line-light.toml"
+PATROL = ROOT / "examples" / "patrol.toml"
 
 
 def test_each_world_is_flown_by_every_policy_and_the_bound_is_below_all() -> None:
-    flown: list[None] = []
-    (comparison,) = compare(scenario_worlds([LINE]), seeds=2, workers=2, flown=lambda: flown.append(None))
-    assert len(flown) == 2 * len(ENTRANTS)
-    times_s = {policy: mean.value for policy, mean in comparison.mission_time_s.items()}
-    assert list(times_s) == [entrant.name for entrant in ENTRANTS]
+    told: list[tuple[int, int]] = []
+    rows = upwash.compare([LINE], seeds=2, workers=2, progress=lambda *counts: told.append(counts))
+    count = 2 * len(ENTRANTS)
+    assert told == [(done, count) for done in range(1, count + 1)]
+    assert [(row.scenario, row.policy) for row in rows] == [(LINE.stem, entrant.name) for entrant in ENTRANTS]
+    times_s = {row.policy: row.mean_s for row in rows}
+    (bound_s,) = {row.bound_s for row in rows}
     names = ["look-ahead, prepare", "look-ahead", "location-aware", "local-only"]
-    in_order_s = [comparison.bound_s, *(times_s[name] for name in names)]
+    in_order_s = [bound_s, *(times_s[name] for name in names)]
     assert in_order_s == sorted(in_order_s)
-    assert times_s["look-ahead, prepare"] < 1.03 * comparison.bound_s
-    assert all(mean.count == 2 and mean.margin > 0 for mean in comparison.mission_time_s.values())
+    assert times_s["look-ahead, prepare"] < 1.03 * bound_s
+    assert all(row.missions == 2 and row.half_width_s > 0 for row in rows)
+
+
+def test_one_worker_is_the_calling_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "_WORTH_STARTING_S", 0.0)
+    monkeypatch.delattr(processes, "in_processes")
+    (row,) = upwash.compare([PATROL], policies=["look-ahead"], seeds=2, workers=1)
+    assert row.missions == 2
+
+
+def test_scenarios_may_have_names_of_their_own_and_be_tables() -> None:
+    tables = {
+        "mission": {"program": f"{PATROL.parent}/patrol.py:patrol", "waypoints_m": [(0, 0), (20, 0)]},
+        "service": [
+            {"name": "counter", "program": f"{PATROL.parent}/patrol.py:Counter", "local_call_s": 6.0}
+        ],
+    }
+    policies = ["look-ahead", "local-only"]
+    rows = upwash.compare({"with": PATROL, "without": tables}, policies=policies, seeds=1)
+    assert [(row.scenario, row.policy) for row in rows] == [
+        *(("with", policy) for policy in policies),
+        *(("without", policy) for policy in policies),
+    ]
+    with_servers, local, *without = (row.mean_s for row in rows)
+    assert with_servers < local
+    assert without[0] == without[1]
+
+
+def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
+    (tmp_path / PATROL.name).write_text(PATROL.read_text())
+    with pytest.raises(upwash.UsageError, match=r'"look-ahaed"; did you mean "look-ahead"\?'):
+        upwash.compare([PATROL], policies=["look-ahaed"])
+    with pytest.raises(upwash.UsageError, match="two scenarios are called patrol"):
+        upwash.compare([PATROL, tmp_path / PATROL.name])
+    with pytest.raises(upwash.UsageError, match="0 seeds"):
+        upwash.compare([PATROL], seeds=0)
+    with pytest.raises(upwash.ConfigError, match=r"server\.s1\.range_m: expected a finite number"):
+        upwash.compare([PATROL], overrides={"server.s1.range_m": float("inf")})
 
 
 def test_the_thesis_has_eight_cells() -> None:
-    worlds = thesis_worlds()
-    assert len({world.name for world in worlds}) == 8
-    assert {(world.config.mission.mode) for world in worlds} == {"light", "heavy"}
+    scenarios = thesis_scenarios()
+    assert len({scenario.name for scenario in scenarios}) == 8
+    assert {(scenario.config.mission.mode) for scenario in scenarios} == {"light", "heavy"}
 
 
 def test_the_command_prints_a_table_that_can_be_put_on_a_page(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from upwash.cli import main
+from upwash import simulate_fleet
+from upwash.cli.main import main
 
 ROOT = Path(__file__).parents[2]
 SCENARIO = ROOT / "scenarios" / "power-line-heavy.toml"
@@ -93,3 +94,59 @@ def test_what_is_no_log_is_refused(
     assert complaint in capsys.readouterr().err
     assert main(["explain", str(tmp_path / "missing.jsonl")]) == 2
     assert "cannot read the event log" in capsys.readouterr().err
+
+
+FLEET = """
+[mission]
+grid = { columns = 3, rows = 2, spacing_m = 20.0 }
+
+[[service]]
+name = "detector"
+local_call_s = { light = 3.0, heavy = 10.0 }
+
+[[server]]
+name = "s1"
+east_m = 20.0
+north_m = 20.0
+range_m = 90.0
+remote_call_s = { light = 0.3, heavy = 0.7 }
+
+[[drone]]
+name = "d1"
+policy = "local-only"
+
+[[drone]]
+name = "d2"
+departs_s = 20.0
+waypoints_m = [[0, 0], [20, 0], [40, 0]]
+"""
+
+
+def test_one_of_several_drones_is_explained_among_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario, log = tmp_path / "fleet.toml", tmp_path / "log.jsonl"
+    scenario.write_text(FLEET)
+    assert main(["simulate", str(scenario), "--json", "--log", str(log)]) == 0
+    fleet = simulate_fleet(scenario)
+    for name, calls in ("d1", 6), ("d2", 3):
+        lines = explanation(capsys, log.with_name(f"log-{name}.jsonl"))
+        assert len([line for line in lines if line.startswith("waypoint ")]) == calls
+        flown = fleet.drones[name]
+        (own,) = [
+            line for line in lines if line.startswith(f"    {flown.policy}: {flown.mission_time_s:.1f} s")
+        ]
+        assert "in the same world, among drones that fly as the scenario says, simulated:" in lines[-6]
+        assert own in lines[-5:]
+
+
+def test_the_drone_that_is_explained_is_one_of_the_scenarios(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], log: Path
+) -> None:
+    scenario = tmp_path / "fleet.toml"
+    scenario.write_text(FLEET)
+    assert main(["explain", str(log), "--scenario", str(scenario)]) == 2
+    assert 'name one with --drone; unknown drone "drone"; allowed: d1, d2' in capsys.readouterr().err
+    assert "other calls" in "".join(explanation(capsys, log, "--scenario", str(scenario), "--drone", "d2"))
+    assert main(["explain", str(log), "--drone", "d2"]) == 2
+    assert "has no [[drone]] tables: leave it out" in capsys.readouterr().err

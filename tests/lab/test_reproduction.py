@@ -8,29 +8,24 @@ from statistics import fmean
 
 import msgspec
 import pytest
+from bench.reproduction import FIRST, Kept
+from bench.results import read
 from rich.console import Console
 
-from upwash.config import NoiseConfig, read_drone_config
-from upwash.lab.reproduction import (
-    EXPERIMENTS,
-    SETUPS,
-    Cell,
-    Comparison,
-    Experiment,
-    Quantity,
-    draw_figures,
-    fly,
-    missions,
-    print_comparison,
-    reproduce,
-    scenario,
-)
+from upwash.config import NoiseConfig, read_drone_config, server_areas, waypoints
+from upwash.core.geo import ground_distance_m
+from upwash.lab.reproduction import sensitivity
+from upwash.lab.reproduction.cells import EXPERIMENTS, SETUPS, Cell, Experiment, fly, scenario, timed_cells
+from upwash.lab.reproduction.output import Results, decoded, encoded, print_comparison
+from upwash.lab.reproduction.printed import contradictions
+from upwash.lab.reproduction.quantities import Comparison, Quantity, missions, reproduce
 from upwash.lab.run import simulate
-from upwash.sim.heat import Heat
+from upwash.support.heat import Heat, Surroundings
 
 THESIS = Path(__file__).parents[2] / "scenarios" / "thesis.toml"
-SEEDS = 3
+SEEDS = FIRST
 HEAVY = Experiment("heavy", slow_s2=False)
+many_missions = pytest.mark.long
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +36,17 @@ def reproduced() -> list[Comparison]:
     return comparisons
 
 
+def kept() -> Kept:
+    result = read("reproduction")
+    assert result is not None
+    return msgspec.convert(result.figures, Kept)
+
+
 def of(reproduced: list[Comparison], name: str) -> list[Comparison]:
     return [each for each in reproduced if each.quantity.name == name]
 
 
+@many_missions
 def test_every_printed_mission_time_is_met_within_3_percent(reproduced: list[Comparison]) -> None:
     times = of(reproduced, "mission_time_local_only") + of(reproduced, "mission_time_offloading")
     assert len(times) == 2 * (2 + 4)
@@ -52,6 +54,7 @@ def test_every_printed_mission_time_is_met_within_3_percent(reproduced: list[Com
     assert all(percent is not None and abs(percent) <= 3 for percent in deviations.values()), deviations
 
 
+@many_missions
 def test_the_naive_selection_is_slower_by_about_what_the_thesis_estimates(
     reproduced: list[Comparison],
 ) -> None:
@@ -60,15 +63,82 @@ def test_the_naive_selection_is_slower_by_about_what_the_thesis_estimates(
     assert all(6 <= each.mean.value <= 13 for each in shares)
 
 
+@many_missions
+def test_each_figure_that_is_kept_for_the_page_is_flown_again(reproduced: list[Comparison]) -> None:
+    now = {(each.setup, each.experiment.name, each.quantity.name): each.values for each in reproduced}
+    then = {(row.setup, row.experiment, row.quantity): row.first for row in kept().rows}
+    assert now.keys() == then.keys()
+    for key, values in now.items():
+        assert len(values) <= len(then[key])  # fewer where only missions count in which a call waited
+        assert list(values) == pytest.approx(then[key][: len(values)], abs=1e-3), (
+            f"{key}: run upwash reproduce --sensitivity --json FILE, python -m bench.promises --reproduction FILE"
+        )
+
+
+@many_missions
+def test_a_sensitivity_that_is_kept_for_the_page_is_flown_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    exchanged = next(each for each in sensitivity.variations() if "exchanged" in each.label)
+    monkeypatch.setattr(sensitivity, "variations", lambda: (exchanged,))
+    flown: list[None] = []
+    (now,) = sensitivity.moved(workers=2, progress=lambda: flown.append(None))
+    assert len(flown) == sensitivity.missions()
+    (then,) = (each for each in kept().moved if each.label == exchanged.label)
+    for setup in SETUPS:
+        assert len(then.percent[setup]) == len(list(timed_cells(setup)))
+        assert now.percent[setup] == pytest.approx(then.percent[setup], abs=0.01)
+        assert list(now.percent[setup])[:2] == [0.0, 0.0], "without offloading servers may be anywhere"
+
+
+def test_every_variation_changes_the_scenario() -> None:
+    for setup in SETUPS:
+        as_it_is = scenario(Cell(setup, HEAVY, "location-aware"), seed=1)
+        for each in sensitivity.variations():
+            assert each.change(as_it_is) != as_it_is, each.label
+
+
+def test_no_waypoint_is_at_the_border_of_a_range() -> None:
+    for setup in SETUPS:
+        config = scenario(Cell(setup, HEAVY, "location-aware"), seed=1)
+        for area in server_areas(config).values():
+            for waypoint in waypoints(config.mission):
+                assert abs(ground_distance_m(waypoint.position, area.centre) - area.radius_m) >= 0.5
+
+
+@many_missions
+def test_the_naive_selection_is_estimated_from_logs_and_flown(reproduced: list[Comparison]) -> None:
+    name = "naive_selection_extra_service_delay"
+    for each in (of(reproduced, name), of(reproduced, f"{name}_flown")):
+        assert [(row.setup, row.printed) for row in each] == [("hitl", 32.5), ("simulation", None)]
+        assert all(15 <= row.mean.value <= 45 for row in each)
+
+
+def test_where_the_thesis_contradicts_itself_is_said() -> None:
+    notes = list(contradictions())
+    assert any("22.7 instead of 26.5 min, make 14.3 %" in note for note in notes)
+    assert any("47.5 min in Table 4.1, 48.5 in section 4.4.2" in note for note in notes)
+    assert len(notes) == 6
+
+
+def test_results_are_read_as_they_were_written() -> None:
+    values = [24.0, 25.0]
+    once = Comparison("hitl", HEAVY, Quantity("mission_time_offloading", "mission time", "min"), values, 25.0)
+    moved = [sensitivity.Moved("range 99 m", {"hitl": [1.25], "simulation": [-0.5]})]
+    assert decoded(encoded(Results([once], moved))) == Results([once], moved)
+
+
+@many_missions
 def test_a_row_has_a_value_per_seed_and_the_printed_figure_where_there_is_one(
     reproduced: list[Comparison],
 ) -> None:
     ratios = of(reproduced, "total_service_delay_local_over_offloading")
-    assert {len(each.values) for each in reproduced} == {SEEDS}
+    of_any_mission = [each for each in reproduced if not each.quantity.name.startswith("saving_of_waiting")]
+    assert {len(each.values) for each in of_any_mission} == {SEEDS}
+    assert all(1 <= len(each.values) <= SEEDS for each in reproduced)
     assert [each.printed for each in ratios if each.setup == "hitl"] == [3.7, 7, None, 3.6]
     assert all(each.printed is None for each in ratios if each.setup == "simulation")
 
 
+@many_missions
 def test_the_comparison_is_printed_with_its_deviations(reproduced: list[Comparison]) -> None:
     output = io.StringIO()
     print_comparison(reproduced, Console(file=output, width=100))
@@ -76,7 +146,7 @@ def test_the_comparison_is_printed_with_its_deviations(reproduced: list[Comparis
     assert all(printed.count(experiment.name) == len(SETUPS) for experiment in EXPERIMENTS)
     first, mean = reproduced[0], reproduced[0].mean
     ours = f"{mean.value:.2f} min ± {mean.margin:.2f}"
-    row = f"{ours}     {first.printed}      {first.deviation_percent:+.1f} %"
+    row = f"{ours}     {first.printed}        {first.deviation_percent:+.1f} %"
     assert row in printed
 
 
@@ -99,27 +169,35 @@ def test_the_thesis_scenario_is_the_hitl_set_up_without_noise() -> None:
     assert read_drone_config(THESIS) == msgspec.structs.replace(packaged, noise=NoiseConfig())
 
 
-def test_heavy_calls_slow_down_with_heat_along_the_curve() -> None:
-    heat, now_s, calls_s = Heat(ambient_c=44.0, load_w=4.0), 0.0, []
-    for _ in range(60):
+def test_heavy_calls_slow_down_with_heat_to_the_mean_that_the_printed_times_make() -> None:
+    heat, now_s, calls_s = Heat(Surroundings(ambient_c=45.0, load_w=4.0)), 0.0, []
+    for _ in range(121):
         now_s += 10.0  # a leg and a photo
         calls_s.append(heat.work(10.0, now_s=now_s))
         now_s += calls_s[-1]
     at = {call: calls_s[call - 1] for call in (1, 5, 10, 15, 20, 30, 60)}
-    curve = {1: 10.0, 5: 10.0, 10: 11.1, 15: 12.6, 20: 13.2, 30: 13.4, 60: 13.4}
+    curve = {1: 10.0, 5: 10.0, 10: 11.2, 15: 13.0, 20: 13.6, 30: 13.8, 60: 13.8}
     assert at == pytest.approx(curve, abs=0.25)
-    assert fmean(calls_s[30:]) == pytest.approx(13.4, abs=0.1)
+    printed_s = 3.0 + 60 * (47.5 - 26.5) / 121  # light calls of 3 s on the same way
+    assert fmean(calls_s) == pytest.approx(printed_s, abs=0.1)
+    assert fmean(calls_s[30:]) == pytest.approx(13.75, abs=0.1)
 
 
 def test_with_offloading_the_rare_local_calls_stay_cool() -> None:
     result = simulate(read_drone_config(THESIS)).result
     after_the_cold_start_s = [call.delay_s for call in result.calls[1:] if call.place == "local"]
     assert len(after_the_cold_start_s) >= 10
-    assert all(10.0 <= delay_s <= 10.3 for delay_s in after_the_cold_start_s)
+    assert max(after_the_cold_start_s) <= 10.8, (
+        "seven in a row, from the first row of waypoints to the second"
+    )
+    assert sorted(after_the_cold_start_s)[-2] <= 10.3
 
 
+@many_missions
 def test_the_figures_of_the_thesis_are_drawn(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
+    from upwash.lab.reproduction.drawing import draw_figures
+
     drawn = draw_figures(tmp_path / "figures")
     assert [file.name for file in drawn] == [f"figure_4.{number}.png" for number in range(4, 13)]
     assert all(file.read_bytes().startswith(b"\x89PNG") for file in drawn)
@@ -127,13 +205,13 @@ def test_the_figures_of_the_thesis_are_drawn(tmp_path: Path) -> None:
 
 def test_the_dots_of_a_figure_are_the_decisions_about_servers_that_were_not_ready() -> None:
     pytest.importorskip("matplotlib")
-    from upwash.lab.figures import Wait, read_call_points
+    from upwash.lab.reproduction.figures import Wait, read_call_points
 
-    run = simulate(read_drone_config(THESIS))
+    run = fly(Cell("simulation", Experiment("light", slow_s2=False), "location-aware"), seed=1)
     points = list(read_call_points(run.events))
     assert [point.waypoint for point in points] == list(range(121))
     waited = [point for point in points if point.wait is Wait.WAITED]
     assert len(waited) == run.result.totals.waits
     declined = [point for point in points if point.wait is Wait.DECLINED]
     assert declined
-    assert all(point.place == "local" for point in declined)
+    assert all(point.server is None for point in declined)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import pickle
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from upwash.cli import main
-from upwash.mission import mission_failed
+from upwash.cli.main import main
+from upwash.drone.mission import mission_failed
+from upwash.lab.simulation import read_scenario
 
 THESIS = Path(__file__).parents[2] / "scenarios" / "thesis.toml"
 PATROL = THESIS.parents[1] / "examples" / "patrol.toml"
@@ -196,6 +199,15 @@ def test_a_camera_over_a_park_shows_a_mission_real_photos_and_the_log_their_trut
     assert [photo["position"]["east_m"] for photo in photos] == pytest.approx([0, 40, 0], abs=1)
     first, other, again = ([fault["label"] for fault in photo["truth"]] for photo in photos)
     assert first == again != other
+
+
+def test_a_scenario_of_a_program_may_have_tuples_and_turns_without_end() -> None:
+    document = tomllib.loads(PATROL.read_text())
+    document["mission"] |= {"program": f"{PATROL.parent}/patrol.py:patrol", "waypoints_m": ((0, 0), (20, 0))}
+    overrides = {"server.s1.truth": {"slots": 1, "turn_s": math.inf}}
+    config = read_scenario(document, overrides=overrides)
+    assert config.servers[0].truth.turn_s == math.inf
+    assert config.mission.waypoints_m == ((0, 0), (20, 0))
 
 
 def test_a_call_takes_its_processing_and_the_transfer_at_the_bandwidth(

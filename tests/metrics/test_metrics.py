@@ -17,25 +17,27 @@ import msgspec
 import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.parser import text_string_to_metric_families
-from tests.programs.test_edge_server import COLD_START_S, Runtime
+from tests.server.test_edge_server import COLD_START_S, Runtime
 
-from upwash.core.instances import Host, ServerOffer
+from upwash.core.admission import AdmissionController, ServerOffer
+from upwash.core.clients import Client
 from upwash.core.servers import State
-from upwash.core.visitors import Visitor
 from upwash.errors import InstanceError, Refused, UsageError
+from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate
 from upwash.lab.simulation import read_scenario
 from upwash.metrics.daemon import DaemonMetrics
 from upwash.metrics.drone import DroneMetrics
 from upwash.metrics.exposition import exposed
-from upwash.ports import Instance, InstanceSpec, Program
-from upwash.protocol import AVAILABILITY, START, AvailabilityRequest, CertificateStatus, StartRequest
-from upwash.server import EdgeServer, Image
+from upwash.ports import AnsweredCall, Instance, InstanceSpec, Program
+from upwash.rpc.protocol import AVAILABILITY, START, AvailabilityRequest, CertificateStatus, StartRequest
+from upwash.server.daemon import EdgeServer, Image
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
 from upwash.sim.world import Wire
 
 ROOT = Path(__file__).parents[2]
+IMAGES = {"detector": Image(Program("somewhere:Detector"))}
 EXPIRES = datetime(2030, 1, 1, tzinfo=UTC)
 
 # --- a drone's ------------------------------------------------------------------------------------------------
@@ -49,7 +51,7 @@ def run() -> Run:
 
 @pytest.fixture(scope="module")
 def drone(run: Run) -> DroneMetrics:
-    servers = {event["server"] for event in run.events if event.get("server")}
+    servers = {event.server for event in run.events if isinstance(event, schema.Step)}
     metrics = DroneMetrics(sorted(servers))
     for event in run.events:
         metrics.follow(event)
@@ -94,14 +96,14 @@ def test_delays_and_waits_are_those_of_the_calls(run: Run, drone: DroneMetrics) 
 def test_each_server_is_in_the_one_state_that_the_log_left_it_in(run: Run, drone: DroneMetrics) -> None:
     last: dict[str, str] = {}
     for event in run.events:
-        if "after" in event:
-            last[event["server"]] = event["after"]
+        if isinstance(event, schema.Step):
+            last[event.server] = event.after
     for server, state in last.items():
         states = {
             each: total(drone.registry, "upwash_server_state", server=server, state=each) for each in State
         }
         assert states == {each: float(each == state) for each in State}
-    failed = sum(event["event"] in {"remote_failed", "local_failed"} for event in run.events)
+    failed = sum(event.kind in {"remote_failed", "local_failed"} for event in run.events)
     assert total(drone.registry, "upwash_failures_total") == failed > 0
 
 
@@ -125,8 +127,8 @@ class Edge:
     def __init__(self, runtime: Any) -> None:
         self.metrics = DaemonMetrics()
         self.edge = EdgeServer(
-            Host({"s1": ServerOffer(frozenset({"detector"}), slots=1)}),
-            images={"detector": Image(Program("somewhere:Detector"))},
+            AdmissionController({"s1": ServerOffer(frozenset({"detector"}), slots=1)}),
+            images=IMAGES,
             runtime=self.metrics.runtime(runtime),
             dialer=ModelDialer("s1", Switchboard({}), Wire()),
             start_timeout_s=60.0,
@@ -137,10 +139,10 @@ class Edge:
 
     async def ask(self, drone: str, server: str = "s1") -> None:
         request = msgspec.msgpack.encode(AvailabilityRequest(server, ["detector"]))
-        await self.handle(AVAILABILITY, request, Visitor(drone))
+        await self.handle(AVAILABILITY, request, Client(drone))
 
     async def start(self, drone: str) -> None:
-        await self.handle(START, msgspec.msgpack.encode(StartRequest("s1", "detector")), Visitor(drone))
+        await self.handle(START, msgspec.msgpack.encode(StartRequest("s1", "detector")), Client(drone))
 
     def total(self, sample: str, **labels: str) -> float:
         return total(self.metrics.registry, sample, **labels)
@@ -173,7 +175,7 @@ def test_what_services_take_is_told_by_instances() -> None:
         at = Edge(runtime)
         await at.start("heron")
         for took_s in (0.2, 3.0):
-            runtime.answered[0]("process_photo", took_s)
+            runtime.answered[0](AnsweredCall("heron", "process_photo", 60.0, took_s))
         took_s = at.total(
             "upwash_service_seconds_sum", server="s1", service="detector", method="process_photo"
         )
@@ -189,9 +191,9 @@ def test_requests_are_counted_by_their_outcome() -> None:
         at = Edge(Runtime())
         await at.ask("heron")
         with pytest.raises(Refused):
-            await at.handle(AVAILABILITY, b"garbage", Visitor("heron"))
+            await at.handle(AVAILABILITY, b"garbage", Client("heron"))
         with pytest.raises(Refused):
-            await at.handle("/upwash.Daemon/Nonsense", b"", Visitor("heron"))
+            await at.handle("/upwash.Daemon/Nonsense", b"", Client("heron"))
         requests = "upwash_requests_total"
         assert at.total(requests, request="availability", outcome="answered") == 1
         assert at.total(requests, request="availability", outcome="refused") == 1
@@ -211,7 +213,7 @@ class Ready:
 class _Running:
     endpoint = ":1"
 
-    async def admit(self, drones: frozenset[str]) -> None: ...
+    async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None: ...
     async def drain(self, why: str) -> None: ...
     async def stop(self) -> None: ...
 
@@ -237,6 +239,30 @@ def test_how_the_daemon_stands_is_looked_at_when_it_is_asked() -> None:
         await at.edge.close()
 
     asyncio.run(story())
+
+
+def test_a_drone_that_waits_is_told_as_such_and_refused_once_however_often_it_asks() -> None:
+    async def story() -> None:
+        at = Edge(Ready())
+        at.metrics.look_at(at.edge)
+        await at.ask("heron")
+        for _ in range(3):
+            await at.ask("stork")
+        assert await told(at, "upwash_waiting", "upwash_turns_ended_total", "upwash_refusals_total") == [
+            1,
+            0,
+            1,
+        ]
+        at_once = ServerOffer(frozenset({"detector"}), slots=1, turn_s=0.0)
+        await at.edge.reload({"s1": at_once}, images=IMAGES, revoked=frozenset())
+        await at.ask("stork")
+        assert await told(at, "upwash_waiting", "upwash_turns_ended_total", "upwash_leases") == [0, 1, 1]
+
+    asyncio.run(story())
+
+
+async def told(at: Edge, *samples: str) -> list[float]:
+    return await asyncio.to_thread(lambda: [at.total(sample, server="s1") for sample in samples])
 
 
 async def offered(at: Edge) -> dict[str, float]:

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from upwash.bundled import load_service_alone
 from upwash.config import read_daemon_config
 from upwash.errors import UsageError
+from upwash.missions.bundled import load_service_alone
 from upwash.packaging.archive import write_archive
 from upwash.packaging.base import lay_base
 from upwash.packaging.contents import copy_distributions, copy_program, extra_of
@@ -72,7 +72,7 @@ def test_what_was_copied_is_enough_to_import_an_instance(services: Path, tmp_pat
     program = copy_program(f"{services}:Workbench", tmp_path)
     copy_distributions((), tmp_path)
     script = (
-        "import upwash.real.instance, upwash.real.warden; from upwash.service import load_service; "
+        "import upwash.real.instance, upwash.real.container_init; from upwash.rpc.service import load_service; "
         f"load_service({str(tmp_path) + program!r})"
     )
     subprocess.run(
@@ -123,7 +123,7 @@ def test_settings_go_into_the_image_with_the_files_that_they_name(tmp_path: Path
     program.write_text(
         "from pathlib import Path\n"
         "from upwash import service\n"
-        "@service\n"
+        "@service(concurrency=3)\n"
         "class Reader:\n"
         "    def __init__(self, model: Path, threads: int = 2) -> None: ...\n"
         "    def read(self) -> None: ...\n"
@@ -140,9 +140,11 @@ def test_settings_go_into_the_image_with_the_files_that_they_name(tmp_path: Path
         metadata = image.extractfile("metadata.yaml")
         assert metadata is not None
         said = EngineImage("f00", json.load(metadata)["properties"], "2026")
-        packed = newest_images([said])["reader"].program
+        found = newest_images([said])["reader"]
+        packed = found.program
         model = str(packed.settings["model"])
         carried = image.extractfile(f"rootfs{model}")
         assert carried is not None and carried.read() == b"a model"
     assert packed.path == "/opt/upwash/program/reader.py:Reader"
     assert packed.settings == {"model": model, "threads": 3}
+    assert found.concurrency == 3

@@ -10,15 +10,16 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-import upwash.real.mavlink.vehicle
+import upwash.real.mavlink.heard
 from upwash.core.geo import LocalFrame
-from upwash.mavlink_px4 import understood
+from upwash.mavlink.px4 import understood
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopilot
 from upwash.real.mavlink.link import COMPANION
 from upwash.vehicle.clock import Clock
-from upwash.vehicle.conversation import Conversation, Vehicle
+from upwash.vehicle.connection import Connection, Vehicle
+from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.px4.telemetry import UNASKED_S
-from upwash.vehicle.px4.vehicle import Px4Settings, Quadrotor
+from upwash.vehicle.px4.vehicle import Quadrotor
 from upwash.vehicle.server import firmware
 
 
@@ -29,7 +30,7 @@ class Sky:
         clock = Clock(settings.speedup)
         autopilot = firmware(settings, now_s=clock.now_s())
         self.vehicle = Vehicle(autopilot, clock)
-        self.copter: Quadrotor = autopilot.copter  # type: ignore[attr-defined]
+        self.copter: Quadrotor = autopilot.copter  # type: ignore[assignment]
         self.cut = False  # nothing passes to or from the driver
         self.heard: list[Any] = []  # what the driver said, with the time as `at_s`
 
@@ -67,7 +68,7 @@ class _DirectLink:
         self._sky = sky
         self._hear = heard
         self._codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=COMPANION)
-        self._conversation = Conversation(sky.vehicle, write=self._written)
+        self._connection = Connection(sky.vehicle, write=self._written)
         for number in UNASKED_S:  # a flight has a hundred thousand of them
             never = mavlink.MAVLink_command_long_message(
                 1, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, -1, *(0.0,) * 5
@@ -82,13 +83,13 @@ class _DirectLink:
             if not self._sky.cut:
                 heard.at_s = self._sky.now_s()
                 self._sky.heard.append(heard)
-                asyncio.get_running_loop().call_soon(self._conversation.hear, heard)
+                asyncio.get_running_loop().call_soon(self._connection.hear, heard)
 
     def reopen(self) -> None:
         """Nothing to open."""
 
     async def close(self) -> None:
-        self._conversation.end()
+        self._connection.end()
 
     def _written(self, data: bytes) -> None:
         if not self._sky.cut:
@@ -107,7 +108,7 @@ async def connected_to(
     """The driver, which has found the stand-in."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            upwash.real.mavlink.vehicle,
+            upwash.real.mavlink.heard,
             "MavlinkLink",
             lambda _connection, heard, **_: _DirectLink(sky, heard),
         )

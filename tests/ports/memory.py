@@ -15,8 +15,9 @@ from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.real.mavlink import MavlinkAutopilot, connect_autopilot, link
 from upwash.vehicle.ardupilot import ArduCopter
 from upwash.vehicle.clock import Clock
-from upwash.vehicle.conversation import Conversation, Vehicle
-from upwash.vehicle.copter import Copter, VehicleSettings
+from upwash.vehicle.connection import Connection, Vehicle
+from upwash.vehicle.copter import Copter
+from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 AGILE = VehicleSettings(
@@ -44,7 +45,7 @@ class Bench:
         self.mute = False
         self._air = air
         monkeypatch.setitem(link._OPENERS, "memory", self._open)
-        Conversation(self.vehicle, write=self._note)
+        Connection(self.vehicle, write=self._note)
 
     @property
     def now_s(self) -> float:
@@ -72,11 +73,11 @@ class Bench:
             if not self.mute:
                 self._air.carry(data, arrive)
 
-        conversation = Conversation(self.vehicle, write=to_program)
+        connection = Connection(self.vehicle, write=to_program)
 
         def to_vehicle(packet: bytes) -> None:
             for message in mavlink.MAVLink(None).parse_buffer(packet) or []:
-                loop.call_soon(conversation.hear, message)
+                loop.call_soon(connection.hear, message)
 
         def write(data: bytes) -> None:
             if not self.deaf:
@@ -102,8 +103,8 @@ async def bench(
         async def switch_off() -> None:
             life.cancel()
             await asyncio.gather(life, return_exceptions=True)
-            for conversation in tuple(made.vehicle.conversations):
-                conversation.end()
+            for connection in tuple(made.vehicle.connections):
+                connection.end()
 
         stack.push_async_callback(switch_off)
         yield made

@@ -24,8 +24,8 @@ from upwash.errors import (
 )
 from upwash.ports import Autopilot
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, MavlinkLink, Patience, connect_autopilot
-from upwash.vehicle.copter import VehicleSettings
 from upwash.vehicle.server import VehicleServer, serve_vehicle
+from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 FRAME = LocalFrame(HOME)

@@ -18,9 +18,9 @@ from upwash.ports import ArmingDelayed, LinkChanged, VehicleNews
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience, connect_autopilot
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.vehicle import MavlinkVehicle
-from upwash.vehicle.copter import VehicleSettings
 from upwash.vehicle.faults import Fault, FaultKind
 from upwash.vehicle.server import VehicleServer, serve_vehicle
+from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 SPEEDUP = 10.0
@@ -397,7 +397,7 @@ def test_a_target_that_the_vehicle_refuses_is_told_to_lie_outside_its_fence() ->
 
 
 def test_reports_that_never_come_are_asked_for_ever_more_rarely(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("upwash.real.mavlink.vehicle._HEARTBEAT_S", 0.02)
+    monkeypatch.setattr("upwash.real.mavlink.heard._HEARTBEAT_S", 0.02)
 
     async def scenario() -> None:
         async with doubtful_vehicle() as (vehicle, _):

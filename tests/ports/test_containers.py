@@ -12,7 +12,7 @@ import pytest
 
 from upwash.errors import EngineError, UsageError
 from upwash.ports import Program
-from upwash.real.leash import Leash, new_leash
+from upwash.real.control_credentials import ControlCredentials, new_control_credentials
 from upwash.real.lxd.container import (
     Container,
     ContainerSettings,
@@ -93,22 +93,25 @@ def test_of_several_images_the_one_that_was_imported_last_counts() -> None:
         )
     ]
     someones = EngineImage("x", {"upwash.service": "detector"}, "2027")
-    assert newest_images([*images, someones]) == {"detector": replace(DETECTOR, fingerprint="new")}
+    earlier = {key: value for key, value in DETECTOR.properties().items() if key != "upwash.concurrency"}
+    assert newest_images([*images, someones, EngineImage("y", earlier, "2028")]) == {
+        "detector": replace(DETECTOR, fingerprint="new")
+    }
 
 
 def test_a_leash_lets_in_its_holder_and_nobody_else() -> None:
-    leash, other = new_leash(), new_leash()
-    assert Leash.from_text(leash.text()) == leash
-    assert b"PRIVATE" not in leash.certificate
-    assert "PRIVATE" not in repr(leash)
+    credentials, other = new_control_credentials(), new_control_credentials()
+    assert ControlCredentials.from_text(credentials.text()) == credentials
+    assert b"PRIVATE" not in credentials.certificate
+    assert "PRIVATE" not in repr(credentials)
 
-    async def says(held: Leash) -> bytes:
+    async def says(held: ControlCredentials) -> bytes:
         async def greet(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             writer.write(b"welcome\n")
             await writer.drain()
             writer.close()
 
-        server = await asyncio.start_server(greet, "127.0.0.1", 0, ssl=leash.context(is_server=True))
+        server = await asyncio.start_server(greet, "127.0.0.1", 0, ssl=credentials.context(is_server=True))
         async with server:
             host, port = server.sockets[0].getsockname()[:2]
             reader, writer = await asyncio.open_connection(host, port, ssl=held.context(is_server=False))
@@ -117,7 +120,7 @@ def test_a_leash_lets_in_its_holder_and_nobody_else() -> None:
             finally:
                 writer.close()
 
-    assert asyncio.run(says(leash)) == b"welcome\n"
+    assert asyncio.run(says(credentials)) == b"welcome\n"
     with pytest.raises(OSError, match=r"certificate verify failed|CERTIFICATE_VERIFY_FAILED"):
         asyncio.run(says(other))
 

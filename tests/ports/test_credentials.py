@@ -27,19 +27,11 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from upwash.core.visitors import Role
+from upwash.core.clients import Role
 from upwash.errors import CredentialsError, NotWritten, Unreachable, UsageError
-from upwash.real import credentials as module
-from upwash.real.credentials import (
-    Credentials,
-    drop_former_authorities,
-    make_keys,
-    read_credentials,
-    read_revoked,
-    renew_authority,
-    revoke,
-    role_of,
-)
+from upwash.real import authority as module
+from upwash.real.authority import drop_former_authorities, make_keys, renew_authority, revoke
+from upwash.real.credentials import Credentials, read_credentials, read_revoked, role_of
 from upwash.real.link import GrpcDialer
 from upwash.real.secrets import exposure
 

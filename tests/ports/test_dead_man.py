@@ -18,7 +18,8 @@ from upwash.real.mavlink import MavlinkAutopilot
 from upwash.real.mavlink.dead_man import FILE, SILENCE_S, VERSION, promise, script
 from upwash.real.mavlink.ftp import FileClient
 from upwash.sim.loop import run_virtually
-from upwash.vehicle.copter import Mode, VehicleSettings
+from upwash.vehicle.modes import Mode
+from upwash.vehicle.settings import VehicleSettings
 
 SILENCE = 20.0
 LOOK_S = 0.05

@@ -19,8 +19,9 @@ from hypothesis import strategies as st
 from tests.doors import behind_door
 
 from upwash.errors import CredentialsError, LinkError, Unreachable
-from upwash.real import credentials as module
-from upwash.real.credentials import Credentials, fingerprint, keys_in, make_keys, read_credentials
+from upwash.real import authority as module
+from upwash.real.authority import keys_in, make_keys
+from upwash.real.credentials import Credentials, fingerprint, read_credentials
 from upwash.real.crowd import Crowd, Recent
 from upwash.real.door import Door, DoorLimits
 from upwash.real.frames import PREFACE, Counted, FrameCounter
@@ -36,7 +37,7 @@ DATA, HEADERS, RST_STREAM, PING = 0, 1, 3, 6
 
 
 def name_of_caller(_path: str, _body: bytes, caller: Caller) -> bytes:
-    return caller.visitor.name.encode()
+    return caller.client.name.encode()
 
 
 def make(listen: str, who_is: WhoIs) -> Listener:
@@ -122,8 +123,8 @@ def test_trust_tells_holders_apart(keys: Path, credentials: ReadCredentials) -> 
     def der(holder: str) -> bytes:
         return ssl.PEM_cert_to_DER_cert(credentials(holder).certificate.decode())
 
-    assert trust.holder(der("heron")).visitor.name == "heron"
-    assert trust.holder(der("heron")).visitor.certificate == fingerprint(credentials("heron").certificate)
+    assert trust.holder(der("heron")).client.name == "heron"
+    assert trust.holder(der("heron")).client.certificate == fingerprint(credentials("heron").certificate)
     with pytest.raises(CredentialsError, match="stork is revoked"):
         trust.holder(der("stork"))
     with pytest.raises(CredentialsError, match="another authority"):

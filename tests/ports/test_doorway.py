@@ -8,7 +8,7 @@ import threading
 from pathlib import Path
 
 from upwash.real.announced import Inside
-from upwash.real.doorway import Doorway
+from upwash.real.socket_proxy import SocketProxy
 from upwash.real.streams import listening_socket
 
 SILENT = 200
@@ -31,7 +31,7 @@ def test_connections_that_say_nothing_keep_nobody_out(tmp_path: Path) -> None:
         inside.listen(SILENT + 1)
         threading.Thread(target=echo, args=(inside,), daemon=True).start()
         outside = stack.enter_context(socket.create_server(("127.0.0.1", 0), backlog=SILENT + 1))
-        Doorway(outside, Inside(str(tmp_path / "inside")), is_announced=False).open()
+        SocketProxy(outside, Inside(str(tmp_path / "inside")), is_announced=False).open()
         for _ in range(SILENT):
             stack.enter_context(socket.create_connection(outside.getsockname()))
         honest = stack.enter_context(socket.create_connection(outside.getsockname(), timeout=10.0))

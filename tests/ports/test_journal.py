@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,9 +13,12 @@ from typing import Any
 
 import msgspec
 import pytest
+from tests.events import event, written
 
 from upwash.core.geo import Position
 from upwash.errors import UsageError
+from upwash.eventlog import schema
+from upwash.eventlog.schema import Event
 from upwash.real import journal as journal_module
 from upwash.real import log_file as log_file_module
 from upwash.real.journal import FileJournal, JournalNotifier, read_events
@@ -44,7 +47,7 @@ def test_an_event_is_in_the_file_as_soon_as_it_is_recorded(tmp_path: Path) -> No
     log = tmp_path / "new/folder/events.jsonl"
 
     def write(journal: FileJournal) -> None:
-        journal.record("arrived", waypoint=3)
+        journal.record(event("arrived", waypoint=3))
         assert [each["event"] for each in events(log)] == ["log_opened", "arrived"]
         assert events(log)[1]["waypoint"] == 3
 
@@ -60,15 +63,17 @@ def test_each_event_is_one_line_in_one_write(tmp_path: Path, monkeypatch: pytest
         return write(file, data)
 
     monkeypatch.setattr(os, "write", watched)
-    journalled(tmp_path / "log", lambda journal: journal.record("said", text="two\nlines\r\u2028"))
+    journalled(
+        tmp_path / "log", lambda journal: journal.record(event("vehicle_said", text="two\nlines\r\u2028"))
+    )
     assert len(written) == 2
     assert all(data.count(b"\n") == 1 and data.endswith(b"\n") for data in written)
 
 
 def test_time_counts_from_the_opening_which_tells_the_time_of_day(tmp_path: Path) -> None:
     def write(journal: FileJournal) -> None:
-        journal.record("first")
-        journal.record("second")
+        journal.record(event("armed"))
+        journal.record(event("landed"))
 
     journalled(tmp_path / "log", write)
     opened, first, second = events(tmp_path / "log")
@@ -77,35 +82,35 @@ def test_time_counts_from_the_opening_which_tells_the_time_of_day(tmp_path: Path
 
 
 def test_a_log_that_is_there_is_added_to(tmp_path: Path) -> None:
-    for name in ("first", "second"):
-        journalled(tmp_path / "log", lambda journal, name=name: journal.record(name))  # type: ignore[misc]
+    for name in ("armed", "landed"):
+        journalled(tmp_path / "log", lambda journal, name=name: journal.record(event(name)))  # type: ignore[misc]
     assert [each["event"] for each in events(tmp_path / "log")] == [
         "log_opened",
-        "first",
+        "armed",
         "log_opened",
-        "second",
+        "landed",
     ]
 
 
 def test_a_watcher_that_fails_costs_no_event_and_no_other_watcher(tmp_path: Path) -> None:
-    seen: list[Mapping[str, Any]] = []
+    seen: list[Event] = []
 
-    def print_to_a_closed_terminal(_: Mapping[str, Any]) -> None:
+    def print_to_a_closed_terminal(_: Event) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
     journalled(
         tmp_path / "log",
-        lambda journal: journal.record("landed", at="home"),
+        lambda journal: journal.record(event("landed")),
         watchers=(print_to_a_closed_terminal, seen.append),
     )
-    assert [event["event"] for event in read_events(tmp_path / "log")] == ["log_opened", "landed"]
-    assert [event["event"] for event in seen] == ["log_opened", "landed"]
+    assert [each.kind for each in read_events(tmp_path / "log")] == ["log_opened", "landed"]
+    assert [each.kind for each in seen] == ["log_opened", "landed"]
 
 
 def test_watchers_see_what_is_written(tmp_path: Path) -> None:
-    seen: list[Mapping[str, Any]] = []
-    journalled(tmp_path / "log", lambda journal: journal.record("landed", at="home"), watchers=(seen.append,))
-    assert [dict(each) for each in seen] == events(tmp_path / "log")
+    seen: list[Event] = []
+    journalled(tmp_path / "log", lambda journal: journal.record(event("landed")), watchers=(seen.append,))
+    assert written(seen) == events(tmp_path / "log")
 
 
 @pytest.mark.parametrize("place", ["file/events.jsonl", "."])
@@ -123,17 +128,17 @@ def test_a_log_without_room_for_its_first_line_is_named() -> None:
 def test_a_disk_that_fills_up_in_flight_does_not_end_the_flight(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seen: list[Any] = []
+    seen: list[Event] = []
 
     def write(journal: FileJournal) -> None:
         monkeypatch.setattr(os, "write", full)
-        journal.record("safe_return", why="the battery is low")
+        journal.record(event("stopping", why="the battery is low"))
 
     def full(_file: int, _data: bytes) -> int:
         raise OSError(28, "No space left on device")
 
     journalled(tmp_path / "log", write, watchers=(seen.append,))
-    assert seen[-1]["event"] == "safe_return"
+    assert seen[-1].kind == "stopping"
 
 
 def cut_at(most_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -157,16 +162,16 @@ def test_a_write_that_was_cut_is_taken_back_and_its_events_come_when_there_is_ro
     log, unwritten = tmp_path / "log", Unwritten()
 
     def write(journal: FileJournal) -> None:
-        journal.record("armed")
+        journal.record(event("armed"))
         before = log.read_bytes()
         cut_at(room_bytes, monkeypatch)
         for waypoint in range(3):
-            journal.record("arrived", waypoint=waypoint)
+            journal.record(event("arrived", waypoint=waypoint))
         assert log.read_bytes() == before
         assert (len(unwritten), unwritten.why) == (3, "No space left on device")
         monkeypatch.undo()
         monkeypatch.setattr(journal_module, "_TRY_AGAIN_S", 0.0)
-        journal.record("landed")
+        journal.record(event("landed"))
 
     journalled(log, write, unwritten=unwritten)
     names = [each["event"] for each in events(log)]
@@ -181,8 +186,8 @@ def test_what_never_found_room_is_in_memory_in_its_order(
 
     def write(journal: FileJournal) -> None:
         cut_at(10, monkeypatch)
-        journal.record("armed")
-        journal.record("landed")
+        journal.record(event("armed"))
+        journal.record(event("landed"))
 
     journalled(log, write, unwritten=unwritten)
     assert [each["event"] for each in events(log)] == ["log_opened"]
@@ -200,7 +205,7 @@ def test_a_full_disk_is_not_tried_at_every_event(tmp_path: Path, monkeypatch: py
     def write(journal: FileJournal) -> None:
         monkeypatch.setattr(os, "write", full)
         for _ in range(1000):
-            journal.record("position")
+            journal.record(event("position"))
 
     journalled(tmp_path / "log", write)
     assert len(tries) < 10
@@ -215,7 +220,7 @@ def test_what_is_too_much_for_memory_is_counted_and_told_in_the_log(
     def write(journal: FileJournal) -> None:
         cut_at(0, monkeypatch)
         for waypoint in range(50):
-            journal.record("arrived", waypoint=waypoint)
+            journal.record(event("arrived", waypoint=waypoint))
         assert len(unwritten) == 50 and unwritten.lost > 40
         monkeypatch.undo()
 
@@ -235,30 +240,30 @@ def test_a_cut_line_that_cannot_be_taken_back_is_closed_by_the_next(
     def write(journal: FileJournal) -> None:
         cut_at(12, monkeypatch)
         monkeypatch.setattr(os, "ftruncate", refuse)
-        journal.record("armed")
+        journal.record(event("armed"))
         monkeypatch.undo()
 
     journalled(log, write)
-    assert [each["event"] for each in read_events(log)] == ["log_opened", "armed"]
+    assert [each.kind for each in read_events(log)] == ["log_opened", "armed"]
     assert f"{log}: line 2 is torn" in caplog.text
-    journalled(log, lambda journal: journal.record("landed"), resumes=True)
-    names = [each["event"] for each in read_events(log)]
+    journalled(log, lambda journal: journal.record(event("landed")), resumes=True)
+    names = [each.kind for each in read_events(log)]
     assert names == ["log_opened", "armed", "log_resumed", "landed"]
 
 
 def test_a_log_that_ends_with_a_torn_line_is_added_to_on_a_line_of_its_own(tmp_path: Path) -> None:
     log = tmp_path / "log"
-    journalled(log, lambda journal: journal.record("first"))
+    journalled(log, lambda journal: journal.record(event("armed")))
     log.write_bytes(log.read_bytes() + b'{"t":7.0,"eve')
-    journalled(log, lambda journal: journal.record("second"))
-    assert [each["event"] for each in read_events(log)] == ["log_opened", "first", "log_opened", "second"]
+    journalled(log, lambda journal: journal.record(event("landed")))
+    assert [each.kind for each in read_events(log)] == ["log_opened", "armed", "log_opened", "landed"]
 
 
 @pytest.mark.parametrize(
     ("torn", "left"),
     [
         (b'{"t":7.0,"eve', []),
-        (b'{"t":7.0,"eve{"t":8.0,"event":"arrived"}', ["arrived"]),  # as releases before this one left it
+        (b'{"t":7.0,"eve{"t":8.0,"event":"armed"}', ["armed"]),  # as releases before this one left it
         (b'{"t"', []),
         (b"", []),
         (bytes(4096), []),
@@ -269,16 +274,16 @@ def test_a_torn_line_costs_itself_and_is_told(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, torn: bytes, left: list[str]
 ) -> None:
     log = tmp_path / "log"
-    journalled(log, lambda journal: journal.record("armed"))
+    journalled(log, lambda journal: journal.record(event("armed")))
     log.write_bytes(log.read_bytes() + torn + b'\n{"t":9.0,"event":"landed"}\n')
-    assert [each["event"] for each in read_events(log)] == ["log_opened", "armed", *left, "landed"]
+    assert [each.kind for each in read_events(log)] == ["log_opened", "armed", *left, "landed"]
     assert caplog.text.count(f"{log}: line 3 is torn") == 1
 
 
 @pytest.mark.parametrize("line", [b"photo", b'{"t":7.0}', b'{"t":"7","event":"arrived"}', b'[{"t":7.0}]'])
 def test_a_line_that_no_log_could_have_is_not_taken_for_a_torn_one(tmp_path: Path, line: bytes) -> None:
     log = tmp_path / "log"
-    journalled(log, lambda journal: journal.record("armed"))
+    journalled(log, lambda journal: journal.record(event("armed")))
     log.write_bytes(log.read_bytes() + line + b"\n")
     with pytest.raises(UsageError, match="is not an event log"):
         read_events(log)
@@ -305,13 +310,21 @@ def test_a_disk_that_fails_as_the_log_is_closed_is_told(
 
 def test_a_text_that_is_not_unicode_does_not_end_the_flight(tmp_path: Path) -> None:
     name = os.fsdecode(b"photo\xff.jpg")
-    journalled(tmp_path / "log", lambda journal: journal.record("remote_failed", why=f"{name} is missing"))
-    assert events(tmp_path / "log")[-1]["event"] == "remote_failed"
+    lost = [schema.RemoteFailed(server="s1", why=f"{name} is missing"), schema.ArmingDelayed(reasons=[name])]
+
+    def write(journal: FileJournal) -> None:
+        for each in lost:
+            journal.record(each)
+
+    journalled(tmp_path / "log", write)
+    failed, delayed = events(tmp_path / "log")[1:]
+    assert (failed["event"], failed["why"]) == ("remote_failed", r"photo\udcff.jpg is missing")
+    assert delayed["reasons"] == [r"photo\udcff.jpg"]
 
 
 def test_no_control_character_is_in_the_file_and_each_comes_back(tmp_path: Path) -> None:
     raw = "\x1b[2J\x9b31m\u202e\u2028\r\n\U000e0041"
-    journalled(tmp_path / "log", lambda journal: journal.record("notified", message=[raw]))
+    journalled(tmp_path / "log", lambda journal: journal.record(event("notified", message=[raw])))
     assert all(line.isprintable() for line in (tmp_path / "log").read_text().split("\n"))
     assert events(tmp_path / "log")[-1]["message"] == [raw]
 
@@ -331,8 +344,8 @@ def test_the_user_is_told_through_the_log(tmp_path: Path) -> None:
 
 def test_a_log_that_is_resumed_goes_on_in_time(tmp_path: Path) -> None:
     log = tmp_path / "log"
-    journalled(log, lambda journal: journal.record("arrived"))
-    journalled(log, lambda journal: journal.record("landed"), resumes=True)
+    journalled(log, lambda journal: journal.record(event("arrived")))
+    journalled(log, lambda journal: journal.record(event("landed")), resumes=True)
     assert [each["event"] for each in events(log)] == ["log_opened", "arrived", "log_resumed", "landed"]
     times_s = [each["t"] for each in events(log)]
     assert times_s == sorted(times_s)
@@ -342,8 +355,8 @@ def test_a_log_of_several_flights_goes_on_in_the_time_of_the_last(tmp_path: Path
     log = tmp_path / "log"
     yesterday = (datetime.now(UTC) - timedelta(days=1)).isoformat()
     log.write_bytes(msgspec.json.encode({"t": 0.0, "event": "log_opened", "time": yesterday}) + b"\n")
-    journalled(log, lambda journal: journal.record("arrived"))
-    journalled(log, lambda journal: journal.record("landed"), resumes=True)
+    journalled(log, lambda journal: journal.record(event("arrived")))
+    journalled(log, lambda journal: journal.record(event("landed")), resumes=True)
     assert all(each["t"] < 60.0 for each in events(log))
 
 
@@ -352,18 +365,20 @@ def test_a_clock_that_has_gone_back_does_not_take_the_log_back(tmp_path: Path) -
     tomorrow = (datetime.now(UTC) + timedelta(days=1)).isoformat()
     opened = {"t": 0.0, "event": "log_opened", "time": tomorrow}
     log.write_bytes(
-        b"".join(msgspec.json.encode(each) + b"\n" for each in (opened, {"t": 70.0, "event": "arrived"}))
+        b"".join(
+            msgspec.json.encode(each) + b"\n" for each in (opened, {"t": 70.0, "event": "left_hovering"})
+        )
     )
-    journalled(log, lambda journal: journal.record("landed"), resumes=True)
+    journalled(log, lambda journal: journal.record(event("landed")), resumes=True)
     assert [70.0 <= each["t"] < 80.0 for each in events(log)] == [False, True, True, True]
 
 
 def test_a_line_that_a_failing_computer_left_unfinished_is_dropped(tmp_path: Path) -> None:
     log = tmp_path / "log"
-    journalled(log, lambda journal: journal.record("arrived"))
+    journalled(log, lambda journal: journal.record(event("arrived")))
     log.write_bytes(log.read_bytes() + b'{"t":7.0,"eve')
-    assert [each["event"] for each in read_events(log)] == ["log_opened", "arrived"]
-    journalled(log, lambda journal: journal.record("landed"), resumes=True)
+    assert [each.kind for each in read_events(log)] == ["log_opened", "arrived"]
+    journalled(log, lambda journal: journal.record(event("landed")), resumes=True)
     assert [each["event"] for each in events(log)] == ["log_opened", "arrived", "log_resumed", "landed"]
 
 
@@ -371,7 +386,7 @@ def test_a_log_that_another_flight_writes_is_not_resumed(tmp_path: Path) -> None
     def resume(journal: FileJournal) -> None:
         with pytest.raises(UsageError, match="is the flight still under way"):
             FileJournal(journal.path, resumes=True)
-        journal.record("landed")
+        journal.record(event("landed"))
 
     log = tmp_path / "log"
     journalled(log, resume)
@@ -384,7 +399,7 @@ def test_a_log_that_another_flight_writes_is_not_resumed(tmp_path: Path) -> None
         (b"", "is not an event log"),
         (b"photo\n", "is not an event log"),
         (b'{"t":1}\n', "is not an event log"),
-        (b'{"t":1,"event":"arrived"}\n', "not the event log of a flight"),
+        (b'{"t":1,"event":"armed"}\n', "not the event log of a flight"),
         (b"[1]\n", "is not an event log"),
     ],
 )

@@ -16,12 +16,13 @@ from typing import Any
 import grpc
 import pytest
 from tests.doors import behind_door
+from tests.waiting import wait_for
 
-from upwash.errors import DeadlineExceeded, LinkError, Refused, Unreachable, UpwashError, UsageError
-from upwash.protocol import AVAILABILITY, LONGEST_REPLY_BYTES, START, STATUS
+from upwash.errors import DeadlineExceeded, LinkError, NoLease, Refused, Unreachable, UpwashError, UsageError
 from upwash.real.credentials import Credentials
 from upwash.real.link import DRONE_METADATA, GrpcDialer, GrpcLink
 from upwash.real.listener import Caller, Gate, Handler, Listener, WhoIs
+from upwash.rpc.protocol import AVAILABILITY, LONGEST_REPLY_BYTES, START, STATUS
 
 MAX_MESSAGE_BYTES = 100_000
 PATH = "/upwash.test/echo"
@@ -121,14 +122,6 @@ def stuck() -> Iterator[tuple[Stuck, str]]:
             handler.let_go.set()
 
 
-def until(true: Callable[[], bool]) -> None:
-    """Returns when it is true; fails if that takes long."""
-    give_up_s = time.monotonic() + 5.0
-    while not true():
-        assert time.monotonic() < give_up_s
-        time.sleep(0.005)
-
-
 def entering(handler: Stuck) -> Coroutine[Any, Any, bool]:
     return asyncio.to_thread(handler.entered.wait, 5.0)
 
@@ -159,7 +152,7 @@ def test_requests_on_one_link_do_not_wait_for_each_other() -> None:
     async def ask_all(handler: Stuck, address: str) -> None:
         async with linked(address) as link:
             hanging = [asyncio.create_task(link.request(PATH, b"", timeout_s=30.0)) for _ in range(12)]
-            await asyncio.to_thread(until, lambda: len(handler.callers) == 12)
+            await asyncio.to_thread(wait_for, lambda: len(handler.callers) == 12, within_s=5.0)
             assert await link.request(PATH, b"quick", timeout_s=3.0) == b"quick"
             handler.let_go.set()
             assert await asyncio.gather(*hanging) == [b""] * 12
@@ -190,7 +183,7 @@ def test_no_answer_in_time_is_said_in_time() -> None:
         with pytest.raises(DeadlineExceeded, match=rf"s1 at {address}: no answer within 0\.3 s"):
             request(address, timeout_s=0.3)
         assert 0.25 < time.monotonic() - began_s < 2.0
-        until(lambda: not handler.callers[0].is_waiting())
+        wait_for(lambda: not handler.callers[0].is_waiting(), within_s=5.0)
 
 
 def test_nobody_at_the_address_is_said_at_once(tmp_path: Path) -> None:
@@ -236,7 +229,7 @@ def test_a_cancelled_request_tells_the_server() -> None:
             asking.cancel()
             with pytest.raises(asyncio.CancelledError):
                 await asking
-            await asyncio.to_thread(until, lambda: not handler.callers[0].is_waiting())
+            await asyncio.to_thread(wait_for, lambda: not handler.callers[0].is_waiting(), within_s=5.0)
             assert await link.request(PATH, b"quick", timeout_s=5.0) == b"quick"
 
     with stuck() as (handler, address):
@@ -254,7 +247,7 @@ def test_closing_a_link_ends_its_requests_and_it_takes_no_more() -> None:
             for path in (PATH, "/upwash.test/another"):
                 with pytest.raises(Unreachable, match="closed"):
                     await link.request(path, b"", timeout_s=5.0)
-            await asyncio.to_thread(until, lambda: not handler.callers[0].is_waiting())
+            await asyncio.to_thread(wait_for, lambda: not handler.callers[0].is_waiting(), within_s=5.0)
 
     with stuck() as (handler, address):
         asyncio.run(ask(handler, address))
@@ -282,7 +275,7 @@ def test_something_else_at_the_address_is_no_server(greeting: bytes) -> None:
 
 def test_a_refusal_arrives_with_its_reason() -> None:
     def refuse(_path: str, _body: bytes, caller: Caller) -> bytes:
-        raise Refused(f"drone {caller.visitor.name} has no lease here")
+        raise Refused(f"drone {caller.client.name} has no lease here")
 
     with listening(refuse) as address, pytest.raises(Refused, match="drone heron has no lease here"):
         request(address)
@@ -341,6 +334,23 @@ def test_a_daemons_reply_is_not_received_beyond_what_one_may_be(path: str, most:
         assert len(request(address, str(most).encode(), path=path)) == most
         with pytest.raises(Refused, match="larger than max"):
             request(address, str(most + 1).encode(), path=path)
+
+
+def test_a_call_without_a_lease_is_told_from_other_refusals_and_by_a_status_that_is_none_else() -> None:
+    """A drone of the last release takes both for refusals; of a daemon of that release both arrive as such."""
+
+    def refuse(_path: str, body: bytes, _caller: Caller) -> bytes:
+        raise NoLease("no lease") if body == b"late" else Refused("no lease")
+
+    with listening(refuse) as address:
+        with pytest.raises(NoLease, match="no lease"):
+            request(address, b"late")
+        with pytest.raises(Refused, match="no lease") as refused:
+            request(address, b"else")
+        assert not isinstance(refused.value, NoLease)
+        with grpc.insecure_channel(address) as channel, pytest.raises(grpc.RpcError) as raised:
+            channel.unary_unary(PATH)(b"late", metadata=((DRONE_METADATA, "heron"),), timeout=5.0)
+        assert raised.value.code() is grpc.StatusCode.PERMISSION_DENIED
 
 
 ESCAPES = "\x1b[2J\x9b31m\u202e\r\nall is well"
@@ -408,7 +418,7 @@ def test_more_requests_than_the_listener_takes_are_refused_at_once() -> None:
 
 def test_a_request_is_refused_at_the_gate_before_its_body_is_there() -> None:
     def gate(path: str, caller: Caller) -> None:
-        raise Refused(f"{caller.visitor.name} may not {path}")
+        raise Refused(f"{caller.client.name} may not {path}")
 
     with (
         listening(echo, gate=gate) as address,
@@ -480,11 +490,11 @@ def test_a_request_that_is_too_large_is_refused_in_the_log_too(caplog: pytest.Lo
     with listening(echo) as address:
         with pytest.raises(Refused, match="larger than max"):
             request(address, bytes(MAX_MESSAGE_BYTES + 1))
-        until(lambda: f"larger than {MAX_MESSAGE_BYTES} bytes" in caplog.text)
+        wait_for(lambda: f"larger than {MAX_MESSAGE_BYTES} bytes" in caplog.text, within_s=5.0)
 
 
 def name_of_caller(_path: str, _body: bytes, caller: Caller) -> bytes:
-    return caller.visitor.name.encode()
+    return caller.client.name.encode()
 
 
 def test_the_drone_is_who_its_certificate_says_whatever_it_calls_itself(credentials: ReadCredentials) -> None:

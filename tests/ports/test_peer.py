@@ -13,8 +13,8 @@ from tests.ports.test_autopilot import AGILE, FRAME, IMPATIENT
 from tests.system.attacks.flown import Router, free_port
 
 from upwash.core.geo import Position
-from upwash.mavlink_packets import PacketReader
-from upwash.mavlink_signing import Signing
+from upwash.mavlink.packets import PacketReader
+from upwash.mavlink.signing import Signing
 from upwash.real.mavlink import connect_autopilot
 from upwash.real.mavlink.hearing import Hearing, from_autopilot
 from upwash.real.mavlink.peer import Peer

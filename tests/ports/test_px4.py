@@ -16,15 +16,16 @@ from tests.ports.steps import claim_and_arm, take_off
 from upwash.core.control import Control, Owner
 from upwash.core.geo import GeoPosition, Position, distance_m
 from upwash.errors import AutopilotOverruled, AutopilotRefused
-from upwash.mavlink_px4 import Mode, understood
+from upwash.mavlink.px4 import Mode, understood
 from upwash.ports import ArmingDelayed, VehicleNews, VehicleSetting, VehicleText
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.real.mavlink.parameters import read_parameters, set_parameter
-from upwash.real.mavlink.px4 import PX4
+from upwash.real.mavlink.px4_firmware import PX4
 from upwash.real.mavlink.telemetry import Telemetry
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.faults import FaultKind
-from upwash.vehicle.px4.vehicle import Px4Settings, Sticks
+from upwash.vehicle.px4.inputs import Sticks
+from upwash.vehicle.px4.settings import Px4Settings
 
 HOME = GeoPosition(39.3666, 22.9507)
 RETURNS = {"COM_OBL_RC_ACT": 3.0}

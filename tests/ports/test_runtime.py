@@ -19,14 +19,16 @@ from typing import Any
 import pytest
 from tests.children import expect_no_child, is_alive
 from tests.doors import certified_processes, reached
+from tests.waiting import wait_for
 
 from upwash.errors import InstanceError, Refused, Unreachable
 from upwash.ports import InstanceSpec, Program
-from upwash.protocol import service_path
 from upwash.real.credentials import Credentials, fingerprint
 from upwash.real.link import GrpcDialer, GrpcLink
 from upwash.real.runtime import ProcessInstance, ProcessRuntime
-from upwash.service import load_service, spec_of
+from upwash.rpc.protocol import service_path
+from upwash.rpc.service import load_service, spec_of
+from upwash.support.heat import Surroundings
 
 MAX_MESSAGE_BYTES = 1_000_000
 HERON = frozenset({"heron"})
@@ -42,8 +44,10 @@ def spec(
     cls: str = "Workbench",
     pace_s: dict[str, float] | None = None,
     settings: dict[str, object] | None = None,
+    heats: Surroundings | None = None,
 ) -> InstanceSpec:
-    return InstanceSpec("s1", cls.lower(), Program(f"{services}:{cls}", settings or {}), pace_s or {})
+    program = Program(f"{services}:{cls}", settings or {})
+    return InstanceSpec("s1", cls.lower(), program, pace_s or {}, heats=heats)
 
 
 class Bench:
@@ -70,9 +74,10 @@ async def running(
     *,
     admitted: frozenset[str] = HERON,
     pace_s: dict[str, float] | None = None,
+    heats: Surroundings | None = None,
 ) -> AsyncIterator[Bench]:
     """A workbench until the end of the block; nothing of it may be left then."""
-    what = spec(services, pace_s=pace_s)
+    what = spec(services, pace_s=pace_s, heats=heats)
     calls: list[str] = []
     busy = asyncio.Event()
 
@@ -263,10 +268,7 @@ def nothing_left_open() -> Iterator[None]:
 
 
 def read_when_written(file: Path) -> int:
-    give_up_s = time.monotonic() + 10.0
-    while not file.exists() or not file.read_text().endswith("\n"):
-        assert time.monotonic() < give_up_s
-        time.sleep(0.01)
+    wait_for(lambda: file.exists() and file.read_text().endswith("\n"), within_s=10.0)
     return int(file.read_text())
 
 
@@ -377,6 +379,15 @@ def test_a_paced_call_takes_its_time_and_no_longer(services: Path, tmp_path: Pat
             assert at_least_s <= time.monotonic() - began_s < at_most_s
 
     with_bench(services, tmp_path, use, pace_s={"heavy": 0.3})
+
+
+def test_a_paced_call_takes_longer_in_air_that_is_too_hot(services: Path, tmp_path: Path) -> None:
+    async def use(bench: Bench) -> None:
+        began_s = time.monotonic()
+        assert await bench.call("work", "heavy") == "heavy"
+        assert time.monotonic() - began_s >= 0.45  # at two thirds of the frequency
+
+    with_bench(services, tmp_path, use, pace_s={"heavy": 0.3}, heats=Surroundings(ambient_c=85.0, load_w=4.0))
 
 
 @pytest.mark.parametrize("length", [10, 1_000_000])

@@ -22,13 +22,13 @@ from tests.children import expect_no_child
 
 from upwash.errors import InstanceError, LinkError, UsageError
 from upwash.ports import InstanceSpec, Program
-from upwash.protocol import service_path
 from upwash.real.limits import Limits
 from upwash.real.link import GrpcDialer
 from upwash.real.runtime import ProcessInstance, ProcessRuntime
 from upwash.real.sandbox import Sandbox, code_of, files_in, find_sandbox
 from upwash.real.syscalls import call_filter
-from upwash.service import load_service, spec_of
+from upwash.rpc.protocol import service_path
+from upwash.rpc.service import load_service, spec_of
 
 pytestmark = pytest.mark.sandbox
 
@@ -360,7 +360,7 @@ def test_a_bubblewrap_that_is_not_permitted_says_so(tmp_path: Path, monkeypatch:
     ("program", "code"),
     [
         ("/srv/my_services.py:Counter", ["/srv/my_services.py"]),
-        ("upwash.services.hotspots:HotSpotDetector", [str(Path(spec_of.__code__.co_filename).parent)]),
+        ("upwash.services.hotspots:HotSpotDetector", [str(Path(spec_of.__code__.co_filename).parents[1])]),
         ("no_such_package:Counter", []),
     ],
 )

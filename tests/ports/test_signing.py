@@ -12,12 +12,12 @@ from tests.ports.steps import claim_and_arm
 from tests.ports.test_autopilot import AGILE, FRAME, HASTY, HOME, connection
 from tests.system.attacks.flown import Router, free_port
 
-from upwash.cli import main
+from upwash.cli.main import main
 from upwash.errors import AutopilotError, CredentialsError
-from upwash.mavlink_signing import Signing, key_of_passphrase
+from upwash.mavlink.signing import Signing, key_of_passphrase
 from upwash.real.mavlink import MavlinkAutopilot, connect_autopilot
 from upwash.real.mavlink.signing import make_signing_key, read_key, read_signing
-from upwash.vehicle.px4.vehicle import Px4Settings
+from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.server import serve_vehicle
 
 KEY, OTHER_KEY = bytes(range(32)), bytes(32)

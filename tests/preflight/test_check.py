@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from upwash.cli import main
+from upwash.cli.main import main
 from upwash.core.geo import Position
 from upwash.errors import UpwashError, UsageError
 from upwash.lab.campaign import Chunk, fly_chunk
@@ -72,7 +72,7 @@ def test_each_case_is_predicted_by_the_missions_themselves(file: Path) -> None:
     assert times_s[AS_CONFIGURED] == simulate(plan.config).result.mission_time_s
     assert times_s[AS_CONFIGURED] == times_s[without("s2")] < times_s[without("s1")]
     assert times_s[ALONE] == pytest.approx(times_s[LOCAL_ONLY], rel=0.01)
-    assert [each.kind for each in found.concerns] == ["covers-nothing"]
+    assert [each.kind for each in found.warnings] == ["covers-nothing"]
     assert missions_to_fly(plan, 3) == 15
 
 
@@ -101,14 +101,14 @@ def test_a_mission_is_predicted_to_its_end_whatever_the_reserve(file: Path) -> N
     found, again_s = checked(file)
     assert again_s == times_s
     assert found.usable_s == 75.0 < times_s[AS_CONFIGURED]
-    assert [each.kind for each in found.concerns] == ["battery"]
+    assert [each.kind for each in found.warnings] == ["battery"]
     file.write_text(
         SCENARIO.replace("[mission]", "[mission]\nreserve_s = 75.0") + "[vehicle]\nendurance_s = 150.0\n"
     )
     found, again_s = checked(file)
     assert again_s == times_s
     assert found.usable_s == 75.0
-    assert [each.kind for each in found.concerns] == ["battery", "too-far"]
+    assert [each.kind for each in found.warnings] == ["battery", "too-far"]
 
 
 def test_a_drone_that_never_offloads_has_one_case(file: Path) -> None:
@@ -196,8 +196,8 @@ def test_json_is_one_object_and_the_figure_is_drawn(file: Path, capsys: pytest.C
     assert main(["check", str(file), "--json", "--workers", "1", "--figures", str(figures)]) == 0
     found = json.loads(capsys.readouterr().out)
     assert list(found) == [
-        "config", "waypoints", "uncovered", "servers", "predictions", "usable_s", "farthest", "concerns",
-        "places",
+        "config", "waypoints", "uncovered", "servers", "predictions", "usable_s", "usable_wh", "farthest",
+        "warnings", "places",
     ]  # fmt: skip
     assert [each["case"] for each in found["predictions"]] == [LOCAL_ONLY, AS_CONFIGURED, without("s1")]
     assert (figures / "coverage.png").is_file()

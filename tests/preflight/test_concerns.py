@@ -9,9 +9,9 @@ import msgspec
 import pytest
 
 from upwash.config import DroneConfig, drone_config
-from upwash.preflight.concerns import Belief, concerns, usable_s
 from upwash.preflight.coverage import Coverage
 from upwash.preflight.prediction import ALONE, AS_CONFIGURED, LOCAL_ONLY, Prediction, without
+from upwash.preflight.warnings import Belief, usable_s, warnings
 from upwash.preflight.way_home import farthest
 
 OPERATION = "detector.process_photo[heavy]"
@@ -58,7 +58,7 @@ def kinds(
     belief: Belief | None = None,
     predictions: list[Prediction] | None = None,
 ) -> list[str]:
-    found = concerns(config, [cover or covered()], [belief or believed()], predictions or GOOD)
+    found = warnings(config, [cover or covered()], [belief or believed()], predictions or GOOD)
     return [each.kind for each in found]
 
 
@@ -77,9 +77,9 @@ def test_nothing_is_said_where_nothing_hurts() -> None:
 def test_a_server_that_is_too_far_or_too_short_in_range_is_named(
     cover: Coverage, kind: str, said: str
 ) -> None:
-    (concern,) = concerns(configured(), [cover], [believed()], GOOD)
-    assert concern.kind == kind
-    assert said in concern.text
+    (warning,) = warnings(configured(), [cover], [believed()], GOOD)
+    assert warning.kind == kind
+    assert said in warning.text
 
 
 def test_an_operation_that_no_server_is_faster_for_is_named() -> None:
@@ -90,7 +90,7 @@ def test_an_operation_that_no_server_is_faster_for_is_named() -> None:
 def test_an_operation_that_no_server_offers_is_named() -> None:
     nowhere = Belief(operation=OPERATION, local_s=10.0, remote_s={})
     assert kinds(configured(), belief=nowhere) == ["not-offered"]
-    assert concerns(configured(servers=()), [], [nowhere], predicted(local=9.0, configured=9.0)) == []
+    assert warnings(configured(servers=()), [], [nowhere], predicted(local=9.0, configured=9.0)) == []
 
 
 def test_a_wait_that_can_never_pay_off_is_named() -> None:
@@ -116,10 +116,10 @@ def test_what_the_margins_leave_open_is_no_difference() -> None:
 def test_the_battery_has_to_last_above_the_reserve_margin_included() -> None:
     config = configured(vehicle={"endurance_s": 100.0}, mission={"reserve_percent": 20.0})
     assert usable_s(config) == 80.0
-    (concern,) = concerns(config, [covered()], [believed()], GOOD)
-    assert concern.kind == "battery"
-    assert "80 s above the reserve of 20 %" in concern.text
-    assert "local-only (100 s), without s1 (100 s)" in concern.text
+    (warning,) = warnings(config, [covered()], [believed()], GOOD)
+    assert warning.kind == "battery"
+    assert "80 s above the reserve of 20 %" in warning.text
+    assert "local-only (100 s), without s1 (100 s)" in warning.text
     lasting = predicted(local=79.0, configured=40.0)
     assert kinds(config, predictions=lasting) == []
     assert kinds(config, predictions=[msgspec.structs.replace(lasting[0], margin_s=2.0)]) == ["battery"]
@@ -134,8 +134,8 @@ def test_of_two_reserves_the_higher_counts_before_the_flight_too() -> None:
     assert usable_s(seconds) == pytest.approx(140.0)
     percent = configured(vehicle={"endurance_s": 200.0}, mission={"reserve_percent": 40.0, "reserve_s": 60.0})
     assert usable_s(percent) == pytest.approx(120.0)
-    (concern,) = concerns(seconds, [covered()], [believed()], predicted(local=150.0, configured=50.0))
-    assert "140 s above the reserve of 60 s" in concern.text
+    (warning,) = warnings(seconds, [covered()], [believed()], predicted(local=150.0, configured=50.0))
+    assert "140 s above the reserve of 60 s" in warning.text
 
 
 def far_away(away_m: float, **mission: Any) -> DroneConfig:
@@ -147,9 +147,9 @@ def far_away(away_m: float, **mission: Any) -> DroneConfig:
 
 def test_a_waypoint_from_which_the_drone_could_not_return_is_named() -> None:
     assert kinds(far_away(400.0)) == []
-    (concern,) = concerns(far_away(700.0), [covered()], [believed()], GOOD)
-    assert concern.kind == "too-far"
-    assert "waypoint 1 is 700 m from home: 183 s there and 118 s back" in concern.text
+    (warning,) = warnings(far_away(700.0), [covered()], [believed()], GOOD)
+    assert warning.kind == "too-far"
+    assert "waypoint 1 is 700 m from home: 183 s there and 118 s back" in warning.text
     assert kinds(far_away(690.0, reserve_s=0.0)) == []
     assert kinds(far_away(700.0, ground_speed_m_s=8.0)) == []
 
@@ -164,8 +164,8 @@ def test_a_drone_that_lands_where_it_is_needs_the_way_down_only() -> None:
 
 
 def test_a_reserve_in_seconds_asks_for_the_endurance() -> None:
-    (concern,) = concerns(configured(mission={"reserve_s": 60.0}), [covered()], [believed()], GOOD)
-    assert concern.kind == "endurance"
+    (warning,) = warnings(configured(mission={"reserve_s": 60.0}), [covered()], [believed()], GOOD)
+    assert warning.kind == "endurance"
 
 
 def test_a_reserve_below_the_autopilots_own_stage_is_named_before_a_flight() -> None:
@@ -190,8 +190,8 @@ def test_missions_that_fail_alike_are_said_once() -> None:
         Prediction(case=case, missions=2, mission_time_s=None, margin_s=None, failures=("lost",))
         for case in (LOCAL_ONLY, AS_CONFIGURED)
     ]
-    (concern,) = concerns(configured(), [covered()], [believed()], failed)
-    assert concern.text.endswith("local-only (1 of 2), as configured (1 of 2): lost")
+    (warning,) = warnings(configured(), [covered()], [believed()], failed)
+    assert warning.text.endswith("local-only (1 of 2), as configured (1 of 2): lost")
 
 
 def with_addresses(*addresses: str, **tables: Any) -> DroneConfig:

@@ -7,8 +7,8 @@ import math
 import pytest
 
 from upwash.core.geo import Circle, Position
-from upwash.lab.stays import Stay
-from upwash.narration import spans
+from upwash.eventlog.narration import spans
+from upwash.lab.range_intervals import RangeInterval
 from upwash.preflight.coverage import coverage, uncovered
 
 PLACES = [Position(east_m, 0.0) for east_m in (0.0, 50.0, 100.0, 150.0)]
@@ -23,7 +23,11 @@ def test_a_server_covers_the_waypoints_in_its_range_border_included() -> None:
 
 
 def test_the_longest_stay_is_of_this_server_and_ends_with_the_mission() -> None:
-    stays = [Stay("near", 0.0, 20.0), Stay("far", 0.0, 90.0), Stay("near", 60.0, math.inf)]
+    stays = [
+        RangeInterval("near", 0.0, 20.0),
+        RangeInterval("far", 0.0, 90.0),
+        RangeInterval("near", 60.0, math.inf),
+    ]
     near, far = coverage(PLACES, AREAS, stays, ended_s=100.0)
     assert (near.longest_stay_s, far.longest_stay_s) == (40.0, 90.0)
     assert coverage(PLACES, AREAS, [], ended_s=100.0)[0].longest_stay_s == 0.0

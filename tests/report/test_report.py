@@ -15,12 +15,13 @@ import geojson
 import msgspec
 import pytest
 
-from upwash import event_log
-from upwash.cli import main
-from upwash.config import read_drone_config, server_area, waypoints
+from upwash.cli.main import main
+from upwash.config import read_drone_config, server_areas, waypoints
 from upwash.core.geo import GeoPosition, LocalFrame, ground_distance_m
 from upwash.core.servers import State
 from upwash.errors import UsageError
+from upwash.eventlog import log as event_log
+from upwash.eventlog import schema
 from upwash.report.page import write_page
 from upwash.report.record import Record, read_records
 
@@ -30,7 +31,7 @@ HOSTILE = "</title><script>alert('1')</script>&\"\x00]]>"
 HERE = {"east_m": 3.0, "north_m": 4.0, "altitude_m": 20.0}
 CALL = {
     "operation": "detector.count", "place": "local", "decision": "none near", "at_s": 1.0,
-    "delay_s": 2.0, "waited_s": 0.0, "wait": "", "fell_back": False,
+    "delay_s": 2.0, "waited_s": 0.0, "onboard_s": 2.0, "wait": "", "fell_back": False,
 }  # fmt: skip
 
 
@@ -90,7 +91,7 @@ def test_the_totals_on_the_page_are_the_results(records: list[Record]) -> None:
     told = {row[0]: row[1:] for row in table}
     results = [record.result for record in records]
     assert told["mission time"] == [f"{result.mission_time_s:.1f} s" for result in results]
-    assert told["calls on the drone"] == [str(result.totals.local) for result in results] == ["16", "121"]
+    assert told["calls on the drone"] == [str(result.totals.local) for result in results] == ["18", "121"]
     assert told["time spent in calls"] == [f"{result.totals.service_delay_s:.1f} s" for result in results]
     assert told["with every call on the drone"] == [
         f"{result.local_only_time_s():.1f} s" for result in results
@@ -137,13 +138,13 @@ def test_the_worst_calls_are_told_with_the_numbers_of_their_decisions(
     (worst,) = page.iter(f"{XHTML}ol")
     told = ["".join(item.itertext()) for item in worst]
     longest = sorted(records[0].result.calls, key=lambda call: -call.delay_s)[:5]
-    decided = [each for each in event_log.read(logs[0]) if each["event"] == "decided"]
+    decided = [each for each in event_log.read(logs[0]) if isinstance(each, schema.Decided)]
     assert len(told) == 5
     for text, call in zip(told, longest, strict=True):
         assert f"{call.delay_s:.2f} s" in text
-        (decision,) = [each for each in decided if each["t"] == pytest.approx(call.at_s + MISSION_BEGAN_S)]
-        assert f"{decision['local_s']:.2f} s" in text
-        assert decision["why"] in text
+        (decision,) = [each for each in decided if each.t == pytest.approx(call.at_s + MISSION_BEGAN_S)]
+        assert f"{decision.local_s:.2f} s" in text
+        assert decision.why in text
 
 
 def test_what_a_log_says_is_never_markup(tmp_path: Path) -> None:
@@ -169,11 +170,11 @@ def test_a_flight_that_ended_before_its_first_call_has_a_page(tmp_path: Path) ->
 
 def test_the_log_tells_the_plan_and_the_ranges(records: list[Record]) -> None:
     config = read_drone_config(SCENARIOS / "thesis.toml")
-    plan, home = records[0].plan, config.mission.home
+    plan = records[0].plan
     assert plan.waypoints_m == [
         (each.position.east_m, each.position.north_m) for each in waypoints(config.mission)
     ]
-    assert plan.ranges == {server.name: server_area(server, home) for server in config.servers}
+    assert plan.ranges == server_areas(config)
 
 
 def test_the_states_of_each_server_fill_the_mission(records: list[Record]) -> None:
@@ -237,7 +238,7 @@ def test_logs_of_the_same_name_are_told_apart(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("events", "why"),
     [
-        ([event(0.0, "log_opened")], "has no mission"),
+        ([event(0.0, "log_opened", time="2026-01-01T00:00:00+00:00")], "has no mission"),
         ([STARTED, event(2.0, "call", place="local")], "not an event log that this version reads"),
         ([STARTED, step(2.0, "selected", "AVL", "ASLEEP")], "not an event log that this version reads"),
         ([event(0.0, "planned", ranges=7), STARTED], "not an event log that this version reads"),

@@ -19,20 +19,20 @@ from onnx import TensorProto, helper
 from tests.doors import certified_processes, reached
 from tests.services.darknet_models import small, write_labels, write_model, yolov3_tiny
 
-from upwash.bundled import load_services
 from upwash.config import read_daemon_config
 from upwash.errors import ConfigError, InstanceError, ModelError, UsageError
+from upwash.missions.bundled import load_services
 from upwash.ports import Instance, InstanceSpec, Program
-from upwash.protocol import service_path
 from upwash.real.credentials import Credentials, fingerprint
 from upwash.real.link import GrpcDialer
 from upwash.real.runtime import ProcessRuntime
-from upwash.service import spec_of
+from upwash.rpc.protocol import service_path
+from upwash.rpc.service import spec_of
+from upwash.rpc.settings import construct, plain
 from upwash.services import Detection, Detector, Mode, ModelFiles, NotAPhoto
 from upwash.services.darknet.conversion import converted
 from upwash.services.heads import HEADS_METADATA, Head, decode_heads
 from upwash.services.solar_park import TrueBox, render_photo
-from upwash.settings import construct, plain
 
 MODES: tuple[Mode, ...] = ("light", "heavy")
 MAX_MESSAGE_BYTES = 16 * 2**20

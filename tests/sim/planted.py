@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import itertools
 import logging
+import math
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -19,29 +20,41 @@ from unittest.mock import patch
 
 import msgspec
 
-from upwash import drone, protocol, safety
+from upwash.core.admission import AdmissionController
+from upwash.core.admission import Command as AdmissionCommand
+from upwash.core.clients import Client
 from upwash.core.control import Control, Latch, Owner, Report
 from upwash.core.estimates import Estimates
 from upwash.core.geo import Position
 from upwash.core.hedging import Hedging
-from upwash.core.instances import Command as HostCommand
-from upwash.core.instances import Denied, Host, StartInstance
-from upwash.core.policy import Call as CallSituation
-from upwash.core.policy import Deadline, Decision, Remote, Wait, WaitRule
+from upwash.core.instances import StartInstance
+from upwash.core.leases import Admit, Leases
+from upwash.core.peers import Peers
+from upwash.core.policy import CallInputs, Deadline, Decision, Remote, Wait, WaitRule
+from upwash.core.radios import Radios
 from upwash.core.recovery import Failures, Probing, Recovery
-from upwash.core.selection import Selection
-from upwash.core.servers import Event, Server, State
-from upwash.core.visitors import Visitor
-from upwash.errors import GarbledReply, LinkError, Refused
-from upwash.lab import chaos
-from upwash.lab.chaos_display import is_replayed
-from upwash.lab.probing import Blurred
-from upwash.lab.promises import Broken
-from upwash.offloading import Offloading, Outcome
-from upwash.service import Method
-from upwash.visit import Visit
+from upwash.core.server_table import ServerTable
+from upwash.core.servers import Server, State, Trigger
+from upwash.core.turns import Turns
+from upwash.drone import contingency as safety
+from upwash.drone import flight as drone
+from upwash.drone.background import Background
+from upwash.drone.calling import Calling
+from upwash.drone.decisions import Decisions
+from upwash.drone.racing import Racing
+from upwash.drone.server_session import ServerSession
+from upwash.errors import GarbledReply, LinkError, NoSlot, Refused
+from upwash.eventlog import schema
+from upwash.eventlog.schema import Event
+from upwash.lab.faults import campaign as chaos
+from upwash.lab.faults.display import is_replayed
+from upwash.lab.faults.mission import Blurred
+from upwash.lab.faults.promises import Broken
+from upwash.rpc import protocol
+from upwash.rpc.service import Method
+from upwash.sim.journal import MemoryJournal
 
-MOST_SEEDS = 2_000
+MOST_SEEDS = 3_000
 _TINY_LEASE_S = 0.003  # for whatever is none: with less, virtual time would hardly go on
 _LONG_LEASE_S = 1e5
 
@@ -80,7 +93,7 @@ def _nothing_remembered() -> Iterator[None]:
 def wait_without_bound() -> contextlib.AbstractContextManager[object]:
     decide = WaitRule.decide
 
-    def patient(self: WaitRule, call: CallSituation) -> Decision:
+    def patient(self: WaitRule, call: CallInputs) -> Decision:
         decision = decide(self, call)
         return Wait(decision.server, 1e3, decision.why) if isinstance(decision, Wait) else decision
 
@@ -89,21 +102,23 @@ def wait_without_bound() -> contextlib.AbstractContextManager[object]:
 
 def wait_not_watched() -> contextlib.AbstractContextManager[object]:
     """The decision says how long, and the program waits longer."""
-    wait = Offloading._wait
+    wait = Decisions.wait
 
-    async def patient(self: Offloading, operation: Any, decision: Wait) -> Decision:
+    async def patient(self: Decisions, operation: Any, decision: Wait) -> Decision:
         return await wait(self, operation, Wait(decision.server, decision.at_most_s * 3 + 1, decision.why))
 
-    return patch.object(Offloading, "_wait", patient)
+    return patch.object(Decisions, "wait", patient)
 
 
 def deadline_ignored() -> contextlib.AbstractContextManager[object]:
-    call = Visit.call
+    call = ServerSession.call
 
-    async def stubborn(self: Visit, service: str, method: str, request: bytes, *, deadline_s: float) -> bytes:
+    async def stubborn(
+        self: ServerSession, service: str, method: str, request: bytes, *, deadline_s: float
+    ) -> bytes:
         return await call(self, service, method, request, deadline_s=10 * deadline_s)
 
-    return patch.object(Visit, "call", stubborn)
+    return patch.object(ServerSession, "call", stubborn)
 
 
 def deadline_of_the_wrong_estimate() -> contextlib.AbstractContextManager[object]:
@@ -120,28 +135,30 @@ def every_call_the_first() -> contextlib.AbstractContextManager[object]:
 
 def late_reply_delivered() -> contextlib.AbstractContextManager[object]:
     """What comes after the deadline answers the next call."""
-    call, late = Visit.call, dict[tuple[int, str], bytes]()
+    call, late = ServerSession.call, dict[tuple[int, str], bytes]()
 
-    async def confused(self: Visit, service: str, method: str, request: bytes, *, deadline_s: float) -> bytes:
+    async def confused(
+        self: ServerSession, service: str, method: str, request: bytes, *, deadline_s: float
+    ) -> bytes:
         if (old := late.pop((id(self), method), None)) is not None:
             return old
         reply = await call(self, service, method, request, deadline_s=deadline_s)
         late[id(self), method] = reply
         return reply
 
-    return patch.object(Visit, "call", confused)
+    return patch.object(ServerSession, "call", confused)
 
 
 def duplicate_result() -> contextlib.AbstractContextManager[object]:
     """A call that fell back is reported twice."""
-    report = Offloading._report
+    record = MemoryJournal.record
 
-    def twice(self: Offloading, outcome: Outcome) -> None:
-        report(self, outcome)
-        if outcome.fell_back:
-            report(self, outcome)
+    def twice(self: MemoryJournal, event: Event) -> None:
+        record(self, event)
+        if isinstance(event, schema.Call) and event.fell_back:
+            record(self, event)
 
-    return patch.object(Offloading, "_report", twice)
+    return patch.object(MemoryJournal, "record", twice)
 
 
 def own_exception_swallowed() -> contextlib.AbstractContextManager[object]:
@@ -163,32 +180,33 @@ def remote_exception_believed() -> contextlib.AbstractContextManager[object]:
 
 
 def network_error_raised() -> contextlib.AbstractContextManager[object]:
-    async def raising(_: Offloading, attempt: Any) -> Any:
+    async def raising(_: Calling, attempt: Any) -> Any:
         operation, method = attempt.call.operation, attempt.call.method
         return method.decode(
-            await attempt.visit.call(
+            await attempt.session.call(
                 operation.service, operation.method, attempt.call.request, deadline_s=attempt.deadline_s
             )
         )
 
-    return patch.object(Offloading, "_call_server", raising)
+    return patch.object(Calling, "at_server", raising)
 
 
 def blacklist_ignored() -> contextlib.AbstractContextManager[object]:
     """A server that failed is as good as any other."""
-    expire = Selection._expire
+    expire = ServerTable.expire
 
-    def forgiving(self: Selection, commands: Any, now_s: float) -> None:
-        expire(self, commands, now_s + self._settings.blacklist_s * 0.9)
+    def forgiving(self: ServerTable, now_s: float, *, probed: Any) -> Any:
+        left_alone_s = max(server.left_alone_s for server in self.servers.values())
+        return expire(self, now_s + left_alone_s * 0.9, probed=probed)
 
-    return patch.object(Selection, "_expire", forgiving)
+    return patch.object(ServerTable, "expire", forgiving)
 
 
 def blacklisted_is_asked() -> contextlib.AbstractContextManager[object]:
     """The lease of a server that was given up is kept."""
-    end = Visit.end
+    end = ServerSession.end
 
-    async def clinging(self: Visit, *, in_range: bool) -> bool:
+    async def clinging(self: ServerSession, *, in_range: bool) -> bool:
         if in_range:
             await self._quiet.wait()
             with contextlib.suppress(LinkError, Refused, AssertionError):
@@ -196,149 +214,173 @@ def blacklisted_is_asked() -> contextlib.AbstractContextManager[object]:
                 await self._availability()
         return await end(self, in_range=in_range)
 
-    return patch.object(Visit, "end", clinging)
+    return patch.object(ServerSession, "end", clinging)
 
 
 def range_not_checked() -> contextlib.AbstractContextManager[object]:
     """A server once in range is in range for ever."""
 
-    def everywhere(self: Selection, position: Position, now_s: float) -> None:
+    def everywhere(self: ServerTable, position: Position, now_s: float) -> bool:
         for name in self._ranges.crossed(position):
             server = self.servers[name]
             server.in_range_since_s = server.in_range_since_s or now_s
-        self._in_range = [server for server in self.servers.values() if server.in_range]
+        self.in_range = [server for server in self.servers.values() if server.in_range]
+        return False
 
-    return patch.object(Selection, "_locate", everywhere)
+    return patch.object(ServerTable, "locate", everywhere)
 
 
 def two_servers_selected() -> contextlib.AbstractContextManager[object]:
     """A better server is selected without leaving the one before."""
 
-    def forget(self: Selection, server: Server, why: str, now_s: float) -> list[Any]:
-        self._selected.remove(server)
+    def forget(self: Radios, server: Server, why: str, now_s: float) -> list[Any]:
+        self.selected.remove(server)
         return []
 
-    return patch.object(Selection, "_deselect", forget)
+    return patch.object(Radios, "leave", forget)
 
 
 def used_before_its_turn() -> contextlib.AbstractContextManager[object]:
     """Calls go to the server in preparation."""
 
-    def last(self: Selection) -> Server | None:
-        return self._selected[-1] if self._selected else None
+    def last(self: Radios) -> Server | None:
+        return self.selected[-1] if self.selected else None
 
-    return patch.object(Selection, "current", property(last))
+    return patch.object(Radios, "in_use", property(last))
 
 
 def transition_skipped() -> contextlib.AbstractContextManager[object]:
     """A server that stopped its services goes on as if they ran."""
     apply = Server.apply
 
-    def hasty(self: Server, event: Event, *, now_s: float, why: str = "") -> Any:
-        if event is Event.FOUND_STOPPED:
+    def hasty(self: Server, event: Trigger, *, now_s: float, why: str = "") -> Any:
+        if event is Trigger.FOUND_STOPPED:
             self.state = State.CHECK
-            return apply(self, Event.FOUND_RUNNING, now_s=now_s, why=why)
+            return apply(self, Trigger.FOUND_RUNNING, now_s=now_s, why=why)
         return apply(self, event, now_s=now_s, why=why)
 
     return patch.object(Server, "apply", hasty)
 
 
 def lease_leaked() -> contextlib.AbstractContextManager[object]:
-    def keep(self: Host, now_s: float) -> list[HostCommand]:
+    def keep(self: AdmissionController, now_s: float) -> list[AdmissionCommand]:
         return []
 
-    return patch.object(Host, "_end_leases", keep)
+    return patch.object(AdmissionController, "_end_leases", keep)
 
 
 def slots_over_admitted() -> contextlib.AbstractContextManager[object]:
-    deny = Host._deny
+    return patch.object(Turns, "rank", lambda *_, **__: -math.inf)
 
-    def generous(self: Host, name: str, services: Any, drone: Visitor, now_s: float) -> Denied | None:
-        denied = deny(self, name, services, drone, now_s)
-        return None if denied is not None and "no free slot" in denied.why else denied
 
-    return patch.object(Host, "_deny", generous)
+def turns_never_end() -> contextlib.AbstractContextManager[object]:
+    """Whoever has a slot keeps it."""
+    return patch.object(Turns, "who_yields", lambda *_, **__: None)
+
+
+def admitted_after_its_turn() -> contextlib.AbstractContextManager[object]:
+    """A drone whose turn is over is served beside the one that has its slot."""
+    admitted = Leases.admitted
+
+    def generous(self: Leases) -> Admit:
+        command = admitted(self)
+        return Admit(command.server, command.drones | command.finishing)
+
+    return patch.object(Leases, "admitted", generous)
+
+
+def full_is_failed() -> contextlib.AbstractContextManager[object]:
+    """A server without a free slot is taken for one that failed."""
+    return patch.object(ServerSession, "_raise_if_full", lambda *_: None)
+
+
+def asks_without_pause() -> contextlib.AbstractContextManager[object]:
+    """A drone without a slot asks again at once."""
+    raise_if_full = ServerSession._raise_if_full
+
+    def eager(self: ServerSession, reply: Any) -> None:
+        try:
+            raise_if_full(self, reply)
+        except NoSlot as refusal:
+            refusal.ask_again_s = 0.01
+            raise
+
+    return patch.object(ServerSession, "_raise_if_full", eager)
 
 
 def held_for_ever() -> contextlib.AbstractContextManager[object]:
     """A slot that is held for a drone waits until it comes."""
-    hold = Host._hold
+    hold = Leases.hold
 
-    def patient(self: Host, name: str, drone: Visitor, peer: str, until_s: float) -> list[HostCommand]:
-        return hold(self, name, drone, peer, until_s + 1e6)
+    def patient(self: Leases, drone: Client, until_s: float, *, peer: str, now_s: float) -> Any:
+        return hold(self, drone, until_s + 1e6, peer=peer, now_s=now_s)
 
-    return patch.object(Host, "_hold", patient)
+    return patch.object(Leases, "hold", patient)
 
 
 def held_everywhere() -> contextlib.AbstractContextManager[object]:
     """A drone may have as many slots held as it likes."""
-    send_ahead = Host.send_ahead
-
-    def forgetful(self: Host, *what: Any, **how: Any) -> Any:
-        self._sent_ahead.clear()
-        return send_ahead(self, *what, **how)
-
-    return patch.object(Host, "send_ahead", forgetful)
+    return patch.object(Peers, "elsewhere", lambda *_, **__: "")
 
 
 def held_for_strangers() -> contextlib.AbstractContextManager[object]:
     """Any server may have a slot held."""
-    return patch.object(Host, "_unknown", lambda _self, _peer: "")
+    return patch.object(Peers, "unknown", lambda _self, _peer: "")
 
 
 def started_twice() -> contextlib.AbstractContextManager[object]:
     """An instance that is being started is not remembered to be."""
-    start = Host.start
+    start = AdmissionController.start
 
-    def forgetful(self: Host, server: str, service: str, drone: Visitor, *, now_s: float) -> Any:
+    def forgetful(
+        self: AdmissionController, server: str, service: str, drone: Client, *, now_s: float
+    ) -> Any:
         answer, commands = start(self, server, service, drone, now_s=now_s)
         if commands and isinstance(commands[-1], StartInstance):
-            self._number += 1
-            commands = [*commands, StartInstance(server, service, self._number)]
+            commands = [*commands, StartInstance(server, service, next(self._numbers))]
         return answer, commands
 
-    return patch.object(Host, "start", forgetful)
+    return patch.object(AdmissionController, "start", forgetful)
 
 
 def local_call_dawdles() -> contextlib.AbstractContextManager[object]:
     """Something slows every call on the drone a little."""
-    call = Offloading._call_onboard
+    call = Calling.onboard
 
-    async def slow(self: Offloading, asked: Any) -> Any:
+    async def slow(self: Calling, asked: Any) -> Any:
         await asyncio.sleep(0.15)
         return await call(self, asked)
 
-    return patch.object(Offloading, "_call_onboard", slow)
+    return patch.object(Calling, "onboard", slow)
 
 
 def long_farewell() -> contextlib.AbstractContextManager[object]:
     """The flight ends only when its last server has heard the goodbye."""
-    return patch("upwash.visit._FAREWELL_S", 20.0)
+    return patch("upwash.drone.server_session._FAREWELL_S", 20.0)
 
 
 def borders_not_watched() -> contextlib.AbstractContextManager[object]:
     """A vehicle that is silent for a moment ends offloading, as it once did."""
 
-    async def watch(self: Offloading) -> None:
-        areas = [server.area for server in self._selection.servers.values()]
+    async def watch(self: Background) -> None:
         while True:
-            await self._autopilot.border_crossed(areas)
+            await self._autopilot.border_crossed(self._areas)
 
-    return patch.object(Offloading, "_watch_borders", watch)
+    return patch.object(Background, "watch_borders", watch)
 
 
 def safe_end_forgotten() -> contextlib.AbstractContextManager[object]:
     async def leave(*_: Any, **__: Any) -> None:
         return None
 
-    return patch("upwash.drone.end_safely", leave)
+    return patch("upwash.drone.flight.end_safely", leave)
 
 
 def chance_from_outside() -> contextlib.AbstractContextManager[object]:
     """Something in a decision comes from nowhere: here, from the address of an object."""
     decide = WaitRule.decide
 
-    def moody(self: WaitRule, call: CallSituation) -> Decision:
+    def moody(self: WaitRule, call: CallInputs) -> Decision:
         decision = decide(self, call)
         if isinstance(decision, Remote):
             return Remote(
@@ -360,19 +402,19 @@ def hedging_budget_ignored() -> contextlib.AbstractContextManager[object]:
 
 def both_answers_delivered() -> contextlib.AbstractContextManager[object]:
     """The answer that a hedged call drops becomes the next call's."""
-    drop, answer, late = Offloading._drop, Offloading._answer, dict[tuple[int, str], Any]()
+    drop, answer, late = Racing._drop, Racing.answer, dict[tuple[int, str], Any]()
 
-    async def keep(self: Offloading, operation: Any, local: Any) -> None:
+    async def keep(self: Racing, operation: Any, local: Any) -> None:
         await drop(self, operation, local)
         late[id(self), operation.method] = local.result()
 
-    async def confused(self: Offloading, decision: Any, asked: Any) -> Any:
+    async def confused(self: Racing, decision: Any, asked: Any) -> Any:
         found = await answer(self, decision, asked)
         if (old := late.pop((id(self), asked.operation.method), None)) is not None:
             return replace(found, reply=old)
         return found
 
-    return patch.multiple(Offloading, _drop=keep, _answer=confused)
+    return patch.multiple(Racing, _drop=keep, answer=confused)
 
 
 def latch_not_asked() -> contextlib.AbstractContextManager[object]:
@@ -431,7 +473,7 @@ def bounds_not_checked() -> contextlib.AbstractContextManager[object]:
                 raise
             return expected(**(plain | ({"lease_s": _TINY_LEASE_S} if "lease_s" in plain else {})))
 
-    return patch("upwash.visit.decode_reply", credulous)
+    return patch("upwash.drone.server_session.decode_reply", credulous)
 
 
 def leases_as_told() -> contextlib.AbstractContextManager[object]:
@@ -446,7 +488,7 @@ def leases_as_told() -> contextlib.AbstractContextManager[object]:
         is_lie = not protocol.LEAST_LEASE_S <= told_s < _LONG_LEASE_S
         return msgspec.structs.replace(decoded, lease_s=_TINY_LEASE_S if is_lie else told_s)
 
-    return patch("upwash.visit.decode_reply", hasty)
+    return patch("upwash.drone.server_session.decode_reply", hasty)
 
 
 def _plain(reply: bytes) -> Any:
@@ -458,23 +500,23 @@ def _plain(reply: bytes) -> Any:
 
 def every_endpoint_dialled() -> contextlib.AbstractContextManager[object]:
     """All that a reply offers is got ready, wanted or not."""
-    ask = Visit.ask
+    ask = ServerSession.ask
 
-    async def greedy(self: Visit) -> Any:
-        wanted, answered = self._contact, Visit._availability
+    async def greedy(self: ServerSession) -> Any:
+        wanted, answered = self._server, ServerSession._availability
 
-        async def availability(visit: Visit, daemon: Any = None) -> Any:
-            answer = await answered(visit, daemon)
-            self._contact = replace(wanted, services=(*wanted.services, *answer.endpoints))
+        async def availability(session: ServerSession, daemon: Any = None) -> Any:
+            answer = await answered(session, daemon)
+            self._server = replace(wanted, services=(*wanted.services, *answer.endpoints))
             return answer
 
-        with patch.object(Visit, "_availability", availability):
+        with patch.object(ServerSession, "_availability", availability):
             try:
                 return await ask(self)
             finally:
-                self._contact = wanted
+                self._server = wanted
 
-    return patch.object(Visit, "ask", greedy)
+    return patch.object(ServerSession, "ask", greedy)
 
 
 def endpoints_believed() -> contextlib.AbstractContextManager[object]:
@@ -483,21 +525,21 @@ def endpoints_believed() -> contextlib.AbstractContextManager[object]:
     def believed(endpoint: str, daemon: str) -> str:
         return daemon.rpartition(":")[0] + endpoint if endpoint.startswith(":") else endpoint
 
-    return patch("upwash.visit.resolve", believed)
+    return patch("upwash.drone.server_session.resolve", believed)
 
 
 def texts_as_told() -> contextlib.AbstractContextManager[object]:
     """What a server says is written into the log as it is."""
     planted = contextlib.ExitStack()
-    planted.enter_context(patch("upwash.protocol.escaped", lambda text: text))
-    for place in ("protocol", "sim.link", "wire", "service"):
+    planted.enter_context(patch("upwash.rpc.protocol.escaped", lambda text: text))
+    for place in ("rpc.protocol", "sim.link", "rpc.wire", "rpc.service"):
         planted.enter_context(patch(f"upwash.{place}.printable", lambda text, *_: text))
     return planted
 
 
 def faults_as_told() -> contextlib.AbstractContextManager[object]:
     """What a server says was raised is written into the log as it is."""
-    return patch("upwash.service.printable", lambda text, _: text)
+    return patch("upwash.rpc.service.printable", lambda text, _: text)
 
 
 def refusals_as_told() -> contextlib.AbstractContextManager[object]:
@@ -545,6 +587,10 @@ DEFECTS = (
     Defect("a transition of the server table is skipped", transition_skipped),
     Defect("leases do not end", lease_leaked),
     Defect("more drones are admitted than there are slots", slots_over_admitted),
+    Defect("turns never end", turns_never_end),
+    Defect("a drone is served after its turn", admitted_after_its_turn),
+    Defect("a server without a free slot counts as failed", full_is_failed),
+    Defect("a drone without a slot asks without pause", asks_without_pause),
     Defect("a slot is held until the drone comes", held_for_ever),
     Defect("a drone has several slots held at a time", held_everywhere),
     Defect("a slot is held for a server that is no peer", held_for_strangers),

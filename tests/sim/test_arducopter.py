@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.sim.scenarios_for_tests import HEAVY_S, scenario
+from tests.scenarios import HEAVY_S, scenario
 
 from upwash.core.geo import Position, distance_m
 from upwash.lab.run import simulate
@@ -152,14 +152,14 @@ def test_a_longer_leg_takes_longer(ground_speed_m_s: float, lengths_m: list[floa
 
 def test_a_scenario_flies_by_the_profile() -> None:
     legs = scenario(columns=3, rows=2, **PROFILED)
-    arrivals_s = [event["t"] for event in simulate(legs).events if event["event"] == "arrived"]
+    arrivals_s = [event.t for event in simulate(legs).events if event.kind == "arrived"]
     steps_s = [later_s - earlier_s for earlier_s, later_s in itertools.pairwise(arrivals_s)]
     assert steps_s == pytest.approx([HEAVY_S + 1.0 + 7.3] * 5, rel=0.01)
 
 
 def test_noise_stretches_its_legs() -> None:
     noisy = scenario(columns=3, rows=2, noise={"leg": 0.2}, **PROFILED)
-    arrivals_s = [event["t"] for event in simulate(noisy).events if event["event"] == "arrived"]
+    arrivals_s = [event.t for event in simulate(noisy).events if event.kind == "arrived"]
     steps_s = [later_s - earlier_s for earlier_s, later_s in itertools.pairwise(arrivals_s)]
     assert len(set(steps_s)) == 5
     assert all(0.5 * 7.3 < step_s - HEAVY_S - 1.0 < 2.0 * 7.3 for step_s in steps_s)

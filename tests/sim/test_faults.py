@@ -7,7 +7,8 @@ from typing import Any
 
 import msgspec
 import pytest
-from tests.sim.scenarios_for_tests import fault, scenario, server
+from tests.events import written
+from tests.scenarios import fault, scenario, server
 
 from upwash.config import FaultConfig
 from upwash.errors import UsageError
@@ -23,7 +24,7 @@ def fly(*faults: dict[str, Any], **tables: Any) -> Run:
 
 
 def events(run: Run, name: str) -> list[dict[str, Any]]:
-    return [event for event in run.events if event["event"] == name]
+    return [event for event in written(run.events) if event["event"] == name]
 
 
 def remote_delays_s(run: Run) -> list[float]:
@@ -42,7 +43,6 @@ def first(run: Run, name: str) -> dict[str, Any]:
         ("off", 3.5, "nobody answers"),
         ("stuck", 8.5, "no answer within 5.0 s"),
         ("garbage", 3.5, "a reply that cannot be decoded"),
-        ("full", 3.5, "s1 has no free slot: 1 of 1 in use"),
         ("crash", 7.5, r"detector@s1 crashed while it started"),
     ],
 )
@@ -50,6 +50,20 @@ def test_a_check_of_a_faulty_server_fails(kind: str, after_s: float, why: str) -
     failed = first(fly(fault("s1", kind)), "check_failed")
     assert (failed["t"], failed["after"]) == (after_s, "BLACKLISTED")
     assert why in failed["why"]
+
+
+def test_a_server_without_a_slot_has_not_failed_and_is_asked_until_it_has_one() -> None:
+    run = fly(fault("s1", "full", to_s=20.0))
+    (refused,) = events(run, "no_slot")
+    assert (refused["t"], refused["server"], refused["waiting"]) == (3.5, "s1", 1)
+    assert not events(run, "check_failed")
+    assert first(run, "started")["t"] == pytest.approx(29.5, abs=2.0), (
+        "asked every 2 s, and started once it had one"
+    )
+    waiting = [call for call in events(run, "call") if call["at_s"] < 20.0]
+    assert {(call["place"], call["waited_s"], call["decision"]) for call in waiting} == {
+        ("local", 0.0, "s1 has no free slot")
+    }
 
 
 def test_a_lying_server_is_found_out_by_its_first_call() -> None:

@@ -9,12 +9,13 @@ import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.sim.scenarios_for_tests import fault, scenario, server
+from tests.events import written
+from tests.scenarios import fault, scenario, server
 
 from upwash.config import DroneConfig, Lie
-from upwash.lab.promises import History, broken_promises
+from upwash.lab.faults.promises import History, broken_promises
+from upwash.lab.observer import Seen
 from upwash.lab.run import Run, simulate, simulate_fleet
-from upwash.sim.journal import MemoryJournal
 
 SERVER_KINDS = ("off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash")
 LINK_KINDS = ("off", "stuck", "slow", "flapping")
@@ -30,9 +31,9 @@ def alone(columns: int, rows: int) -> Run:
 
 def fly(config: DroneConfig, by_itself: Run | None) -> Run:
     """Flies the mission and tests the promises."""
-    witness = MemoryJournal()
-    (run,) = simulate_fleet([config], witness=witness)
-    assert broken_promises(History(config, run, witness.events, by_itself), seed=config.seed) == []
+    seen: list[Seen] = []
+    (run,) = simulate_fleet([config], seen=seen)
+    assert broken_promises(History(config, run, seen, by_itself), seed=config.seed) == []
     return run
 
 
@@ -70,7 +71,7 @@ def test_a_mission_with_a_faulty_autopilot_ends_and_says_why(kind: str, from_s: 
     assert run.result.completed is (run.failure == "")
     assert run.result.completed is (kind == "slow" or from_s == 1e6)
     ended = "mission_completed" if run.result.completed else "mission_ended"
-    assert ended in [event["event"] for event in run.events]
+    assert ended in [event["event"] for event in written(run.events)]
 
 
 windows = st.tuples(st.floats(0.0, 200.0), st.floats(0.0, 200.0)).map(sorted)

@@ -6,8 +6,9 @@ import asyncio
 import random
 
 from upwash.core.geo import Position
-from upwash.sim.autopilot import ModelAutopilot, Plain
+from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.loop import run_virtually
+from upwash.sim.plain import Plain
 
 
 def test_it_can_always_be_disarmed_after_landing() -> None:

@@ -9,7 +9,7 @@ import warnings
 from pathlib import Path
 
 import pytest
-from tests.sim.scenarios_for_tests import scenario
+from tests.scenarios import scenario
 
 from upwash.config import DroneConfig
 from upwash.lab.run import simulate
@@ -101,7 +101,7 @@ def test_a_mission_that_loops_over_photos_ends_after_two_days(
     monkeypatch.setattr("upwash.lab.run._LONGEST_S", 3600.0)
     run = simulate(flying(tmp_path, "while True: drone.camera.take_photo()"))
     assert "the mission did not end within 1 h of virtual time" in run.failure
-    assert run.events[-1]["event"] == "mission_ended"
+    assert run.events[-1].kind == "mission_ended"
 
 
 def test_a_mission_that_keeps_its_turn_ends_with_an_error(

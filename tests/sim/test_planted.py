@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 from tests.sim.planted import DEFECTS, MOST_SEEDS, Defect, first_broken
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("defect", DEFECTS, ids=lambda defect: defect.plant.__name__)
 def test_a_planted_defect_breaks_a_promise(defect: Defect) -> None:

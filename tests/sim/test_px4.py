@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.sim.scenarios_for_tests import scenario
+from tests.scenarios import scenario
 
 from upwash.core.geo import Position, Velocity, distance_m
 from upwash.lab.run import simulate
@@ -53,4 +53,4 @@ def test_phases_join_and_lead_where_they_should(
 
 def test_a_simulated_mission_flies_by_it() -> None:
     events = simulate(scenario(**PROFILED)).events
-    assert sum(event["event"] == "arrived" for event in events) == 18
+    assert sum(event.kind == "arrived" for event in events) == 18

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import shutil
-import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,6 +14,7 @@ from selenium.webdriver.chrome.options import Options
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webelement import WebElement
+from tests.waiting import wait_for
 
 AXE = Path(__file__).parent / "axe" / "axe.min.js"
 _PROGRAMS = ("chromium", "chromedriver")
@@ -75,11 +75,7 @@ class Browser:
 
     def wait_until(self, seen: Callable[[], Seen], *, within_s: float = _PATIENCE_S) -> Seen:
         """Waits until that is true, and returns it."""
-        by = time.monotonic() + within_s
-        while not (found := seen()):
-            assert time.monotonic() < by, f"never seen: {self.text('main')[:500]}"
-            time.sleep(0.05)
-        return found
+        return wait_for(seen, within_s=within_s, seen=lambda: self.text("main")[:500])
 
     def errors(self) -> list[str]:
         """What the console complained about since it was asked last."""

@@ -8,7 +8,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 from pathlib import Path
@@ -16,8 +15,11 @@ from typing import Any, TypeVar
 
 import msgspec
 from tests.children import is_alive
+from tests.waiting import wait_for
 
-from upwash.protocol import (
+from upwash.real.credentials import Credentials
+from upwash.real.link import GrpcDialer, GrpcLink
+from upwash.rpc.protocol import (
     AVAILABILITY,
     LEAVE,
     START,
@@ -31,9 +33,7 @@ from upwash.protocol import (
     resolve,
     service_path,
 )
-from upwash.real.credentials import Credentials
-from upwash.real.link import GrpcDialer, GrpcLink
-from upwash.service import load_service, spec_of
+from upwash.rpc.service import load_service, spec_of
 
 T = TypeVar("T")
 MAX_MESSAGE_BYTES = 1_000_000
@@ -54,9 +54,11 @@ program = "services_for_tests:SlowToStart"
 
 [[server]]
 name = "s1"
+slots = 1
 
 [[server]]
 name = "s2"
+slots = 1
 """
 
 
@@ -127,7 +129,7 @@ def daemon(
             if process.poll() is None:
                 assert running.end() == 0
             assert not re.search("^Traceback", (folder / "stderr").read_text(), re.MULTILINE)
-            until(lambda: not any(map(is_alive, instances)))
+            wait_for(lambda: not any(map(is_alive, instances)))
         finally:
             process.kill()
 
@@ -149,14 +151,6 @@ def memory_bytes(process_id: int, what: str = "VmRSS") -> int:
     """What of its memory is resident, or was at most (VmHWM)."""
     status = Path(f"/proc/{process_id}/status").read_text()
     return next(int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith(f"{what}:"))
-
-
-def until(true: Callable[[], bool]) -> None:
-    """Returns when it is true; fails if that takes long."""
-    give_up_s = time.monotonic() + 30.0
-    while not true():
-        assert time.monotonic() < give_up_s
-        time.sleep(0.02)
 
 
 class Guest:

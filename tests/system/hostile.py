@@ -26,8 +26,9 @@ import grpc
 from bench.results import leave
 from tests.system.daemons import ROOT, Daemon, Guest, config, daemon, guests, memory_bytes
 
-from upwash.protocol import AVAILABILITY, service_path
-from upwash.real.credentials import Credentials, keys_in, make_keys, read_credentials, revoke
+from upwash.real.authority import keys_in, make_keys, revoke
+from upwash.real.credentials import Credentials, read_credentials
+from upwash.rpc.protocol import AVAILABILITY, service_path
 
 HALF_OPEN = 1000
 LONGEST = 2**62

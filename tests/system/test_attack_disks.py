@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from tests.system.attacks.full_disk import ATTACKS, attack
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 
 @pytest.mark.parametrize("name", ATTACKS)

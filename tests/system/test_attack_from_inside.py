@@ -10,16 +10,17 @@ import pytest
 from tests.system.attacks.from_inside import (
     ATTACKS,
     LEASE_S,
+    clients,
     config,
     cost,
     keeps_its_slot_silent_s,
-    visitors,
 )
-from tests.system.daemons import Guest, daemon, eventually, until
+from tests.system.daemons import Guest, daemon, eventually
+from tests.waiting import wait_for
 
 from upwash.errors import LinkError
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 MOST_GROWN_BYTES = 20_000_000
 MOST_LOGGED_BYTES = 150_000
@@ -48,7 +49,7 @@ def test_what_it_says_keeps_no_silent_drones_slot(tmp_path: Path, keys: Path) ->
 @pytest.mark.parametrize(
     ("attack", "arguments", "reason"),
     [
-        ("invent_methods", (20_000,), "it said too much over its control line"),
+        ("invent_methods", ("heron", 20_000), "it said too much over its control line"),
         ("speak_out_of_turn", (1,), "it said something out of turn"),
         ("fail_at_length", (), "it said something out of turn"),
         ("cut_the_line", (), "it said something that cannot be understood"),
@@ -69,9 +70,9 @@ def test_it_is_ended_with_the_reason_and_started_again(
         assert await heron.call(again, "echo", b"photo") == b"photo"
 
     async def run() -> None:
-        async with visitors(at, keys) as (heron, _):
+        async with clients(at, keys) as (heron, _):
             await visit(heron)
 
     with daemon(tmp_path, config(keys), names="s1") as at:
         asyncio.run(run())
-        until(lambda: f"hostile@s1 is gone: {reason}" in (tmp_path / "stderr").read_text())
+        wait_for(lambda: f"hostile@s1 is gone: {reason}" in (tmp_path / "stderr").read_text())

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from tests.system.attacks.long_log import KINDS, report, write_log
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 MOST_MB = 90  # of which Python and what the command imports are 30
 

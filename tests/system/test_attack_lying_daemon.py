@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from tests.system.attacks.lying_daemon import LIES, flown_past
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 MOST_BYTES = 120_000_000
 MOST_ASKED = 40  # a renewal every two thirds of a second at most, and a dozen calls

@@ -7,7 +7,7 @@ from tests.system.attacks.lying_faults import NAMED, PHOTOS, attack
 
 from upwash.lab.run import Run
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 
 @pytest.mark.parametrize("named", NAMED)
@@ -18,6 +18,6 @@ def test_a_server_that_says_a_call_raised_harms_no_mission(named: str, *, hedged
     assert isinstance(run, Run), run
     assert run.result.completed
     assert [call.place for call in run.result.calls] == ["local"] * PHOTOS
-    names = {event["event"] for event in run.events}
+    names = {event.kind for event in run.events}
     assert "remote_raised" in names
     assert not names & {"safe_end", "left_to_pilot"}

@@ -103,7 +103,7 @@ def test_the_installed_command_is_the_same() -> None:
 def test_the_package_and_its_help_load_nothing_heavy() -> None:
     assert not HEAVY & loaded_by("import upwash")
     assert not HEAVY & loaded_by(
-        "from upwash.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass"
+        "from upwash.cli.main import main\ntry: main(['--help'])\nexcept SystemExit: pass"
     )
 
 
@@ -229,7 +229,7 @@ def test_check_says_what_a_configuration_holds_and_what_hurts(drone: Path, keys:
 def test_check_finds_no_networks_where_none_are_joined(drone: Path) -> None:
     ended = upwash("check", str(drone), "--networks")
     assert ended.returncode == 2
-    assert 'network.kind is "stand-in", so no network is joined' in ended.stderr
+    assert 'network.kind is "wired", so no network is joined' in ended.stderr
 
 
 @pytest.mark.timeout(90)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 CLIENTS = Path(__file__).parent / "clients"
 SPEEDUPS = {"arducopter": 20, "px4": 5}  # a PX4 sends hundreds of messages a second by itself

@@ -16,14 +16,15 @@ from tests.system.cluster import OwnCluster, own_cluster
 
 from upwash.errors import InstanceError
 from upwash.ports import InstanceSpec, Program
-from upwash.protocol import service_path
-from upwash.real.credentials import Credentials, fingerprint, make_keys, read_credentials
+from upwash.real.authority import make_keys
+from upwash.real.credentials import Credentials, fingerprint, read_credentials
 from upwash.real.link import GrpcDialer
 from upwash.real.lxd.container import ContainerSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
 from upwash.real.lxd.instance import ContainerInstance
 from upwash.real.lxd.runtime import ContainerRuntime
-from upwash.service import load_service, spec_of
+from upwash.rpc.protocol import service_path
+from upwash.rpc.service import load_service, spec_of
 
 pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.timeout(300)]
 

@@ -6,15 +6,14 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import uuid
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from tests.engines import Kind, OwnEngine
 from tests.system.test_demonstration import MARK, Demonstration
+from tests.waiting import wait_for
 
 
 def on(kind: Kind) -> object:
@@ -84,7 +83,7 @@ def test_a_mission_survives_the_kill_of_a_container_and_of_a_daemon_in_mid_call(
         result.completed and result.totals.calls == 12
     )  # by the drone, or by the server where it was back first
     assert set(result.totals.remote) == {"s1", "s2"}
-    until(lambda: engine.running() == [])
+    wait_for(lambda: engine.running() == [], within_s=15.0)
 
 
 def next_call_hangs(flight: Demonstration, engine: OwnEngine, server: str) -> int:
@@ -94,11 +93,11 @@ def next_call_hangs(flight: Demonstration, engine: OwnEngine, server: str) -> in
     """
     flight.wait_for(lambda event: event["event"] == "call" and event["place"] == server)
     (container,) = [name for name in engine.running() if f"-{server}-" in name]
-    warden = engine.process_1(container)
-    os.kill(child_of(warden), signal.SIGSTOP)
+    init = engine.process_1(container)
+    os.kill(child_of(init), signal.SIGSTOP)
     seen = len(flight.events())
     flight.wait_for(lambda event: is_sent_to(server, event), since=seen)
-    return warden
+    return init
 
 
 def is_sent_to(server: str, event: dict[str, Any]) -> bool:
@@ -113,10 +112,3 @@ def child_of(process_id: int) -> int:
 def upwash(*arguments: str | Path) -> str:
     command = [sys.executable, "-m", "upwash", *map(str, arguments)]
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, timeout=200.0).stdout
-
-
-def until(true: Callable[[], bool]) -> None:
-    give_up_s = time.monotonic() + 15.0
-    while not true():
-        assert time.monotonic() < give_up_s
-        time.sleep(0.1)

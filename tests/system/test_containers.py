@@ -19,21 +19,22 @@ import pytest
 from tests.doors import led, reached
 from tests.engines import OwnEngine
 from tests.system.daemons import Guest
+from tests.waiting import wait_for
 
-from upwash.bundled import load_service_alone
 from upwash.errors import InstanceError, LinkError, Refused, ServiceError
+from upwash.missions.bundled import load_service_alone
 from upwash.packaging.image import Recipe, package
 from upwash.ports import Instance, InstanceSpec, Program
-from upwash.protocol import service_path
+from upwash.real.control_credentials import SERVICE_PORT
 from upwash.real.credentials import Credentials, fingerprint
 from upwash.real.door import Lead
-from upwash.real.leash import SERVICE_PORT
 from upwash.real.link import GrpcDialer
 from upwash.real.lxd.container import ContainerSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
 from upwash.real.lxd.instance import ContainerInstance
 from upwash.real.lxd.runtime import ContainerRuntime
-from upwash.service import load_service, spec_of
+from upwash.rpc.protocol import service_path
+from upwash.rpc.service import load_service, spec_of
 
 pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group("lxd")]
 
@@ -139,13 +140,6 @@ def at(open_site: OpenSite, use: Callable[[Site], Awaitable[None]], **settings: 
             await use(site)
 
     asyncio.run(run())
-
-
-def until(true: Callable[[], bool]) -> None:
-    give_up_s = time.monotonic() + 10.0
-    while not true():
-        assert time.monotonic() < give_up_s
-        time.sleep(0.05)
 
 
 # --- what a service can do ----------------------------------------------------------------------------------
@@ -268,13 +262,15 @@ def test_what_a_killed_daemon_left_ends_by_itself_or_at_the_next_start(
             assert process.stdout is not None
             address = (await process.stdout.readline()).decode().split()[-1]
             await visit("s2", leave=True)
-            await asyncio.to_thread(until, lambda: "FROZEN" in lxd.command("list", "-f", "csv", "-c", "s"))
+            await asyncio.to_thread(
+                wait_for, lambda: "FROZEN" in lxd.command("list", "-f", "csv", "-c", "s"), within_s=10.0
+            )
             await visit("s1", leave=False)
         finally:
             process.kill()
             await process.wait()
         # The one that runs reads the end of its line; the frozen one cannot.
-        await asyncio.to_thread(until, lambda: len(lxd.running()) == 1)
+        await asyncio.to_thread(wait_for, lambda: len(lxd.running()) == 1, within_s=10.0)
 
     at(open_site, use)
     made = lxd.command("list", "-f", "csv", "-c", "n")
@@ -340,8 +336,8 @@ def test_an_image_of_another_release_is_refused(open_site: OpenSite, monkeypatch
 def test_a_start_without_an_image_names_the_remedy(open_site: OpenSite) -> None:
     async def use(site: Site) -> None:
         with pytest.raises(
-            InstanceError, match="no image of detector: make one with `upwash package detector`"
+            InstanceError, match="no image of unpackaged: make one with `upwash package unpackaged`"
         ):
-            await site.runtime.start(site.spec("s1", "detector"), called=lambda _: None)
+            await site.runtime.start(site.spec("s1", "unpackaged"), called=lambda _: None)
 
     at(open_site, use)

@@ -12,6 +12,9 @@ from pathlib import Path
 
 import pytest
 from pymavlink import mavutil
+from tests.waiting import wait_for
+
+from upwash.launch.processes import ready_program
 
 pytestmark = pytest.mark.system
 
@@ -50,15 +53,10 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def vehicle() -> Iterator[str]:
+def vehicle(tmp_path: Path) -> Iterator[str]:
     options = ["--listen", "udp:127.0.0.1:0", "--armable-after", "0", "--speedup", str(SPEEDUP)]
-    command = [sys.executable, "-m", "upwash", "vehicle", *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        try:
-            yield process.stdout.readline().strip().partition(" ready at ")[2].replace("udp:", "udpout:")
-        finally:
-            process.terminate()
+    with ready_program("vehicle", tmp_path, "vehicle", *options) as address:
+        yield address.replace("udp:", "udpout:")
 
 
 def upwash(folder: Path, *arguments: str) -> subprocess.Popen[str]:
@@ -89,10 +87,7 @@ def test_a_flight_whose_program_is_killed_is_brought_home(folder: Path, vehicle:
 
     log = folder / "events.jsonl"
     with upwash(folder, "fly", "--config", "drone.toml", "--log", str(log), *to_vehicle) as flight:
-        until_s = time.monotonic() + 60
-        while not log.exists() or '"took_off"' not in log.read_text():
-            assert time.monotonic() < until_s
-            time.sleep(0.05)
+        wait_for(lambda: log.exists() and '"took_off"' in log.read_text(), within_s=60.0)
         flight.kill()
     assert '"dead_man_set"' in log.read_text()
     with contextlib.closing(mavutil.mavlink_connection(vehicle, source_system=255)) as observer:

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,13 +16,15 @@ from typing import Any
 import msgspec
 import pytest
 from tests.system.thresholds import waits_at_their_threshold
+from tests.waiting import wait_for
 
-from upwash.demo import read_demonstration, score_photos
-from upwash.flying import read_log
+from upwash.cli.demonstration.configuration import read_demonstration
+from upwash.cli.demonstration.score import score_photos
+from upwash.cli.flying import read_log
+from upwash.eventlog.results import RunResult
 from upwash.lab.run import simulate
-from upwash.results import RunResult
 
-pytestmark = [pytest.mark.system, pytest.mark.flight, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.system, pytest.mark.flight, pytest.mark.long, pytest.mark.timeout(240)]
 
 WAYPOINTS = 12
 MARK = "UPWASH_TEST_MARK"
@@ -60,15 +61,15 @@ class Demonstration:
     process: subprocess.Popen[bytes]
     seen: set[int] = field(default_factory=set)  # instances
 
-    def events(self) -> list[dict[str, Any]]:
-        log = self.folder / "events.jsonl"
-        return [msgspec.json.decode(line) for line in log.read_bytes().splitlines()] if log.exists() else []
+    def events(self, log: str = "events.jsonl") -> list[dict[str, Any]]:
+        file = self.folder / log
+        return [msgspec.json.decode(line) for line in file.read_bytes().splitlines()] if file.exists() else []
 
-    def wait_for(self, wanted: Callable[[dict[str, Any]], bool], *, since: int = 0) -> None:
+    def wait_for(
+        self, wanted: Callable[[dict[str, Any]], bool], *, since: int = 0, log: str = "events.jsonl"
+    ) -> None:
         """Waits for such an event, after the first `since` of them."""
-        while not any(map(wanted, self.events()[since:])):
-            assert self.process.poll() is None, "the demonstration ended too early"
-            time.sleep(0.05)
+        wait_for(lambda: any(map(wanted, self.events(log)[since:])), within_s=240.0, process=self.process)
 
     def processes(self) -> list[Process]:
         """What runs of the demonstration, known by a mark in its environment, but for what is in a sandbox."""
@@ -91,17 +92,27 @@ class Demonstration:
 
     def finish(self) -> RunResult:
         """Waits for the end; checks that the mission was whole and that nothing is left."""
+        self.end(0)
+        return self.flown()
+
+    def end(self, code: int) -> str:
+        """Waits for the end with that exit code; checks that nothing is left, and returns what was printed."""
         output = self.process.communicate()[0].decode()
-        assert self.process.returncode == 0, output
+        assert self.process.returncode == code, output
         assert "Traceback" not in output
         assert self.processes() == []
         assert not self.seen & {process.pid for process, _ in running()}
-        result = read_log(self.folder / "events.jsonl")
+        return output
+
+    def flown(self, log: str = "events.jsonl") -> RunResult:
+        """What the flight of that log came to; checks that the mission was whole."""
+        result = read_log(self.folder / log)
         assert result.completed
         assert [call.waypoint for call in result.calls] == list(range(WAYPOINTS)), (
             "one result for every photo"
         )
-        score = score_photos(self.folder / "events.jsonl")
+        assert result.undone == []
+        score = score_photos(self.folder / log)
         assert score.photos == WAYPOINTS
         assert score.found >= 0.9 * score.true, "each photo's own faults were found"
         return result
@@ -207,10 +218,55 @@ def test_the_mission_survives_the_kill_of_instances(demonstration: Demonstration
 def test_ctrl_c_lands_the_drone_and_leaves_nothing_behind(demonstration: Demonstration) -> None:
     demonstration.wait_for(lambda event: event["event"] == "arrived" and event["waypoint"] == 1)
     demonstration.process.send_signal(signal.SIGINT)
-    output = demonstration.process.communicate()[0].decode()
-    assert demonstration.process.returncode == 130, output
-    assert "Traceback" not in output
-    assert demonstration.processes() == []
-    events = [event["event"] for event in demonstration.events()]
-    assert events[-1] == "mission_ended"
-    assert events.index("stopping") < events.index("safe_end") < events.index("landed")
+    demonstration.end(130)
+    assert_landed(demonstration.events())
+
+
+def assert_landed(events: list[dict[str, Any]]) -> None:
+    """The mission was stopped, and the drone came down."""
+    kinds = [event["event"] for event in events]
+    assert kinds[-1] == "mission_ended"
+    assert kinds.index("stopping") < kinds.index("safe_end") < kinds.index("landed")
+
+
+@pytest.mark.timeout(480)
+def test_three_drones_fly_at_once_and_each_does_all_of_its_mission(tmp_path: Path) -> None:
+    drones = ["drone-1", "drone-2", "drone-3"]
+    with started(tmp_path, "--drones", "3") as demonstration:
+        output = demonstration.end(0)
+    results = {drone: demonstration.flown(f"{drone}.jsonl") for drone in drones}
+    places = {drone: plan_of(demonstration.events(f"{drone}.jsonl")) for drone in drones}
+    assert len({place for plan in places.values() for place in plan}) == 3 * WAYPOINTS, "each on its own lane"
+    assert {server for result in results.values() for server in result.totals.remote} == {"s1", "s2"}
+    for drone in drones:
+        assert any(
+            line.startswith(f"{drone}  ") and line.endswith("s  landed") for line in output.splitlines()
+        )
+    assert "3 of 3 flights completed; mission time: mean" in output
+    assert (tmp_path / "run" / "keys" / "drone-3.key").exists(), "each has its own"
+
+
+def plan_of(events: list[dict[str, Any]]) -> list[tuple[float, float]]:
+    (planned,) = (event for event in events if event["event"] == "planned")
+    return [(east_m, north_m) for east_m, north_m in planned["waypoints_m"]]
+
+
+@pytest.mark.timeout(480)
+def test_a_drone_whose_program_is_killed_does_not_end_the_others_and_ctrl_c_lands_them(
+    tmp_path: Path,
+) -> None:
+    with started(tmp_path, "--drones", "2") as demonstration:
+        demonstration.wait_for(lambda event: event["event"] == "arrived", log="drone-2.jsonl")
+        (killed,) = (
+            each
+            for each in demonstration.processes()
+            if each.parent == demonstration.process.pid and "drone-2.toml" in each.command
+        )
+        os.kill(killed.pid, signal.SIGKILL)
+        before = len(demonstration.events("drone-1.jsonl"))
+        demonstration.wait_for(lambda event: event["event"] == "arrived", log="drone-1.jsonl", since=before)
+        demonstration.process.send_signal(signal.SIGINT)
+        output = demonstration.end(130)
+    assert_landed(demonstration.events("drone-1.jsonl"))
+    assert "landed" not in [event["event"] for event in demonstration.events("drone-2.jsonl")]
+    assert "none of 2 flights was completed" in output

@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from tests.events import line
 from tests.system.faults.flight import RECORD, SCENARIO, Record
 from tests.system.faults.mission import Spotter, heard
 from tests.system.faults.strikes import Strike
@@ -20,6 +21,10 @@ from upwash.emulation.files import write_drone_file
 BEGAN_S = 1_800_000_000.0
 CALL_S = 0.5
 Event = dict[str, Any]
+
+
+def _facts(event: Event) -> Event:
+    return {name: fact for name, fact in event.items() if name not in ("event", "t")}
 
 
 class Log:
@@ -64,7 +69,7 @@ class Log:
         config = msgspec.structs.replace(read_drone_config(SCENARIO), name=name)
         write_drone_file(folder / f"{name}.toml", config)
         (folder / f"{name}.jsonl").write_bytes(
-            b"".join(msgspec.json.encode(each) + b"\n" for each in self.events)
+            b"".join(line(each["event"], each["t"], **_facts(each)) for each in self.events)
         )
 
 

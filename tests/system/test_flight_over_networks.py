@@ -6,7 +6,6 @@ import contextlib
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +14,9 @@ from typing import Any
 import msgspec
 import pytest
 from tests.system.radios import Field
+from tests.waiting import wait_for
 
-from upwash.real.credentials import make_keys
+from upwash.real.authority import make_keys
 
 pytestmark = [pytest.mark.system, pytest.mark.root]
 
@@ -104,11 +104,12 @@ class Flight:
         return [event for event in events if name in ("", event["event"])]
 
     def wait_for(self, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        until_s = time.monotonic() + PATIENCE_S
-        while not (found := [event for event in self.events() if wanted(event)]):
-            assert self.process.poll() is None, "the flight ended too early"
-            assert time.monotonic() < until_s, self.events()
-            time.sleep(0.02)
+        found = wait_for(
+            lambda: [event for event in self.events() if wanted(event)],
+            within_s=PATIENCE_S,
+            process=self.process,
+            seen=self.events,
+        )
         return found[0]
 
 

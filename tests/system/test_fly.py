@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from upwash.cli import main
+from upwash.cli.main import main
 from upwash.errors import AutopilotError
 from upwash.real.mavlink import FlightSettings, Patience
 
@@ -82,7 +82,7 @@ def fly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     (tmp_path / "photos" / "1.jpg").write_bytes(b"\xff\xd8")
     (tmp_path / "drone.toml").write_text(CONFIG)
     (tmp_path / "patrol.py").write_text(MISSION)
-    monkeypatch.setattr("upwash.launch.FlightSettings", lambda **_: IMPATIENT)
+    monkeypatch.setattr("upwash.launch.flight.FlightSettings", lambda **_: IMPATIENT)
     monkeypatch.chdir(tmp_path)
 
     def flown(connection: str) -> tuple[int, str]:
@@ -222,7 +222,7 @@ def test_a_port_that_anyone_reaches_is_warned_of_at_the_start(
     def nobody(*_: object, **__: object) -> None:
         raise AutopilotError("connect", "nobody is there")
 
-    monkeypatch.setattr("upwash.launch.connect_autopilot", nobody)
+    monkeypatch.setattr("upwash.launch.drone.connect_autopilot", nobody)
     fly = ["fly", "brief.py:look", "--config", "drone.toml", "--log", "flight.jsonl"]
     assert main([*fly, "--autopilot", "udpin:0.0.0.0:14550"]) == 1
     assert "udpin:0.0.0.0:14550 listens to networks, and messages are not signed" in capsys.readouterr().out

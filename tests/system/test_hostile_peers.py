@@ -10,14 +10,16 @@ from pathlib import Path
 
 import grpc
 import pytest
-from tests.system.daemons import config, daemon, until
+from tests.system.daemons import config, daemon
 from tests.system.hostile import ATTACKS, attacked, attacked_site
+from tests.waiting import wait_for
 
-from upwash.protocol import AVAILABILITY
-from upwash.real import credentials as module
-from upwash.real.credentials import Credentials, keys_in, make_keys
+from upwash.real import authority as module
+from upwash.real.authority import keys_in, make_keys
+from upwash.real.credentials import Credentials
+from upwash.rpc.protocol import AVAILABILITY
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 MOST_GROWN_BYTES = 50_000_000
 CALLS = 10
@@ -37,7 +39,7 @@ def test_an_honest_drone_is_served_during(name: str, tmp_path: Path, services: P
         outcome = asyncio.run(attacked(at, keys, services, ATTACKS[name], calls=CALLS))
         assert outcome.grown_bytes <= MOST_GROWN_BYTES
         if name in REFUSALS:
-            until(lambda: re.search(REFUSALS[name], said(tmp_path)) is not None)
+            wait_for(lambda: re.search(REFUSALS[name], said(tmp_path)) is not None)
 
 
 def said(folder: Path) -> str:
@@ -92,4 +94,4 @@ def test_a_certificate_that_is_not_a_drones_is_refused_and_the_log_says_why(
         ):
             channel.unary_unary(AVAILABILITY)(b"", timeout=10.0)
         assert refusal.value.code() is grpc.StatusCode.UNAVAILABLE
-        until(lambda: re.search(f"refused 127.0.0.1: {reason}", said(tmp_path)) is not None)
+        wait_for(lambda: re.search(f"refused 127.0.0.1: {reason}", said(tmp_path)) is not None)

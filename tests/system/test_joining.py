@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from dbus_fast import Variant
+from tests.events import written
 from tests.system.fake_networkmanager import (
     ETHERNET,
     EVERYTHING,
@@ -42,7 +43,7 @@ class Stage:
     journal: MemoryJournal
 
     def events(self, name: str) -> list[dict[str, Any]]:
-        return [event for event in self.journal.events if event["event"] == name]
+        return [event for event in written(self.journal.events) if event["event"] == name]
 
 
 @contextlib.asynccontextmanager

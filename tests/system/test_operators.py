@@ -9,11 +9,11 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tests.waiting import wait_for
 
 pytestmark = pytest.mark.system
 
@@ -78,10 +78,7 @@ class Machine:
         log = self.folder / "log"
         known = len(log.read_text())
         self.daemon.send_signal(signal.SIGHUP)
-        give_up_s = time.monotonic() + 20.0
-        while "configuration" not in log.read_text()[known:]:
-            assert time.monotonic() < give_up_s, log.read_text()
-            time.sleep(0.05)
+        wait_for(lambda: "configuration" in log.read_text()[known:], within_s=20.0, seen=log.read_text)
         return log.read_text()[known:]
 
     def stop(self) -> None:
@@ -126,7 +123,7 @@ def test_the_commands_of_the_page_lead_to_a_server_that_serves_and_can_be_looked
         if command.startswith("install -d"):
             (machine.folder / "etc/upwash/server.toml").write_text(settings)
     (status,) = [said for command, said in printed.items() if " status " in command]
-    assert "s1: 0 of 1 slots in use" in status
+    assert re.search(r"^s1: 0 of \d+ slots in use$", status, re.MULTILINE)
     assert "detector" in status
     assert "1 certificates are revoked" in printed["systemctl reload upwash"]
     machine.stop()

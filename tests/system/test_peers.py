@@ -12,7 +12,10 @@ import msgspec
 import pytest
 from tests.system.daemons import MAX_MESSAGE_BYTES, Daemon, config, daemon, eventually, guests
 
-from upwash.protocol import (
+from upwash.real.authority import keys_in, make_keys
+from upwash.real.credentials import Credentials, fingerprint, read_credentials
+from upwash.real.link import GrpcDialer
+from upwash.rpc.protocol import (
     AVAILABILITY,
     HOLD,
     PREPARE,
@@ -26,8 +29,6 @@ from upwash.protocol import (
     StartRequest,
     decode_reply,
 )
-from upwash.real.credentials import Credentials, fingerprint, keys_in, make_keys, read_credentials
-from upwash.real.link import GrpcDialer
 
 T = TypeVar("T")
 Who = tuple[str, Credentials | None]  # a name, and what is shown of it
@@ -52,7 +53,8 @@ def _config(name: str, keys: Path | None, *, peer: str, address: str) -> str:
     text = config(keys).replace("/s1.", f"/{name}.")
     other = {"s1": "s2", "s2": "s1"}[name]
     return text.replace(
-        f'[[server]]\nname = "{other}"\n', f'[[peer]]\nname = "{peer}"\naddress = "{address}"\n'
+        f'[[server]]\nname = "{other}"\nslots = 1\n',
+        f'[[peer]]\nname = "{peer}"\naddress = "{address}"\n',
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from upwash.cli import main
+from upwash.cli.main import main
 
 pytestmark = pytest.mark.system
 

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.events import written
 from tests.system.radios import Field
 
-from upwash.cli import main
+from upwash.cli.main import main
 from upwash.errors import NetworkError
 from upwash.real.network import ManagedNetwork
 from upwash.real.networkmanager import connect_networkmanager
@@ -60,7 +61,7 @@ def play(
             await scene(network, journal)
         finally:
             await network.close()
-        return journal.events
+        return written(journal.events)
 
     return asyncio.run(played())
 

@@ -27,25 +27,19 @@ from tests.system.daemons import (
     eventually,
     guests,
     started,
-    until,
 )
+from tests.waiting import wait_for
 
 from upwash.errors import LinkError, Refused, Unreachable, UsageError
-from upwash.protocol import (
+from upwash.real.authority import drop_former_authorities, make_keys, renew_authority, revoke
+from upwash.real.credentials import Credentials, read_credentials
+from upwash.real.limits import Limits
+from upwash.real.sandbox import find_sandbox
+from upwash.rpc.protocol import (
     AVAILABILITY,
     LEAVE,
     START,
 )
-from upwash.real.credentials import (
-    Credentials,
-    drop_former_authorities,
-    make_keys,
-    read_credentials,
-    renew_authority,
-    revoke,
-)
-from upwash.real.limits import Limits
-from upwash.real.sandbox import find_sandbox
 
 pytestmark = pytest.mark.system
 
@@ -164,7 +158,7 @@ def test_an_instance_that_nobody_uses_is_stopped_and_started_again_on_request(
         async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
             await heron.start()
             assert len(at.instances()) == 1
-            await asyncio.to_thread(until, lambda: not at.instances())
+            await asyncio.to_thread(wait_for, lambda: not at.instances())
             endpoint = (await heron.start()).endpoint
             assert await heron.call(endpoint, "echo", b"photo") == b"photo"
 
@@ -334,7 +328,7 @@ def test_a_call_under_way_ends_before_the_daemon_does_and_new_ones_are_refused_w
             await running
             assert await asyncio.to_thread(at.process.wait, 10.0) == 0
 
-    with daemon(tmp_path, config(keys).replace('name = "s1"', 'name = "s1"\nslots = 2')) as at:
+    with daemon(tmp_path, config(keys).replace("slots = 1", "slots = 2", 1)) as at:
         asyncio.run(visit(at))
 
 
@@ -362,7 +356,7 @@ def test_a_signal_ends_it_while_a_service_starts(
     async def visit(at: Daemon) -> None:
         async with guests(at, services, ("heron", credentials("heron"), "s1")) as (heron,):
             starting = asyncio.create_task(heron.start("slowtostart"))
-            await asyncio.to_thread(until, (tmp_path / "process_id").exists)
+            await asyncio.to_thread(wait_for, (tmp_path / "process_id").exists)
             instances = at.instances()
             assert await asyncio.to_thread(at.end) == 0
             assert not any(map(is_alive, instances))
@@ -383,7 +377,7 @@ def test_its_instances_end_when_it_is_killed(
     with daemon(tmp_path, config(keys)) as at:
         processes = asyncio.run(visit(at))
         assert at.end(signal.SIGKILL) == -signal.SIGKILL
-        until(lambda: not any(map(is_alive, processes)))
+        wait_for(lambda: not any(map(is_alive, processes)))
 
 
 # --- what its operator does ---------------------------------------------------------------------------------
@@ -395,7 +389,7 @@ def reloaded(at: Daemon, folder: Path, text: str, said: str) -> None:
     log = folder / "stderr"
     known = len(log.read_text())
     at.process.send_signal(signal.SIGHUP)
-    until(lambda: said in log.read_text()[known:])
+    wait_for(lambda: said in log.read_text()[known:])
 
 
 @pytest.fixture
@@ -466,7 +460,7 @@ def test_an_authority_is_changed_without_a_restart_and_without_a_call_that_fails
 def test_a_daemon_that_reads_no_list_of_revoked_certificates_says_so(tmp_path: Path, own_keys: Path) -> None:
     (own_keys / "revoked.txt").unlink()
     with daemon(tmp_path, config(own_keys)):
-        until(
+        wait_for(
             lambda: (
                 f"revoked.txt of `upwash keys` beside {own_keys}/authority.pem"
                 in (tmp_path / "stderr").read_text()
@@ -510,7 +504,7 @@ def test_images_and_slots_follow_the_configuration_and_a_bad_one_changes_nothing
 ) -> None:
     who = [(name, credentials(name), "s1") for name in ("heron", "stork")]
     text = config(keys)
-    more = text.replace('name = "s1"', 'name = "s1"\nslots = 2\nimages = ["unstartable"]')
+    more = text.replace('name = "s1"\nslots = 1', 'name = "s1"\nslots = 2\nimages = ["unstartable"]')
 
     async def visit(at: Daemon) -> None:
         async with guests(at, services, *who) as (heron, stork):
@@ -530,7 +524,7 @@ def test_images_and_slots_follow_the_configuration_and_a_bad_one_changes_nothing
             assert "s1 has no image of workbench" in (await stork.start()).reason
             with pytest.raises(LinkError):
                 await heron.call(endpoint, "echo", b"photo")
-            await asyncio.to_thread(until, lambda: at.instances() == [])
+            await asyncio.to_thread(wait_for, lambda: at.instances() == [])
 
     with daemon(tmp_path, text) as at:
         asyncio.run(visit(at))
@@ -554,8 +548,9 @@ def test_its_status_shows_an_operator_leases_instances_refusals_and_certificates
             seen = await asyncio.to_thread(status, at, own_keys, "alice")
             assert (seen.returncode, seen.stderr) == (0, "")
             for expected in (
-                r"s1: 1 of 1 slots in use",
-                r"heron: lease ends in \d+ s, certificate [0-9a-f]{16}",
+                r"s1: 1 of 1 slots in use, 1 drone waits\n  1 slot, as configured; a turn lasts 30 s\n",
+                r"heron: has a slot for \d+ s, counts as having had \d+ s; lease ends in \d+ s, certificate \w{16}",
+                r"stork: waits for \d+ s, counts as having had \d+ s",
                 r"workbench +running +:\d+",
                 r"unstartable +absent",
                 r"1 +s1 +stork +s1 has no free slot: 1 of 1 in use",
@@ -617,7 +612,7 @@ def test_its_log_can_be_json_lines_also_where_grpc_refuses_a_certificate(
             with pytest.raises(Unreachable):
                 await stranger.availability("workbench")
         await asyncio.to_thread(
-            until, lambda: "CERTIFICATE_VERIFY_FAILED" in (tmp_path / "stderr").read_text()
+            wait_for, lambda: "CERTIFICATE_VERIFY_FAILED" in (tmp_path / "stderr").read_text()
         )
 
     with daemon(tmp_path, config(keys), "--log-format", "json") as at:
@@ -663,7 +658,7 @@ def test_a_drone_calls_into_a_sandbox_which_ends_with_the_daemon(
     with daemon(tmp_path, config(keys, sandbox="required")) as at:
         inside = asyncio.run(visit(at))
         at.end(number)
-        until(lambda: not any(map(is_alive, inside)))
+        wait_for(lambda: not any(map(is_alive, inside)))
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="of root alone")

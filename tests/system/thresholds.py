@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from upwash.core.servers import State
+from upwash.eventlog import schema
 from upwash.lab.run import Run
 
 
@@ -10,11 +12,17 @@ def waits_at_their_threshold(run: Run, *, within: float) -> set[int]:
     found, waypoint = set(), -1
     for event in run.events:
         match event:
-            case {"event": "arrived", "waypoint": waypoint}:
-                pass
-            case {"event": "decided", "state": "CHECK" | "CHECK-R"}:
-                wait_s = event["check_s"] - event["check_elapsed_s"]
-                longest_s = event["local_s"] * 0.75 - event["remote_s"]
+            case schema.Arrived(waypoint=int(index)):
+                waypoint = index
+            case schema.Decided(
+                state=State.CHECK | State.CHECK_R,
+                check_s=float(check_s),
+                check_elapsed_s=float(elapsed_s),
+                local_s=float(local_s),
+                remote_s=float(remote_s),
+            ):
+                wait_s = check_s - elapsed_s
+                longest_s = local_s * 0.75 - remote_s
                 if abs(wait_s - longest_s) < within * longest_s:
                     found.add(waypoint)
     return found

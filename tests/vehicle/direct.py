@@ -9,12 +9,12 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.mavlink_px4 import understood
+from upwash.mavlink.px4 import understood
 from upwash.vehicle.clock import Clock
-from upwash.vehicle.conversation import Conversation, Vehicle
-from upwash.vehicle.copter import VehicleSettings
-from upwash.vehicle.px4.vehicle import Px4Settings
+from upwash.vehicle.connection import Connection, Vehicle
+from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.server import firmware
+from upwash.vehicle.settings import VehicleSettings
 
 Hear = Callable[[Any], None]
 
@@ -37,16 +37,16 @@ async def directly_linked(
         for message in parsed(data):
             hear(message)
 
-    conversation = Conversation(vehicle, write=write)
+    connection = Connection(vehicle, write=write)
 
     def say(message: Any) -> None:
         for heard in parsed(bytes(message.pack(codec))):
-            asyncio.get_running_loop().call_soon(conversation.hear, heard)
+            asyncio.get_running_loop().call_soon(connection.hear, heard)
 
     life = asyncio.create_task(vehicle.live())
     try:
         yield vehicle, say
     finally:
-        conversation.end()
+        connection.end()
         life.cancel()
         await asyncio.gather(life, return_exceptions=True)

@@ -7,7 +7,9 @@ import pytest
 from upwash.core.geo import GeoPosition, Position, distance_m
 from upwash.errors import UsageError
 from upwash.vehicle.answers import LandedState, Result
-from upwash.vehicle.copter import Copter, Mode, VehicleSettings
+from upwash.vehicle.copter import Copter
+from upwash.vehicle.modes import Mode
+from upwash.vehicle.settings import VehicleSettings
 
 SETTINGS = VehicleSettings(
     home=GeoPosition(39.3666, 22.9507), acceleration_m_s2=1.0, ground_speed_m_s=4.0, armable_after_s=30.0

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.real.mavlink.ftp import Opcode, Packet, Trouble, read_packet
+from upwash.mavlink.ftp import Opcode, Packet, Trouble, read_packet
 from upwash.vehicle.ftp import Files
 
 ME, SOMEBODY = (1, 191), (255, 190)

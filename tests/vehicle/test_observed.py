@@ -15,8 +15,10 @@ from upwash.core.geo import Position, ground_distance_m
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.answers import LandedState, Result
 from upwash.vehicle.ardupilot import ArduCopter
-from upwash.vehicle.copter import Copter, Mode, VehicleSettings
+from upwash.vehicle.copter import Copter
 from upwash.vehicle.faults import Fault, FaultKind
+from upwash.vehicle.modes import Mode
+from upwash.vehicle.settings import VehicleSettings
 
 
 def close_to(quantity: str, *, fineness: float = 0.0) -> Any:
@@ -155,7 +157,7 @@ def test_without_gps_it_lands_where_it_is() -> None:
     lands_s = flight.until(lambda: flight.copter.mode is Mode.LAND)
     assert lands_s == close_to("lands without GPS")
     assert flight.copter.critical()
-    assert flight.copter.ekf_flags(flight.now_s) == 37
+    assert flight.copter.health.ekf_flags(flight.now_s) == 37
     refusal = flight.copter.change_mode(flight.now_s, Mode.RTL)
     assert [(text.severity, text.words) for text in refusal.texts] == [
         (4, "Mode change to RTL failed: requires position")
@@ -169,7 +171,7 @@ def test_without_gps_it_lands_where_it_is() -> None:
         (15, 4, "EKF3 IMU1 stopped aiding"),
         (22, 4, "SmartRTL deactivated: bad position"),
     ]
-    assert flight.copter.ekf_flags(flight.now_s) == 167
+    assert flight.copter.health.ekf_flags(flight.now_s) == 167
 
 
 @pytest.mark.parametrize(("action", "mode"), [(0, Mode.GUIDED), (1, Mode.LAND), (2, Mode.RTL)])
@@ -210,7 +212,7 @@ def test_a_glitch_moves_it_unseen() -> None:
     flight.copter.steer(flight.now_s, target)
     jumps_s = flight.until(lambda: flight.place.north_m > 40.0)
     assert jumps_s == close_to("glitch is believed")
-    assert flight.copter.ekf_flags(flight.now_s) == 33599
+    assert flight.copter.health.ekf_flags(flight.now_s) == 33599
     flight.wait(45.0 - flight.now_s)
     flight.until(lambda: flight.place.north_m < -10.0)
     flight.until(lambda: flight.arrived(target))
@@ -246,7 +248,7 @@ def test_a_height_fence_sends_it_home() -> None:
         said = [text.words for text in copter.notice(tenth / 10)]
     assert copter.position(tenth / 10).altitude_m == pytest.approx(8.1, abs=0.3)
     assert said == ["Max Alt fence breached", "Manual recovery started"]
-    assert copter.fence_status(tenth / 10)[:2] == (2, 1)
+    assert (copter.fence.breach, copter.fence.breaches) == (2, 1)
     assert not copter.critical()
 
 
@@ -265,8 +267,8 @@ def test_it_says_what_a_real_one_said_at_boot() -> None:
         async with directly_linked(VehicleSettings(home=SETTINGS.home), hear) as (vehicle, say):
             await asyncio.sleep(40.0)
             say(mavlink.MAVLink_set_mode_message(1, 1, int(Mode.GUIDED)))
-            assert isinstance(vehicle.copter, ArduCopter)
-            while not vehicle.copter.copter.armed(vehicle.now_s()):
+            assert isinstance(vehicle.firmware, ArduCopter)
+            while not vehicle.firmware.copter.armed(vehicle.now_s()):
                 say(mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
                 await asyncio.sleep(2.0)
         return heard

@@ -15,10 +15,11 @@ from tests.vehicle.direct import directly_linked
 from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
 from upwash.sim.loop import run_virtually
-from upwash.vehicle.conversation import Vehicle
-from upwash.vehicle.copter import Copter, VehicleSettings
+from upwash.vehicle.connection import Vehicle
+from upwash.vehicle.copter import Copter
 from upwash.vehicle.faults import Fault, FaultKind, read_fault
 from upwash.vehicle.parameters import read_setting
+from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 SETTINGS = VehicleSettings(home=HOME, armable_after_s=0.0)
@@ -314,7 +315,7 @@ def test_a_fence_is_taken_and_given_back() -> None:
             item = await client.next("MISSION_ITEM_INT")
             assert (item.seq, item.command, item.param1, item.mission_type) == (number, command, first, 1)
             assert (item.x, item.y) == (393_666_000 + north * 1_000, 229_507_000 + east * 1_000)
-        total = vehicle.copter.parameters.named("FENCE_TOTAL")
+        total = vehicle.firmware.copter.parameters.named("FENCE_TOTAL")
         assert total is not None and total.value == len(items)
         client.say(mavlink.MAVLink_mission_request_list_message(1, 1, 0))
         assert (await client.next("MISSION_COUNT")).count == 0
@@ -396,9 +397,9 @@ def test_the_ground_stations_silence_is_noticed_not_a_companions() -> None:
 
     async def scenario(client: Client, vehicle: Vehicle) -> None:
         def say_as(system: int) -> None:
-            (conversation,) = vehicle.conversations
+            (connection,) = vehicle.connections
             for message in mavlink.MAVLink(None).parse_buffer(beat(system)) or ():
-                conversation.hear(message)
+                connection.hear(message)
 
         await client.take_off()
         for second in range(20):
@@ -420,12 +421,12 @@ def test_a_parameter_that_it_does_not_have_is_refused() -> None:
 
 def test_with_its_link_down_it_says_nothing_and_hears_nothing() -> None:
     async def scenario(client: Client, vehicle: Vehicle) -> None:
-        vehicle.copter.fail(FaultKind.LINK, vehicle.now_s())
+        vehicle.firmware.copter.fail(FaultKind.LINK, vehicle.now_s())
         known = len(client.heard)
         client.say(mavlink.MAVLink_set_mode_message(1, 1, mavlink.COPTER_MODE_GUIDED))
         await asyncio.sleep(20.0)
         assert len(client.heard) == known
-        vehicle.copter.mend(FaultKind.LINK)
+        vehicle.firmware.copter.mend(FaultKind.LINK)
         assert (await client.next("HEARTBEAT")).custom_mode == 0
 
     talk(scenario)

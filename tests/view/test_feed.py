@@ -36,6 +36,7 @@ class Page:
         self.id = after
         self.facts: dict[int, list[dict[str, Any]]] = {}
         self.trouble = ""
+        self.together: bool | None = None
         self.received = 0
         self.runs: dict[int, int] = {}
         self.messages: AsyncIterator[str] = feed.messages(after)
@@ -49,6 +50,8 @@ class Page:
     def _take(self, message: str) -> None:
         fields = dict(line.split(": ", 1) for line in message.strip().splitlines())
         self.id = fields.get("id", self.id)
+        if fields["event"] == "page":
+            self.together = json.loads(fields["data"])["together"]
         if fields["event"] == "facts":
             batch = json.loads(fields["data"])
             facts = self.facts.setdefault(batch["log"], [])
@@ -81,6 +84,27 @@ def log(tmp_path: Path) -> Path:
     file = tmp_path / "flight.jsonl"
     append(file, OPENED, STARTED, arrival(0))
     return file
+
+
+@pytest.mark.parametrize(
+    ("drones", "together"),
+    [(["heron", "stork"], True), (["heron", "heron"], False), (["heron"], False), ([None, None], True),
+     (["heron", None, "heron"], True), ([None], False)],
+)  # fmt: skip
+def test_logs_of_several_drones_are_shown_together(
+    tmp_path: Path, drones: list[str | None], together: bool
+) -> None:
+    logs = [tmp_path / f"{number}.jsonl" for number in range(len(drones))]
+    for log, drone in zip(logs, drones, strict=True):
+        append(log, OPENED, *([] if drone is None else [{**STARTED, "drone": drone}]))
+
+    async def run() -> None:
+        async with following(*logs) as feed:
+            page = Page(feed)
+            await page.hear(lambda page: page.together is not None)
+            assert page.together == together
+
+    asyncio.run(run())
 
 
 def test_a_page_is_sent_what_is_new_and_only_that(log: Path) -> None:

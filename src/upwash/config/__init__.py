@@ -14,7 +14,9 @@ from upwash.config.drone import (
     AutopilotConfig,
     CameraConfig,
     DroneConfig,
+    EnergyConfig,
     FaultConfig,
+    FleetDroneConfig,
     GridConfig,
     HeatConfig,
     HedgeConfig,
@@ -27,22 +29,19 @@ from upwash.config.drone import (
     ProbeConfig,
     SafeEnd,
     ServerConfig,
-    ServerTruth,
     ServiceConfig,
     TruthConfig,
     VehicleConfig,
-    ending,
-    geofence,
-    server_area,
-    server_position,
-    server_truth,
     unsigned_port,
-    waypoints,
 )
 from upwash.config.drone_file import drone_config, read_drone_config
+from upwash.config.fleet import Presence, fleet_of, presences
+from upwash.config.fleet_checks import refuse_several
+from upwash.config.places import ending, geofence, server_areas, server_position, waypoints
 from upwash.config.problems import Document
 from upwash.config.reading import convert, impossible_values, read_document
 from upwash.config.runtime import RuntimeConfig
+from upwash.config.truth import ServerTruth, server_truth
 from upwash.config.values import KeysConfig, SettingsTable, is_address, is_on_this_machine
 
 __all__ = [
@@ -52,7 +51,9 @@ __all__ = [
     "DaemonKeysConfig",
     "Document",
     "DroneConfig",
+    "EnergyConfig",
     "FaultConfig",
+    "FleetDroneConfig",
     "GridConfig",
     "HeatConfig",
     "HedgeConfig",
@@ -66,6 +67,7 @@ __all__ = [
     "NoiseConfig",
     "PeerConfig",
     "PolicyConfig",
+    "Presence",
     "ProbeConfig",
     "RuntimeConfig",
     "SafeEnd",
@@ -78,14 +80,17 @@ __all__ = [
     "convert",
     "drone_config",
     "ending",
+    "fleet_of",
     "geofence",
     "impossible_values",
     "is_address",
     "is_on_this_machine",
+    "presences",
     "read_daemon_config",
     "read_document",
     "read_drone_config",
-    "server_area",
+    "refuse_several",
+    "server_areas",
     "server_position",
     "server_truth",
     "unsigned_port",

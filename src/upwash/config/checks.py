@@ -12,20 +12,20 @@ from upwash.config.drone import (
     CameraConfig,
     DroneConfig,
     FaultConfig,
+    FleetDroneConfig,
     MissionConfig,
     NetworkConfig,
     ServerConfig,
     ServiceConfig,
     TruthConfig,
-    geofence,
-    planned_home,
-    server_truth,
-    waypoints,
 )
+from upwash.config.places import geofence, planned_home, waypoints
 from upwash.config.problems import Problem, listed, metrics_problems, unknown
+from upwash.config.truth import server_truth
 from upwash.config.values import is_address, repeated
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.geofence import breached_by_leg, breached_by_position
+from upwash.core.places import ON_DRONE
 from upwash.plans import Plan
 
 _FARTHEST_M = 100_000.0  # from home: a plan for another field, or one with its coordinates swapped
@@ -35,17 +35,29 @@ _HOME = Position(0.0, 0.0)
 def problems(config: DroneConfig) -> Iterator[Problem]:
     """Everything about the configuration that cannot be, though each value by itself could."""
     yield from metrics_problems(config.metrics)
+    if not config.drones:
+        yield from way_problems("mission", config.mission)
     yield from _mission_problems(config.mission, config.services)
     yield from _autopilot_problems(config.autopilot)
     yield from _reserve_problems(config)
+    yield from _energy_problems(config)
     yield from _camera_problems(config.camera)
     for index, name in repeated([service.name for service in config.services]):
         yield f"service[{index}].name", f'a second service named "{name}": give each its own name'
     for index, name in repeated([server.name for server in config.servers]):
         yield f"server[{index}].name", f'a second server named "{name}": give each its own name'
+    for index, server in enumerate(config.servers):
+        if server.name == ON_DRONE:
+            yield (
+                f"server[{index}].name",
+                f'"{ON_DRONE}" stands for the drone itself in results: rename the server',
+            )
     yield from _network_problems(config.network)
     for index, service in enumerate(config.services):
         yield from _key_problems(f"service[{index}].local_pace_s", service, service.local_pace_s)
+        yield from _key_problems(
+            f"service[{index}].local_joining_slowdown", service, service.local_joining_slowdown
+        )
     for index, server in enumerate(config.servers):
         for key, problem in _server_problems(server, config):
             yield f"server[{index}].{key}", problem
@@ -54,11 +66,15 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
             yield f"fault[{index}].{key}", problem
 
 
-def _mission_problems(mission: MissionConfig, services: tuple[ServiceConfig, ...]) -> Iterator[Problem]:
-    ways = {"grid": mission.grid, "waypoints_m": mission.waypoints_m, "plan": mission.plan}
-    found = [key for key, value in ways.items() if value is not None]
+def way_problems(key: str, table: MissionConfig | FleetDroneConfig) -> Iterator[Problem]:
+    """Whether the table says once, and not in two ways, where to fly."""
+    ways = {"grid": table.grid, "waypoints_m": table.waypoints_m, "plan": table.plan}
+    found = [name for name, value in ways.items() if value is not None]
     if len(found) != 1:
-        yield "mission", f"no single list of waypoints: give one of {listed(ways)}, found {listed(found)}"
+        yield key, f"no single list of waypoints: give one of {listed(ways)}, found {listed(found)}"
+
+
+def _mission_problems(mission: MissionConfig, services: tuple[ServiceConfig, ...]) -> Iterator[Problem]:
     if mission.plan is not None and mission.home is None:
         yield "mission.home", f"missing, and {mission.plan.file} names none: add it"
     keys = list(dict.fromkeys(key for service in services for key in service.local_call_s if key))
@@ -74,6 +90,14 @@ def _reserve_problems(config: DroneConfig) -> Iterator[Problem]:
         yield (
             "mission.reserve_s",
             f"{mission.reserve_s:g} is no less than vehicle.endurance_s = {endurance_s:g}: nothing is left to fly",
+        )
+
+
+def _energy_problems(config: DroneConfig) -> Iterator[Problem]:
+    if config.heat and config.energy and config.energy.computer_load_w is not None:
+        yield (
+            "energy.computer_load_w",
+            f"heat.load_w = {config.heat.load_w:g} says already what a call adds: leave it out",
         )
 
 
@@ -141,10 +165,16 @@ def _server_problems(server: ServerConfig, config: DroneConfig) -> Iterator[Prob
     if server.check_s < server.check_running_s:
         problem = f"{server.check_s:g} is less than check_running_s = {server.check_running_s:g}"
         yield "check_s", f"{problem}: a check that starts the service takes at least as long"
-    yield from _times_problems("processing_s", server.processing_s, config.services)
-    yield from _times_problems("remote_call_s", server.remote_call_s, config.services)
+    yield from times_problems("processing_s", server.processing_s, config.services)
+    yield from times_problems("remote_call_s", server.remote_call_s, config.services)
     for key, problem in _truth_problems(server.truth, config.services):
         yield f"truth.{key}", problem
+    turn_s, join_s = server.truth.turn_s, server_truth(server, config.services).join_s
+    if turn_s is not None and turn_s < join_s:
+        yield (
+            "truth.turn_s",
+            f"{turn_s:g} is shorter than truth.join_s = {join_s:g}: let a turn last longer than it takes to join",
+        )
     others = [each.name for each in config.servers if each.name != server.name]
     for name in server.truth.peers:
         if name not in others:
@@ -154,8 +184,8 @@ def _server_problems(server: ServerConfig, config: DroneConfig) -> Iterator[Prob
 
 
 def _truth_problems(truth: TruthConfig, services: tuple[ServiceConfig, ...]) -> Iterator[Problem]:
-    yield from _times_problems("processing_s", truth.processing_s, services)
-    yield from _times_problems("remote_call_s", truth.remote_call_s, services)
+    yield from times_problems("processing_s", truth.processing_s, services)
+    yield from times_problems("remote_call_s", truth.remote_call_s, services)
     names = [service.name for service in services]
     for image in truth.images or ():
         if image not in names:
@@ -174,9 +204,10 @@ def _place_problems(server: ServerConfig, mission: MissionConfig) -> Iterator[Pr
         yield "latitude_deg", "degrees need mission.home: add it, or give east_m and north_m"
 
 
-def _times_problems(
+def times_problems(
     key: str, times: Mapping[str, Mapping[str, float]], services: tuple[ServiceConfig, ...]
 ) -> Iterator[Problem]:
+    """Whether the times are of services and profile keys that there are."""
     by_name = {service.name: service for service in services}
     for name, by_key in times.items():
         if name in by_name:

@@ -14,7 +14,6 @@ from upwash.config.reading import convert, read_document
 from upwash.config.runtime import RuntimeConfig, runtime_problems
 from upwash.config.shorthand import image_written_out
 from upwash.config.values import (
-    Count,
     FilePath,
     ImportPath,
     KeysConfig,
@@ -24,11 +23,14 @@ from upwash.config.values import (
     Positive,
     SecondsByKey,
     Settings,
+    Slots,
     Text,
+    TurnSeconds,
     is_address,
     is_on_this_machine,
     repeated,
 )
+from upwash.core.places import ON_DRONE
 from upwash.errors import ConfigError
 
 _REVOKED = "revoked.txt"
@@ -64,10 +66,14 @@ class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class IdentityConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A server that the daemon acts as: how many drones it takes at once, and what it runs for them."""
+    """A server that the daemon acts as: how many drones it takes at once, and what it runs for them.
+
+    "auto" takes as many as it measures to be right. Where more ask they take turns of `turn_s` at least.
+    """
 
     name: Name
-    slots: Count = 1
+    slots: Slots = "auto"
+    turn_s: TurnSeconds = 30.0
     images: Names
 
 
@@ -162,6 +168,12 @@ def _problems(config: DaemonConfig) -> Iterator[Problem]:
         )
     for index, name in repeated([image.name for image in config.images]):
         yield f"service[{index}].name", f'a second service named "{name}": give each its own name'
+    for index, identity in enumerate(config.identities):
+        if identity.name == ON_DRONE:
+            yield (
+                f"server[{index}].name",
+                f'"{ON_DRONE}" stands for the drone itself in results: rename the server',
+            )
     for index, name in repeated([identity.name for identity in config.identities]):
         yield f"server[{index}].name", f'a second server named "{name}": give each its own name'
     names = [image.name for image in config.images]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
@@ -32,19 +31,26 @@ from upwash.config.values import (
     Seed,
     Settings,
     Share,
+    SharesByKey,
+    Slots,
     Text,
+    TurnSeconds,
     VideoSource,
     is_on_this_machine,
 )
-from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, Waypoint
-from upwash.core.geofence import Fence
-from upwash.plans import Ending, Plan
 
 Pause = Annotated[float, Meta(ge=0.2, le=60, description="a number from 0.2 to 60, in seconds")]
 AtLeastOneSecond = Annotated[float, Meta(ge=1, description="a number of at least 1, in seconds")]
 DeadManSilence = Annotated[float, Meta(ge=5, le=600, description="a number from 5 to 600, in seconds")]
+Level = Annotated[float, Meta(ge=0, lt=100, description="a number from 0 to below 100, in percent")]
 PairInMetres = Annotated[tuple[float, float], Meta(description="a pair [east, north] in metres")]
+PlacesInMetres = Annotated[
+    tuple[PairInMetres, ...],
+    Meta(min_length=1, description="pairs [east, north] in metres, at least one"),
+]
+SecondOfADay = Annotated[float, Meta(ge=0, le=86_400, description="a number from 0 to 86400, in seconds")]
 Radios = Annotated[int, Meta(ge=1, le=2, description="1 or 2")]
+PolicyName = Literal["local-only", "opportunistic", "location-aware", "look-ahead"]
 SafeEnd = Literal["return", "hold", "land"]
 Lie = Literal["elsewhere", "unwanted", "oversized", "lease", "types", "faults", "control"]
 Corner = Literal["top-left", "top-right", "bottom-left", "bottom-right"]
@@ -81,13 +87,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     ground_speed_m_s: Positive = 4.0
     home: HomeConfig | None = None
     grid: GridConfig | None = None
-    waypoints_m: (
-        Annotated[
-            tuple[PairInMetres, ...],
-            Meta(min_length=1, description="pairs [east, north] in metres, at least one"),
-        ]
-        | None
-    ) = None
+    waypoints_m: PlacesInMetres | None = None
     plan: PlanPath | None = None
     reserve_percent: Percent | None = None
     reserve_s: NotNegative | None = None
@@ -127,13 +127,14 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How servers' networks are joined: by NetworkManager, modelled by the drone's position, or not at all.
+    """How servers' networks are joined: not at all, by NetworkManager, or modelled by the drone's position.
 
+    Without joining, servers are reached over whatever network the computer has; a simulation models joining always.
     NetworkManager joins them on these interfaces, and on no other. With two radios, which have an interface each, the
     next server is checked while the one before is still used.
     """
 
-    kind: Literal["stand-in", "wired", "networkmanager"] = "stand-in"
+    kind: Literal["stand-in", "wired", "networkmanager"] = "wired"
     interfaces: Annotated[tuple[InterfaceName, ...], Meta(description="an array of interfaces")] = ()
     radios: Radios = 1
 
@@ -183,9 +184,10 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     the thesis's policies leave it alone for 60 s. Where `hedge` is not given look-ahead hedges, and they do not.
     """
 
-    name: Literal["local-only", "opportunistic", "location-aware", "look-ahead"] = "look-ahead"
+    name: PolicyName = "look-ahead"
     gain_switch: Fraction = 0.25
     gain_wait: Fraction = 0.25
+    gain_slot: Fraction = 0.25
     period_s: Positive = 1.0
     blacklist_s: AtLeastOneSecond | None = None
     probe: ProbeConfig | None = None
@@ -225,7 +227,8 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """A service of the mission; a map's key is a profile key, "" for a service without any.
 
     Without a `program` it is the bundled service of that name. `local_pace_s` is the least time a local
-    call takes: on the desk it stands in for the drone's slower computer. `settings` is what its constructor gets.
+    call takes: on the desk it stands in for the drone's slower computer. `local_joining_slowdown` is by what share
+    simulated local calls are slower while a network is being joined. `settings` is what its constructor gets.
     """
 
     name: Name
@@ -235,6 +238,7 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     local_call_s: SecondsOfEachKey
     local_first_extra_s: NotNegative = 0.0
     local_pace_s: SecondsByKey = {}
+    local_joining_slowdown: SharesByKey = {}
     settings: Settings | None = None
 
 
@@ -242,12 +246,15 @@ class TruthConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """What the file says is true of a simulated server; see `server_truth` for what it leaves out."""
 
     join_s: NotNegative | None = None
+    leave_s: NotNegative = 0.0
     start_s: NotNegative | None = None
     processing_s: SecondsByService = {}
     remote_call_s: SecondsByService = {}
     first_extra_s: NotNegative = 0.0
     radio: Text = "fixed"
-    slots: Count = 1
+    slots: Slots = "auto"
+    lanes: Count | None = None
+    turn_s: TurnSeconds | None = None
     images: Names | None = None
     peers: Names = ()
 
@@ -271,25 +278,6 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     truth: TruthConfig = TruthConfig()
 
 
-class ServerTruth(Struct, frozen=True, kw_only=True):
-    """What is true of a simulated server, the belief taken wherever the file says nothing else.
-
-    Where the radio is "fixed" a service in `remote_call_s` takes that long end to end. Any other takes its
-    `processing_s` and the transfer: by the radio's goodput at the drone's distance, or else by the bandwidth.
-    """
-
-    join_s: float
-    start_s: float
-    processing_s: Mapping[str, Mapping[str, float]]
-    remote_call_s: Mapping[str, Mapping[str, float]]
-    first_extra_s: float
-    bandwidth_bit_s: float | None
-    radio: str
-    slots: int
-    images: tuple[str, ...]
-    peers: tuple[str, ...]
-
-
 class HeatConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How the drone's computer gets hot: the air around it, and the power that a call adds."""
 
@@ -297,11 +285,36 @@ class HeatConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     load_w: NotNegative = 4.0
 
 
+class EnergyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the simulated drone draws, and how much its battery holds; `sim.energy` has the model and its sources.
+
+    Hovering takes `hover_w`, of which the blades' own drag is `blade_share` and the rest holds the drone up;
+    `drag_at_10_m_s_w` is what the air's resistance adds at 10 m/s. A computer draws `computer_idle_w`, and
+    `computer_load_w` more in a call: by default 4 W, or what `[heat]` says. Each radio draws `radio_idle_w`, and
+    `radio_transfer_w` more while it transfers. The battery is full at the start, and endless without `battery_wh`. At
+    `failsafe_percent` the vehicle lands by itself where it is (0: it does not), and with an empty one it falls.
+    """
+
+    battery_wh: Positive | None = None
+    failsafe_percent: Level = 5.0
+    hover_w: Positive = 168.5
+    blade_share: Fraction = 0.474
+    tip_speed_m_s: Positive = 120.0
+    induced_speed_m_s: Positive = 4.03
+    drag_at_10_m_s_w: NotNegative = 9.24
+    computer_idle_w: NotNegative = 2.7
+    computer_load_w: NotNegative | None = None
+    radio_idle_w: NotNegative = 0.8
+    radio_transfer_w: NotNegative = 0.5
+
+
 class NoiseConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Relative standard deviations of simulated times."""
 
     call: NotNegative = 0.0
     leg: NotNegative = 0.0
+    join: NotNegative = 0.0
+    start: NotNegative = 0.0
 
 
 class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -320,14 +333,34 @@ class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     extra_s: NotNegative = 5.0
 
 
+class FleetDroneConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One of several drones of a simulated world; what it leaves out is as the file says for all of them.
+
+    It departs and vanishes at these seconds of the simulation: from `vanishes_s` on its computer is gone. What its
+    own computer needs for a call is by service and profile key.
+    """
+
+    name: Name
+    departs_s: SecondOfADay = 0.0
+    vanishes_s: Positive | None = None
+    grid: GridConfig | None = None
+    waypoints_m: PlacesInMetres | None = None
+    plan: PlanPath | None = None
+    local_call_s: SecondsByService = {}
+    policy: PolicyName | None = None
+
+
 class DroneConfig(
     Struct,
     frozen=True,
     kw_only=True,
     forbid_unknown_fields=True,
-    rename={"services": "service", "servers": "server", "faults": "fault"},
+    rename={"services": "service", "servers": "server", "faults": "fault", "drones": "drone"},
 ):
-    """One drone: its mission, its services, the servers it may meet, and how it is simulated."""
+    """One drone: its mission, its services, the servers it may meet, and how it is simulated.
+
+    A scenario may have several `drones`: `fleet_of` has a configuration for each of them.
+    """
 
     name: Name = "drone"
     seed: int = 1
@@ -346,8 +379,12 @@ class DroneConfig(
         tuple[ServerConfig, ...], Meta(description="tables that each begin with [[server]]")
     ] = ()
     heat: HeatConfig | None = None
+    energy: EnergyConfig | None = None
     noise: NoiseConfig = NoiseConfig()
     faults: Annotated[tuple[FaultConfig, ...], Meta(description="tables that each begin with [[fault]]")] = ()
+    drones: Annotated[
+        tuple[FleetDroneConfig, ...], Meta(description="tables that each begin with [[drone]]")
+    ] = ()
 
 
 def unsigned_port(autopilot: AutopilotConfig) -> str:
@@ -360,112 +397,3 @@ def unsigned_port(autopilot: AutopilotConfig) -> str:
         "there before the vehicle does, or with its address, is taken for it. Listen on 127.0.0.1, or sign "
         "(autopilot.signing_key, made by `upwash keys --signing FILE`)"
     )
-
-
-def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
-    """The mission's waypoints in the order in which they are flown."""
-    if mission.plan is not None:
-        return _planned_waypoints(mission.plan.plan, _frame(mission.home))
-    places = _grid_places(mission.grid) if mission.grid else mission.waypoints_m or ()
-    return tuple(
-        Waypoint(index, Position(east_m, north_m, mission.altitude_m))
-        for index, (east_m, north_m) in enumerate(places)
-    )
-
-
-def geofence(mission: MissionConfig) -> tuple[Fence, ...]:
-    """The fences of the mission's plan."""
-    if mission.plan is None:
-        return ()
-    frame = _frame(mission.home)
-    return tuple(fence.fence(frame) for fence in mission.plan.plan.fences)
-
-
-def planned_home(plan: Plan) -> HomeConfig | None:
-    """The home that a plan names, if it does."""
-    home = plan.home
-    return HomeConfig(latitude_deg=home.latitude_deg, longitude_deg=home.longitude_deg) if home else None
-
-
-def ending(mission: MissionConfig) -> Ending:
-    """How the mission ends when all went well."""
-    return mission.plan.plan.ending if mission.plan is not None else "return"
-
-
-def server_position(server: ServerConfig, home: HomeConfig | None) -> Position:
-    """Where the server stands; `home` is needed for one whose place is given in degrees."""
-    if server.east_m is not None and server.north_m is not None:
-        return Position(server.east_m, server.north_m)
-    if server.latitude_deg is None or server.longitude_deg is None:
-        raise ValueError(f"server {server.name} has no place: read its configuration from a file")
-    return _frame(home).position(GeoPosition(server.latitude_deg, server.longitude_deg))
-
-
-def server_area(server: ServerConfig, home: HomeConfig | None) -> Circle:
-    """Where the server is in radio range."""
-    return Circle(server_position(server, home), server.range_m)
-
-
-def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> ServerTruth:
-    """What is true of the server in simulation."""
-    truth = server.truth
-    start_s = server.check_s - server.check_running_s if truth.start_s is None else truth.start_s
-    return ServerTruth(
-        join_s=server.check_running_s if truth.join_s is None else truth.join_s,
-        start_s=start_s,
-        processing_s=_merged(server.processing_s, truth.processing_s),
-        remote_call_s=_merged(_remote_calls_still_believed(server), truth.remote_call_s),
-        first_extra_s=truth.first_extra_s,
-        bandwidth_bit_s=server.bandwidth_bit_s,
-        radio=truth.radio,
-        slots=truth.slots,
-        images=tuple(service.name for service in services) if truth.images is None else truth.images,
-        peers=truth.peers,
-    )
-
-
-def _frame(home: HomeConfig | None) -> LocalFrame:
-    if home is None:
-        raise ValueError("degrees without a home: read the configuration from a file")
-    return LocalFrame(GeoPosition(home.latitude_deg, home.longitude_deg))
-
-
-def _planned_waypoints(plan: Plan, frame: LocalFrame) -> tuple[Waypoint, ...]:
-    return tuple(
-        Waypoint(index, frame.position(each.place), each.ground_speed_m_s)
-        for index, each in enumerate(plan.waypoints)
-    )
-
-
-def _grid_places(grid: GridConfig) -> list[tuple[float, float]]:
-    rows, columns = list(range(grid.rows)), list(range(grid.columns))
-    if grid.start.startswith("top"):
-        rows.reverse()
-    if grid.start.endswith("right"):
-        columns.reverse()
-    places = []
-    for row in rows:
-        places += [(column * grid.spacing_m, row * grid.spacing_m) for column in columns]
-        if grid.rows_alternate:
-            columns.reverse()
-    return places
-
-
-def _merged(
-    belief: Mapping[str, Mapping[str, float]], truth: Mapping[str, Mapping[str, float]]
-) -> dict[str, dict[str, float]]:
-    return {
-        service: {**belief.get(service, {}), **truth.get(service, {})}
-        for service in dict.fromkeys([*belief, *truth])
-    }
-
-
-def _remote_calls_still_believed(server: ServerConfig) -> dict[str, dict[str, float]]:
-    """The believed delays, but for operations whose processing time or radio is told truly."""
-    if server.truth.radio != "fixed":
-        return {}
-    told = server.truth.processing_s
-    return {
-        service: {key: seconds for key, seconds in by_key.items() if key not in told.get(service, {})}
-        for service, by_key in server.remote_call_s.items()
-    }

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
 from pathlib import Path
 
 import msgspec
 
 from upwash.config.checks import plan_problems, problems
-from upwash.config.drone import DroneConfig, MissionConfig, planned_home
+from upwash.config.drone import DroneConfig
+from upwash.config.fleet import fleet_of
+from upwash.config.fleet_checks import fleet_problems
+from upwash.config.places import as_planned
 from upwash.config.problems import Document, refuse_first
 from upwash.config.reading import convert, read_document
 from upwash.config.shorthand import written_out
 from upwash.errors import ConfigError
-from upwash.plans import Plan
 
 _OF_A_DAEMON = {"listen", "runtime", "lease_s", "allow_without_certificates"}
 
@@ -33,21 +34,11 @@ def drone_config(document: Document, file: Path) -> DroneConfig:
     config = convert(tables, DroneConfig, file=file, as_written=document)
     mission = config.mission
     if mission.plan is not None:
-        mission = _as_planned(mission, mission.plan.plan, named=document["mission"])
+        mission = as_planned(mission, mission.plan.plan, named=document["mission"])
         config = msgspec.structs.replace(config, mission=mission)
     refuse_first(file, problems(config))
-    if mission.plan is not None:
-        refuse_first(mission.plan.file, plan_problems(mission, mission.plan.plan))
+    refuse_first(file, fleet_problems(config))
+    for each in fleet_of(config):
+        if each.mission.plan is not None:
+            refuse_first(each.mission.plan.file, plan_problems(each.mission, each.mission.plan.plan))
     return config
-
-
-def _as_planned(mission: MissionConfig, plan: Plan, *, named: Container[str]) -> MissionConfig:
-    """The mission, with what the plan says wherever the configuration names nothing."""
-    planned = {
-        "home": planned_home(plan),
-        "altitude_m": plan.takeoff_altitude_m or plan.waypoints[0].place.altitude_m,
-        "ground_speed_m_s": plan.ground_speed_m_s or mission.ground_speed_m_s,
-    }
-    return msgspec.structs.replace(
-        mission, **{key: value for key, value in planned.items() if key not in named}
-    )

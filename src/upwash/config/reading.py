@@ -6,6 +6,7 @@ msgspec checks the types; `explanation` puts its errors into words.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TypeVar
@@ -15,16 +16,17 @@ import msgspec
 from upwash.config.problems import Document, Problem, refuse_first
 from upwash.config.values import PlanFile, SettingsTable
 from upwash.errors import ConfigError
-from upwash.user_files import read_file, read_toml
+from upwash.support.input_files import read_file, read_toml
 
 T = TypeVar("T")
 
 _MOST_BYTES = 1_000_000  # some 40,000 waypoints
 _MOST_NESTED = 12
+_ENDLESS = re.compile(r"server\b.*\.turn_s")  # keys whose values may be without end
 
 
 def read_document(file: Path) -> Document:
-    """The file's tables as plain values; every number in them is finite and fits 64 bits."""
+    """The file's tables as plain values; every number in them is finite, or of an endless turn, and fits 64 bits."""
     try:
         text = read_file(file, most_bytes=_MOST_BYTES).decode()
     except FileNotFoundError:
@@ -78,8 +80,10 @@ def _unreadable(error: OSError | ValueError) -> str:
 
 
 def impossible_values(value: object, key: str, depth: int = 0) -> Iterator[Problem]:
-    """What no value of any key may be: infinite, longer than 64 bits, or nested without end."""
+    """What no value of a key may be: infinite, but for turns, longer than 64 bits, or nested without end."""
     match value:
+        case math.inf if _ENDLESS.fullmatch(key):
+            pass
         case dict() | list() if depth >= _MOST_NESTED:
             yield key, "nested too deeply: no value lies that deep"
         case dict():

@@ -12,6 +12,8 @@ from typing import Any
 from upwash.config.drone import RADIOS
 from upwash.config.problems import Document
 
+_REMOTE = ("processing_s", "remote_call_s")
+
 
 def written_out(document: Document, folder: Path) -> Document:
     """The document without shorthands, its times by service and profile key, its paths from the folder."""
@@ -22,6 +24,9 @@ def written_out(document: Document, folder: Path) -> Document:
             "mission": _each(document.get("mission"), lambda table: with_program_from(table, folder)),
             "service": _each(document.get("service"), lambda table: _service(table, folder)),
             "server": _each(document.get("server"), lambda table: _server(table, services, folder)),
+            "drone": _each(
+                document.get("drone"), lambda table: table | _by_service(table, services, "local_call_s")
+            ),
         }.items()
         if name in document
     }
@@ -52,7 +57,8 @@ def image_written_out(image: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _service(service: dict[str, Any], folder: Path) -> dict[str, Any]:
-    return with_program_from(service, folder) | _by_key(service, "local_call_s", "local_pace_s")
+    by_key = _by_key(service, "local_call_s", "local_pace_s", "local_joining_slowdown")
+    return with_program_from(service, folder) | by_key
 
 
 def _by_key(table: dict[str, Any], *names: str) -> dict[str, Any]:
@@ -60,10 +66,10 @@ def _by_key(table: dict[str, Any], *names: str) -> dict[str, Any]:
 
 
 def _server(server: dict[str, Any], services: list[dict[str, Any]], folder: Path) -> dict[str, Any]:
-    table = server | _by_service(server, services)
+    table = server | _by_service(server, services, *_REMOTE)
     if isinstance(server.get("truth"), dict):
         truth = server["truth"]
-        table["truth"] = truth | _by_service(truth, services)
+        table["truth"] = truth | _by_service(truth, services, *_REMOTE)
         if isinstance(truth.get("radio"), str) and truth["radio"] not in ("", *RADIOS):
             table["truth"]["radio"] = str(folder / truth["radio"])
     if server.get("name"):
@@ -71,12 +77,12 @@ def _server(server: dict[str, Any], services: list[dict[str, Any]], folder: Path
     return table
 
 
-def _by_service(table: dict[str, Any], services: list[dict[str, Any]]) -> dict[str, Any]:
+def _by_service(table: dict[str, Any], services: list[dict[str, Any]], *names: str) -> dict[str, Any]:
     """The times of a table by service and key; without a service they are the first service's."""
     named = {each["name"]: each for each in services if isinstance(each.get("name"), str)}
     if not named:
         return {}
-    return {name: _nested(table[name], named) for name in ("processing_s", "remote_call_s") if name in table}
+    return {name: _nested(table[name], named) for name in names if name in table}
 
 
 def _nested(times: object, services: dict[str, dict[str, Any]]) -> object:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
@@ -79,6 +79,12 @@ Percent = Annotated[float, Meta(gt=0, lt=100, description="a number above 0 and 
 Latitude = Annotated[float, Meta(ge=-90, le=90, description="degrees from -90 to 90")]
 Longitude = Annotated[float, Meta(ge=-180, le=180, description="degrees from -180 to 180")]
 Count = Annotated[int, Meta(ge=1, description="an integer of at least 1")]
+Slots = Annotated[
+    Annotated[int, Meta(ge=1)] | Literal["auto"], Meta(description='an integer of at least 1, or "auto"')
+]
+TurnSeconds = Annotated[
+    float, Meta(ge=5, description="a number of at least 5, in seconds, or inf for turns that never end")
+]
 GridCount = Annotated[int, Meta(ge=1, le=1000, description="an integer from 1 to 1000")]
 Seed = Annotated[int, Meta(ge=0, description="an integer of at least 0")]
 VideoSource = Annotated[
@@ -90,6 +96,10 @@ Bytes = Annotated[int, Meta(ge=0, description="an integer of at least 0, in byte
 SecondsByKey = Annotated[
     Mapping[str, NotNegative],
     Meta(description="seconds of at least 0: one number, or one for each profile key"),
+]
+SharesByKey = Annotated[
+    Mapping[str, NotNegative],
+    Meta(description="numbers of at least 0: one, or one for each profile key"),
 ]
 SecondsOfEachKey = Annotated[
     Mapping[str, NotNegative],

@@ -1,10 +1,11 @@
 """How fast a mission can be at best, whoever decides: what is left to gain.
 
-Both bounds know every true delay and never pay for the start of a service.
+The bounds know every true delay and never pay for the start of a service.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -13,10 +14,35 @@ from upwash.core.schedule import CheckTimes, ComingCall, quickest
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """The least total delay of a mission's calls: with every server joined for nothing, and paying for each join."""
+    """The least time of a mission, or of its calls alone, whatever decides; in seconds.
+
+    `free_s` is with every server joined for nothing and at once, `with_joins_s` paying for each join, one at a time.
+    """
 
     free_s: float
     with_joins_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class FleetBound:
+    """The least mean time of several drones' missions, whatever decides; in seconds.
+
+    `free_s` and `with_joins_s` are the means of the drones' own bounds, as if each had all servers for itself.
+    `shared_s` has every server joined for nothing and at once, and computing no more at a time than it can.
+    """
+
+    free_s: float
+    with_joins_s: float
+    shared_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class SharedMission:
+    """One mission of several at the same time: its beginning, its time with every call on the drone, and at least."""
+
+    begun_s: float
+    local_s: float
+    free_s: float
 
 
 def bound(calls: Sequence[ComingCall], joins_s: Mapping[str, float]) -> Bound:
@@ -28,3 +54,24 @@ def bound(calls: Sequence[ComingCall], joins_s: Mapping[str, float]) -> Bound:
     free_s = sum(min([call.local_s, *(offer.call_s for offer in call.offers)]) for call in calls)
     joins = {server: CheckTimes(join_s, join_s) for server, join_s in joins_s.items()}
     return Bound(free_s, quickest(calls, joins).total_s)
+
+
+def shared_s(missions: Sequence[SharedMission], saved_per_s: float) -> float:
+    """The least mean time of at least one mission where all servers together save so much in each second.
+
+    By the end of any k missions, those k have saved no more than `saved_per_s` in each second since the first began.
+    So the k-th end is no sooner than that allows with the least work that any k missions have, nor sooner than the
+    k-th of the missions' own bounds. Ends that are as soon as these two allow, one after the other, have the least
+    sum: one that is later makes the later ones sooner by no more than that, all together.
+    """
+    began_s = min(mission.begun_s for mission in missions)
+    alone_s = sorted(mission.begun_s + mission.local_s for mission in missions)
+    at_least_s = sorted(mission.begun_s + mission.free_s for mission in missions)
+    ends_s = work_s = 0.0
+    for end_alone_s, least_s in zip(alone_s, at_least_s, strict=True):
+        work_s += end_alone_s
+        end_s = 0.0
+        if not math.isinf(saved_per_s):
+            end_s = (saved_per_s * began_s + work_s - ends_s) / (1 + saved_per_s)
+        ends_s += max(end_s, least_s)
+    return (ends_s - sum(mission.begun_s for mission in missions)) / len(missions)

@@ -265,15 +265,25 @@ class Wind:
             self._note_slowness(report.time_s, velocity, told_m_s)
 
     def against_m_s(self, start: Position, end: Position, speed_m_s: float) -> float:
-        """By how much a vehicle of that air speed is slower over the ground, on the way from here to there."""
+        """By how much a vehicle of that air speed is slower over the ground, on the way from here to there.
+
+        At most so much where it is there, and moves on: in which direction it will have to come back is not known.
+        """
         length_m = ground_distance_m(start, end)
         if length_m == 0:
-            return 0.0
+            return self._most_m_s()
         east, north = (end.east_m - start.east_m) / length_m, (end.north_m - start.north_m) / length_m
         slow_m_s = max(
             (each.short_m_s * (each.east * east + each.north * north) for each in self._slow), default=0.0
         )
         return max(0.0, slow_m_s, self._reported_against_m_s(east, north, speed_m_s))
+
+    def _most_m_s(self) -> float:
+        """What the wind takes at most, in any direction."""
+        reported_m_s = (
+            math.hypot(self._reported.east_m_s, self._reported.north_m_s) if self._reported else 0.0
+        )
+        return max(reported_m_s, *(each.short_m_s for each in self._slow), 0.0)
 
     def _reported_against_m_s(self, east: float, north: float, speed_m_s: float) -> float:
         if self._reported is None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from upwash.core.estimates import Operation
 
 _WINDOW_LENGTH = 100  # delays; 19 are needed to tell a p95, 99 a p99
+_EXCEEDS_BY_S = 0.001  # or calls that all take equally long would each be hedged as they are answered
 _FEW = 2.0  # times the longest delay known stands in for a quantile that so few cannot tell
 
 
@@ -71,7 +72,7 @@ class Hedging:
             return None
         delays = self._delays.get((server, operation), Delays())
         late_s = delays.quantile_s(self._quantile, offline_s=self._offline_s[server][operation])
-        after_s = min(late_s, deadline_s)
+        after_s = min(late_s + _EXCEEDS_BY_S, deadline_s)
         return Hedge(after_s, max(deadline_s, after_s + local_s))
 
     def answered(self, server: str, operation: Operation, delay_s: float) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from upwash.core.outlook import Outlook
-from upwash.core.policy import Call, Choice, Coming, Decision, LocationAware, Remote, Situation
+from upwash.core.forecast import Forecast
+from upwash.core.policy import CallInputs, Choice, Coming, Decision, LocationAware, Remote, Situation
 from upwash.core.schedule import Schedule, quickest
 
 HORIZON = 20  # calls: what is further away changes nothing about the next server
@@ -26,48 +26,48 @@ class LookAhead:
 
     def choose(self, situation: Situation) -> Choice:
         """The server of the next call in the quickest schedule, once it is in range; until then the current one."""
-        outlook = situation.outlook
-        if outlook is None or not outlook.calls:
+        forecast = situation.forecast
+        if forecast is None or not forecast.calls:
             return self.reactive.choose(situation)
         local_s = situation.local_mean_call_s
         in_range = [option.server for option in situation.options if option.mean_call_s < local_s]
         current = situation.current if situation.current in in_range else None
-        if current is not None and self._holds(situation.under_way, outlook):
+        if current is not None and self._holds(situation.under_way, forecast):
             return Choice(current, "a call is under way")
-        best = self._quickest(outlook, current)
+        best = self._quickest(forecast, current)
         following = best.servers[0]
-        gains = f"serves the next {len(outlook.calls)} calls in {best.total_s:.1f} s"
+        gains = f"serves the next {len(forecast.calls)} calls in {best.total_s:.1f} s"
         if current is None:
             if following in in_range:
                 return Choice(following, gains)
             return Choice(None, f"{following} is not in range yet" if following else "no server pays off")
         if following in (None, current):
-            return Choice(current, "no other is better", _coming(best, outlook, current))
-        staying = self._quickest(outlook, current, stays=True)
+            return Choice(current, "no other is better", _coming(best, forecast, current))
+        staying = self._quickest(forecast, current, stays=True)
         saved_s = staying.total_s - best.total_s
         if saved_s <= self.gain_leave * local_s:
             why = f"{following} saves no more than {saved_s:.1f} s"
-            return Choice(current, why, _coming(staying, outlook, current))
+            return Choice(current, why, _coming(staying, forecast, current))
         if following not in in_range:
-            return Choice(current, f"{following} is not in range yet", _coming(best, outlook, current))
+            return Choice(current, f"{following} is not in range yet", _coming(best, forecast, current))
         return Choice(following, f"{gains}, {saved_s:.1f} s less than with {current} kept")
 
-    def _holds(self, under_way: Decision | None, outlook: Outlook) -> bool:
+    def _holds(self, under_way: Decision | None, forecast: Forecast) -> bool:
         """Whether a call goes on there, or the check, which is of use later, while a call goes on elsewhere."""
-        return isinstance(under_way, Remote) or (under_way is not None and outlook.ready_in_s > 0)
+        return isinstance(under_way, Remote) or (under_way is not None and forecast.ready_in_s > 0)
 
-    def _quickest(self, outlook: Outlook, current: str | None, *, stays: bool = False) -> Schedule:
+    def _quickest(self, forecast: Forecast, current: str | None, *, stays: bool = False) -> Schedule:
         return quickest(
-            outlook.calls,
-            outlook.checks,
+            forecast.calls,
+            forecast.checks,
             server=current,
-            ready_in_s=outlook.ready_in_s,
+            ready_in_s=forecast.ready_in_s,
             gain_wait=self.reactive.wait.gain_wait,
-            peers=outlook.peers,
+            peers=forecast.peers,
             stays=stays,
         )
 
-    def decide(self, call: Call) -> Decision:
+    def decide(self, call: CallInputs) -> Decision:
         """As location-aware: a wait that does not make this call shorter makes none shorter that follows.
 
         While a call runs on the drone the check goes on.
@@ -75,10 +75,10 @@ class LookAhead:
         return self.reactive.decide(call)
 
 
-def _coming(schedule: Schedule, outlook: Outlook, current: str) -> Coming | None:
+def _coming(schedule: Schedule, forecast: Forecast, current: str) -> Coming | None:
     """The server that the schedule changes to, and when its range is entered."""
     at_s = 0.0
-    for call, server in zip(outlook.calls, schedule.servers, strict=True):
+    for call, server in zip(forecast.calls, schedule.servers, strict=True):
         at_s += call.gap_s
         offer = next((offer for offer in call.offers if offer.server == server), None)
         if offer is not None and server != current:

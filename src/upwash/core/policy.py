@@ -7,36 +7,41 @@ nobody.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
-from upwash.core.outlook import Outlook
+from upwash.core.forecast import Forecast
 from upwash.core.servers import CHECKING, State
 
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """A server in range and not blacklisted; `mean_call_s` is the mean delay of the drone's calls with it ready."""
+    """A server in range that may be used; `mean_call_s` is the mean delay of the drone's calls with it ready.
+
+    One that is `full` had no slot for the drone, as far as is known.
+    """
 
     server: str
     mean_call_s: float
     in_range_since_s: float
+    full: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Situation:
     """What a selection is decided on.
 
-    `options` are in the order of the server table; `current` is the selected server, which is among the options
-    unless the drone has left its range; `local_mean_call_s` is the mean delay of calls on the drone. `under_way` is
-    what was decided of the call that goes on now, if one does. `outlook` is there for a policy with a horizon.
+    `options` are in the order of the server table, without those that are blacklisted, or gain too little for a slot
+    that others wait for; `current` is the selected server, which is among the options unless the drone has left its
+    range, or should leave it to others; `local_mean_call_s` is the mean delay of calls on the drone. `under_way` is
+    what was decided of the call that goes on now, if one does. `forecast` is there for a policy with a horizon.
     """
 
     options: Sequence[Option]
     current: str | None
     local_mean_call_s: float
     under_way: Decision | None = None
-    outlook: Outlook | None = None
+    forecast: Forecast | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +62,7 @@ class Choice:
 
 
 @dataclass(frozen=True, slots=True)
-class Call:
+class CallInputs:
     """What an invocation is decided on, while a server is selected and in range.
 
     `local_s` and `remote_s` are the operation's estimates; `check_expected_s` is the estimate of the check under
@@ -75,10 +80,31 @@ class Call:
 
 
 @dataclass(frozen=True, slots=True)
+class Inputs:
+    """What a call was decided on, as it was then: enough to make the decision again.
+
+    `server` is the one in use, None where there is none; its state, the number of its check and the estimates are
+    None then too. `check_s` is what its check takes, of which `check_elapsed_s` are over.
+    """
+
+    local_s: float | None = None
+    server: str | None = None
+    state: State | None = None
+    check: int | None = None
+    remote_s: float | None = None
+    check_s: float | None = None
+    check_elapsed_s: float | None = None
+
+
+_UNKNOWN = Inputs()  # of a decision by itself, as policies make them
+
+
+@dataclass(frozen=True, slots=True)
 class Local:
     """Run the call on the drone."""
 
     why: str
+    inputs: Inputs = field(default=_UNKNOWN, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +118,7 @@ class Remote:
     deadline_s: float
     why: str
     raced: bool = False
+    inputs: Inputs = field(default=_UNKNOWN, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +128,7 @@ class Wait:
     server: str
     at_most_s: float
     why: str
+    inputs: Inputs = field(default=_UNKNOWN, compare=False, repr=False)
 
 
 Decision = Local | Remote | Wait
@@ -120,7 +148,7 @@ class Policy(Protocol):
     def choose(self, situation: Situation) -> Choice:
         """Which server now?"""
 
-    def decide(self, call: Call) -> Decision:
+    def decide(self, call: CallInputs) -> Decision:
         """Wait, remote or local?"""
 
 
@@ -154,7 +182,7 @@ class WaitRule:
         """The longest wait that pays off for a call with these estimates; none does where it is not above 0."""
         return local_s * (1 - self.gain_wait) - remote_s
 
-    def decide(self, call: Call) -> Decision:
+    def decide(self, call: CallInputs) -> Decision:
         """Remote if the server is ready; while it is checked, a bounded wait or local."""
         if call.state is State.READY:
             deadline_s = self.deadline.seconds(
@@ -174,6 +202,11 @@ class WaitRule:
         return Local(f"READY expected in {wait_s:.2f} s, too late to pay off")
 
 
+def with_slots(options: Sequence[Option]) -> Sequence[Option]:
+    """Those that may have a slot for the drone, or all where none has."""
+    return [option for option in options if not option.full] or options
+
+
 @dataclass(frozen=True, slots=True)
 class LocalOnly:
     """Never offloads: the thesis's no-offload reference."""
@@ -185,7 +218,7 @@ class LocalOnly:
         """No server, ever."""
         return Choice(None, "local-only policy")
 
-    def decide(self, call: Call) -> Decision:
+    def decide(self, call: CallInputs) -> Decision:
         """On the drone, always."""
         return Local("local-only policy")
 
@@ -200,13 +233,14 @@ class Opportunistic:
 
     def choose(self, situation: Situation) -> Choice:
         """The current server while it is in range, else the one whose range was entered first."""
-        if any(option.server == situation.current for option in situation.options):
+        options = with_slots(situation.options)
+        if any(option.server == situation.current for option in options):
             return Choice(situation.current, "in range")
-        if not situation.options:
+        if not options:
             return Choice(None, "no server in range")
-        return Choice(min(situation.options, key=lambda option: option.in_range_since_s).server, "first come")
+        return Choice(min(options, key=lambda option: option.in_range_since_s).server, "first come")
 
-    def decide(self, call: Call) -> Decision:
+    def decide(self, call: CallInputs) -> Decision:
         """By the wait rule."""
         return self.wait.decide(call)
 
@@ -223,7 +257,7 @@ class LocationAware:
     def choose(self, situation: Situation) -> Choice:
         """The best candidate; the current server unless another gains more than `gain_switch` over it."""
         local_s = situation.local_mean_call_s
-        candidates = [option for option in situation.options if option.mean_call_s < local_s]
+        candidates = with_slots([option for option in situation.options if option.mean_call_s < local_s])
         current = next((option for option in candidates if option.server == situation.current), None)
         if not candidates:
             return Choice(None, "not faster than local" if situation.options else "no server in range")
@@ -234,7 +268,7 @@ class LocationAware:
             return Choice(best.server, f"gains enough over {current.server}")
         return Choice(current.server, "no other gains enough")
 
-    def decide(self, call: Call) -> Decision:
+    def decide(self, call: CallInputs) -> Decision:
         """By the wait rule; an operation that is no faster there runs on the drone."""
         if call.remote_s >= call.local_s:
             return Local(f"{call.server} is not faster for this operation")

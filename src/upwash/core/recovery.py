@@ -1,14 +1,14 @@
-"""When a server that failed is asked again, when it is trusted again, and what a call to it may cost then.
+"""When a server that failed is asked again, when calls go there again, and what those may cost.
 
 Laws:
-- a failed server that is in range, where a radio is free for it, is asked for a sign of life: first after a pause
-  that grows with the failures that it had lately, then after pauses that grow from `first_s` to `longest_s`;
-- its first failure costs it no more than the first pause; the k-th one after that 2 ** (k - 1) s, 10 s at most;
-  failures are forgotten once it has been well for a minute longer than it was left alone for the last one;
-- until an operation is answered there sooner than the drone would, its calls are trials: the drone's own service is
-  at them from the start, so that they cost the mission nothing, and nobody waits for a check of that server;
-- one trial is under way at a time, and the next one begins when the server has been quiet for a 30th of the time that
-  it has been slow for, 10 s at most.
+- a failed server that is in range is asked for a sign of life, where a radio is free for it: first after a pause
+  that grows with its latest failures, then after pauses that grow from `first_s` to `longest_s`;
+- after its first failure it is left alone for the first pause only; after the k-th one that follows, for
+  2 ** (k - 1) s, 10 s at most; a minute after that time is over its failures are forgotten;
+- until a server answers an operation sooner than the drone would, calls of that operation there are trials: the
+  drone's own service computes them too, from the start, so that they cost no time; and no call waits for its check;
+- a server has one trial at a time; after one that was slow the next waits for a 30th of the time for which the server
+  has been slow, 10 s at most.
 """
 
 from __future__ import annotations

@@ -6,16 +6,17 @@ What holds in this small world:
 - a server that was checked once runs its services from then on;
 - a server that is ready has its peers start their services from then on.
 
-Call by call, the ways to get so far are carried on: those that no other beats in its cost, in what is left of the
-check, or in the services that it has started. Of the latter only two sets are followed, as there would be too many.
-So the schedule is the best one where a check takes as long whether the services run or not, and nearly so elsewhere.
+The search goes call by call. It keeps a label for each way to get so far, unless a cheaper one is no worse in what is
+left of the check and in the services that it has started. Of the latter it follows only two sets, as there would be
+too many: the schedule is the best one where a check takes as long whether the services run or not, and nearly so
+elsewhere.
 """
 
 from __future__ import annotations
 
-import itertools
+import heapq
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 from types import MappingProxyType
@@ -61,18 +62,20 @@ class Schedule:
     total_s: float
 
 
-class _Way(NamedTuple):
+class _Label(NamedTuple):
+    """One way to get through the calls so far."""
+
     cost_s: float
     ready_in_s: float  # what is left of the server's check
     server: str | None
     started: frozenset[str]
     since_s: float  # when that check is over
-    before: _Way | None
+    before: _Label | None
 
 
-_Arrival = tuple[_Way, float, float]  # at a call: what is left of the server's check, and when it is over
+_Arrival = tuple[_Label, float, float]  # at a call: what is left of the server's check, and when it is over
 _cost_and_rest = itemgetter(0, 1)
-_MOST_STARTED = 2  # sets of servers that ways may have started the services of
+_MOST_STARTED = 2  # sets of servers that labels may have started the services of
 _ASKING_S = 1.0  # a server that is left sooner has perhaps not been told to start anything
 
 
@@ -95,13 +98,13 @@ def quickest(
     started = frozenset[str]()
     if server in useful:
         started = _with_started(started, server, useful[server], ready_in_s)
-    ways = [_Way(0.0, ready_in_s, server, started, ready_in_s, None)]
+    labels = [_Label(0.0, ready_in_s, server, started, ready_in_s, None)]
     begins_s = 0.0
     for call in calls:
-        ways = list(_over(call, ways, useful, peers, begins_s=begins_s, gain_wait=gain_wait, stays=stays))
+        labels = _over(call, labels, useful, peers, begins_s=begins_s, gain_wait=gain_wait, stays=stays)
         begins_s += call.gap_s
         stays = False
-    best = min(ways, key=_cost_and_rest)
+    best = min(labels, key=_cost_and_rest)
     return Schedule(_servers(best), best.cost_s)
 
 
@@ -156,21 +159,23 @@ def _is_no_lonelier(server: str, other: str, peers: Mapping[str, frozenset[str]]
 
 def _over(
     call: ComingCall,
-    ways: Sequence[_Way],
+    labels: Sequence[_Label],
     checks: Mapping[str, CheckTimes],
     peers: Mapping[str, frozenset[str]],
     *,
     begins_s: float,
     gain_wait: float,
     stays: bool,
-) -> Iterator[_Way]:
-    """The ways that lead over one more call: on without a server, with the same one, or with another."""
-    cheapest = _cheapest(ways)
-    for way in cheapest:
-        yield _Way(way.cost_s + call.local_s, math.inf, None, way.started, math.inf, way)
-    by_server: dict[str | None, list[_Way]] = {}
-    for way in ways:
-        by_server.setdefault(way.server, []).append(way)
+) -> list[_Label]:
+    """The labels after one more call: without a server, with the same one, or with another."""
+    cheapest = _cheapest(labels)
+    after = [
+        _Label(label.cost_s + call.local_s, math.inf, None, label.started, math.inf, label)
+        for label in cheapest
+    ]
+    by_server: dict[str | None, list[_Label]] = {}
+    for label in labels:
+        by_server.setdefault(label.server, []).append(label)
     longest_s = call.local_s * (1 - gain_wait)
     for offer in call.offers:
         times = checks.get(offer.server)
@@ -180,36 +185,42 @@ def _over(
         never_left = offer.head_start_s >= call.gap_s
         if never_left:
             arrivals = [
-                (way, way.ready_in_s - call.gap_s, way.since_s) for way in by_server.get(offer.server, ())
+                (label, label.ready_in_s - call.gap_s, label.since_s)
+                for label in by_server.get(offer.server, ())
             ]
         if not stays:
-            for way in cheapest:
-                if not (never_left and way.server == offer.server):
-                    called_s = begins_s + call.gap_s + way.cost_s
+            for label in cheapest:
+                if not (never_left and label.server == offer.server):
+                    called_s = begins_s + call.gap_s + label.cost_s
                     check_s = times.stopped_s
-                    if offer.server in way.started or begins_s < times.runs_for_s:
+                    if offer.server in label.started or begins_s < times.runs_for_s:
                         check_s = times.running_s
-                    elif way.server is not None and offer.server in peers.get(way.server, ()):
-                        prepared_s = max(0.0, called_s - offer.head_start_s - way.since_s)
+                    elif label.server is not None and offer.server in peers.get(label.server, ()):
+                        prepared_s = max(0.0, called_s - offer.head_start_s - label.since_s)
                         check_s = max(times.running_s, times.stopped_s - prepared_s)
                     left_s = check_s - offer.head_start_s
-                    arrivals.append((way, left_s, called_s + left_s))
-        yield from _unbeaten(_served(arrivals, offer, times, call.local_s, longest_s))
+                    arrivals.append((label, left_s, called_s + left_s))
+        after += _unbeaten(_served(arrivals, offer, times, call.local_s, longest_s))
+    return after
 
 
 def _served(
     arrivals: Iterable[_Arrival], offer: Offer, times: CheckTimes, local_s: float, longest_s: float
-) -> Iterator[_Way]:
-    """The ways over a call that is made with so much of the server's check left."""
-    for way, left_s, since_s in arrivals:
+) -> list[_Label]:
+    """The labels after a call that is made with so much of the server's check left."""
+    labels = []
+    server, call_s = offer.server, offer.call_s
+    ready_s = min(local_s, call_s)
+    for label, left_s, since_s in arrivals:
         if left_s <= 0:
-            cost_s, rest_s = way.cost_s + min(local_s, offer.call_s), 0.0
-        elif left_s + offer.call_s < longest_s:
-            cost_s, rest_s = way.cost_s + left_s + offer.call_s, 0.0
+            cost_s, rest_s = label.cost_s + ready_s, 0.0
+        elif left_s + call_s < longest_s:
+            cost_s, rest_s = label.cost_s + left_s + call_s, 0.0
         else:
-            cost_s, rest_s = way.cost_s + local_s, max(0.0, left_s - local_s)
-        started = _with_started(way.started, offer.server, times, rest_s)
-        yield _Way(cost_s, rest_s, offer.server, started, since_s, way)
+            cost_s, rest_s = label.cost_s + local_s, max(0.0, left_s - local_s)
+        started = _with_started(label.started, server, times, rest_s)
+        labels.append(_Label(cost_s, rest_s, server, started, since_s, label))
+    return labels
 
 
 def _with_started(started: frozenset[str], server: str, times: CheckTimes, rest_s: float) -> frozenset[str]:
@@ -219,27 +230,31 @@ def _with_started(started: frozenset[str], server: str, times: CheckTimes, rest_
     return started | {server}
 
 
-def _cheapest(ways: Iterable[_Way]) -> list[_Way]:
-    """The cheapest way of all, and the cheapest that has started something else."""
-    ordered = sorted(ways, key=_cost_and_rest)
-    others = (way for way in ordered if not way.started <= ordered[0].started)
-    return [ordered[0], *itertools.islice(others, _MOST_STARTED - 1)]
+def _cheapest(labels: Sequence[_Label]) -> list[_Label]:
+    """The cheapest label, and the cheapest that has started something else."""
+    first = min(labels, key=_cost_and_rest)
+    others = [label for label in labels if not label.started <= first.started]
+    return [first, *heapq.nsmallest(_MOST_STARTED - 1, others, key=_cost_and_rest)]
 
 
-def _unbeaten(ways: Iterable[_Way]) -> list[_Way]:
-    """The ways to one server that no cheaper one beats in what is left of the check or in what it has started."""
-    ordered = sorted(ways, key=_cost_and_rest)
+def _unbeaten(labels: list[_Label]) -> list[_Label]:
+    """The labels of one server that no cheaper one beats in what is left of the check or in what it has started."""
+    if len(labels) == 1:
+        return labels
+    ordered = sorted(labels, key=_cost_and_rest)
     best = ordered[:1]
-    for way in ordered[1:]:
-        beaten = any(other.ready_in_s <= way.ready_in_s and other.started >= way.started for other in best)
-        if not beaten and len({way.started, *(other.started for other in best)}) <= _MOST_STARTED:
-            best.append(way)
+    for label in ordered[1:]:
+        beaten = any(
+            other.ready_in_s <= label.ready_in_s and other.started >= label.started for other in best
+        )
+        if not beaten and len({label.started, *(other.started for other in best)}) <= _MOST_STARTED:
+            best.append(label)
     return best
 
 
-def _servers(way: _Way) -> list[str | None]:
+def _servers(label: _Label) -> list[str | None]:
     servers = []
-    while way.before is not None:
-        servers.append(way.server)
-        way = way.before
+    while label.before is not None:
+        servers.append(label.server)
+        label = label.before
     return servers[::-1]

@@ -1,11 +1,12 @@
 """The server table: what the drone knows of each server, and the only ways in which that may change.
 
 A server is in one of six states (thesis figure 3.2). `-R` (running) means that the services are believed to run
-there. TRANSITIONS is the whole law; anything else is a programming error.
+there. TRANSITIONS has every step that is possible; any other is a programming error.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -14,6 +15,8 @@ from upwash.core.geo import Circle
 from upwash.errors import TransitionError
 
 _HISTORY_LENGTH = 20
+_REMEMBERED_S = 60.0  # for which a server is believed to have no slot, or none for everybody
+FULL_S = 15.0  # for which it is expected to have none: half a turn
 
 
 class State(StrEnum):
@@ -31,7 +34,7 @@ SELECTED = frozenset({State.CHECK, State.CHECK_R, State.READY})
 CHECKING = frozenset({State.CHECK, State.CHECK_R})
 
 
-class Event(StrEnum):
+class Trigger(StrEnum):
     """What can happen to a server."""
 
     SELECTED = "selected"
@@ -44,6 +47,7 @@ class Event(StrEnum):
     CALL_FAILED_IN_RANGE = "call_failed_in_range"
     CALL_FAILED_OUT_OF_RANGE = "call_failed_out_of_range"
     NETWORK_LOST = "network_lost"  # in range, though: out of range is a de-selection
+    TURN_OVER = "turn_over"  # its slot is another drone's now: it is asked for one again
     BLACKLIST_EXPIRED = "blacklist_expired"
     PROBED = "probed"  # it gave a sign of life, and not all services run
     PROBED_RUNNING = "probed_running"  # the services that run there did, too
@@ -51,30 +55,31 @@ class Event(StrEnum):
     PREPARED = "prepared"  # a peer of it says that its services are being started
 
 
-TRANSITIONS: dict[tuple[State, Event], State] = {
-    (State.AVL, Event.SELECTED): State.CHECK,
-    (State.AVL_R, Event.SELECTED): State.CHECK_R,
-    (State.CHECK_R, Event.FOUND_STOPPED): State.CHECK,
-    (State.CHECK, Event.FOUND_RUNNING): State.READY,
-    (State.CHECK_R, Event.FOUND_RUNNING): State.READY,
-    (State.CHECK, Event.STARTED): State.READY,
-    (State.CHECK, Event.CHECK_FAILED): State.BLACKLISTED,
-    (State.CHECK_R, Event.CHECK_FAILED): State.BLACKLISTED,
-    (State.CHECK, Event.DESELECTED): State.AVL,
-    (State.CHECK, Event.DESELECTED_AFTER_START): State.AVL_R,
-    (State.CHECK_R, Event.DESELECTED): State.AVL_R,
-    (State.READY, Event.DESELECTED): State.AVL_R,
-    (State.READY, Event.CALL_FAILED_IN_RANGE): State.BLACKLISTED,
-    (State.READY, Event.CALL_FAILED_OUT_OF_RANGE): State.AVL_R,
-    (State.CHECK, Event.NETWORK_LOST): State.BLACKLISTED,
-    (State.CHECK_R, Event.NETWORK_LOST): State.BLACKLISTED,
-    (State.READY, Event.NETWORK_LOST): State.BLACKLISTED,
-    (State.BLACKLISTED, Event.BLACKLIST_EXPIRED): State.AVL,
-    (State.BLACKLISTED, Event.PROBED): State.AVL,
-    (State.BLACKLISTED, Event.PROBED_RUNNING): State.AVL_R,
-    (State.AVL_R, Event.IDLE_EXPIRED): State.AVL,
-    (State.AVL, Event.PREPARED): State.AVL_R,
-    (State.AVL_R, Event.PREPARED): State.AVL_R,
+TRANSITIONS: dict[tuple[State, Trigger], State] = {
+    (State.AVL, Trigger.SELECTED): State.CHECK,
+    (State.AVL_R, Trigger.SELECTED): State.CHECK_R,
+    (State.CHECK_R, Trigger.FOUND_STOPPED): State.CHECK,
+    (State.CHECK, Trigger.FOUND_RUNNING): State.READY,
+    (State.CHECK_R, Trigger.FOUND_RUNNING): State.READY,
+    (State.CHECK, Trigger.STARTED): State.READY,
+    (State.CHECK, Trigger.CHECK_FAILED): State.BLACKLISTED,
+    (State.CHECK_R, Trigger.CHECK_FAILED): State.BLACKLISTED,
+    (State.CHECK, Trigger.DESELECTED): State.AVL,
+    (State.CHECK, Trigger.DESELECTED_AFTER_START): State.AVL_R,
+    (State.CHECK_R, Trigger.DESELECTED): State.AVL_R,
+    (State.READY, Trigger.DESELECTED): State.AVL_R,
+    (State.READY, Trigger.CALL_FAILED_IN_RANGE): State.BLACKLISTED,
+    (State.READY, Trigger.CALL_FAILED_OUT_OF_RANGE): State.AVL_R,
+    (State.READY, Trigger.TURN_OVER): State.CHECK_R,
+    (State.CHECK, Trigger.NETWORK_LOST): State.BLACKLISTED,
+    (State.CHECK_R, Trigger.NETWORK_LOST): State.BLACKLISTED,
+    (State.READY, Trigger.NETWORK_LOST): State.BLACKLISTED,
+    (State.BLACKLISTED, Trigger.BLACKLIST_EXPIRED): State.AVL,
+    (State.BLACKLISTED, Trigger.PROBED): State.AVL,
+    (State.BLACKLISTED, Trigger.PROBED_RUNNING): State.AVL_R,
+    (State.AVL_R, Trigger.IDLE_EXPIRED): State.AVL,
+    (State.AVL, Trigger.PREPARED): State.AVL_R,
+    (State.AVL_R, Trigger.PREPARED): State.AVL_R,
 }
 
 
@@ -83,11 +88,12 @@ class Change:
     """One step of one server through the table, and why."""
 
     server: str
-    event: Event
+    event: Trigger
     before: State
     after: State
     at_s: float
     why: str
+    check: int  # the number of the server's check or probe that the step belongs to
 
 
 @dataclass(slots=True)
@@ -101,7 +107,14 @@ class Server:
     check: int = 0  # the number of the latest check of it
     checked_since_s: float = 0.0  # t_check: when it was last selected
     start_requested: bool = False  # during the check that runs, or the last one
-    joined_before: bool = False  # that check, as the server was being probed
+    joined_before: bool = (
+        False  # that check found the network joined, by a probe of the server or a turn there
+    )
+    refused: bool = False  # a slot, in the check that runs, or the last one
+    full_s: float = -math.inf  # when it last said that it has no slot for the drone
+    contended_s: float = -math.inf  # when it last said that others wait for a slot
+    turns_lost: int = 0  # in a row, without an answer to a call
+    left_alone_s: float = 0.0  # for how long it is blacklisted, where no probe finds it well before
     in_range_since_s: float | None = None
     peers: frozenset[str] = frozenset()  # the servers that its daemon can have prepared, as it last said
     history: deque[Change] = field(default_factory=lambda: deque(maxlen=_HISTORY_LENGTH))
@@ -111,7 +124,15 @@ class Server:
         """Whether the drone was in range at the last position given."""
         return self.in_range_since_s is not None
 
-    def apply(self, event: Event, *, now_s: float, why: str = "") -> Change:
+    def is_full(self, now_s: float) -> bool:
+        """Whether the server had no slot for the drone, the last time that it said so."""
+        return now_s - self.full_s < _REMEMBERED_S
+
+    def is_contended(self, now_s: float) -> bool:
+        """Whether others waited for a slot, the last time that the server said so."""
+        return now_s - self.contended_s < _REMEMBERED_S
+
+    def apply(self, event: Trigger, *, now_s: float, why: str = "") -> Change:
         """Takes the step that the table names; raises TransitionError, with the history, where it names none."""
         after = TRANSITIONS.get((self.state, event))
         if after is None:
@@ -122,18 +143,18 @@ class Server:
                     or "nothing"
                 )
             )
-        change = Change(self.name, event, self.state, after, now_s, why)
+        change = Change(self.name, event, self.state, after, now_s, why, self.check)
         self.history.append(change)
         self.state = after
         self.since_s = now_s
-        if event is Event.SELECTED:
+        if event in (Trigger.SELECTED, Trigger.TURN_OVER):
             self.checked_since_s = now_s
-            self.start_requested = False
+            self.start_requested = self.refused = False
         return change
 
     def deselect(self, *, now_s: float, why: str) -> Change:
         """Takes the de-selection step of the state that the server is in."""
         starting = self.state is State.CHECK and self.start_requested
         return self.apply(
-            Event.DESELECTED_AFTER_START if starting else Event.DESELECTED, now_s=now_s, why=why
+            Trigger.DESELECTED_AFTER_START if starting else Trigger.DESELECTED, now_s=now_s, why=why
         )

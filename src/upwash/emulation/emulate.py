@@ -15,31 +15,35 @@ from upwash.emulation.field import Field, Radio, drone_namespace
 from upwash.emulation.ghosts import GhostRadio
 from upwash.emulation.mover import Mover
 from upwash.emulation.namespaces import add_route, join_by_cable
-from upwash.emulation.order import ComputerKind, Order, RadioKind
 from upwash.emulation.outcome import Outcome
 from upwash.emulation.programs import Flight, ready_daemon
 from upwash.emulation.relay import relayed
+from upwash.emulation.request import ComputerKind, EmulationRequest, RadioKind
 from upwash.emulation.shaped import ShapedRadio
 from upwash.emulation.tracking import tracked
-from upwash.real.credentials import make_keys
-from upwash.running import ready_vehicle
+from upwash.launch.processes import ready_vehicle
+from upwash.real.authority import make_keys
 
 
-async def emulate(order: Order, stop: asyncio.Event) -> Outcome:
-    """Flies every drone of the order at once; `stop` has them end their missions and land."""
-    field = Field(order.read())
+async def emulate(request: EmulationRequest, stop: asyncio.Event) -> Outcome:
+    """Flies every drone of the request at once; `stop` has them end their missions and land."""
+    drones = request.read()
+    field = Field([each.config for each in drones])
     with contextlib.ExitStack() as stack:
-        computers = _make_computers(order.computers, order.folder)
-        radio = stack.enter_context(_field_set_up(field, computers, order))
+        computers = _make_computers(request.computers, request.folder)
+        radio = stack.enter_context(_field_set_up(field, computers, request))
         flights: list[Flight] = []
         positions: dict[str, Callable[[], Position]] = {}
-        for number, drone in enumerate(field.drones):
-            vehicle, positions[drone.name] = stack.enter_context(_vehicle(drone, number, computers, order))
-            flights.append(Flight(drone, field, computers, order.folder, vehicle=vehicle))
+        for number, each in enumerate(drones):
+            drone = each.config
+            vehicle, positions[drone.name] = stack.enter_context(_vehicle(drone, number, computers, request))
+            flights.append(
+                Flight(drone, field, computers, request.folder, vehicle=vehicle, departs_s=each.departs_s)
+            )
         mover = Mover(radio, positions)
         exit_codes = await _fly(flights, mover, stop)
         return Outcome(
-            radio=order.radio,
+            radio=request.radio,
             radio_lag_s=radio.lag_s,
             position_lag_s=mover.lag_s,
             exit_codes=exit_codes,
@@ -57,9 +61,9 @@ def _make_computers(kind: ComputerKind, folder: Path) -> Computers:
 
 
 @contextlib.contextmanager
-def _field_set_up(field: Field, computers: Computers, order: Order) -> Iterator[Radio]:
+def _field_set_up(field: Field, computers: Computers, request: EmulationRequest) -> Iterator[Radio]:
     """The computers, the radio and the daemons, until the end of the block."""
-    folder = order.folder
+    folder = request.folder
     _say(f"setting up {len(field.drones)} drone(s) and {len(field.servers)} server(s)")
     for namespace in field.namespaces():
         computers.make(namespace)
@@ -71,7 +75,7 @@ def _field_set_up(field: Field, computers: Computers, order: Order) -> Iterator[
         drones=[drone.name for drone in field.drones],
     )
     with contextlib.ExitStack() as stack:
-        radio = stack.enter_context(contextlib.closing(make_radio(order.radio, field)))
+        radio = stack.enter_context(contextlib.closing(make_radio(request.radio, field)))
         for link in field.links():
             add_route(link.drone_end, field.subnet(link.server), via=link.server_end.address)
         for server in field.servers:
@@ -87,17 +91,17 @@ def make_radio(kind: RadioKind, field: Field) -> Radio:
 
 @contextlib.contextmanager
 def _vehicle(
-    drone: DroneConfig, number: int, computers: Computers, order: Order
+    drone: DroneConfig, number: int, computers: Computers, request: EmulationRequest
 ) -> Iterator[tuple[str, Callable[[], Position]]]:
     """How to connect to the drone's vehicle, and where it is, until the end of the block."""
     namespace, home = drone_namespace(drone.name), drone.mission.home
-    assert home is not None  # noqa: S101 - Order.read gives it one
+    assert home is not None  # noqa: S101 - EmulationRequest.read gives it one
     frame = LocalFrame(GeoPosition(home.latitude_deg, home.longitude_deg))
-    if order.autopilots:
-        reached = relayed(order.autopilots[number], namespace=namespace, outside=order.outside)
+    if request.autopilots:
+        reached = relayed(request.autopilots[number], namespace=namespace, outside=request.outside)
     else:
         reached = ready_vehicle(
-            f"{drone.name}-vehicle", order.folder, drone, through=computers.inside(namespace)
+            f"{drone.name}-vehicle", request.folder, drone, through=computers.inside(namespace)
         )
     with reached as connection, tracked(connection, namespace=namespace, frame=frame) as position:
         yield connection, position

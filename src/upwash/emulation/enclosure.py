@@ -96,7 +96,7 @@ def settle_in(stop: Callable[[], object]) -> None:
     Path("/run/tmp").mkdir(mode=0o1777)
     os.environ["TMPDIR"] = "/run/tmp"
     command("ip", "link", "set", "lo", "up")
-    threading.Thread(target=_listen, args=(stop,), name="leash", daemon=True).start()
+    threading.Thread(target=_listen, args=(stop,), name="control line", daemon=True).start()
 
 
 def _listen(stop: Callable[[], object]) -> None:

@@ -21,8 +21,8 @@ from upwash.config import (
     server_truth,
 )
 from upwash.config.values import PlanFile
-from upwash.emulation.order import server_paces
-from upwash.output import write_file
+from upwash.emulation.request import server_paces
+from upwash.support.output_files import write_file
 
 
 def write_drone_file(file: Path, config: DroneConfig) -> None:
@@ -54,7 +54,9 @@ def daemon_config(
             for service in config.services
             if service.name in paces
         ),
-        identities=(IdentityConfig(name=server.name, slots=truth.slots, images=tuple(paces)),),
+        identities=(
+            IdentityConfig(name=server.name, slots=truth.slots, turn_s=truth.turn_s, images=tuple(paces)),
+        ),
         peers=tuple(PeerConfig(name=name, address=address) for name, address in peers.items()),
     )
 

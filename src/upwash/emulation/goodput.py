@@ -14,7 +14,7 @@ from statistics import fmean, pstdev
 
 from upwash.emulation.native import WifiSettings, native_program
 from upwash.errors import UpwashError
-from upwash.output import write_file
+from upwash.support.output_files import write_file
 
 _COLUMNS = (
     *("distance_m", "runs", "ok", "goodput_mbit_s", "goodput_std", "goodput_min", "goodput_max"),

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import msgspec
 
-from upwash.emulation.order import RadioKind
-from upwash.output import write_file
+from upwash.emulation.request import RadioKind
+from upwash.launch.flight_program import INTERRUPTED
+from upwash.support.output_files import write_file
 
 RADIO_LAG_LIMIT_S = 0.02  # more, and the radio's times mean nothing
 POSITION_LAG_LIMIT_S = 0.5  # more, and a drone is metres away from where its radio believes it to be
-INTERRUPTED = 130  # the exit code of a flight that a Ctrl-C has ended
 _FILE = "emulation.json"
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
-import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,9 +13,9 @@ from upwash.config import CameraConfig, DroneConfig, ServerConfig
 from upwash.emulation.computers import Computers
 from upwash.emulation.field import Field, drone_namespace, server_namespace
 from upwash.emulation.files import daemon_config, write_daemon_file, write_drone_file
-from upwash.emulation.outcome import INTERRUPTED
-from upwash.real.credentials import keys_in
-from upwash.running import ready_program
+from upwash.launch.flight_program import FlightProgram
+from upwash.launch.processes import ready_program
+from upwash.real.authority import keys_in
 
 _PARK_SEED = 1  # of the photos of a drone that has no camera
 
@@ -68,39 +66,36 @@ class Flight:
     """One drone's `upwash fly`, from its configuration to its exit code."""
 
     def __init__(
-        self, drone: DroneConfig, field: Field, computers: Computers, folder: Path, *, vehicle: str
+        self,
+        drone: DroneConfig,
+        field: Field,
+        computers: Computers,
+        folder: Path,
+        *,
+        vehicle: str,
+        departs_s: float = 0.0,
     ) -> None:
         self.drone = drone.name
-        self._through = computers.inside(drone_namespace(drone.name))
+        self._departs_s = departs_s
         self._prefix = f"{drone.name}: " if len(field.drones) > 1 else ""
-        self._file = drone_file(drone, field, folder, vehicle=vehicle)
-        self._log = folder / f"{drone.name}.jsonl"
-        self._process: asyncio.subprocess.Process | None = None
-        self._stopped = False
+        self._program = FlightProgram(
+            drone_file(drone, field, folder, vehicle=vehicle),
+            folder / f"{drone.name}.jsonl",
+            say=self._pass_on,
+            through=computers.inside(drone_namespace(drone.name)),
+        )
 
     async def fly(self) -> int:
-        """Flies, passes on what the program prints, and returns its exit code."""
-        if self._stopped:
-            return INTERRUPTED
-        self._process = process = await asyncio.create_subprocess_exec(
-            *self._through,
-            *(sys.executable, "-u", "-m", "upwash"),  # unbuffered, as someone may be watching
-            *("fly", "--config", str(self._file), "--log", str(self._log)),
-            stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.STDOUT,
-        )
-        assert process.stdout is not None  # noqa: S101
-        async for line in process.stdout:
-            sys.stdout.write(self._prefix + line.decode(errors="replace"))
-            sys.stdout.flush()
-        return await process.wait()
+        """Flies once it is time, passes on what the program prints, and returns its exit code."""
+        return await self._program.run(after_s=self._departs_s)
+
+    def _pass_on(self, line: str) -> None:
+        sys.stdout.write(f"{self._prefix}{line}\n")
+        sys.stdout.flush()
 
     def stop(self) -> None:
         """Has it end its mission and land, as a Ctrl-C would."""
-        self._stopped = True
-        if self._process is not None and self._process.returncode is None:
-            self._process.send_signal(signal.SIGINT)
+        self._program.stop()
 
 
 def _camera(config: CameraConfig) -> CameraConfig:

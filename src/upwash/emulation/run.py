@@ -10,48 +10,48 @@ from rich.console import Console
 from upwash.config import read_drone_config
 from upwash.emulation.enclosure import run_enclosed
 from upwash.emulation.native import native_program, wifi_of
-from upwash.emulation.order import Order, left_out
 from upwash.emulation.outcome import POSITION_LAG_LIMIT_S, RADIO_LAG_LIMIT_S, Outcome, read_outcome
+from upwash.emulation.request import EmulationRequest, left_out
 from upwash.errors import MissionStopped, UpwashError, UsageError
 
 
-def run_emulation(order: Order) -> bool:
+def run_emulation(request: EmulationRequest) -> bool:
     """Emulates and prints how it goes; returns whether every flight was completed and what was measured is valid."""
     console = Console(markup=False)
-    if read_outcome(order.folder) is not None:
-        raise UsageError(f"{order.folder} holds another run: name a new --folder")
-    configs = order.read()  # so that what is wrong with it is said before anything is set up
-    if order.radio == "ns3":
+    if read_outcome(request.folder) is not None:
+        raise UsageError(f"{request.folder} holds another run: name a new --folder")
+    drones = request.read()  # so that what is wrong with it is said before anything is set up
+    if request.radio == "ns3":
         native_program("ghosts")
-        for server in configs[0].servers:
+        for server in drones[0].config.servers:
             wifi_of(server)
-    if order.computers == "containers":
+    if request.computers == "containers":
         from upwash.emulation.containers import require_containers
 
         require_containers()
-    for file in order.scenarios:
+    for file in request.scenarios:
         if missing := left_out(read_drone_config(file)):
             console.print(f"{file.name}: not emulated: {', '.join(missing)}", soft_wrap=True)
-    order.folder.mkdir(parents=True, exist_ok=True)
-    code = _run(order)
-    outcome = read_outcome(order.folder)
+    request.folder.mkdir(parents=True, exist_ok=True)
+    code = _run(request)
+    outcome = read_outcome(request.folder)
     if outcome is None:
         raise UpwashError(
-            f"the emulation was not completed (exit code {code}); the logs in {order.folder} say why"
+            f"the emulation was not completed (exit code {code}); the logs in {request.folder} say why"
         )
     if outcome.interrupted:
         raise MissionStopped("Ctrl-C")
     _print(outcome, console)
-    console.print(f"everything of the run: {order.folder}", soft_wrap=True)
+    console.print(f"everything of the run: {request.folder}", soft_wrap=True)
     return outcome.completed and outcome.valid
 
 
-def _run(order: Order) -> int:
-    if not order.autopilots:
-        return run_enclosed("-m", "upwash.emulation", order.encoded())
+def _run(request: EmulationRequest) -> int:
+    if not request.autopilots:
+        return run_enclosed("-m", "upwash.emulation", request.encoded())
     with Path("/proc/self/ns/net").open("rb") as own:  # only then is there any way out
-        order = msgspec.structs.replace(order, outside=own.fileno())
-        return run_enclosed("-m", "upwash.emulation", order.encoded(), handles=(own.fileno(),))
+        request = msgspec.structs.replace(request, outside=own.fileno())
+        return run_enclosed("-m", "upwash.emulation", request.encoded(), handles=(own.fileno(),))
 
 
 def _print(outcome: Outcome, console: Console) -> None:

@@ -14,12 +14,11 @@ import msgspec
 from upwash.config import Document, drone_config
 from upwash.errors import MissionFailed, UsageError
 from upwash.lab import processes
-from upwash.lab.bounds import bound_of
 from upwash.lab.campaign_file import CampaignFile, Row
 from upwash.lab.confidence import Mean, mean_of
-from upwash.lab.run import simulate
+from upwash.lab.outcome import fly
 from upwash.lab.sweep import Combination, Sweep
-from upwash.loading import extra
+from upwash.support.loading import extra
 
 _CHUNK_RUNS = (
     5  # so few that little is lost by an interruption, and enough that handing them out costs nothing
@@ -43,6 +42,9 @@ class CombinationSummary:
     values: tuple[str, ...]
     mission_time_s: Mean | None
     bound_s: float | None  # the mean, of the same runs
+    energy_wh: Mean | None  # likewise, where it was metered
+    worst_s: Mean | None  # likewise, where several drones flew
+    jain: Mean | None
     failures: dict[int, str]  # reason by seed
 
 
@@ -118,17 +120,17 @@ def fly_chunk(chunk: Chunk) -> list[Row]:
 def _fly(chunk: Chunk, seed: int) -> Row:
     config = msgspec.structs.replace(drone_config(chunk.document, Path(chunk.file)), seed=seed)
     try:
-        run = simulate(config)
+        flown = fly(config)
     except MissionFailed as error:  # this run's failure, not the others'
         return Row(chunk.values, seed, config.policy.name, failure=_one_line(str(error)))
-    totals, bound = run.result.totals, bound_of(run, config)
+    totals, energy, fleet = flown.totals, flown.energy, flown.fleet
     return Row(
         chunk.values,
         seed,
-        run.result.policy,
-        mission_time_s=run.result.mission_time_s,
-        completed=run.result.completed and not run.failure,
-        failure=_one_line(run.failure),
+        flown.policy,
+        mission_time_s=flown.mission_time_s,
+        completed=flown.completed,
+        failure=_one_line(flown.failure),
         calls=totals.calls,
         local=totals.local,
         remote=sum(totals.remote.values()),
@@ -137,8 +139,17 @@ def _fly(chunk: Chunk, seed: int) -> Row:
         switches=totals.switches,
         fallbacks=totals.fallbacks,
         service_delay_s=totals.service_delay_s,
-        bound_s=bound.free_s if bound else None,
-        bound_with_joins_s=bound.with_joins_s if bound else None,
+        bound_s=flown.bound_s,
+        bound_with_joins_s=flown.bound_with_joins_s,
+        energy_wh=energy.total_wh if energy else None,
+        flight_wh=energy.flight_wh if energy else None,
+        hover_wh=energy.hover_wh if energy else None,
+        computing_wh=energy.computing_wh if energy else None,
+        radio_wh=energy.radio_wh if energy else None,
+        completed_drones=fleet.completed if fleet else None,
+        worst_s=fleet.worst_s if fleet else None,
+        jain=fleet.jain if fleet else None,
+        bound_shared_s=fleet.bound_shared_s if fleet else None,
     )
 
 
@@ -160,11 +171,20 @@ def _summaries(sweep: Sweep, rows: Sequence[Row]) -> list[CombinationSummary]:
 
 def _summary(combination: Combination, rows: Iterable[Row]) -> CombinationSummary:
     own = [row for row in rows if row.values == combination.values]
-    times_s = [row.mission_time_s for row in own if row.completed and row.mission_time_s is not None]
-    bounds_s = [row.bound_s for row in own if row.completed and row.bound_s is not None]
+    completed = [row for row in own if row.completed]
+    bounds_s = [row.bound_s if row.bound_shared_s is None else row.bound_shared_s for row in completed]
+    known_s = [bound_s for bound_s in bounds_s if bound_s is not None]
     return CombinationSummary(
         combination.values,
-        mean_of(times_s) if times_s else None,
-        fmean(bounds_s) if bounds_s else None,
+        _mean(row.mission_time_s for row in completed),
+        fmean(known_s) if known_s else None,
+        _mean(row.energy_wh for row in completed),
+        _mean(row.worst_s for row in completed),
+        _mean(row.jain for row in completed),
         {row.seed: row.failure for row in own if not row.completed},
     )
+
+
+def _mean(values: Iterable[float | None]) -> Mean | None:
+    known = [value for value in values if value is not None]
+    return mean_of(known) if known else None

@@ -40,10 +40,15 @@ def show_campaign(sweep: Sweep, out: Path | None, *, fly: Fly) -> bool:
 
 
 def _table(sweep: Sweep, summaries: Sequence[CombinationSummary]) -> Table:
-    table = Table(box=None, padding=(0, 2), caption="± 95 % confidence", caption_justify="left")
+    metered = any(summary.energy_wh for summary in summaries)
+    together = any(summary.worst_s for summary in summaries)
+    apart = 1 if together else 2  # so that a line holds it
+    table = Table(box=None, padding=(0, apart), caption="± 95 % confidence", caption_justify="left")
     for key in sweep.keys:
         table.add_column(key, overflow="fold")
-    for title in ("completed", "failed", "mission time", "over bound"):
+    titles = ["completed", "failed", "mission time", "over bound"]
+    titles += ["worst", "Jain"] if together else []
+    for title in (*titles, *(["drawn"] if metered else [])):
         table.add_column(title, justify="right", no_wrap=True)
     for summary in summaries:
         mean = summary.mission_time_s
@@ -54,6 +59,8 @@ def _table(sweep: Sweep, summaries: Sequence[CombinationSummary]) -> Table:
             Text(str(failed), style="red" if failed else ""),
             _minutes(mean) if mean else "-",
             f"{100 * (mean.value / summary.bound_s - 1):.1f} %" if mean and summary.bound_s else "-",
+            *(_of_several(summary) if together else []),
+            *([_drawn(summary.energy_wh)] if metered else []),
         )
     return table
 
@@ -61,6 +68,19 @@ def _table(sweep: Sweep, summaries: Sequence[CombinationSummary]) -> Table:
 def _minutes(mean: Mean) -> str:
     margin = f" ± {mean.margin / 60:.2f}" if mean.count > 1 else ""
     return f"{mean.value / 60:.2f}{margin} min"
+
+
+def _of_several(summary: CombinationSummary) -> list[str]:
+    if summary.worst_s is None or summary.jain is None:
+        return ["-", "-"]
+    return [f"{summary.worst_s.value / 60:.2f} min", f"{summary.jain.value:.3f}"]
+
+
+def _drawn(mean: Mean | None) -> str:
+    if mean is None:
+        return "-"
+    margin = f" ± {mean.margin:.2f}" if mean.count > 1 else ""
+    return f"{mean.value:.2f}{margin} Wh"
 
 
 def _failures(sweep: Sweep, summary: CombinationSummary) -> list[Text]:

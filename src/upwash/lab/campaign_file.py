@@ -15,8 +15,8 @@ import msgspec
 
 from upwash.errors import NotWritten, UsageError
 from upwash.lab.sweep import Sweep
-from upwash.loading import extra
-from upwash.output import append_whole, flush_to_disk, write_file
+from upwash.support.loading import extra
+from upwash.support.output_files import append_whole, flush_to_disk, write_file
 
 
 class Row(msgspec.Struct, frozen=True):
@@ -38,9 +38,20 @@ class Row(msgspec.Struct, frozen=True):
     service_delay_s: float | None = None
     bound_s: float | None = None
     bound_with_joins_s: float | None = None
+    energy_wh: float | None = None
+    flight_wh: float | None = None
+    hover_wh: float | None = None
+    computing_wh: float | None = None
+    radio_wh: float | None = None
+    completed_drones: int | None = None  # of several
+    worst_s: float | None = None
+    jain: float | None = None
+    bound_shared_s: float | None = None
 
 
-_COLUMNS = Row.__struct_fields__[1:]
+_ENERGY = ("energy_wh", "flight_wh", "hover_wh", "computing_wh", "radio_wh")
+_FLEET = ("completed_drones", "worst_s", "jain", "bound_shared_s")
+_COLUMNS = tuple(name for name in Row.__struct_fields__[1:] if name not in (*_ENERGY, *_FLEET))
 
 
 class Note(msgspec.Struct, frozen=True):
@@ -59,6 +70,10 @@ class CampaignFile:
         self._csv_file = csv_file
         self._parquet_file = parquet_file
         self.sweep = sweep
+        documents = [each.document for each in sweep.combinations]
+        metered = _ENERGY if any("energy" in each for each in documents) else ()
+        together = _FLEET if any("drone" in each for each in documents) else ()
+        self._columns = (*_COLUMNS, *metered, *together)
 
     @classmethod
     def open(cls, out: Path, sweep: Sweep) -> CampaignFile:
@@ -76,7 +91,7 @@ class CampaignFile:
             file._claim()
             if csv_file.exists():
                 _drop_torn_row(csv_file)
-                file.rows = _read(csv_file, settings=len(sweep.settings))
+                file.rows = _read(csv_file, file._columns, settings=len(sweep.settings))
             if not csv_file.exists() or csv_file.stat().st_size == 0:
                 _write(csv_file, [file._header()])
         except OSError as error:
@@ -92,7 +107,7 @@ class CampaignFile:
         """Keeps these rows: from now on no interruption loses them."""
         new = list(rows)
         try:
-            _write(self._csv_file, [_cells(row) for row in new])
+            _write(self._csv_file, [self._cells(row) for row in new])
         except OSError as error:
             kept = f"it has the {len(self.rows)} runs before, and the same command goes on from there"
             raise NotWritten(self._csv_file, error, kept) from error
@@ -102,12 +117,15 @@ class CampaignFile:
         """Sorts the rows by combination and seed, and writes the Parquet file where one is wanted."""
         order = {each.values: number for number, each in enumerate(self.sweep.combinations)}
         self.rows.sort(key=lambda row: (order[row.values], row.seed))
-        write_file(self._csv_file, _as_csv([self._header(), *(_cells(row) for row in self.rows)]))
+        write_file(self._csv_file, _as_csv([self._header(), *(self._cells(row) for row in self.rows)]))
         if self._parquet_file is not None:
             write_file(self._parquet_file, _as_parquet(self._csv_file))
 
     def _header(self) -> list[str]:
-        return [*self.sweep.keys, *_COLUMNS]
+        return [*self.sweep.keys, *self._columns]
+
+    def _cells(self, row: Row) -> list[str]:
+        return [*row.values, *(_cell(getattr(row, column)) for column in self._columns)]
 
     def _claim(self) -> None:
         """Makes sure that the file is this campaign's, by the note beside it."""
@@ -132,23 +150,19 @@ def _described(note: Note | None) -> str:
     return f"another campaign, or of another state of its scenario ({note.scenario}{settings})"
 
 
-def _read(csv_file: Path, *, settings: int) -> list[Row]:
+def _read(csv_file: Path, columns: Sequence[str], *, settings: int) -> list[Row]:
     with csv_file.open(newline="", encoding="utf-8") as lines:
         rows = list(csv.reader(lines))[1:]
     try:
-        return [_row(cells, settings) for cells in rows]
+        return [_row(cells, columns, settings) for cells in rows]
     except (msgspec.ValidationError, ValueError) as error:
         raise UsageError(f"{csv_file} was changed by hand: {error}; remove it and begin again") from None
 
 
-def _row(cells: Sequence[str], settings: int) -> Row:
-    named = dict(zip(_COLUMNS, cells[settings:], strict=True))
+def _row(cells: Sequence[str], columns: Sequence[str], settings: int) -> Row:
+    named = dict(zip(columns, cells[settings:], strict=True))
     texts = {name: cell for name, cell in named.items() if cell or name == "failure"}
     return msgspec.convert({"values": cells[:settings], **texts}, Row, strict=False)
-
-
-def _cells(row: Row) -> list[str]:
-    return [*row.values, *(_cell(getattr(row, column)) for column in _COLUMNS)]
 
 
 def _cell(value: object) -> str:

@@ -1,32 +1,34 @@
-"""Every policy in the same worlds: how long its missions take, beside what an all-knowing drone would need."""
+"""Every policy in the same scenarios: how long its missions take, beside what an all-knowing drone would need."""
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
 from statistics import fmean
 from typing import NamedTuple
 
 import msgspec
 
 from upwash.config import DroneConfig, NoiseConfig, ServerConfig
+from upwash.config.problems import unknown
+from upwash.config.values import repeated
 from upwash.core.policies import POLICIES
-from upwash.errors import UpwashError
+from upwash.errors import UpwashError, UsageError
 from upwash.lab import processes
-from upwash.lab.bounds import bound_of
 from upwash.lab.confidence import Mean, mean_of
-from upwash.lab.reproduction import EXPERIMENTS, SETUPS, Cell, scenario
-from upwash.lab.run import simulate
-from upwash.lab.simulation import read_scenario, with_policy
+from upwash.lab.outcome import Outcome, fly
+from upwash.lab.reproduction.cells import EXPERIMENTS, SETUPS, Cell, scenario
+from upwash.lab.simulation import name_of, read_scenario, with_policy
 
 _NOISE = NoiseConfig(
     call=0.03, leg=0.02
 )  # of a scenario without any: without it all seeds are the same mission
 
 
-class World(NamedTuple):
+class NamedScenario(NamedTuple):
     """A scenario by its name in the comparison."""
 
     name: str
@@ -38,7 +40,8 @@ class Entrant(NamedTuple):
 
     name: str
     policy: str
-    left_alone_s: float | None = None  # after a failure, and nothing is hedged
+    left_alone_s: float | None = None  # after a failure; None as the policy does by default
+    hedges: bool | None = None  # None as the policy does by default
     among_peers: bool = False  # every server is a peer of every other
 
     def enters(self, config: DroneConfig) -> DroneConfig:
@@ -47,102 +50,156 @@ class Entrant(NamedTuple):
         config = with_policy(config, self.policy)
         if self.among_peers:
             config = replace(config, servers=_all_peers(config.servers))
-        if self.left_alone_s is None:
-            return config
-        policy = replace(config.policy, blacklist_s=self.left_alone_s, probe=None, hedge=False)
+        policy = config.policy
+        if self.left_alone_s is not None:
+            policy = replace(policy, blacklist_s=self.left_alone_s, probe=None)
+        if self.hedges is not None:
+            policy = replace(policy, hedge=self.hedges)
         return replace(config, policy=policy)
 
 
 ENTRANTS = (
     *(Entrant(policy, policy) for policy in POLICIES),
     Entrant("look-ahead, prepare", "look-ahead", among_peers=True),
-    Entrant("look-ahead, left alone", "look-ahead", left_alone_s=60.0),
+    Entrant("look-ahead, left alone", "look-ahead", left_alone_s=60.0, hedges=False),
 )
 
 
 class Flight(NamedTuple):
     """One mission to be flown."""
 
-    world: World
+    scenario: NamedScenario
     entrant: Entrant
     seed: int
 
 
 class Flown(NamedTuple):
-    """What one mission came to."""
+    """What one flight came to."""
 
-    world: str
+    scenario: str
     entrant: str
-    mission_time_s: float
-    bound_s: float
+    outcome: Outcome
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
-    """The mean mission times of one world by entrant, and the bound."""
+class ComparedPolicy:
+    """How long one policy's missions take in one scenario, each with a seed of its own; times in seconds.
 
-    world: str
+    The true mean lies within `half_width_s` of `mean_s` with a probability of 95 %; it is infinite for one mission.
+    `bound_s` is the mean time of an all-knowing drone that has every server ready at once. `energy_wh` is the mean of
+    what a mission draws from the battery, with its own half width; None where the scenario has no `[energy]`.
+
+    Of the `missions` those count that were completed, which a battery may prevent; what there is none of is NaN.
+
+    In a scenario of several drones a mission stands for those of all of them: their times and energy are means over
+    the drones, the bound is `FleetBound.shared_s`, and `worst_s` and `jain` are the means of the slowest drone's time
+    and of Jain's index; in any other they are None.
+    """
+
+    scenario: str
+    policy: str
+    missions: int
+    completed: int
+    mean_s: float
+    half_width_s: float
     bound_s: float
-    mission_time_s: Mapping[str, Mean]
+    energy_wh: float | None
+    energy_half_width_wh: float | None
+    worst_s: float | None = None
+    jain: float | None = None
 
 
-def scenario_worlds(files: Sequence[Path]) -> list[World]:
-    """The worlds of scenario files, with some noise where they have none."""
-    worlds = [World(file.stem, read_scenario(file)) for file in files]
+def compare(
+    scenarios: Sequence[str | os.PathLike[str]] | Mapping[str, str | os.PathLike[str] | Mapping[str, object]],
+    *,
+    policies: Sequence[str] | None = None,
+    seeds: int = 30,
+    overrides: Mapping[str, object] | None = None,
+    workers: int | None = None,
+    thesis: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[ComparedPolicy]:
+    """Flies every policy in every scenario with the seeds 1 to `seeds`; returns a row for each scenario and policy.
+
+    Scenarios are TOML files, or a dict of files or tables by the scenarios' names, with `overrides` as `simulate`
+    takes them; one without noise gets some, as without it all seeds are the same mission. With `thesis` the eight
+    cells of the thesis's experiments come first.
+    `progress` is called with the number of missions flown and of all. What takes more than some seconds is spread
+    over `workers` processes, one for each core by default: a script calls this under `if __name__ == "__main__":`, or
+    with one worker, which is the calling process itself.
+
+    ConfigError for a scenario that cannot be flown, UsageError for a policy that there is not, and UpwashError for a
+    mission that is not completed though its battery is endless.
+    """
+    entrants = _entrants(policies)
+    named = [*(thesis_scenarios() if thesis else []), *read_scenarios(scenarios, overrides=overrides)]
+    if seeds < 1:
+        raise UsageError(f"{seeds} seeds are none: give a number from 1 on")
+    flights = [Flight(*each) for each in product(named, entrants, range(1, seeds + 1))]
+    missions: list[Flown] = []
+    with processes.here_first(_fly, flights, workers=workers) as results:
+        for mission in results:
+            missions.append(mission)
+            if progress is not None:
+                progress(len(missions), len(flights))
+    return [row for scenario in named for row in _rows(scenario.name, entrants, missions)]
+
+
+def read_scenarios(
+    scenarios: Sequence[str | os.PathLike[str]] | Mapping[str, str | os.PathLike[str] | Mapping[str, object]],
+    *,
+    overrides: Mapping[str, object] | None = None,
+) -> list[NamedScenario]:
+    """The scenarios by their names, with some noise where they have none."""
+    named = list(
+        scenarios.items()
+        if isinstance(scenarios, Mapping)
+        else ((name_of(scenario), scenario) for scenario in scenarios)
+    )
+    for _, name in repeated([name for name, _ in named]):
+        raise UsageError(f"two scenarios are called {name}: give them different names")
     return [
-        World(
-            name, msgspec.structs.replace(config, noise=_NOISE) if config.noise == NoiseConfig() else config
-        )
-        for name, config in worlds
+        NamedScenario(name, _with_noise(read_scenario(scenario, overrides=overrides)))
+        for name, scenario in named
     ]
 
 
-def thesis_worlds() -> list[World]:
+def thesis_scenarios() -> list[NamedScenario]:
     """The eight cells of the thesis's experiments."""
     return [
-        World(
+        NamedScenario(
             f"thesis, {experiment.name}, {setup}", scenario(Cell(setup, experiment, "location-aware"), seed=1)
         )
         for setup, experiment in product(SETUPS, EXPERIMENTS)
     ]
 
 
-def compare(
-    worlds: Sequence[World],
-    *,
-    seeds: int,
-    workers: int | None = None,
-    flown: Callable[[], None] = lambda: None,
-) -> list[Comparison]:
-    """Flies every entrant in every world with the seeds 1 to `seeds`, and tells `flown` of each mission."""
-    flights = [Flight(*each) for each in product(worlds, ENTRANTS, range(1, seeds + 1))]
-    missions: list[Flown] = []
-    with processes.in_processes(_fly, flights, workers=workers) as results:
-        for mission in results:
-            missions.append(mission)
-            flown()
-    return [_comparison(world.name, missions) for world in worlds]
+def _entrants(policies: Sequence[str] | None) -> Sequence[Entrant]:
+    if policies is None:
+        return ENTRANTS
+    known = {entrant.name: entrant for entrant in ENTRANTS}
+    for policy in policies:
+        if policy not in known:
+            raise UsageError(unknown("policy", policy, known))
+    return [known[policy] for policy in policies]
 
 
-def show_comparison(files: Sequence[Path], *, thesis: bool, seeds: int, workers: int | None = None) -> None:
-    """Compares with a progress bar, and prints a Markdown table in minutes."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    worlds = [*(thesis_worlds() if thesis else []), *scenario_worlds(files)]
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("missions", total=len(worlds) * len(ENTRANTS) * seeds)
-        comparisons = compare(worlds, seeds=seeds, workers=workers, flown=lambda: bar.advance(task))
-    Console(markup=False).print("\n".join(_lines(comparisons)), soft_wrap=True, highlight=False)
+def _with_noise(config: DroneConfig) -> DroneConfig:
+    return msgspec.structs.replace(config, noise=_NOISE) if config.noise == NoiseConfig() else config
 
 
 def _fly(flight: Flight) -> Flown:
-    config = msgspec.structs.replace(flight.entrant.enters(flight.world.config), seed=flight.seed)
-    run = simulate(config)
-    bound = bound_of(run, config)
-    if bound is None:
-        raise UpwashError(f"{flight.world.name}, {flight.entrant.name}, seed {flight.seed}: {run.failure}")
-    return Flown(flight.world.name, flight.entrant.name, run.result.mission_time_s, bound.free_s)
+    config = msgspec.structs.replace(flight.entrant.enters(flight.scenario.config), seed=flight.seed)
+    outcome = fly(config)
+    if not outcome.completed and not _has_battery(config):
+        raise UpwashError(
+            f"{flight.scenario.name}, {flight.entrant.name}, seed {flight.seed}: {outcome.failure}"
+        )
+    return Flown(flight.scenario.name, flight.entrant.name, outcome)
+
+
+def _has_battery(config: DroneConfig) -> bool:
+    return config.energy is not None and config.energy.battery_wh is not None
 
 
 def _all_peers(servers: Sequence[ServerConfig]) -> tuple[ServerConfig, ...]:
@@ -158,23 +215,36 @@ def _all_peers(servers: Sequence[ServerConfig]) -> tuple[ServerConfig, ...]:
     )
 
 
-def _comparison(world: str, missions: Sequence[Flown]) -> Comparison:
-    own = [mission for mission in missions if mission.world == world]
-    times_s = {
-        entrant.name: mean_of(sorted(each.mission_time_s for each in own if each.entrant == entrant.name))
-        for entrant in ENTRANTS
-    }
-    return Comparison(world, fmean(sorted(mission.bound_s for mission in own)), times_s)
+def _rows(scenario: str, entrants: Sequence[Entrant], missions: Sequence[Flown]) -> Iterator[ComparedPolicy]:
+    own = [mission for mission in missions if mission.scenario == scenario]
+    bounds_s = sorted(
+        bound_s
+        for mission in own
+        if (bound_s := mission.outcome.least_s) is not None and mission.outcome.completed
+    )
+    for entrant in entrants:
+        flown = [mission.outcome for mission in own if mission.entrant == entrant.name]
+        completed = [outcome for outcome in flown if outcome.completed]
+        times_s = [each.mission_time_s for each in completed if each.mission_time_s is not None]
+        time_s = _mean(times_s)
+        drawn_wh = [outcome.energy.total_wh for outcome in completed if outcome.energy is not None]
+        metered = any(outcome.energy is not None for outcome in flown)
+        energy_wh = _mean(drawn_wh) if metered else None
+        fleets = [outcome.fleet for outcome in completed if outcome.fleet is not None]
+        yield ComparedPolicy(
+            scenario=scenario,
+            policy=entrant.name,
+            missions=len(flown),
+            completed=len(completed),
+            mean_s=time_s.value,
+            half_width_s=time_s.margin,
+            bound_s=fmean(bounds_s) if bounds_s else math.nan,
+            energy_wh=energy_wh.value if energy_wh else None,
+            energy_half_width_wh=energy_wh.margin if energy_wh else None,
+            worst_s=fmean(fleet.worst_s for fleet in fleets) if fleets else None,
+            jain=fmean(fleet.jain for fleet in fleets) if fleets else None,
+        )
 
 
-def _lines(comparisons: Sequence[Comparison]) -> Iterator[str]:
-    yield f"| minutes | bound | {' | '.join(entrant.name for entrant in ENTRANTS)} |"
-    yield f"|---|---|{'---|' * len(ENTRANTS)}"
-    for each in comparisons:
-        cells = [_cell(each.mission_time_s[entrant.name], each.bound_s) for entrant in ENTRANTS]
-        yield f"| {each.world} | {each.bound_s / 60:.2f} | {' | '.join(cells)} |"
-
-
-def _cell(mean: Mean, bound_s: float) -> str:
-    margin = f" ± {mean.margin / 60:.2f}" if mean.count > 1 else ""
-    return f"{mean.value / 60:.2f}{margin} ({100 * (mean.value / bound_s - 1):+.1f} %)"
+def _mean(observations: Sequence[float]) -> Mean:
+    return mean_of(sorted(observations)) if observations else Mean(0, math.nan, math.nan)

@@ -5,65 +5,92 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-from upwash import event_log
+from upwash.config import DroneConfig
+from upwash.config.problems import unknown
 from upwash.core.policies import POLICIES
 from upwash.errors import UsageError
-from upwash.lab.bounds import bound_of
-from upwash.lab.run import Run, simulate
-from upwash.lab.simulation import read_scenario
-from upwash.narration import ran_on
-from upwash.reasons import explained_calls, told
-from upwash.results import CallResult, read_result
-from upwash.text import escaped_lines
+from upwash.eventlog import log as event_log
+from upwash.eventlog import schema
+from upwash.eventlog.narration import ran_on
+from upwash.eventlog.reasons import explained_calls, told
+from upwash.eventlog.results import CallResult, read_result
+from upwash.eventlog.schema import Event
+from upwash.lab.fleet import simulate_fleet
+from upwash.lab.simulation import Simulation, read_scenario, simulate
+from upwash.support.text import escaped_lines
 
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """The same mission in the same world, by policy."""
+    """The same mission in the same world, by policy; whether there were `others` that flew as the scenario says."""
 
-    runs: Mapping[str, Run] = field(default_factory=dict)
+    runs: Mapping[str, Simulation] = field(default_factory=dict)
     bound_s: float | None = None
+    others: bool = False
 
 
-def show_explanation(log: Path, *, scenario: Path | None = None) -> None:
+def show_explanation(log: Path, *, scenario: Path | None = None, drone: str | None = None) -> None:
     """Prints why each call of the log ran where it ran, and what other policies would have done.
 
-    These are flown in the scenario that is given, or else in the one that the log names, if it does.
+    These are flown in the scenario that is given, or else in the one that the log names, if it does. Where that has
+    several drones they are flown by the one that is named, or else by the one that the log names.
     """
     from rich.console import Console
 
-    events = read_log(log)
+    events = _with_calls(log)
     console = Console(markup=False, highlight=False)
-    for line in explain(events, replay(events, scenario)):
+    for line in explain(events, replay(events, scenario, drone)):
         console.print(escaped_lines(line), soft_wrap=True)
 
 
-def read_log(log: Path) -> list[dict[str, Any]]:
+def _with_calls(log: Path) -> list[Event]:
     """The events of a log with calls; raises UsageError for any other file."""
     events = event_log.read(log)
-    if not any(event["event"] == "call" for event in events):
+    if not any(isinstance(event, schema.Call) for event in events):
         raise UsageError(f"{log} has no service call to explain")
     return events
 
 
-def replay(events: Sequence[Mapping[str, Any]], scenario: Path | None) -> Replay:
+def replay(events: Sequence[Event], scenario: Path | None, drone: str | None = None) -> Replay:
     """Flies every policy in the world of the log: that of the scenario, or of the one that the log names, if any."""
-    named = next((event for event in events if event["event"] == "simulated"), None)
-    seed = named["seed"] if named else None
+    named = next((event for event in events if isinstance(event, schema.Simulated)), None)
+    seed = named.seed if named else None
     if scenario is None and named is not None:
-        scenario = Path(named["scenario"])
+        scenario = Path(named.scenario)
     if scenario is None:
         return Replay()
-    configs = {policy: read_scenario(scenario, policy=policy, seed=seed) for policy in POLICIES}
-    runs = {policy: simulate(config) for policy, config in configs.items()}
-    first = POLICIES[0]
-    bound = bound_of(runs[first], configs[first])
-    return Replay(runs, bound.free_s if bound else None)
+    config = read_scenario(scenario)
+    if config.drones:
+        name = _drone_of(events, config, scenario, drone)
+        runs = {policy: _among_others(scenario, name, policy, seed) for policy in POLICIES}
+    elif drone is not None:
+        raise UsageError(f"--drone {drone}: {scenario} has no [[drone]] tables: leave it out")
+    else:
+        runs = {policy: simulate(scenario, policy=policy, seed=seed) for policy in POLICIES}
+    bound = next((run.bound for run in runs.values() if run.bound), None)  # whatever policy flew
+    return Replay(runs, bound.free_s if bound else None, others=len(config.drones) > 1)
 
 
-def explain(events: Sequence[Mapping[str, Any]], replayed: Replay) -> Iterator[str]:
+def _drone_of(events: Sequence[Event], config: DroneConfig, scenario: Path, drone: str | None) -> str:
+    """The scenario's drone that is given, or else the one that left the log."""
+    started = next((event for event in events if isinstance(event, schema.MissionStarted)), None)
+    name = drone or (started.drone if started else "")
+    names = [each.name for each in config.drones]
+    if name not in names:
+        raise UsageError(
+            f"{scenario} has several drones: name one with --drone; {unknown('drone', name, names)}"
+        )
+    return name
+
+
+def _among_others(scenario: Path, drone: str, policy: str, seed: int | None) -> Simulation:
+    """The drone under that policy, the others as the scenario has them."""
+    fleet = simulate_fleet(scenario, seed=seed, overrides={f"drone.{drone}.policy": policy})
+    return fleet.drones[drone]
+
+
+def explain(events: Sequence[Event], replayed: Replay) -> Iterator[str]:
     """The explanation, line by line."""
     result = read_result(events)
     for number, call in enumerate(explained_calls(events)):
@@ -77,10 +104,11 @@ def explain(events: Sequence[Mapping[str, Any]], replayed: Replay) -> Iterator[s
     if not replayed.runs:
         yield f"{took}; give --scenario FILE to see what other policies would have done"
         return
-    yield f"{took}; in the same world, simulated:"
+    others = ", among drones that fly as the scenario says" if replayed.others else ""
+    yield f"{took}; in the same world{others}, simulated:"
     for policy, run in replayed.runs.items():
-        ended = "" if run.result.completed else ", not completed"
-        yield f"    {policy}: {run.result.mission_time_s:.1f} s{ended}"
+        ended = "" if run.completed else ", not completed"
+        yield f"    {policy}: {run.mission_time_s:.1f} s{ended}"
     if replayed.bound_s is not None:
         yield f"    an all-knowing drone: at least {replayed.bound_s:.1f} s"
 
@@ -90,9 +118,8 @@ def _elsewhere(number: int, count: int, replayed: Replay, own: str) -> str:
     others = []
     for policy, run in replayed.runs.items():
         if policy != own:
-            calls = run.result.calls
-            same: CallResult | None = calls[number] if len(calls) == count else None
+            same: CallResult | None = run.calls[number] if len(run.calls) == count else None
             others.append(
-                f"{policy}: {ran_on(same.place)}, {same.delay_s:.2f} s" if same else f"{policy}: other calls"
+                f"{policy}: {ran_on(same.server)}, {same.delay_s:.2f} s" if same else f"{policy}: other calls"
             )
     return "; ".join(others)

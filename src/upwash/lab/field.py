@@ -8,11 +8,11 @@ from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
 
 from upwash.config import DroneConfig, ServerConfig, ServerTruth, server_truth
-from upwash.core.instances import Host, ServerOffer
-from upwash.lab.witness import ServerWitness
-from upwash.ports import Dialer, Journal, Program
-from upwash.server import EdgeServer, Image
-from upwash.service import ServiceSpec
+from upwash.core.admission import AdmissionController, ServerOffer
+from upwash.lab.observer import Seen, ServerObserver
+from upwash.ports import Dialer, Program
+from upwash.rpc.service import ServiceSpec
+from upwash.server.daemon import EdgeServer, Image
 from upwash.sim.chance import Chance
 from upwash.sim.faults import Faults, FaultyServer
 from upwash.sim.link import ModelDialer, Switchboard
@@ -36,7 +36,7 @@ def daemon_address(server: str) -> str:
 
 @contextlib.asynccontextmanager
 async def serving(
-    config: DroneConfig, software: Software, *, witness: Journal | None
+    config: DroneConfig, software: Software, *, seen: list[Seen] | None
 ) -> AsyncIterator[Switchboard]:
     """Runs the configured servers; drones reach them through the switchboard."""
     switchboard, chance, faults = Switchboard({}), Chance(config.seed), Faults(config.faults)
@@ -44,17 +44,14 @@ async def serving(
     async with contextlib.AsyncExitStack() as stack:
         for server in config.servers:
             truth = server_truth(server, config.services)
-            outside = FaultyServer(
-                server.name, addresses[server.name], switchboard, faults=faults, slots=truth.slots
-            )
-            computer = ServerComputer(
-                server.name, truth, faults=faults, noise=config.noise.call, chance=chance
-            )
+            outside = FaultyServer(server.name, addresses[server.name], switchboard, faults=faults)
+            computer = ServerComputer(server.name, truth, faults=faults, noise=config.noise, chance=chance)
             edge = _edge_server(
-                server, truth, ModelRuntime(software.specs, computer, outside, objects=software.objects),
-                outside=outside, programs=software.programs, addresses=addresses,
+                server, truth,
+                ModelRuntime(software.specs, computer, outside, objects=software.objects, lanes=truth.lanes),
+                outside=outside, specs=software.specs, programs=software.programs, addresses=addresses,
                 dialer=ModelDialer(server.name, switchboard, Wire()),
-                witness=ServerWitness(server.name, witness) if witness else None,
+                observer=ServerObserver(server.name, seen) if seen is not None else None,
             )  # fmt: skip
             stack.push_async_callback(edge.close)
             watch = asyncio.create_task(edge.run(), name=f"daemon of {server.name}")
@@ -68,24 +65,34 @@ def _edge_server(
     runtime: ModelRuntime,
     *,
     outside: FaultyServer,
+    specs: Mapping[str, ServiceSpec],
     programs: Mapping[str, Program],
     addresses: Mapping[str, str],
     dialer: Dialer,
-    witness: ServerWitness | None,
+    observer: ServerObserver | None,
 ) -> EdgeServer:
     peers = {name: addresses[name] for name in truth.peers if name in addresses}
     edge = EdgeServer(
-        Host({server.name: ServerOffer(frozenset(truth.images), truth.slots)}, peers=peers),
+        AdmissionController({server.name: _offer(truth, specs)}, peers=peers),
         images={name: Image(program) for name, program in programs.items()},
-        runtime=witness.runtime(runtime) if witness else runtime,
+        runtime=observer.runtime(runtime) if observer else runtime,
         dialer=dialer,
         peers=peers,
         start_timeout_s=60.0,
         drain_s=10.0,
     )
-    handle = witness.daemon(edge.handle) if witness else edge.handle
+    handle = observer.daemon(edge.handle) if observer else edge.handle
     outside.plug_daemon(handle, crash=runtime.crash)
     return edge
+
+
+def _offer(truth: ServerTruth, specs: Mapping[str, ServiceSpec]) -> ServerOffer:
+    return ServerOffer(
+        frozenset(truth.images),
+        truth.slots,
+        truth.turn_s,
+        {service: truth.lanes or specs[service].concurrency for service in truth.images if service in specs},
+    )
 
 
 def _end(watch: asyncio.Task[None]) -> None:

@@ -50,12 +50,15 @@ def in_processes(
 def here_first(
     do: Callable[[T], R], parts: Sequence[T], *, workers: int | None = None
 ) -> Generator[Iterator[R]]:
-    """The results of the parts: from this process as long as others would take to start, the rest from those."""
+    """The results of the parts: from this process as long as others would take to start, the rest from those.
+
+    One worker is this process alone.
+    """
 
     def results() -> Generator[R]:
         ends_s = time.process_time() + _WORTH_STARTING_S
         left = deque(parts)
-        while left and time.process_time() < ends_s:
+        while left and (workers == 1 or time.process_time() < ends_s):
             yield do(left.popleft())
         if left:
             with in_processes(do, left, workers=workers) as others:

@@ -1,4 +1,4 @@
-"""Puts the programs on models: the counterpart of launch.py."""
+"""Puts the programs on models: the counterpart of launch/flight.py."""
 
 from __future__ import annotations
 
@@ -6,34 +6,50 @@ import asyncio
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import msgspec
 
-from upwash.bundled import load_mission, load_services
-from upwash.config import CameraConfig, DroneConfig, VehicleConfig, server_area, server_truth, waypoints
+from upwash.config import (
+    CameraConfig,
+    DroneConfig,
+    HeatConfig,
+    Presence,
+    VehicleConfig,
+    fleet_of,
+    presences,
+    server_areas,
+    server_truth,
+    waypoints,
+)
 from upwash.core.geo import Position
-from upwash.drone import Flight, World
+from upwash.drone.flight import Flight, Ports
+from upwash.drone.networks import Cell, PositionNetwork
 from upwash.errors import MissionFailed, UpwashError, UsageError
+from upwash.eventlog.results import RunResult, read_result
+from upwash.eventlog.schema import Event
 from upwash.lab.field import Software, daemon_address, serving
-from upwash.lab.stays import Stay, observe
-from upwash.lab.witness import DroneWitness
+from upwash.lab.observer import DroneObserver, Seen
+from upwash.lab.range_intervals import RangeInterval, observe
+from upwash.missions.bundled import load_mission, load_services
 from upwash.ports import Camera, Dialer, Network
-from upwash.results import RunResult, read_result
-from upwash.service import spec_of
-from upwash.sim.autopilot import ModelAutopilot, Plain
+from upwash.rpc.service import spec_of
+from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.camera import ModelCamera, RenderedCamera
 from upwash.sim.chance import Chance
+from upwash.sim.energy import EnergyMeter
 from upwash.sim.faults import Faults
-from upwash.sim.heat import Heat
+from upwash.sim.joining import JoinedSlowly, Joining
 from upwash.sim.journal import MemoryJournal
+from upwash.sim.life import Life, lived
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
-from upwash.sim.network import Cell, ModelNetwork
+from upwash.sim.plain import Plain
 from upwash.sim.runtime import Computer, ModelRuntime
 from upwash.sim.sleeping import sleeps_reported
 from upwash.sim.vehicle import Manner
 from upwash.sim.world import DroneComputer, Radio, Wire
+from upwash.support.heat import Heat, Surroundings
 from upwash.vehicle import arducopter
 from upwash.vehicle.px4 import airframe as px4
 
@@ -44,17 +60,25 @@ _LONGEST_S = 48 * 3600.0  # of virtual time: a mission that takes longer never e
 class Run:
     """One simulated mission: its events, what they came to, and what was in range when.
 
-    `failure` says why it was not completed.
+    `failure` says why it was not completed; `vanished` is whether that is because the scenario has it vanish.
     """
 
-    events: list[dict[str, Any]]
+    events: list[Event]
     result: RunResult
-    stays: list[Stay]
+    range_intervals: list[RangeInterval]
     failure: str = ""
+    vanished: bool = False
 
     def log(self) -> bytes:
         """The event log, as the flying drone would have written it."""
         return b"".join(msgspec.json.encode(event) + b"\n" for event in self.events)
+
+
+class _End(NamedTuple):
+    """Why a mission was not completed, "" for one that was; and whether its drone has vanished."""
+
+    failure: str = ""
+    vanished: bool = False
 
 
 def simulate(config: DroneConfig) -> Run:
@@ -63,32 +87,55 @@ def simulate(config: DroneConfig) -> Run:
     Raises MissionFailed for a mission program with a bug, and UsageError for what cannot be simulated; whatever else
     ends a mission early is the run's `failure`.
     """
+    if config.drones:
+        raise UsageError(f"the scenario has {len(config.drones)} drones, and this is for one")
     (run,) = simulate_fleet([config])
     return run
 
 
+def simulate_drones(config: DroneConfig) -> dict[str, Run]:
+    """Flies the missions of all drones of the scenario at the same time; each run by its drone's name."""
+    fleet = fleet_of(config)
+    runs = simulate_fleet(fleet, there=presences(config))
+    return {each.name: run for each, run in zip(fleet, runs, strict=True)}
+
+
 def simulate_fleet(
-    fleet: Sequence[DroneConfig], *, computing: bool = False, witness: MemoryJournal | None = None
+    fleet: Sequence[DroneConfig],
+    *,
+    there: Sequence[Presence] | None = None,
+    computing: bool = False,
+    seen: list[Seen] | None = None,
 ) -> list[Run]:
     """Flies the missions of several drones at the same time, among the servers of the first one's scenario.
 
-    With `computing` the services really compute, in no time, instead of returning empty results; the witness
-    notes what it sees of drones and servers.
+    Each is `there` when that says so, from the start to its mission's end by default. With `computing` the services
+    really compute, in no time, instead of returning empty results; what an onlooker sees of drones and servers is
+    added to `seen`.
     """
     fleet = [_at_hosts_of_their_own(config) for config in fleet]
     journals = [MemoryJournal() for _ in fleet]
-    stays: list[list[Stay]] = [[] for _ in fleet]
-    failures = [""] * len(fleet)
+    range_intervals: list[list[RangeInterval]] = [[] for _ in fleet]
+    ends = [_End() for _ in fleet]
     try:
         with sleeps_reported():
-            failures = run_virtually(_fly(fleet, journals, stays, computing=computing, witness=witness))
+            ends = run_virtually(
+                _fly(
+                    fleet,
+                    there or [Presence() for _ in fleet],
+                    journals,
+                    range_intervals,
+                    computing=computing,
+                    seen=seen,
+                )
+            )
     except (MissionFailed, UsageError):
         raise
     except UpwashError as error:
-        failures = [str(error)] * len(fleet)
+        ends = [_End(str(error)) for _ in fleet]
     return [
-        Run(journal.events, read_result(journal.events), its_stays, failure)
-        for journal, its_stays, failure in zip(journals, stays, failures, strict=True)
+        Run(journal.events, read_result(journal.events), its_intervals, end.failure, end.vanished)
+        for journal, its_intervals, end in zip(journals, range_intervals, ends, strict=True)
     ]
 
 
@@ -102,14 +149,15 @@ def _at_hosts_of_their_own(config: DroneConfig) -> DroneConfig:
 
 async def _fly(
     fleet: Sequence[DroneConfig],
+    there: Sequence[Presence],
     journals: Sequence[MemoryJournal],
-    stays: Sequence[list[Stay]],
+    range_intervals: Sequence[list[RangeInterval]],
     *,
     computing: bool,
-    witness: MemoryJournal | None,
-) -> list[str]:
-    """Returns why each mission was not completed, "" for those that were."""
-    for journal in (*journals, *([witness] if witness else [])):
+    seen: list[Seen] | None,
+) -> list[_End]:
+    """Returns how each mission ended."""
+    for journal in journals:
         journal.begin()
     services = load_services(fleet[0].services)
     classes = {name: service.cls for name, service in services.items()}
@@ -118,18 +166,21 @@ async def _fly(
         programs={name: service.program for name, service in services.items()},
         objects={name: service.made() for name, service in services.items()} if computing else {},
     )
-    async with serving(fleet[0], software, witness=witness) as switchboard:
+    async with serving(fleet[0], software, seen=seen) as switchboard:
         flights = [
             _fly_one(
                 config,
+                presence,
                 journal,
-                its_stays,
+                its_intervals,
                 classes=classes,
                 software=software,
                 switchboard=switchboard,
-                seen_by=witness,
+                seen=seen,
             )
-            for config, journal, its_stays in zip(fleet, journals, stays, strict=True)
+            for config, presence, journal, its_intervals in zip(
+                fleet, there, journals, range_intervals, strict=True
+            )
         ]
         try:
             async with asyncio.timeout(_LONGEST_S):
@@ -143,76 +194,125 @@ async def _fly(
 
 async def _fly_one(
     config: DroneConfig,
+    presence: Presence,
     journal: MemoryJournal,
-    stays: list[Stay],
+    range_intervals: list[RangeInterval],
     *,
     classes: Mapping[str, type],
     software: Software,
     switchboard: Switchboard,
-    seen_by: MemoryJournal | None,
-) -> str:
-    """Returns why the mission was not completed, or ""."""
-    chance, faults = Chance(config.seed), Faults(config.faults)
-    witness: DroneWitness | None = None
+    seen: list[Seen] | None,
+) -> _End:
+    """Flies one mission from the drone's departure on, and returns how it ended."""
+    if presence.departs_s:
+        await asyncio.sleep(presence.departs_s)
+    chance, faults, energy, life = Chance(config.seed), Faults(config.faults), _energy(config), Life()
+    journal.meter, journal.life = energy, life
+    observer: DroneObserver | None = None
 
-    def saw(event: str, **facts: object) -> None:
-        if witness:
-            witness.record(event, **facts)
+    def saw(what: Callable[[], Seen]) -> None:
+        if observer:
+            observer.note(what())
 
     autopilot = _autopilot(
         config,
         chance,
         faults,
-        commanded=lambda command: saw("commanded", command=command),
-        taken=lambda by: saw("taken", by=by),
-        given_back_unheard=lambda: saw("given_back_unheard"),
+        energy,
+        commanded=lambda command: saw(lambda: Seen(event="commanded", command=command)),
+        taken=lambda by: saw(lambda: Seen(event="taken", by=by)),
+        given_back_unheard=lambda: saw(lambda: Seen(event="given_back_unheard")),
     )
-    witness = DroneWitness(config.name, seen_by, lambda: autopilot.position) if seen_by else None
-    networks, dialer = _radios(config, autopilot, switchboard, faults)
-    heat = Heat(config.heat.ambient_c, config.heat.load_w) if config.heat else None
-    computer: Computer = DroneComputer(config.services, heat=heat, noise=config.noise.call, chance=chance)
-    onboard = Switchboard({})
+    if seen is not None:
+        observer = DroneObserver(config.name, seen, lambda: autopilot.position, life)
+    radios = _radios(config, autopilot, switchboard, faults, chance=chance, energy=energy, life=life)
     flight = Flight(
         load_mission(config.mission.program, mode=config.mission.mode),
         config,
         services=classes,
         programs=software.programs,
-        world=World(
-            autopilot=autopilot,
-            networks=witness.networks(networks) if witness else networks,
-            dialer=witness.dialer(dialer) if witness else dialer,
-            onboard_dialer=ModelDialer(config.name, onboard, Wire()),
-            onboard_runtime=ModelRuntime(
-                software.specs,
-                witness.computer(computer) if witness else computer,
-                onboard,
-                objects=software.objects,
-            ),
-            camera=_camera(config.camera),
-            notifier=journal,
-            journal=journal,
-        ),
+        ports=_ports(config, autopilot, radios, journal, software=software, chance=chance, observer=observer),
     )
-    areas = {server.name: server_area(server, config.mission.home) for server in config.servers}
-    observer = asyncio.create_task(observe(autopilot, areas, stays), name="observer of ranges")
+    watching = observe(autopilot, server_areas(config), range_intervals)
+    watch = asyncio.create_task(watching, name="observer of ranges")
     try:
-        await flight.run()
+        await lived(flight.run(), life, until_s=presence.vanishes_s)
     except MissionFailed:
         raise
     except UpwashError as error:
-        return str(error)
+        return _End(str(error))
     finally:
-        observer.cancel()
-        saw("flight_over", altitude_m=autopilot.position.altitude_m)
+        watch.cancel()
+        saw(lambda: Seen(event="flight_over", altitude_m=autopilot.position.altitude_m))
         await autopilot.close()
-    return ""
+    if life.is_over:
+        return _End(f"the drone vanished at {presence.vanishes_s:g} s, as its vanishes_s says", True)
+    return _End()
+
+
+def _ports(
+    config: DroneConfig,
+    autopilot: ModelAutopilot,
+    radios: tuple[list[Network], Dialer],
+    journal: MemoryJournal,
+    *,
+    software: Software,
+    chance: Chance,
+    observer: DroneObserver | None,
+) -> Ports:
+    """Models of all that the drone needs, which the observer sees through if there is one."""
+    networks, dialer = radios
+    joining = Joining()
+    networks = [JoinedSlowly(network, joining) for network in networks]
+    heat = Heat(Surroundings(config.heat.ambient_c, config.heat.load_w)) if config.heat else None
+    computer: Computer = DroneComputer(
+        config.services,
+        heat=heat,
+        joining=joining,
+        noise=config.noise.call,
+        chance=chance,
+        energy=journal.meter,
+    )
+    onboard = Switchboard({})
+    return Ports(
+        autopilot=autopilot,
+        networks=observer.networks(networks) if observer else networks,
+        dialer=observer.dialer(dialer) if observer else dialer,
+        onboard_dialer=ModelDialer(config.name, onboard, Wire()),
+        onboard_runtime=ModelRuntime(
+            software.specs,
+            observer.computer(computer) if observer else computer,
+            onboard,
+            objects=software.objects,
+        ),
+        camera=_camera(config.camera),
+        notifier=journal,
+        journal=journal,
+    )
+
+
+def _energy(config: DroneConfig) -> EnergyMeter | None:
+    """What meters the drone's energy, where the scenario asks for it."""
+    if config.energy is None:
+        return None
+    load_w = (config.heat or HeatConfig()).load_w
+    if config.energy.computer_load_w is not None:
+        load_w = config.energy.computer_load_w
+    return EnergyMeter(config.energy, load_w=load_w, radios=config.network.radios)
 
 
 def _radios(
-    config: DroneConfig, autopilot: ModelAutopilot, switchboard: Switchboard, faults: Faults
+    config: DroneConfig,
+    autopilot: ModelAutopilot,
+    switchboard: Switchboard,
+    faults: Faults,
+    *,
+    chance: Chance,
+    energy: EnergyMeter | None,
+    life: Life,
 ) -> tuple[list[Network], Dialer]:
     """The networks in the drone's reach, for each of its radios, and the way to whoever is there."""
-    areas = {server.name: server_area(server, config.mission.home) for server in config.servers}
+    areas = server_areas(config)
     truths = {server.name: server_truth(server, config.services) for server in config.servers}
     radio = Radio(
         areas,
@@ -220,6 +320,7 @@ def _radios(
         config.services,
         faults=faults,
         position=lambda: autopilot.position,
+        energy=energy,
     )
     cells: dict[str, list[Cell]] = {}
     for server in config.servers:
@@ -229,12 +330,14 @@ def _radios(
                 truths[server.name].join_s,
                 is_up=functools.partial(radio.is_up, server.name),
                 goes_down=functools.partial(radio.goes_down, server.name),
+                leave_s=truths[server.name].leave_s,
+                stretch=functools.partial(chance.factor, f"join/{server.name}", config.noise.join),
             )
         )
     networks: list[Network] = [
-        ModelNetwork(cells, lambda: autopilot.position) for _ in range(config.network.radios)
+        PositionNetwork(cells, lambda: autopilot.position) for _ in range(config.network.radios)
     ]
-    return networks, ModelDialer(config.name, switchboard, radio)
+    return networks, ModelDialer(config.name, switchboard, radio, life=life)
 
 
 def _camera(config: CameraConfig) -> Camera:
@@ -261,6 +364,7 @@ def _autopilot(
     config: DroneConfig,
     chance: Chance,
     faults: Faults,
+    energy: EnergyMeter | None,
     *,
     commanded: Callable[[str], None],
     taken: Callable[[str], None],
@@ -275,6 +379,7 @@ def _autopilot(
         fault=lambda: faults.now("autopilot"),
         takeovers=faults.takeovers,
         endurance_s=vehicle.endurance_s,
+        energy=energy,
         commanded=commanded,
         taken=taken,
         given_back_unheard=given_back_unheard,

@@ -1,106 +1,150 @@
-"""Simulates one scenario for the command line: prints what it came to, writes the event log and the figures."""
+"""One simulated mission: from a scenario to what it came to."""
 
 from __future__ import annotations
 
-import sys
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import msgspec
-from rich.console import Console
 
-from upwash.config import DroneConfig, read_drone_config
+from upwash.config import Document, DroneConfig, drone_config, impossible_values, read_document
+from upwash.config.problems import refuse_first
 from upwash.core.bound import Bound
-from upwash.errors import UpwashError
+from upwash.errors import ConfigError, UsageError
+from upwash.eventlog.log import decode
+from upwash.eventlog.results import RunResult
+from upwash.eventlog.schema import Event
 from upwash.lab.bounds import bound_of
-from upwash.lab.run import Run, simulate
-from upwash.output import write_file
-from upwash.results import CallResult, Totals
-from upwash.terminal import print_result
+from upwash.lab.run import Run
+from upwash.lab.run import simulate as fly
+from upwash.lab.sweep import with_value
+
+_UNNAMED = Path("scenario")  # what a scenario without a file is called in errors
 
 
-class Report(msgspec.Struct, frozen=True):
-    """The one object that `upwash simulate --json` prints; without a completed mission there is no bound."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Simulation(RunResult):
+    """One simulated mission: what it came to, the least times that it could have taken, and its events.
+
+    `failure` says why it was not completed, "" where it was; then there is no bound either. `vanished` is whether
+    that is because the scenario has the drone vanish.
+    """
 
     scenario: str
-    policy: str
     seed: int
-    mission_time_s: float
-    completed: bool
-    calls: list[CallResult]
-    totals: Totals
+    failure: str
+    vanished: bool = False
     bound: Bound | None
+    events: list[Event] = field(repr=False)
 
 
-def read_scenario(file: Path, *, policy: str | None = None, seed: int | None = None) -> DroneConfig:
-    """The scenario of the file, with another policy or seed if given; raises ConfigError."""
-    config = read_drone_config(file)
-    if policy is not None:
-        config = with_policy(config, policy)
-    return config if seed is None else msgspec.structs.replace(config, seed=seed)
-
-
-def with_policy(config: DroneConfig, name: str) -> DroneConfig:
-    """The same scenario under another policy, which must be one of PolicyConfig's."""
-    policy = msgspec.convert({**msgspec.structs.asdict(config.policy), "name": name}, type(config.policy))
-    return msgspec.structs.replace(config, policy=policy)
-
-
-def simulate_scenario(
-    file: Path,
+def simulate(
+    scenario: str | os.PathLike[str] | Mapping[str, object],
     *,
     policy: str | None = None,
     seed: int | None = None,
-    as_json: bool = False,
-    log: Path | None = None,
-    figures: Path | None = None,
-) -> None:
-    """Simulates the scenario and prints its result; raises UpwashError afterwards if it was not completed."""
-    config = read_scenario(file, policy=policy, seed=seed)
-    run = simulate(config)
-    _print(run, config, file.stem, as_json=as_json)
-    if log is not None:
-        named = {"t": 0.0, "event": "simulated", "scenario": str(file.resolve()), "seed": config.seed}
-        write_file(log, msgspec.json.encode(named) + b"\n" + run.log())
-    if figures is not None:
-        _draw(run, config, figures)
-    if run.failure:
-        raise UpwashError(f"the mission was not completed: {run.failure}")
+    overrides: Mapping[str, object] | None = None,
+) -> Simulation:
+    """Simulates one mission on virtual time: the same scenario and seed give the same mission.
+
+    The scenario is a TOML file, or its tables as a dict, whose paths count from the current folder. A policy or a
+    seed stands in for the scenario's, and `overrides` for other values of it, by keys such as `server.s1.range_m`:
+    those of `upwash campaign --set`.
+
+    ConfigError for a scenario that cannot be flown, UsageError for what cannot be simulated, and MissionFailed for a
+    mission program with a bug. What else ends a mission early is the result's `failure`. A scenario of several drones
+    is for `simulate_fleet`.
+    """
+    config = read_scenario(scenario, policy=policy, seed=seed, overrides=overrides)
+    if config.drones:
+        raise UsageError(
+            f"{name_of(scenario)} has [[drone]] tables ({len(config.drones)}), and one mission is to be simulated: "
+            "call simulate_fleet"
+        )
+    run = fly(config)
+    return simulation_of(run, config, bound_of(run, config), scenario=name_of(scenario))
 
 
-def _print(run: Run, config: DroneConfig, scenario: str, *, as_json: bool) -> None:
-    result, bound = run.result, bound_of(run, config)
-    if not as_json:
-        console = Console(markup=False)
-        print_result(result, console, paced=False)
-        if bound is not None:
-            _print_bound(result.mission_time_s, bound, console)
-        return
-    report = Report(
+def simulation_of(run: Run, config: DroneConfig, bound: Bound | None, *, scenario: str) -> Simulation:
+    """What the run of that configuration came to."""
+    result = {each.name: getattr(run.result, each.name) for each in fields(run.result)}
+    return Simulation(
+        **result | {"policy": config.policy.name},  # also of a mission that never began
         scenario=scenario,
-        policy=config.policy.name,
         seed=config.seed,
-        mission_time_s=result.mission_time_s,
-        completed=result.completed,
-        calls=result.calls,
-        totals=result.totals,
+        failure=run.failure,
+        vanished=run.vanished,
         bound=bound,
-    )
-    sys.stdout.write(msgspec.json.encode(report).decode() + "\n")
-
-
-def _print_bound(mission_time_s: float, bound: Bound, console: Console) -> None:
-    console.print(
-        f"an all-knowing drone needs at least {bound.free_s:.1f} s with every server ready at once: this is "
-        f"{100 * (mission_time_s / bound.free_s - 1):.1f} % more; joining one network after the other it needs "
-        f"{bound.with_joins_s:.1f} s: {100 * (mission_time_s / bound.with_joins_s - 1):.1f} % more",
-        soft_wrap=True,
+        events=[decode(line) for line in run.log().splitlines()],  # as read from its log
     )
 
 
-def _draw(run: Run, config: DroneConfig, folder: Path) -> None:
-    from upwash.lab.figures import draw_call_delays, draw_map
+def read_scenario(
+    scenario: str | os.PathLike[str] | Mapping[str, object],
+    *,
+    policy: str | None = None,
+    seed: int | None = None,
+    overrides: Mapping[str, object] | None = None,
+) -> DroneConfig:
+    """The scenario as `simulate` flies it; a policy that is given is every drone's. Raises ConfigError."""
+    if isinstance(scenario, Mapping):
+        file = _UNNAMED
+        document: Document = _plain(dict(scenario), "", file)
+    else:
+        file = Path(scenario)
+        document = read_document(file)
+    if policy is not None:
+        document = _without_own_policies(document)
+    instead = {"policy.name": policy, "seed": seed}
+    changes = {**(overrides or {}), **{key: value for key, value in instead.items() if value is not None}}
+    for key, value in changes.items():
+        document = with_value(document, file, key, _plain(value, key, file))
+    return drone_config(document, file)
 
-    draw_map(config, folder / "map.png")
-    draw_call_delays(
-        run, reference=simulate(with_policy(config, "local-only")), file=folder / "call_delay.png"
-    )
+
+def _without_own_policies(document: Document) -> Document:
+    """The document with the file's policy for all of its drones."""
+    drones = document.get("drone")
+    if not isinstance(drones, list):
+        return document
+    return document | {
+        "drone": [
+            {key: value for key, value in drone.items() if key != "policy"}
+            if isinstance(drone, dict)
+            else drone
+            for drone in drones
+        ]
+    }
+
+
+def _plain(value: object, key: str, file: Path) -> Any:
+    """The value as a TOML file would have it: a notebook's are tuples, paths and numpy's numbers too."""
+    refuse_first(file, impossible_values(value, key))
+    try:
+        plain = msgspec.to_builtins(value, enc_hook=_plainer, str_keys=True)
+        return msgspec.msgpack.decode(msgspec.msgpack.encode(plain))  # which makes lists of tuples
+    except (TypeError, ValueError) as error:
+        raise ConfigError(str(file), key, f"expected numbers, strings, lists and tables ({error})") from None
+
+
+def _plainer(value: object) -> object:
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if hasattr(value, "tolist"):  # of numpy
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is none of these")
+
+
+def name_of(scenario: str | os.PathLike[str] | Mapping[str, object]) -> str:
+    """What a scenario is called: as its file is, without the ending."""
+    return str(_UNNAMED) if isinstance(scenario, Mapping) else Path(scenario).stem
+
+
+def with_policy(config: DroneConfig, name: str) -> DroneConfig:
+    """The same scenario under another policy, which must be one of PolicyConfig's, for all of its drones."""
+    policy = msgspec.convert({**msgspec.structs.asdict(config.policy), "name": name}, type(config.policy))
+    drones = tuple(msgspec.structs.replace(drone, policy=None) for drone in config.drones)
+    return msgspec.structs.replace(config, policy=policy, drones=drones)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +13,13 @@ from typing import Any, cast
 
 import msgspec
 
-from upwash.bundled import load_mission, load_services
 from upwash.config import Document, drone_config, impossible_values, read_document
 from upwash.config.values import repeated
 from upwash.errors import ConfigError, UsageError
-from upwash.user_files import read_toml
+from upwash.missions.bundled import load_mission, load_services
+from upwash.support.input_files import read_toml
+
+_DRONES = "drones"
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,12 +94,31 @@ def read_setting(text: str) -> Setting:
 def with_value(document: Document, file: Path, key: str, value: object) -> Document:
     """The document with one value changed or added.
 
-    A step of the key names a table's key; in an array of tables it is the `name` of one, or its number from 0.
-    Raises ConfigError where the key leads nowhere.
+    A step of the key names a table's key; in an array of tables it is the `name` of one, or its number from 0. The
+    key `drones` leaves so many of the `[[drone]]` tables, the first ones. Raises ConfigError where the key leads
+    nowhere.
     """
     changed = copy.deepcopy(document)
+    if key == _DRONES:
+        drones = changed.get("drone")
+        changed["drone"] = _first_drones(drones if isinstance(drones, list) else [], value, file)
+        return changed
     _set(changed, key, value, file=file, walked="")
     return changed
+
+
+def _first_drones(drones: list[Any], count: object, file: Path) -> list[Any]:
+    if type(count) is not int or count < 1:
+        raise ConfigError(
+            str(file), _DRONES, f"expected a number of drones from 1 on, found {_written(count)}"
+        )
+    if count > len(drones):
+        raise ConfigError(
+            str(file),
+            _DRONES,
+            f"{count} are asked for, and the file has {len(drones)} [[drone]] tables: add some, or ask for fewer",
+        )
+    return drones[:count]
 
 
 def _set(table: Any, key: str, value: object, *, file: Path, walked: str) -> None:
@@ -170,4 +192,6 @@ def _toml_array(items: str) -> list[object]:
 
 
 def _written(value: object) -> str:
+    if value == math.inf:  # which JSON has no number for
+        return "inf"
     return value if isinstance(value, str) else msgspec.json.encode(value).decode()

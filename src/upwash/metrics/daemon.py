@@ -11,13 +11,13 @@ from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from upwash.core.clients import Client
 from upwash.core.instances import InstanceState
-from upwash.core.visitors import Visitor
 from upwash.errors import InstanceError, Refused
 from upwash.metrics.buckets import CALL_S, START_S
-from upwash.ports import Answered, Instance, InstanceSpec, Runtime, unheard
-from upwash.protocol import AVAILABILITY, HOLD, LEAVE, PREPARE, START, STATUS
-from upwash.server import EdgeServer, Standing
+from upwash.ports import Answered, AnsweredCall, Instance, InstanceSpec, Runtime, ignored
+from upwash.rpc.protocol import AVAILABILITY, HOLD, LEAVE, PREPARE, START, STATUS
+from upwash.server.daemon import EdgeServer, Snapshot
 
 _LOOK_S = 5.0  # longer than a daemon is ever busy at a stretch
 _REQUESTS = {
@@ -29,7 +29,7 @@ _REQUESTS = {
     STATUS: "status",
 }
 
-Handle = Callable[[str, bytes, Visitor], Coroutine[Any, Any, bytes]]
+Handle = Callable[[str, bytes, Client], Coroutine[Any, Any, bytes]]
 
 
 class DaemonMetrics:
@@ -67,10 +67,10 @@ class DaemonMetrics:
     def daemon(self, handle: Handle) -> Handle:
         """Counts the requests that reach the daemon."""
 
-        async def answer(path: str, body: bytes, visitor: Visitor) -> bytes:
+        async def answer(path: str, body: bytes, client: Client) -> bytes:
             request, outcome = _REQUESTS.get(path, "unknown"), "failed"
             try:
-                reply = await handle(path, body, visitor)
+                reply = await handle(path, body, client)
                 outcome = "answered"
             except Refused:
                 outcome = "refused"
@@ -96,11 +96,11 @@ class _Runtime:
     metrics: DaemonMetrics
 
     async def start(
-        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = unheard
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
     ) -> Instance:
-        def heard(method: str, took_s: float) -> None:
-            self.metrics.calls.labels(spec.server, spec.service, method).observe(took_s)
-            answered(method, took_s)
+        def heard(call: AnsweredCall) -> None:
+            self.metrics.calls.labels(spec.server, spec.service, call.method).observe(call.took_s)
+            answered(call)
 
         began_s = asyncio.get_running_loop().time()
         try:
@@ -123,8 +123,8 @@ class _Instance:
     def endpoint(self) -> str:
         return self.instance.endpoint
 
-    async def admit(self, drones: frozenset[str]) -> None:
-        await self.instance.admit(drones)
+    async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
+        await self.instance.admit(drones, finishing)
 
     async def drain(self, why: str) -> None:
         await self.instance.drain(why)
@@ -151,6 +151,10 @@ class _Standing(Collector):
         slots = GaugeMetricFamily("upwash_slots", "Drones that the server takes at once", labels=["server"])
         leases = GaugeMetricFamily("upwash_leases", "Drones that have a slot", labels=["server"])
         held = GaugeMetricFamily("upwash_slots_held", "Slots held for a drone on its way", labels=["server"])
+        waiting = GaugeMetricFamily("upwash_waiting", "Drones that wait for a slot", labels=["server"])
+        turns = CounterMetricFamily(
+            "upwash_turns_ended", "Turns that ended for the sake of a drone that waited", labels=["server"]
+        )
         instances = GaugeMetricFamily(
             "upwash_instances",
             "1 for the state that the instance is in",
@@ -161,27 +165,27 @@ class _Standing(Collector):
             coming = sum(bool(lease.held_by) for lease in server.leases)
             leases.add_metric([server.name], len(server.leases) - coming)
             held.add_metric([server.name], coming)
+            waiting.add_metric([server.name], sum(each.waits_s is not None for each in server.accounts))
+            turns.add_metric([server.name], server.turns_ended)
             for instance in server.instances:
                 for state in InstanceState:
                     labels = [server.name, instance.service, state]
                     instances.add_metric(labels, float(instance.state == state))
-        yield from (slots, leases, held, instances, _refusals(standing), _expiries(standing))
+        yield from (slots, leases, held, waiting, turns, instances, _refusals(standing), _expiries(standing))
 
 
-async def _look(edge: EdgeServer) -> Standing:
+async def _look(edge: EdgeServer) -> Snapshot:
     return edge.standing()
 
 
-def _refusals(standing: Standing) -> Metric:
-    refusals = CounterMetricFamily(
-        "upwash_refusals", "Visitors turned away, with a reason", labels=["server"]
-    )
+def _refusals(standing: Snapshot) -> Metric:
+    refusals = CounterMetricFamily("upwash_refusals", "Clients refused, with a reason", labels=["server"])
     for server, times in standing.refused.items():
         refusals.add_metric([server], times)
     return refusals
 
 
-def _expiries(standing: Standing) -> Metric:
+def _expiries(standing: Snapshot) -> Metric:
     expiries = GaugeMetricFamily(
         "upwash_certificate_expiry_timestamp_seconds",
         "When the certificate ends, since 1970",

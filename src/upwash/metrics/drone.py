@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
 from upwash.core.servers import State
+from upwash.eventlog import schema
+from upwash.eventlog.schema import Event
 from upwash.metrics.buckets import CALL_S
 
 _ON_DRONE = "drone"
@@ -62,35 +63,35 @@ class DroneMetrics:
         for server in servers:
             self._be_in(server, State.AVL)
 
-    def follow(self, event: Mapping[str, Any]) -> None:
+    def follow(self, event: Event) -> None:
         """Takes in one event."""
         match event:
-            case {"event": "call"}:
+            case schema.Call():
                 self._count_call(event)
-            case {"event": "remote_failed", "server": server}:
+            case schema.RemoteFailed(server=server):
                 self._failures.labels(server).inc()
-            case {"event": "local_failed"}:
+            case schema.LocalFailed():
                 self._failures.labels(_ON_DRONE).inc()
-            case {"event": step, "server": server, "before": _, "after": after}:
-                self._steps.labels(server, step).inc()
-                self._be_in(server, State(after))
-            case {"event": "photo"}:
+            case schema.Step(server=server, after=after):
+                self._steps.labels(server, event.kind).inc()
+                self._be_in(server, after)
+            case schema.Photo():
                 self._photos.inc()
-            case {"event": "mission_started", "waypoints": waypoints, "done": done}:
+            case schema.MissionStarted(waypoints=waypoints, done=done):
                 self._planned.set(waypoints)
                 self._reached.set(len(done))
                 self._under_way.set(1)
-            case {"event": "arrived", "waypoint": int()}:
+            case schema.Arrived(waypoint=int()):
                 self._reached.inc()
-            case {"event": "mission_completed" | "mission_ended"}:
+            case schema.MissionCompleted() | schema.MissionEnded():
                 self._under_way.set(0)
 
-    def _count_call(self, event: Mapping[str, Any]) -> None:
-        operation, place = event["operation"], _ON_DRONE if event["place"] == "local" else event["place"]
-        self._calls.labels(operation, place, "fell_back" if event["fell_back"] else "answered").inc()
-        self._call_s.labels(operation, place).observe(event["delay_s"])
-        if event["wait"]:
-            self._wait_s.labels(event["wait"].replace(" ", "_")).observe(event["waited_s"])
+    def _count_call(self, call: schema.Call) -> None:
+        operation, place = call.operation, call.server or _ON_DRONE
+        self._calls.labels(operation, place, "fell_back" if call.fell_back else "answered").inc()
+        self._call_s.labels(operation, place).observe(call.delay_s)
+        if call.wait:
+            self._wait_s.labels(call.wait.replace(" ", "_")).observe(call.waited_s)
 
     def _be_in(self, server: str, state: State) -> None:
         for each in State:

@@ -20,7 +20,7 @@ from prometheus_client.exposition import choose_encoder
 
 from upwash.config import is_on_this_machine
 from upwash.errors import UsageError
-from upwash.hosts import names_this_machine
+from upwash.support.http_host import names_this_machine
 
 _PATHS = ("/metrics", "/")
 _LARGEST_REQUEST_BYTES = 2**14

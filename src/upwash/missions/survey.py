@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from upwash.drone import Drone
+from upwash import Drone
 from upwash.services import Detector, Mode
 
 

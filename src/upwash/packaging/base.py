@@ -23,7 +23,7 @@ _INIT = f"""\
 #!/bin/sh
 export PATH=/usr/sbin:/usr/bin HOME=/tmp LANG=C.UTF-8
 export PYTHONPATH=/opt/upwash/lib PYTHONDONTWRITEBYTECODE=1 PYTHONNOUSERSITE=1
-exec {PYTHON} -m upwash.real.warden
+exec {PYTHON} -m upwash.real.container_init
 """
 
 

@@ -11,7 +11,7 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 from upwash.errors import UsageError
-from upwash.loading import extra
+from upwash.support.loading import extra
 
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
@@ -20,7 +20,7 @@ LIBRARY = "opt/upwash/lib"  # below the image's root
 PROGRAM = "opt/upwash/program"
 SETTINGS = "opt/upwash/settings"
 
-# Of upwash's own requirements those that a service instance and its container's warden import.
+# Of upwash's own requirements those that a service instance and its container's init import.
 _OF_EVERY_INSTANCE = ("grpcio", "msgspec")
 _LEFT_OUT = {"__pycache__", "tests"}
 

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from upwash.bundled import LoadedService
 from upwash.errors import UpwashError
+from upwash.missions.bundled import LoadedService
 from upwash.packaging.archive import write_archive
 from upwash.packaging.base import Base, lay_base
 from upwash.packaging.contents import LIBRARY, PROGRAM, copy_distributions, copy_program, copy_setting
 from upwash.ports import Program
 from upwash.real.lxd.image import ServiceImage
-from upwash.service import spec_of
-from upwash.settings import with_files
+from upwash.rpc.service import spec_of
+from upwash.rpc.settings import with_files
 
 _CREATED_S = 1_700_000_000  # a constant, as the same contents are the same image
 
@@ -102,13 +102,15 @@ def _compile(root: Path) -> None:
 
 def _describe(tree: Path, recipe: Recipe, program: Program, distributions: Iterable[str]) -> None:
     """What the engine shows of the image, and the daemon knows it by. JSON is YAML too."""
+    spec = spec_of(recipe.service.cls)
     image = ServiceImage(
-        recipe.name,
+        spec.name,
         program,
         recipe.base,
         platform.python_version(),
         version("upwash"),
-        methods=frozenset(spec_of(recipe.service.cls).methods),
+        methods=frozenset(spec.methods),
+        concurrency=spec.concurrency,
     )
     metadata = {
         "architecture": platform.machine(),

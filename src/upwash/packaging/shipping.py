@@ -7,10 +7,10 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from upwash.bundled import LoadedService, bundled_service, load_service_alone, load_services
 from upwash.config import DaemonConfig, RuntimeConfig
 from upwash.errors import UsageError
-from upwash.hosting import engine_of
+from upwash.launch.containers import engine_of
+from upwash.missions.bundled import LoadedService, bundled_service, load_service_alone, load_services
 from upwash.real.lxd.engine import Engine
 from upwash.real.lxd.image import newest_images
 

@@ -8,7 +8,7 @@ from upwash.errors import ConfigError
 from upwash.plans.items import Refusal
 from upwash.plans.plan import Plan
 from upwash.plans.waypoint_list import HEADER, parse_waypoint_list
-from upwash.user_files import read_file
+from upwash.support.input_files import read_file
 
 _MOST_BYTES = 10_000_000
 

@@ -7,21 +7,21 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from upwash.bundled import load_services
-from upwash.config import Document, DroneConfig, drone_config, read_document, server_area, waypoints
+from upwash.config import Document, DroneConfig, drone_config, read_document, server_areas, waypoints
+from upwash.drone.preparation import make_estimates
 from upwash.errors import UpwashError
 from upwash.lab.campaign import Fly
 from upwash.lab.run import Run, simulate
-from upwash.preflight.concerns import Belief, Concern, concerns, is_for_flight, usable_s
+from upwash.missions.bundled import load_services
 from upwash.preflight.coverage import Coverage, coverage, uncovered
 from upwash.preflight.placement import Place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, cases, changed, predict
+from upwash.preflight.warnings import Belief, PreflightWarning, is_for_flight, usable_s, usable_wh, warnings
 from upwash.preflight.way_home import Farthest, farthest
-from upwash.preparation import make_estimates
-from upwash.service import spec_of
+from upwash.rpc.service import spec_of
 
 
-class Plan(Struct, frozen=True):
+class CheckInput(Struct, frozen=True):
     """What is about to be flown, as it stands in the file and as values."""
 
     file: Path
@@ -32,8 +32,8 @@ class Plan(Struct, frozen=True):
 class Check(Struct, frozen=True, kw_only=True):
     """What was found: the one object that `upwash check --json` prints.
 
-    `usable_s` is how long the battery lasts above the mission's reserve, None where the file does not say, and
-    `farthest` the waypoint from which the way home takes longest.
+    `usable_s` is how long the battery lasts above the mission's reserve, and `usable_wh` what the simulated one gives
+    above it, None where the file does not say, and `farthest` the waypoint from which the way home takes longest.
     """
 
     config: str
@@ -42,23 +42,24 @@ class Check(Struct, frozen=True, kw_only=True):
     servers: tuple[Coverage, ...]
     predictions: tuple[Prediction, ...]
     usable_s: float | None
+    usable_wh: float | None = None
     farthest: Farthest
-    concerns: tuple[Concern, ...]
+    warnings: tuple[PreflightWarning, ...]
     places: tuple[Place, ...] = ()
 
 
-def read_plan(file: Path) -> Plan:
+def read_plan(file: Path) -> CheckInput:
     """The file's configuration; raises ConfigError."""
     document = read_document(file)
-    return Plan(file, document, drone_config(document, file))
+    return CheckInput(file, document, drone_config(document, file))
 
 
-def missions_to_fly(plan: Plan, seeds: int) -> int:
+def missions_to_fly(plan: CheckInput, seeds: int) -> int:
     """How many missions `check` flies."""
     return len(dict(cases(plan.document, plan.config))) * seeds
 
 
-def check(plan: Plan, *, seeds: int, fly: Fly, flown: Callable[[int], None] = lambda _: None) -> Check:
+def check(plan: CheckInput, *, seeds: int, fly: Fly, flown: Callable[[int], None] = lambda _: None) -> Check:
     """Flies each case of the mission in simulation with the seeds 1 to `seeds`, and says what was found.
 
     Raises UpwashError for a mission that is not completed even with every call on the drone.
@@ -67,8 +68,8 @@ def check(plan: Plan, *, seeds: int, fly: Fly, flown: Callable[[int], None] = la
     alone = _flown_alone(plan)
     covered = coverage(
         places,
-        {server.name: server_area(server, plan.config.mission.home) for server in plan.config.servers},
-        alone.stays,
+        server_areas(plan.config),
+        alone.range_intervals,
         ended_s=alone.result.mission_time_s,
     )
     predictions = predict(
@@ -81,22 +82,23 @@ def check(plan: Plan, *, seeds: int, fly: Fly, flown: Callable[[int], None] = la
         servers=covered,
         predictions=tuple(predictions),
         usable_s=usable_s(plan.config),
+        usable_wh=usable_wh(plan.config),
         farthest=farthest(plan.config),
-        concerns=(
-            *concerns(plan.config, covered, list(_beliefs(plan.config, alone)), predictions),
+        warnings=(
+            *warnings(plan.config, covered, list(beliefs(plan.config, alone)), predictions),
             *_certificate_concerns(plan.config),
         ),
     )
 
 
-def _flown_alone(plan: Plan) -> Run:
+def _flown_alone(plan: CheckInput) -> Run:
     run = simulate(drone_config(changed(plan.document, policy=LOCAL_ONLY), plan.file))
     if run.failure:
         raise UpwashError(f"the mission is not completed in simulation: {run.failure}")
     return run
 
 
-def _beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:
+def beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:
     """What is believed of each operation that the mission called."""
     specs = {name: spec_of(each.cls) for name, each in load_services(config.services).items()}
     estimates = make_estimates(config, specs)
@@ -113,12 +115,12 @@ def _beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:
         )
 
 
-def _certificate_concerns(config: DroneConfig) -> Iterator[Concern]:
+def _certificate_concerns(config: DroneConfig) -> Iterator[PreflightWarning]:
     if not is_for_flight(config):
         return
-    from upwash.launch import drone_credentials  # with all that flies a drone: only where one is to fly
+    from upwash.launch.drone import drone_credentials  # with all that flies a drone: only where one is to fly
 
     try:
         drone_credentials(config)
     except UpwashError as error:
-        yield Concern("certificate", str(error))
+        yield PreflightWarning("certificate", str(error))

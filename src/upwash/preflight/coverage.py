@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from msgspec import Struct
 
 from upwash.core.geo import Circle, Position, ground_distance_m
-from upwash.lab.stays import Stay
+from upwash.lab.range_intervals import RangeInterval
 
 
 class Coverage(Struct, frozen=True, kw_only=True):
@@ -25,9 +25,13 @@ class Coverage(Struct, frozen=True, kw_only=True):
 
 
 def coverage(
-    places: Sequence[Position], areas: Mapping[str, Circle], stays: Sequence[Stay], *, ended_s: float
+    places: Sequence[Position],
+    areas: Mapping[str, Circle],
+    intervals: Sequence[RangeInterval],
+    *,
+    ended_s: float,
 ) -> tuple[Coverage, ...]:
-    """What each server covers of a mission over at least one place, which had these stays and ended then."""
+    """What each server covers of a mission over at least one place, which had these intervals and ended then."""
     return tuple(
         Coverage(
             server=name,
@@ -35,7 +39,8 @@ def coverage(
             nearest_m=min(ground_distance_m(area.centre, place) for place in places),
             waypoints=tuple(index for index, place in enumerate(places) if area.contains(place)),
             longest_stay_s=max(
-                (min(stay.to_s, ended_s) - stay.from_s for stay in stays if stay.server == name), default=0.0
+                (min(each.to_s, ended_s) - each.from_s for each in intervals if each.server == name),
+                default=0.0,
             ),
         )
         for name, area in areas.items()

@@ -14,18 +14,18 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.config import DroneConfig, drone_config
+from upwash.eventlog.narration import counted, spans
 from upwash.lab.campaign import Fly
-from upwash.narration import counted, spans
-from upwash.preflight.check import Check, check, missions_to_fly, read_plan
-from upwash.preflight.concerns import is_for_flight
+from upwash.preflight.check import Check, CheckInput, check, missions_to_fly
 from upwash.preflight.coverage import Coverage
 from upwash.preflight.placement import Place, missions_to_place, place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, is_noisy
+from upwash.preflight.warnings import is_for_flight
 from upwash.preflight.way_home import Farthest
 
 
 def show_check(
-    file: Path,
+    plan: CheckInput,
     *,
     seeds: int,
     servers_to_place: int = 0,
@@ -34,7 +34,6 @@ def show_check(
     fly: Fly,
 ) -> bool:
     """Checks the file and prints what was found; returns whether nothing will hurt."""
-    plan = read_plan(file)
     seeds = seeds if is_noisy(plan.config) else 1
     with _progress("flying it in simulation", missions_to_fly(plan, seeds)) as flown:
         found = check(plan, seeds=seeds, fly=fly, flown=flown)
@@ -42,17 +41,17 @@ def show_check(
     if servers_to_place:
         with _progress("trying places", missions_to_place(servers_to_place)) as flown:
             places, document = place(
-                plan.document, plan.config, file, servers=servers_to_place, fly=fly, flown=flown
+                plan.document, plan.config, plan.file, servers=servers_to_place, fly=fly, flown=flown
             )
         found = msgspec.structs.replace(found, places=tuple(places))
-        drawn = drone_config(document, file)
+        drawn = drone_config(document, plan.file)
     if as_json:
         sys.stdout.write(msgspec.json.encode(found).decode() + "\n")
     else:
         _print(found, plan.config, servers_to_place, Console(markup=False))
     if figures is not None:
         _draw(drawn, figures)
-    return not found.concerns
+    return not found.warnings
 
 
 @contextmanager
@@ -65,7 +64,7 @@ def _progress(what: str, missions: int) -> Generator[Callable[[int], None]]:
 
 
 def _draw(config: DroneConfig, folder: Path) -> None:
-    from upwash.lab.figures import draw_map
+    from upwash.lab.reproduction.figures import draw_map
 
     draw_map(config, folder / "coverage.png", title="waypoints by the servers that cover them")
 
@@ -95,9 +94,9 @@ def _print(found: Check, config: DroneConfig, servers_to_place: int, console: Co
     if len(found.places) < servers_to_place:
         console.print("one more server would gain nothing, wherever it stands")
     console.print()
-    for concern in found.concerns:
-        console.print(Text("warning: ", style="yellow") + Text(concern.text), soft_wrap=True)
-    if not found.concerns:
+    for warning in found.warnings:
+        console.print(Text("warning: ", style="yellow") + Text(warning.text), soft_wrap=True)
+    if not found.warnings:
         console.print(Text("nothing to warn of", style="green"))
 
 
@@ -121,24 +120,29 @@ def _prediction_table(found: Check) -> Table:
     local_only_s = next((each.mission_time_s for each in found.predictions if each.case == LOCAL_ONLY), None)
     table = Table(box=None, padding=(0, 2))
     table.add_column("predicted", overflow="fold")
-    for title in ("mission time", "against local-only", *(["battery left"] if found.usable_s else [])):
+    for title in (
+        "mission time",
+        "against local-only",
+        *(["battery left"] if found.usable_s or found.usable_wh else []),
+    ):
         table.add_column(title, justify="right", no_wrap=True)
     for each in found.predictions:
-        table.add_row(*_prediction_cells(each, local_only_s, found.usable_s))
+        table.add_row(*_prediction_cells(each, local_only_s, found))
     return table
 
 
-def _prediction_cells(
-    prediction: Prediction, local_only_s: float | None, usable_s: float | None
-) -> list[Text]:
+def _prediction_cells(prediction: Prediction, local_only_s: float | None, found: Check) -> list[Text]:
     time_s = prediction.mission_time_s
     if time_s is None:
         return [Text(prediction.case), Text("not completed", style="red")]
     margin = f" ± {prediction.margin_s / 60:.2f}" if prediction.margin_s is not None else ""
     cells = [Text(prediction.case), Text(f"{time_s / 60:.2f}{margin} min")]
     cells.append(Text(f"{100 * (time_s / local_only_s - 1):+.0f} %" if local_only_s else "-"))
-    if usable_s:
-        left_s = usable_s - time_s
+    if found.usable_wh and prediction.energy_wh is not None:
+        left_wh = found.usable_wh - prediction.energy_wh
+        cells.append(Text(f"{left_wh:.1f} Wh", style="red" if left_wh < 0 else ""))
+    elif found.usable_s:
+        left_s = found.usable_s - time_s
         cells.append(Text(f"{left_s / 60:.1f} min", style="red" if left_s < 0 else ""))
     return cells
 
@@ -149,7 +153,7 @@ def _how_sure(found: Check, config: DroneConfig) -> str:
         sure = f"means of {missions} simulated missions each, ± 95 % confidence"
     else:
         sure = "one simulated mission each: without [noise] all are alike"
-    if found.usable_s is not None:
+    if found.usable_s is not None or found.usable_wh is not None:
         return sure
     return f"{sure}; vehicle.endurance_s is not given, so nothing says whether the battery lasts"
 

@@ -19,7 +19,7 @@ def check_networks(config: DroneConfig, console: Console) -> bool:
             f'network.kind is "{config.network.kind}", so no network is joined: "networkmanager" joins those of '
             "the servers (docs/networks.md)"
         )
-    from upwash.launch import survey_networks
+    from upwash.launch.survey import survey_networks
 
     findings = asyncio.run(survey_networks(config))
     table = Table(box=None, padding=(0, 2))

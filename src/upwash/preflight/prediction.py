@@ -8,7 +8,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from upwash.config import Document, DroneConfig
+from upwash.config import Document, DroneConfig, NoiseConfig
 from upwash.lab.campaign import Fly, fly_sweep
 from upwash.lab.sweep import Combination, Sweep
 
@@ -20,7 +20,8 @@ class Prediction(Struct, frozen=True, kw_only=True):
 
     `mission_time_s` is the mean of the completed ones, None where there are none; the true mean lies within
     `margin_s` of it with a probability of 95 %. The margin is None where a single mission says all, or little.
-    `failures` are the reasons of those that were not completed.
+    `energy_wh` is what they draw from the battery, likewise, where the file has `[energy]`. `failures` are the
+    reasons of those that were not completed.
     """
 
     case: str
@@ -28,6 +29,8 @@ class Prediction(Struct, frozen=True, kw_only=True):
     mission_time_s: float | None
     margin_s: float | None
     failures: tuple[str, ...] = ()
+    energy_wh: float | None = None
+    energy_margin_wh: float | None = None
 
     @property
     def certain_margin_s(self) -> float:
@@ -42,7 +45,7 @@ def without(server: str) -> str:
 
 def is_noisy(config: DroneConfig) -> bool:
     """Whether chance plays a part, so that one simulated mission is not like another."""
-    return bool(config.noise.call or config.noise.leg)
+    return config.noise != NoiseConfig()
 
 
 def predict(
@@ -63,6 +66,8 @@ def predict(
             mission_time_s=mean.value if (mean := summary.mission_time_s) else None,
             margin_s=mean.margin if mean and mean.count > 1 else None,
             failures=tuple(summary.failures.values()),
+            energy_wh=drawn.value if (drawn := summary.energy_wh) else None,
+            energy_margin_wh=drawn.margin if drawn and drawn.count > 1 else None,
         )
         for summary in summaries
     ]
@@ -82,10 +87,11 @@ def cases(document: Document, config: DroneConfig) -> Iterator[tuple[str, Docume
 
 
 def changed(document: Document, *, policy: str | None = None, dead: Sequence[str] = ()) -> Document:
-    """The document under another policy, or with dead servers; flown to the end, without a reserve."""
+    """The document under another policy, or with dead servers; flown to the end, as if no battery ended it."""
     other = copy.deepcopy(document)
     for reserve in ("reserve_percent", "reserve_s"):
         other["mission"].pop(reserve, None)
+    other.get("energy", {}).pop("battery_wh", None)
     if policy is not None:
         other.setdefault("policy", {})["name"] = policy
     if dead:

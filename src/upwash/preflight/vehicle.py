@@ -15,7 +15,7 @@ def check_vehicle(config: DroneConfig, console: Console, *, install_dead_man: bo
 
     Where it is to be installed, that is done first.
     """
-    from upwash.launch import survey_vehicle
+    from upwash.launch.survey import survey_vehicle
 
     found = asyncio.run(survey_vehicle(config, install_dead_man=install_dead_man))
     wanted = config.autopilot.dead_man_s is not None

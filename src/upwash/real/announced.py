@@ -14,23 +14,23 @@ from pathlib import Path
 
 import msgspec
 
-from upwash.core.visitors import Visitor
+from upwash.core.clients import Client
 from upwash.real.streams import CHUNK_BYTES, Streams
 
-_visitor: msgspec.json.Decoder[Visitor] = msgspec.json.Decoder(Visitor)
+_client: msgspec.json.Decoder[Client] = msgspec.json.Decoder(Client)
 _FIRST_LINE_S = 5.0
 
 
-def announcement(visitor: Visitor) -> bytes:
+def announcement(client: Client) -> bytes:
     """The first line of a connection."""
-    return msgspec.json.encode(visitor) + b"\n"
+    return msgspec.json.encode(client) + b"\n"
 
 
-async def announced(reader: asyncio.StreamReader) -> Visitor:
+async def announced(reader: asyncio.StreamReader) -> Client:
     """Whom the first line announces; raises OSError where it announces nobody."""
     try:
         async with asyncio.timeout(_FIRST_LINE_S):
-            return _visitor.decode(await reader.readline())
+            return _client.decode(await reader.readline())
     except (ValueError, msgspec.MsgspecError):
         raise ConnectionAbortedError("the first line announces nobody") from None
 
@@ -39,12 +39,12 @@ def _unlink(name: str) -> None:
     Path(name).unlink(missing_ok=True)
 
 
-def announcing_at(path: str) -> Callable[[Visitor], Awaitable[Streams]]:
+def announcing_at(path: str) -> Callable[[Client], Awaitable[Streams]]:
     """Connects to that unix socket, and announces for whom."""
 
-    async def connect(visitor: Visitor) -> Streams:
+    async def connect(client: Client) -> Streams:
         reader, writer = await asyncio.open_unix_connection(path, limit=CHUNK_BYTES)
-        writer.write(announcement(visitor))
+        writer.write(announcement(client))
         return reader, writer
 
     return connect
@@ -55,22 +55,22 @@ class Inside:
 
     def __init__(self, path: str) -> None:
         self.path = path
-        self._visitors: dict[str, Visitor] = {}
+        self._clients: dict[str, Client] = {}
         self._numbers = itertools.count()
 
-    async def connect(self, visitor: Visitor) -> Streams:
-        """A connection on behalf of that visitor."""
+    async def connect(self, client: Client) -> Streams:
+        """A connection on behalf of that client."""
         name = f"{self.path}-{next(self._numbers)}"
         connection = socket.socket(socket.AF_UNIX)
         connection.setblocking(False)
         peer = f"unix:{name}"
         try:
             connection.bind(name)
-            self._visitors[peer] = visitor
+            self._clients[peer] = client
             await asyncio.get_running_loop().sock_connect(connection, self.path)
             reader, writer = await asyncio.open_unix_connection(sock=connection, limit=CHUNK_BYTES)
         except BaseException:
-            self._visitors.pop(peer, None)
+            self._clients.pop(peer, None)
             connection.close()
             raise
         finally:
@@ -79,11 +79,11 @@ class Inside:
         closed.add_done_callback(lambda _: self._forget(peer, closed))
         return reader, writer
 
-    def visitor(self, peer: str) -> Visitor:
+    def client(self, peer: str) -> Client:
         """Who is at the other end of gRPC's peer; nobody where it has hung up."""
-        return self._visitors.get(peer, Visitor(""))
+        return self._clients.get(peer, Client(""))
 
     def _forget(self, peer: str, closed: asyncio.Task[None]) -> None:
         if not closed.cancelled():
             closed.exception()  # hung up, however
-        self._visitors.pop(peer, None)
+        self._clients.pop(peer, None)

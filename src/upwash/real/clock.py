@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from typing import Protocol
 
 from upwash.errors import CredentialsError
+from upwash.eventlog import schema
 from upwash.ports import Journal
 from upwash.real.credentials import Credentials, at_second
 
@@ -101,11 +102,9 @@ def _set_if_wrong(gps_unix_s: float, journal: Journal, clock: Clock) -> str:
         except OSError as error:
             why_not = f"this program may not set the clock ({error.strerror})"
         else:
-            journal.record(
-                "clock_set", before=_datetime(now_s).isoformat(), after=_datetime(gps_unix_s).isoformat()
-            )
+            journal.record(schema.ClockSet(before=_datetime(now_s), after=_datetime(gps_unix_s)))
             return ", as it was set from the vehicle's GPS: make a new certificate"
-    journal.record("clock_differs", clock=before, gps=told, why=why_not)
+    journal.record(schema.ClockDiffers(clock=before, gps=told, why=why_not))
     return f"; the vehicle's GPS says {told}, but {why_not}: {_REMEDY}"
 
 

@@ -1,7 +1,7 @@
 """What a program and the service instances that it started say to each other: lines of JSON.
 
-A process hears its program over a socket pair, a container over TLS. Either is also the leash: when the program dies,
-however it dies, the instance reads an end of file and ends.
+A process hears its program over a socket pair, a container over TLS. Either also ends the
+instance: when the program dies, however it dies, the instance reads an end of file.
 
 The service is in the same process as the instance's end and may write whatever it likes, so the program believes only
 what can be so, and hangs up on an instance that says more than `MOST_REPORTS_PER_S`.
@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 
 from upwash.real.limits import Limits
+from upwash.support.heat import Surroundings
 
 MOST_REPORTS_PER_S = 1000  # one for each call, and one a second for each drone
 
@@ -23,7 +24,7 @@ class Begin(msgspec.Struct, frozen=True, tag="begin"):
     """To the instance, first: what to be.
 
     gRPC listens at `listen`. What comes to the inherited socket is handed on to there; in a container what comes to
-    the address `outside` from who holds the same `leash`. Each such connection announces who calls if it
+    the address `outside` from who holds the same `credentials`. Each such connection announces who calls if it
     `is_announced`.
     """
 
@@ -33,16 +34,18 @@ class Begin(msgspec.Struct, frozen=True, tag="begin"):
     listen: str
     max_message_bytes: int
     pace_s: Mapping[str, float]
+    heats: Surroundings | None = None
     is_announced: bool = False
     outside: str = ""
-    leash: str = ""
+    credentials: str = msgspec.field(default="", name="leash")  # as images of earlier versions read it
     limits: Limits | None = None  # in a sandbox
 
 
 class Admit(msgspec.Struct, frozen=True, tag="admit"):
-    """To the instance: answer these drones and no others."""
+    """To the instance: answer these drones and no others, and of those that are finishing what has arrived."""
 
     drones: list[str]
+    finishing: list[str] = []
 
 
 class Drain(msgspec.Struct, frozen=True, tag="drain"):
@@ -72,15 +75,20 @@ class Drained(msgspec.Struct, frozen=True, tag="drained"):
 
 
 class Called(msgspec.Struct, frozen=True, tag="called"):
-    """From the instance: this drone, known by `Visitor.key`, called."""
+    """From the instance: this drone, known by `Client.key`, called."""
 
     drone: str
 
 
-class Answered(msgspec.Struct, frozen=True, tag="answered"):
-    """From the instance: a call of this method has an answer, after so long in the service."""
+class Answered(msgspec.Struct, frozen=True, kw_only=True, tag="answered"):
+    """From the instance: this drone's call of this method has an answer.
 
+    The call waited so long for its turn, and then was so long in the service.
+    """
+
+    drone: str = ""  # which instances in images of earlier versions do not say
     method: str
+    queued_s: float = 0.0
     took_s: float
 
 

@@ -23,7 +23,7 @@ from ipaddress import IPv6Address, ip_address
 from typing import Any
 
 from upwash.core.allowance import Allowance
-from upwash.core.visitors import Visitor
+from upwash.core.clients import Client
 from upwash.errors import CredentialsError, InstanceError
 from upwash.real.crowd import Crowd, Recent
 from upwash.real.frames import Counted, FrameCounter
@@ -34,8 +34,8 @@ from upwash.real.trust import Holder, Trust
 _log = logging.getLogger("upwash.door")
 _log.addFilter(Sparing())
 
-Connect = Callable[[Visitor], Awaitable[Streams]]
-Seen = Callable[[str, str], None]  # on the server of that name, the caller known by `Visitor.key`
+Connect = Callable[[Client], Awaitable[Streams]]
+Seen = Callable[[str, str], None]  # on the server of that name, the caller known by `Client.key`
 
 _OUT_OF_SOCKETS_S = 0.1
 _LAST_WORDS_S = 1.0
@@ -244,10 +244,10 @@ class Door:
             await asyncio.sleep(_TURN_S)
 
     def _refuse_shut_out(self, holder: Holder) -> None:
-        pace = self._paces.of(holder.visitor.certificate)
+        pace = self._paces.of(holder.client.certificate)
         left_s = pace.shut_out_until_s - asyncio.get_running_loop().time()
         if left_s > 0:
-            raise CredentialsError(f"{holder.visitor.name} is shut out for another {left_s:.0f} s")
+            raise CredentialsError(f"{holder.client.name} is shut out for another {left_s:.0f} s")
 
     async def _handshake(self, connection: socket.socket) -> Streams:
         loop = asyncio.get_running_loop()
@@ -262,37 +262,37 @@ class Door:
         )
         return reader, asyncio.StreamWriter(transport, protocol, reader, loop)
 
-    def _watch(self, visitor: Visitor, server: str) -> Callable[[bytes], None]:
+    def _watch(self, client: Client, server: str) -> Callable[[bytes], None]:
         """Is shown what comes on one connection; raises ConnectionAbortedError where it is too much."""
-        counter, pace = FrameCounter(), self._paces.of(visitor.certificate)
+        counter, pace = FrameCounter(), self._paces.of(client.certificate)
         tellings, now_s = Allowance(_TOLD_PER_S, at_once=1), asyncio.get_running_loop().time
 
         def shown(chunk: bytes) -> None:
             counted = counter.count(chunk)
             pace.take(counted, now_s())
             if server and (counted.begun or counted.pieces) and tellings.take(1, now_s=now_s()):
-                self._seen(server, visitor.key)
+                self._seen(server, client.key)
 
         return shown
 
     async def _serve(
         self, streams: Streams, certificate: bytes, holder: Holder, inside: Connect, server: str
     ) -> None:
-        visitor, task = holder.visitor, asyncio.current_task()
+        client, task = holder.client, asyncio.current_task()
         assert task is not None  # noqa: S101 - this is one
         self._strangers.leave(task)
         self._certificates[task] = certificate
-        leaving = self._callers.enter(task, visitor.certificate)
+        leaving = self._callers.enter(task, client.certificate)
         if leaving is not None:
             leaving.cancel()
         left_s = (holder.ends - datetime.now(UTC)).total_seconds()
         try:
             async with asyncio.timeout(left_s):
-                await join(streams, await inside(visitor), seen=self._watch(visitor, server))
+                await join(streams, await inside(client), seen=self._watch(client, server))
         except TimeoutError:
-            _log.warning("hanging up: the certificate of %s has expired", visitor.name)
+            _log.warning("hanging up: the certificate of %s has expired", client.name)
         except OSError as error:
-            _log.warning("hanging up on %s: %s", visitor.name, error)
+            _log.warning("hanging up on %s: %s", client.name, error)
         except asyncio.CancelledError:
             pass  # it makes room, is revoked, or the door is closed
         finally:

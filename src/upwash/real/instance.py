@@ -1,8 +1,8 @@
 """One service instance: a process of its own that a runtime started.
 
 `python -m upwash.real.instance CONTROL [OUTSIDE]`, two file descriptors: the control socket, and in a sandbox the
-socket that listens outside. It imports the service, pays its cold start, and serves one call after the other, as
-services need not be safe for threads.
+socket that listens outside. It imports the service, pays its cold start, and serves as many calls at a time as the
+service declares: by default one after the other, as services need not be safe for threads.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from queue import SimpleQueue
 from typing import BinaryIO, NoReturn
 
 from upwash.core.allowance import Allowance
+from upwash.core.instance_gate import InstanceGate
 from upwash.errors import Refused, UsageError
-from upwash.protocol import service_path
 from upwash.real.announced import Inside
 from upwash.real.control import (
     MOST_REPORTS_PER_S,
@@ -38,15 +38,17 @@ from upwash.real.control import (
     line,
     to_instance,
 )
-from upwash.real.doorway import Doorway
-from upwash.real.leash import Leash
+from upwash.real.control_credentials import ControlCredentials
 from upwash.real.listener import Caller, Health, Listener
+from upwash.real.socket_proxy import SocketProxy
 from upwash.real.streams import listening_socket
-from upwash.service import Method, load_service, spec_of
-from upwash.settings import construct
+from upwash.rpc.protocol import service_path
+from upwash.rpc.service import Method, load_service, spec_of
+from upwash.rpc.settings import construct
+from upwash.support.heat import Heat
 
 _CONCURRENT_CALLS = (
-    256  # one runs, the others arrive or queue until their deadlines: of drones with a lease alone
+    256  # a few run, the others arrive or queue until their deadlines: of drones with a lease alone
 )
 _CALLS_PER_DRONE = 4  # one, and others that it has given up
 _LONGEST_REASON = 10_000  # characters
@@ -65,11 +67,14 @@ class ServiceInstance:
             service_path(begin.service, method.name): method for method in spec.methods.values()
         }
         self._pace_s = begin.pace_s
+        self._heat = Heat(begin.heats) if begin.heats else None
         self._control = control
         self._reporting = threading.Lock()
-        self._calls = ThreadPoolExecutor(1, "upwash-call")  # a service need not be safe for threads
-        self._closed = ""  # why no call is answered any more
-        self._admitted: frozenset[str] = frozenset()
+        self._calls = ThreadPoolExecutor(spec.concurrency, "upwash-call")
+        self._gate = InstanceGate()
+        self._sharing = (
+            threading.Lock()
+        )  # what the calls have in common: the heat, and what was reported when
         self._reported_s: dict[str, float] = {}  # when each drone's calls were last reported
         self._reports = Allowance(MOST_REPORTS_PER_S, at_once=MOST_REPORTS_PER_S)
         self._is_announced = begin.is_announced
@@ -81,7 +86,7 @@ class ServiceInstance:
             concurrent_requests=_CONCURRENT_CALLS,
             requests_per_drone=_CALLS_PER_DRONE,
             gate=self._admit,
-            who_is=self._inside.visitor if begin.is_announced else None,
+            who_is=self._inside.client if begin.is_announced else None,
         )
         self._listener.add(Health())
 
@@ -89,17 +94,17 @@ class ServiceInstance:
         """Begins to answer, also who connects to the socket from outside, and says so."""
         self._listener.start()
         if outside is not None:
-            Doorway(outside, self._inside, is_announced=self._is_announced, context=context).open()
+            SocketProxy(outside, self._inside, is_announced=self._is_announced, context=context).open()
         self._report(Ready(self._listener.address))
 
-    def admit(self, drones: list[str]) -> None:
-        """From now on only these drones get an answer."""
-        self._admitted = frozenset(drones)
+    def admit(self, drones: list[str], finishing: list[str]) -> None:
+        """From now on only these drones get an answer, and what has arrived of those that are finishing."""
+        self._gate.admit(drones, finishing)
         self._report(Admitted())
 
     def drain(self, why: str) -> None:
         """From now on nobody gets an answer, for that reason; says so when the last call has ended."""
-        self._closed = why
+        self._gate.close(why)
         threading.Thread(target=self._drain, name="drain", daemon=True).start()
 
     def _drain(self) -> None:
@@ -114,47 +119,57 @@ class ServiceInstance:
     def _admit(self, path: str, caller: Caller) -> None:
         if path not in self._methods:
             raise Refused(f"no method {path} here")
-        self._refuse_unwelcome(caller)
+        self._gate.require(caller.client)
 
     def _answer(self, path: str, body: bytes, caller: Caller) -> bytes:
-        """In the service's own thread, one call after the other, in the order in which they were whole."""
+        """In a thread of the service's own; their turns come in the order in which they were whole."""
+        whole_s = time.monotonic()
         try:
-            call = self._calls.submit(self._perform, self._methods[path], body, caller)
+            call = self._calls.submit(self._perform, self._methods[path], body, caller, whole_s)
         except RuntimeError:  # no calls are taken any more
-            raise Refused(self._closed) from None
+            raise Refused(self._gate.closed) from None
         try:
             return call.result()
         except CancelledError:  # while it waited for its turn
-            raise Refused(self._closed) from None
+            raise Refused(self._gate.closed) from None
 
-    def _refuse_unwelcome(self, caller: Caller) -> None:
-        if self._closed:
-            raise Refused(self._closed)
-        if caller.visitor.key not in self._admitted:
-            raise Refused(f"drone {caller.visitor.name or '(unnamed)'} has no lease here")
-
-    def _perform(self, method: Method, body: bytes, caller: Caller) -> bytes:
-        self._refuse_unwelcome(
-            caller
-        )  # its lease may have ended while the call arrived and waited for its turn
+    def _perform(self, method: Method, body: bytes, caller: Caller, whole_s: float) -> bytes:
+        self._gate.require_still(caller.client)  # now that the call has arrived and its turn has come
         if not caller.is_waiting():
             raise Refused("nobody waits for this call any more")
-        drone, began_s = caller.visitor.key, time.monotonic()
-        if began_s - self._reported_s.get(drone, -math.inf) >= _REPORT_PERIOD_S:
-            self._reported_s[drone] = began_s
-            self._report(Called(drone))
+        drone, began_s = caller.client.key, time.monotonic()
+        self._report_caller(drone, began_s)
         key, reply = method.perform(self._target, body)
-        short_s = self._least_s(key, method.name) - (time.monotonic() - began_s)
+        short_s = self._least_s(key, method.name, began_s) - (time.monotonic() - began_s)
         if short_s > 0:
             time.sleep(short_s)
         ended_s = time.monotonic()
-        time.sleep(self._reports.take_anyway_s(1, now_s=ended_s))  # or its program would hang up
-        self._report(Answered(method.name, ended_s - began_s))
+        time.sleep(self._pause_s(ended_s))
+        self._report(
+            Answered(drone=drone, method=method.name, queued_s=began_s - whole_s, took_s=ended_s - began_s)
+        )
         return reply
 
-    def _least_s(self, key: str, method: str) -> float:
+    def _report_caller(self, drone: str, now_s: float) -> None:
+        with self._sharing:
+            is_due = now_s - self._reported_s.get(drone, -math.inf) >= _REPORT_PERIOD_S
+            if is_due:
+                self._reported_s[drone] = now_s
+        if is_due:
+            self._report(Called(drone))
+
+    def _pause_s(self, now_s: float) -> float:
+        """How long to wait before the next report, or its program would hang up."""
+        with self._sharing:
+            return self._reports.take_anyway_s(1, now_s=now_s)
+
+    def _least_s(self, key: str, method: str, began_s: float) -> float:
         """The least time of an operation; a configuration may tell operations apart by key, by method or not."""
-        return next((self._pace_s[name] for name in (key, method, "") if name in self._pace_s), 0.0)
+        pace_s = next((self._pace_s[name] for name in (key, method, "") if name in self._pace_s), 0.0)
+        if self._heat is None:
+            return pace_s
+        with self._sharing:
+            return self._heat.work(pace_s, now_s=began_s)
 
 
 def main() -> NoReturn:
@@ -168,7 +183,7 @@ def main() -> NoReturn:
         raise SystemExit("the first control message must say what to be")
     orders: SimpleQueue[bytes] = SimpleQueue()
     # From now on, as a cold start may take long and its program may die meanwhile.
-    threading.Thread(target=_listen, args=(lines, orders), name="leash", daemon=True).start()
+    threading.Thread(target=_listen, args=(lines, orders), name="control line", daemon=True).start()
     try:
         if begin.limits is not None:
             begin.limits.apply()
@@ -179,13 +194,13 @@ def main() -> NoReturn:
     context = None
     if begin.outside:
         outside = listening_socket(begin.outside)
-        context = Leash.from_text(begin.leash).context(is_server=True)
+        context = ControlCredentials.from_text(begin.credentials).context(is_server=True)
     instance.serve(outside, context)
     while True:
         message = to_instance.decode(orders.get())
         match message:
-            case Admit(drones):
-                instance.admit(drones)
+            case Admit(drones, finishing):
+                instance.admit(drones, finishing)
             case Drain(why):
                 instance.drain(why)
 

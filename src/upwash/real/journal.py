@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
 
 import msgspec
 
-from upwash import event_log
 from upwash.core.geo import Position
 from upwash.errors import UsageError
+from upwash.eventlog import log as event_log
+from upwash.eventlog import schema
+from upwash.eventlog.schema import Event
 from upwash.real.log_file import LogFile, Unwritten
-from upwash.text import json_line
+from upwash.support.text import json_line
 
 _TRY_AGAIN_S = 1.0  # to write to a full disk
 _log = logging.getLogger("upwash.journal")
-Watcher = Callable[[Mapping[str, Any]], None]
+Watcher = Callable[[Event], None]
 
 
 class FileJournal:
@@ -46,8 +47,8 @@ class FileJournal:
         now = datetime.now(UTC)
         opened_s = _seconds_since(read_events(path), now) if resumes else 0.0
         self._began_s = self._loop.time() - opened_s
-        event = "log_resumed" if resumes else "log_opened"
-        opening = {"t": round(opened_s, 6), "event": event, "time": now.isoformat()}
+        kind = schema.LogResumed if resumes else schema.LogOpened
+        opening = kind(t=round(opened_s, 6), time=now, version=schema.VERSION)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = LogFile(path)
@@ -62,12 +63,12 @@ class FileJournal:
             raise UsageError(f"cannot write the event log {path}: {error.strerror}") from error
         self._show(opening)
 
-    def record(self, event: str, **facts: object) -> None:
-        """Adds one event with its facts; it is in the file when this returns, if that has room.
+    def record(self, event: Event) -> None:
+        """Adds one event; it is in the file when this returns, if that has room.
 
         A disk that fills up in flight is no reason to end it: what is missing is written as soon as there is room.
         """
-        entry = {"t": self._now_s(), "event": event, **facts}
+        entry = msgspec.structs.replace(event, t=self._now_s())
         try:
             self._keep(_encoded(entry))
         finally:
@@ -100,9 +101,7 @@ class FileJournal:
                 self._file.append(self._unwritten.lines[0])
                 self._unwritten.written()
             if self._unwritten.lost:
-                self._file.append(
-                    _encoded({"t": self._now_s(), "event": "events_lost", "count": self._unwritten.lost})
-                )
+                self._file.append(_encoded(schema.EventsLost(t=self._now_s(), count=self._unwritten.lost)))
                 self._unwritten.lost = 0
         except OSError as error:
             self._missed(error)
@@ -114,7 +113,7 @@ class FileJournal:
         self._unwritten.why = error.strerror or str(error)
         self._next_try_s = self._loop.time() + _TRY_AGAIN_S
 
-    def _show(self, entry: Mapping[str, Any]) -> None:
+    def _show(self, entry: Event) -> None:
         """Has the watchers see an event; one that fails, as where its terminal is gone, sees no more of them."""
         for watch in self._watchers:
             try:
@@ -134,49 +133,45 @@ class FileJournal:
             _log.error("the event log %s may lack its last events: %s", self.path, error)
 
 
-def _encoded(entry: Mapping[str, Any]) -> bytes:
+def _encoded(entry: Event) -> bytes:
     try:
         line = msgspec.json.encode(entry)
     except UnicodeEncodeError:  # a file name, say, that is no text
-        line = msgspec.json.encode({name: _printable(fact) for name, fact in entry.items()})
+        facts = {name: _printable(fact) for name, fact in msgspec.structs.asdict(entry).items()}
+        line = msgspec.json.encode(msgspec.structs.replace(entry, **facts))
     return json_line(line)
 
 
-class _Opening(msgspec.Struct):
-    time: Annotated[datetime, msgspec.Meta(tz=True)]
-
-
-class _ClockSet(msgspec.Struct):
-    t: float
-    after: Annotated[datetime, msgspec.Meta(tz=True)]
-
-
-def read_events(path: Path) -> list[dict[str, Any]]:
+def read_events(path: Path) -> list[Event]:
     """The events of a flight's log, which begins with the time of day; raises UsageError."""
     events = event_log.read(path)
-    if events[0]["event"] != "log_opened":
+    if not isinstance(events[0], schema.LogOpened):
         raise UsageError(f"{path} is not the event log of a flight")
-    try:
-        for name, kind in (("log_opened", _Opening), ("clock_set", _ClockSet)):
-            msgspec.convert([event for event in events if event["event"] == name], list[kind])  # type: ignore[valid-type]
-    except msgspec.ValidationError as error:
-        raise UsageError(f"{path} is not an event log: {error}") from error
     return events
 
 
-def _seconds_since(events: Sequence[Mapping[str, Any]], now: datetime) -> float:
+def _seconds_since(events: Sequence[Event], now: datetime) -> float:
     """The time now of the last run in the log: by the time of day, unless that has gone back since."""
-    known_s, known = next(
-        (event["t"], event["after"]) if event["event"] == "clock_set" else (0.0, event["time"])
-        for event in reversed(events)
-        if event["event"] in ("log_opened", "clock_set")
-    )
-    last_s: float = events[-1]["t"]
-    return max(last_s, known_s + (now - datetime.fromisoformat(known)).total_seconds())
+    last_s = events[-1].t
+    for event in reversed(events):
+        match event:
+            case schema.ClockSet(t=known_s, after=known):
+                return max(last_s, known_s + (now - known).total_seconds())
+            case schema.LogOpened(time=known):
+                return max(last_s, (now - known).total_seconds())
+    return last_s
 
 
 def _printable(fact: object) -> object:
-    return fact if isinstance(fact, (int, float)) else str(fact).encode(errors="backslashreplace").decode()
+    """The same without halves of code units, which no JSON has."""
+    match fact:
+        case str():
+            return str(fact).encode(errors="backslashreplace").decode()
+        case list() | tuple():
+            return [_printable(each) for each in fact]
+        case dict():
+            return {_printable(key): _printable(value) for key, value in fact.items()}
+    return fact
 
 
 class JournalNotifier:
@@ -187,4 +182,4 @@ class JournalNotifier:
 
     async def notify(self, message: object, at: Position) -> None:
         """Records the message with its place."""
-        self._journal.record("notified", message=msgspec.to_builtins(message), at=msgspec.to_builtins(at))
+        self._journal.record(schema.Notified(message=msgspec.to_builtins(message), at=at))

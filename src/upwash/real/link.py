@@ -17,10 +17,10 @@ from typing import Any
 import grpc
 import msgspec
 
-from upwash.errors import DeadlineExceeded, LinkError, Refused, Unreachable
-from upwash.protocol import LONGEST_REPLY_BYTES, LONGEST_STATUS_BYTES, STATUS
+from upwash.errors import DeadlineExceeded, LinkError, NoLease, Refused, Unreachable
 from upwash.real.credentials import Credentials, at_second
-from upwash.text import printable
+from upwash.rpc.protocol import LONGEST_REPLY_BYTES, LONGEST_STATUS_BYTES, STATUS
+from upwash.support.text import printable
 
 DRONE_METADATA = "upwash-drone"  # says who calls where no certificate does: on a unix socket or on loopback
 
@@ -151,6 +151,8 @@ class GrpcLink:
             case grpc.StatusCode.UNAVAILABLE | grpc.StatusCode.CANCELLED:
                 own = self._own_trouble()
                 return Unreachable(f"{self._peer}: {_plainly(details)}{f'; {own}' if own else ''}")
+            case grpc.StatusCode.PERMISSION_DENIED:
+                return NoLease(f"{self._peer}: {details}")
             case _:
                 return Refused(f"{self._peer}: {code.name}: {details}")
 

@@ -14,12 +14,12 @@ from typing import Any
 
 import grpc
 
-from upwash.core.visitors import Visitor
-from upwash.errors import Refused, UpwashError, UsageError
-from upwash.protocol import HEALTH_CHECK, SERVING
+from upwash.core.clients import Client
+from upwash.errors import NoLease, Refused, UpwashError, UsageError
 from upwash.real.link import DRONE_METADATA
 from upwash.real.log import Sparing
-from upwash.text import printable
+from upwash.rpc.protocol import HEALTH_CHECK, SERVING
+from upwash.support.text import printable
 
 _log = logging.getLogger("upwash.listener")
 _log.addFilter(Sparing())
@@ -48,14 +48,14 @@ NOT_SERVING = b"\x08\x02"  # a HealthCheckResponse, as SERVING is
 class Caller:
     """Who sent a request, and whether they still wait for the answer."""
 
-    visitor: Visitor
+    client: Client
     time_left_s: Callable[[], float | None]
     is_waiting: Callable[[], bool]
 
 
 Handler = Callable[[str, bytes, Caller], bytes]
 Gate = Callable[[str, Caller], None]
-WhoIs = Callable[[str], Visitor]  # at the other end of gRPC's peer
+WhoIs = Callable[[str], Client]  # at the other end of gRPC's peer
 
 
 class Listener:
@@ -203,19 +203,22 @@ class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
         )
 
     def _answer(self, path: str, bodies: Iterator[bytes], context: grpc.ServicerContext) -> bytes:
-        caller = Caller(self._visitor(context), context.time_remaining, context.is_active)
+        caller = Caller(self._client(context), context.time_remaining, context.is_active)
         try:
-            with self._counted(caller.visitor.key):
+            with self._counted(caller.client.key):
                 self._gate(path, caller)
                 return self._handler(path, _whole(bodies, self._max_message_bytes), caller)
         except Refused as refusal:
             why = printable(str(refusal))
-            _log.warning("refused %s to %s: %s", path, caller.visitor.name or "an unnamed caller", why)
-            context.abort(grpc.StatusCode.FAILED_PRECONDITION, why)
+            _log.warning("refused %s to %s: %s", path, caller.client.name or "an unnamed caller", why)
+            # Drones that know nothing of turns take each of the two for a refusal.
+            lacks_lease = isinstance(refusal, NoLease)
+            code = grpc.StatusCode.PERMISSION_DENIED if lacks_lease else grpc.StatusCode.FAILED_PRECONDITION
+            context.abort(code, why)
         except UpwashError as error:
             context.abort(grpc.StatusCode.ABORTED, printable(str(error)))
         except BaseException:  # noqa: BLE001 - a bug of the handler must not end the listener
-            _log.exception("%s by %s failed", path, caller.visitor.name)
+            _log.exception("%s by %s failed", path, caller.client.name)
             context.abort(grpc.StatusCode.INTERNAL, "the server failed; its log says why")
         raise AssertionError("abort raises")
 
@@ -235,11 +238,11 @@ class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
                 if not self._under_way[drone]:
                     del self._under_way[drone]
 
-    def _visitor(self, context: grpc.ServicerContext) -> Visitor:
+    def _client(self, context: grpc.ServicerContext) -> Client:
         if self._who_is is not None:
             return self._who_is(context.peer())
         named = (value for key, value in context.invocation_metadata() if key == DRONE_METADATA)
-        return Visitor(printable(next(named, ""), _LONGEST_NAME))
+        return Client(printable(next(named, ""), _LONGEST_NAME))
 
 
 def _whole(bodies: Iterator[bytes], max_message_bytes: int) -> bytes:

@@ -13,7 +13,7 @@ from typing import Any, TextIO
 import msgspec
 
 from upwash.core.allowance import Allowance
-from upwash.text import escaped_lines, printable
+from upwash.support.text import escaped_lines, printable
 
 _TEXT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 _LONGEST_MESSAGE = 10_000

@@ -9,7 +9,7 @@ from collections import deque
 from pathlib import Path
 
 from upwash.errors import UsageError
-from upwash.output import append_whole
+from upwash.support.output_files import append_whole
 
 _MOST_BYTES = 2**25  # held back in memory: some hours of a flight
 

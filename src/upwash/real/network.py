@@ -7,6 +7,7 @@ import contextlib
 from collections.abc import Collection
 
 from upwash.errors import NetworkError, UsageError
+from upwash.eventlog import schema
 from upwash.ports import Journal
 from upwash.real.networkmanager import (
     CarrierChanged,
@@ -137,7 +138,7 @@ class ManagedNetwork:
                 await self._deactivate(activation)
         except (NetworkError, TimeoutError) as error:
             why = str(error) or f"it is still active after {_LEAVE_S:.0f} s"
-            self._journal.record("leave_failed", network=activation.network, why=why)
+            self._journal.record(schema.LeaveFailed(network=activation.network, why=why))
         finally:
             self._activation = None
 
@@ -185,7 +186,7 @@ class ManagedNetwork:
             if is_left_over(each, interfaces=self._interfaces, networks=self._networks, devices=devices):
                 with contextlib.suppress(ObjectGoneError):
                     await manager.deactivate(each.path)
-                self._journal.record("left_over", network=each.name)
+                self._journal.record(schema.LeftOver(network=each.name))
         self._is_untidy = False
 
     async def _keep_scanning(self) -> None:

@@ -13,7 +13,7 @@ from dbus_fast.aio import MessageBus
 from dbus_fast.unpack import unpack_variants
 
 from upwash.errors import NetworkError
-from upwash.text import printable
+from upwash.support.text import printable
 
 NO_OBJECT = "/"
 

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable
 
 from upwash.core.allowance import Allowance
+from upwash.support.text import words_of
 
 _log = logging.getLogger("upwash.instance")
 
@@ -26,11 +27,6 @@ _READ_AT_ONCE_BYTES = 2**21
 def reading_pace() -> Allowance:
     """How fast, in bytes, what one instance prints is to be read."""
     return Allowance(_READ_BYTES_S, at_once=_READ_AT_ONCE_BYTES)
-
-
-def printable(text: str) -> str:
-    """The text as one line in which nothing but its words reaches a log or a terminal."""
-    return "".join(each if each.isprintable() else " " for each in text).strip()
 
 
 class Output:
@@ -74,7 +70,7 @@ class Output:
 
 
 def _words(text: bytes) -> str:
-    return printable(text.decode(errors="replace"))
+    return words_of(text.decode(errors="replace"))
 
 
 def _signal(number: int) -> str:

@@ -16,11 +16,11 @@ from pathlib import Path
 import msgspec
 
 from upwash.errors import InstanceError
-from upwash.ports import Answered, InstanceSpec, unheard
+from upwash.ports import Answered, InstanceSpec, ignored
 from upwash.real.announced import announcing_at
 from upwash.real.control import Begin
-from upwash.real.conversation import Conversation
 from upwash.real.door import Lead, Passage
+from upwash.real.instance_control import InstanceControl
 from upwash.real.output import Output, reading_pace
 from upwash.real.sandbox import Sandbox, open_call_filter
 from upwash.real.streams import endpoint_of, listening_socket
@@ -57,7 +57,7 @@ class ProcessRuntime:
         self._sandbox = sandbox
 
     async def start(
-        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = unheard
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
     ) -> ProcessInstance:
         """Returns when the instance is ready to serve; raises InstanceError, leaving nothing behind."""
         loop = asyncio.get_running_loop()
@@ -79,12 +79,13 @@ class ProcessRuntime:
             listen=self._listen(spec),
             max_message_bytes=self._max_message_bytes,
             pace_s=spec.pace_s,
+            heats=spec.heats,
             is_announced=self._lead is not None,
         )
 
 
 class ProcessInstance:
-    """A service process, the conversation with it, and what it prints.
+    """A service process, the control with it, and what it prints.
 
     It prints into a socket pair instead of a pipe of asyncio's: the end of such a process is noticed only when its
     pipes are closed too, and a child that it left behind would hold them open.
@@ -107,7 +108,7 @@ class ProcessInstance:
         self._is_in_sandbox = False
         self._process: asyncio.subprocess.Process | None = None
         self._output = Output(spec.name)
-        self._conversation: Conversation | None = None
+        self._control: InstanceControl | None = None
         self._prints: asyncio.StreamWriter | None = None  # kept, or the socket would be closed with it
         self._listening: asyncio.Task[None] | None = None
 
@@ -128,9 +129,9 @@ class ProcessInstance:
                 begin = msgspec.structs.replace(
                     begin, listen=inside, limits=sandbox.limits if sandbox else None
                 )
-            conversation = await self._spawn(sandbox, outside)
+            control = await self._spawn(sandbox, outside)
         try:
-            address = await conversation.begin(begin)
+            address = await control.begin(begin)
         except EOFError:
             raise InstanceError(f"{self._spec.name} did not start: {await self.exited()}") from None
         if self._lead is not None:
@@ -141,15 +142,15 @@ class ProcessInstance:
         else:
             self.endpoint = address if address.startswith("unix:") else f":{address.rpartition(':')[2]}"
 
-    async def admit(self, drones: frozenset[str]) -> None:
+    async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
         """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
-        assert self._conversation is not None  # noqa: S101 - it has begun
-        await self._conversation.admit(drones)
+        assert self._control is not None  # noqa: S101 - it has begun
+        await self._control.admit(drones, finishing)
 
     async def drain(self, why: str) -> None:
         """Has every further call refused for that reason; returns when none is under way, or nothing is left."""
-        assert self._conversation is not None  # noqa: S101 - it has begun
-        await self._conversation.drain(why)
+        assert self._control is not None  # noqa: S101 - it has begun
+        await self._control.drain(why)
 
     async def exited(self) -> str:
         """Returns how the process ended, with its last words, when it does."""
@@ -176,14 +177,14 @@ class ProcessInstance:
 
     async def _cut(self) -> None:
         """Returns when this end has hung up, or the other end has for longer than the process needs to end."""
-        assert self._conversation is not None  # noqa: S101 - it has begun
-        await self._conversation.ended()
-        if not self._conversation.fault:
+        assert self._control is not None  # noqa: S101 - it has begun
+        await self._control.ended()
+        if not self._control.fault:
             await asyncio.sleep(_STOP_GRACE_S)
 
     def _fault(self) -> str:
-        assert self._conversation is not None  # noqa: S101 - it has begun
-        return self._conversation.fault
+        assert self._control is not None  # noqa: S101 - it has begun
+        return self._control.fault
 
     async def stop(self) -> None:
         """Ends the process and everything that it started; returns when it is gone."""
@@ -201,8 +202,8 @@ class ProcessInstance:
             await self._process.wait()
         if self._listening is not None:
             self._listening.cancel()
-        if self._conversation is not None:
-            await self._conversation.close()
+        if self._control is not None:
+            await self._control.close()
         if self._prints is not None:
             self._prints.close()
             with contextlib.suppress(ConnectionError):
@@ -214,12 +215,12 @@ class ProcessInstance:
         except OSError as error:
             raise InstanceError(f"{self._spec.name} cannot listen at {address}: {error}") from error
 
-    async def _spawn(self, sandbox: Sandbox | None, outside: socket.socket | None) -> Conversation:
+    async def _spawn(self, sandbox: Sandbox | None, outside: socket.socket | None) -> InstanceControl:
         control, their_control = socket.socketpair()
         output, their_output = socket.socketpair()
         try:
             reports, orders = await asyncio.open_connection(sock=control)
-            self._conversation = Conversation(
+            self._control = InstanceControl(
                 self._spec.name,
                 self._called,
                 self._output,
@@ -248,12 +249,12 @@ class ProcessInstance:
         finally:
             their_control.close()
             their_output.close()
-            if self._conversation is None:
+            if self._control is None:
                 control.close()
             if self._prints is None:
                 output.close()
         self._listening = asyncio.create_task(self._listen(prints))
-        return self._conversation
+        return self._control
 
     def _signal_group(self, number: signal.Signals) -> None:
         if self._process is not None:

@@ -9,10 +9,10 @@ import ssl
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from upwash.core.visitors import Visitor
+from upwash.core.clients import Client
 from upwash.errors import CredentialsError
 from upwash.real.credentials import Credentials, role_of
-from upwash.text import printable
+from upwash.support.text import printable
 
 _LONGEST_NAME = 255
 
@@ -21,7 +21,7 @@ _LONGEST_NAME = 255
 class Holder:
     """Who showed a certificate, and until when it is valid."""
 
-    visitor: Visitor
+    client: Client
     ends: datetime
 
 
@@ -36,12 +36,12 @@ class Trust:
     def holder(self, certificate: bytes) -> Holder:
         """Whose the DER certificate is; raises CredentialsError where it is revoked or of no authority of these."""
         holder = holder_of(certificate)
-        if holder.visitor.certificate in self._revoked:
-            raise CredentialsError(f"the certificate of {holder.visitor.name} is revoked")
+        if holder.client.certificate in self._revoked:
+            raise CredentialsError(f"the certificate of {holder.client.name} is revoked")
         if not _issued_by(certificate, self._authority):
-            raise CredentialsError(f"the certificate of {holder.visitor.name} is of another authority")
+            raise CredentialsError(f"the certificate of {holder.client.name} is of another authority")
         if holder.ends < datetime.now(UTC):
-            raise CredentialsError(f"the certificate of {holder.visitor.name} has expired")
+            raise CredentialsError(f"the certificate of {holder.client.name} has expired")
         return holder
 
 
@@ -81,7 +81,7 @@ def holder_of(certificate: bytes) -> Holder:
     name = printable(str(names[0].value), _LONGEST_NAME) if names else ""
     role = role_of(parsed.subject.rfc4514_string())
     fingerprint = hashlib.sha256(certificate).hexdigest()
-    return Holder(Visitor(name, fingerprint, role), parsed.not_valid_after_utc)
+    return Holder(Client(name, fingerprint, role), parsed.not_valid_after_utc)
 
 
 @functools.lru_cache(maxsize=256)

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from upwash.core.geo import Position
 from upwash.errors import CameraError
-from upwash.loading import extra
 from upwash.ports import Photo
+from upwash.support.loading import extra
 
 _JPEG_QUALITY = 95
 _FIRST_FRAME_S = 10.0  # a USB camera takes a second or two, a stream may have to wait for a key frame

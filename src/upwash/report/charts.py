@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 
+from upwash.core import places as place_names
 from upwash.core.servers import CHECKING, State
-from upwash.narration import ran_on
+from upwash.eventlog.narration import ran_on
+from upwash.eventlog.results import mean_local_delay_s
 from upwash.report.markup import Markup, element, joined
 from upwash.report.places import Places, name_of
-from upwash.report.record import Call, Record, Stretch
-from upwash.results import mean_local_delay_s
+from upwash.report.record import Record, ReportedCall, Stretch
 
 _WIDTH, _LEFT, _RIGHT = 760.0, 48.0, 16.0
 _TOP, _HEIGHT, _BOTTOM = 16.0, 260.0, 44.0
@@ -102,12 +103,16 @@ def draw_call_delays(record: Record, places: Places, *, longest_s: float, last_w
 
 
 def _draw_call(
-    call: Call, places: Places, x: Callable[[float], float], y: Callable[[float], float], radius: float
+    call: ReportedCall,
+    places: Places,
+    x: Callable[[float], float],
+    y: Callable[[float], float],
+    radius: float,
 ) -> Markup:
     result = call.result
     at, top = x(-1 if result.waypoint is None else result.waypoint), y(result.delay_s)
     parts = [
-        element("line", x1=at, x2=at, y1=y(0), y2=top, class_=f"stem {places.colour(result.place)}"),
+        element("line", x1=at, x2=at, y1=y(0), y2=top, class_=f"stem {places.colour(result.server)}"),
     ]
     if call.wait:
         parts += [
@@ -115,25 +120,25 @@ def _draw_call(
             element("circle", cx=at, cy=top, r=radius + 3, class_="ring"),
         ]
     about = element("title", in_short(call))
-    return element("g", *parts, places.mark(result.place, at, top, radius, about))
+    return element("g", *parts, places.mark(result.server, at, top, radius, about))
 
 
-def in_short(call: Call) -> str:
+def in_short(call: ReportedCall) -> str:
     """A call in a few words."""
     result = call.result
     where = "before the first waypoint" if result.waypoint is None else f"waypoint {result.waypoint}"
     waited = f", {result.waited_s:.2f} s of it waited" if call.wait else ""
-    return f"{where}: {result.operation} {ran_on(result.place)}, {result.delay_s:.2f} s{waited}"
+    return f"{where}: {result.operation} {ran_on(result.server)}, {result.delay_s:.2f} s{waited}"
 
 
 def _delays_in_words(record: Record) -> str:
-    delays: dict[str, list[float]] = {}
+    delays: dict[str | None, list[float]] = {}
     for call in record.result.calls:
-        delays.setdefault(call.place, []).append(call.delay_s)
+        delays.setdefault(call.server, []).append(call.delay_s)
     told = [
-        f"{len(values)} {ran_on(place)}, "
+        f"{len(values)} {ran_on(server)}, "
         f"{min(values):.2f} to {max(values):.2f} s, {sum(values) / len(values):.2f} s on average"
-        for place, values in sorted(delays.items())
+        for server, values in sorted(delays.items(), key=lambda each: place_names.name_of(each[0]))
     ]
     return f"{len(record.calls)} calls: {'; '.join(told) or 'none'}."
 
@@ -155,7 +160,7 @@ def draw_timeline(record: Record, places: Places, *, longest_s: float) -> Markup
                 class_=f"stem {places.colour(server)}",
             )
             for call in record.result.calls
-            if call.place == server
+            if call.server == server
         ]  # fmt: skip
     along = [
         joined(

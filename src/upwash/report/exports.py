@@ -11,8 +11,8 @@ import msgspec
 
 from upwash.core.geo import Circle, LocalFrame, Position
 from upwash.errors import UsageError
+from upwash.eventlog.results import RunResult
 from upwash.report.record import Record
-from upwash.results import RunResult
 
 _SIDES = 64  # of the polygon that stands for a range
 _DIGITS = 7  # of a degree: about a centimetre

@@ -118,7 +118,7 @@ def _calls(record: Record, places: Places, view: View) -> Iterator[Markup]:
         stacked = stacked + 1 if call.position == here else 0
         here = call.position
         x, y = view.point(here.east_m, here.north_m)
-        yield places.mark(call.result.place, x + 8 * stacked, y, 4, element("title", in_short(call)))
+        yield places.mark(call.result.server, x + 8 * stacked, y, 4, element("title", in_short(call)))
 
 
 def _scale(view: View) -> Markup:

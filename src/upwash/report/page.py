@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from importlib.resources import files
 
 from upwash.core.servers import CHECKING
-from upwash.narration import MEANINGS
+from upwash.eventlog.narration import MEANINGS
 from upwash.report import tables
 from upwash.report.charts import IDLE_HEIGHTS, draw_call_delays, draw_timeline, in_short, state_style
 from upwash.report.map import draw_map, view_of
 from upwash.report.markup import Markup, element, joined
 from upwash.report.places import Places
-from upwash.report.record import Call, Record
+from upwash.report.record import Record, ReportedCall
 
 _POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'"  # should a browser ever find a reference, it follows none
@@ -42,61 +42,63 @@ def write_page(records: Sequence[Record]) -> str:
 
 def _sections(records: Sequence[Record]) -> list[Markup]:
     places = Places(sorted({server for record in records for server in record.servers}))
+    return [
+        *(element("p", what_it_came_to(record, records), class_="lead") for record in records),
+        tables.totals(records),
+        _call_delays(records, places),
+        _map(records, places),
+        _timeline(records, places),
+        _section(records, "Worst calls", _worst_calls),
+        _section(records, "Operations", tables.by_operation),
+    ]
+
+
+def _call_delays(records: Sequence[Record], places: Places) -> Markup:
     longest_call_s = max((call.delay_s for record in records for call in record.result.calls), default=1.0)
     last_waypoint = max(max(record.result.waypoints - 1, 0) for record in records)
-    longest_s = max(record.result.mission_time_s for record in records)
-    view = view_of(records)
 
-    def delays(record: Record) -> Markup:
+    def draw(record: Record) -> Markup:
         chart = draw_call_delays(record, places, longest_s=longest_call_s, last_waypoint=last_waypoint)
         return joined(
             tables.scrolled(chart, f"Chart of call delays, {record.name}"),
             tables.folded("The calls as a table", tables.calls(record)),
         )
 
-    def seen_from_above(record: Record) -> Markup:
+    note = _note(
+        "A ring marks a call that waited for a server; the broad part of its line is the wait. "
+        "A dashed line is what calls took on the drone, on average."
+    )
+    return _section(records, "Call delay by waypoint", draw, places.legend(), note)
+
+
+def _map(records: Sequence[Record], places: Places) -> Markup:
+    view = view_of(records)
+
+    def draw(record: Record) -> Markup:
         return joined(
             tables.scrolled(draw_map(record, places, view), f"Map, {record.name}", style="scroll map"),
             tables.folded("The map as tables", tables.map_places(record), tables.waypoints(record)),
         )
 
-    def timeline(record: Record) -> Markup:
+    note = _note(
+        "Marks: where each call was made, by the place where it ran. Dotted: the plan. Solid: the way "
+        "flown. Dashed circles: the ranges of the servers, as configured. North is up."
+    )
+    return _section(records, "Map", draw, places.legend(), note)
+
+
+def _timeline(records: Sequence[Record], places: Places) -> Markup:
+    longest_s = max(record.result.mission_time_s for record in records)
+
+    def draw(record: Record) -> Markup:
+        chart = draw_timeline(record, places, longest_s=longest_s)
         return joined(
-            tables.scrolled(
-                draw_timeline(record, places, longest_s=longest_s), f"Servers over time, {record.name}"
-            ),
+            tables.scrolled(chart, f"Servers over time, {record.name}"),
             tables.folded("The states as tables", tables.states(record), tables.steps(record)),
         )
 
-    return [
-        *(element("p", what_it_came_to(record, records), class_="lead") for record in records),
-        tables.totals(records),
-        _section(
-            records,
-            "Call delay by waypoint",
-            delays,
-            places.legend(),
-            _note("A ring marks a call that waited for a server; the broad part of its line is the wait. "
-                  "A dashed line is what calls took on the drone, on average."),
-        ),
-        _section(
-            records,
-            "Map",
-            seen_from_above,
-            places.legend(),
-            _note("Marks: where each call was made, by the place where it ran. Dotted: the plan. Solid: the way "
-                  "flown. Dashed circles: the ranges of the servers, as configured. North is up."),
-        ),
-        _section(
-            records,
-            "Servers over time",
-            timeline,
-            _states_legend(),
-            _note("Strokes beneath a row are calls that ran on the server."),
-        ),
-        _section(records, "Worst calls", _worst_calls),
-        _section(records, "Operations", tables.by_operation),
-    ]  # fmt: skip
+    note = _note("Strokes beneath a row are calls that ran on the server.")
+    return _section(records, "Servers over time", draw, _states_legend(), note)
 
 
 def _section(
@@ -170,7 +172,7 @@ def _worst_calls(record: Record) -> Markup:
     return element("ol", *(_explained(call) for call in worst))
 
 
-def _explained(call: Call) -> Markup:
+def _explained(call: ReportedCall) -> Markup:
     heading = element("strong", f"{in_short(call)}, at {call.result.at_s:.1f} s")
     reasons = [element("li", reason) for reason in call.reasons]
     return element("li", heading, element("ul", *reasons) if reasons else "")

@@ -8,31 +8,21 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
-import msgspec
-
-from upwash import event_log
-from upwash.core.geo import Circle, GeoPosition, Position
-from upwash.core.servers import Event, State
+from upwash.core.geo import Position
+from upwash.core.servers import State
 from upwash.errors import UsageError
-from upwash.reasons import Reasons, told
-from upwash.results import Beginning, CallResult, RunResult, Tally
+from upwash.eventlog import log as event_log
+from upwash.eventlog import schema
+from upwash.eventlog.reasons import Reasons, told
+from upwash.eventlog.results import Beginning, CallResult, RunResult, Tally
+from upwash.eventlog.schema import Event
 
-_STEPS = frozenset(Event)
-
-
-class Plan(msgspec.Struct, frozen=True, kw_only=True):
-    """What the drone set out to do, and where it believed servers to be in range; no home where it needed none."""
-
-    home: GeoPosition | None = None
-    waypoints_m: list[tuple[float, float]] = []
-    ranges: dict[str, Circle] = {}
-    paced: bool = False
+_UNPLANNED = schema.Planned()  # by its identity: what the drone set out to do is not in the log
 
 
 @dataclass(frozen=True, slots=True)
-class Call:
+class ReportedCall:
     """One call, why it ran where it ran, in sentences, and where the drone was then."""
 
     result: CallResult
@@ -66,30 +56,30 @@ class MissionEvents:
     A long flight's log is larger than what a page about it holds, so that none of them is kept.
     """
 
-    def __init__(self, read: Callable[[], Iterable[Mapping[str, Any]]]) -> None:
+    def __init__(self, read: Callable[[], Iterable[Event]]) -> None:
         self._read = read
         self._first = self._end = 0
-        self.opening: Mapping[str, Any] = {}  # the first of them
-        self.planned: Mapping[str, Any] = {}
+        self.opening: Event | None = None  # the first of them
+        self.planned = _UNPLANNED
         self.began_s: float | None = None
         self._look_through()
 
     def _look_through(self) -> None:
         began, completed = Beginning(), False
         for number, event in enumerate(self._read()):
-            if event["event"] == "log_opened" or number == 0:
+            if isinstance(event, schema.LogOpened) or number == 0:
                 began, completed = Beginning(), False
-                self._first, self.opening, self.planned = number, event, {}
+                self._first, self.opening, self.planned = number, event, _UNPLANNED
             if completed:
                 continue
             began.take(event)
-            if event["event"] == "planned" and not self.planned:
+            if isinstance(event, schema.Planned) and self.planned is _UNPLANNED:
                 self.planned = event
             self._end = number + 1
-            completed = event["event"] == "mission_completed"
+            completed = isinstance(event, schema.MissionCompleted)
         self.began_s = began.at_s
 
-    def __iter__(self) -> Iterator[Mapping[str, Any]]:
+    def __iter__(self) -> Iterator[Event]:
         return itertools.islice(self._read(), self._first, self._end)
 
 
@@ -104,10 +94,10 @@ class Record:
     name: str
     opened: datetime | None
     began_s: float
-    events: Iterable[Mapping[str, Any]]
+    events: Iterable[Event]
     result: RunResult
-    plan: Plan
-    calls: Sequence[Call]
+    plan: schema.Planned
+    calls: Sequence[ReportedCall]
     stretches: Mapping[str, Sequence[Stretch]]
 
     @property
@@ -139,7 +129,7 @@ def read_records(logs: Sequence[Path]) -> list[Record]:
     ]
 
 
-def record_of(events: Sequence[Mapping[str, Any]], log: Path) -> Record:
+def record_of(events: Sequence[Event], log: Path) -> Record:
     """The last run of these events, which the log has or should have; raises UsageError as `read_records` does."""
     return _record(MissionEvents(lambda: events), log, *names_of([log]))
 
@@ -154,7 +144,7 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
     if events.began_s is None:
         raise UsageError(f"{log} has no mission: it ended before one began")
     try:
-        plan = msgspec.convert(events.planned, Plan)
+        plan = events.planned
         tally, calls, track = Tally(), _Calls(), _Track(events.began_s)
         states = _States(plan.ranges, began_s=events.began_s)
         for event in events:
@@ -177,8 +167,8 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
         raise UsageError(f"{log} is not an event log that this version reads: {error!r}") from error
 
 
-def _opened(first: Mapping[str, Any]) -> datetime | None:
-    return datetime.fromisoformat(first["time"]) if first["event"] == "log_opened" else None
+def _opened(first: Event | None) -> datetime | None:
+    return first.time if isinstance(first, schema.LogOpened) else None
 
 
 class _Calls:
@@ -188,18 +178,17 @@ class _Calls:
         self._reasons = Reasons()
         self._told: list[tuple[list[str], Position | None, str, bool]] = []
 
-    def take(self, event: Mapping[str, Any]) -> None:
+    def take(self, event: Event) -> None:
         """Takes in the next event."""
         if (call := self._reasons.take(event)) is None:
             return
-        position = call.decisions[0]["position"] if call.decisions else None
+        at = call.decisions[0].position if call.decisions else None
         reasons, outcome = list(told(call))[1:], call.outcome
-        at = msgspec.convert(position, Position | None)
-        self._told.append((reasons, at, outcome["wait"], outcome["fell_back"]))
+        self._told.append((reasons, at, outcome.wait, outcome.fell_back))
 
-    def with_results(self, results: Sequence[CallResult]) -> list[Call]:
+    def with_results(self, results: Sequence[CallResult]) -> list[ReportedCall]:
         """The calls, with their results in the same order."""
-        return [Call(result, *facts) for result, facts in zip(results, self._told, strict=True)]
+        return [ReportedCall(result, *facts) for result, facts in zip(results, self._told, strict=True)]
 
 
 class _Track:
@@ -209,22 +198,24 @@ class _Track:
         self._began_s = began_s
         self._last: Position | None = None
 
-    def take(self, event: Mapping[str, Any]) -> Fix | None:
+    def take(self, event: Event) -> Fix | None:
         """Takes in the next event; the place that it tells."""
-        here = place_of(event, self._last) if event["t"] >= self._began_s else None
+        here = place_of(event, self._last) if event.t >= self._began_s else None
         if here is None or here == self._last:
             return None
         self._last = here
-        return Fix(event["t"] - self._began_s, here)
+        return Fix(event.t - self._began_s, here)
 
 
-def place_of(event: Mapping[str, Any], last: Position | None) -> Position | None:
+def place_of(event: Event, last: Position | None) -> Position | None:
     """Where an event tells that the drone was; as high as `last` where it tells a place without an altitude."""
-    place = event if event["event"] in {"position", "arrived"} else event.get("position")
-    if place is None:
-        return None
-    altitude_m = place.get("altitude_m", last.altitude_m if last else 0.0)
-    return Position(float(place["east_m"]), float(place["north_m"]), float(altitude_m))
+    match event:
+        case schema.PositionReport(east_m=east_m, north_m=north_m, altitude_m=altitude_m):
+            return Position(east_m, north_m, altitude_m)
+        case schema.Arrived(east_m=east_m, north_m=north_m):
+            return Position(east_m, north_m, last.altitude_m if last else 0.0)
+    place = getattr(event, "position", None)
+    return place if isinstance(place, Position) else None
 
 
 class _States:
@@ -236,19 +227,19 @@ class _States:
         self._stretches: dict[str, list[Stretch]] = {name: [] for name in self._now}
         self._ended_s = 0.0
 
-    def take(self, event: Mapping[str, Any]) -> None:
+    def take(self, event: Event) -> None:
         """Takes in the next event."""
-        self._ended_s = at_s = event["t"] - self._began_s
-        if event["event"] == "log_resumed":  # a program that begins anew knows of no server's state
+        self._ended_s = at_s = event.t - self._began_s
+        if isinstance(event, schema.LogResumed):  # a program that begins anew knows of no server's state
             for server in self._now:
                 self._end(server, at_s)
                 self._now[server] = (State.AVL, at_s, "taken up again")
-        elif event["event"] in _STEPS:
-            server, at_s = event["server"], max(0.0, at_s)
+        elif isinstance(event, schema.Step):
+            server, at_s = event.server, max(0.0, at_s)
             if server not in self._now:
-                self._now[server], self._stretches[server] = (State(event["before"]), 0.0, ""), []
+                self._now[server], self._stretches[server] = (event.before, 0.0, ""), []
             self._end(server, at_s)
-            self._now[server] = (State(event["after"]), at_s, event["why"])
+            self._now[server] = (event.after, at_s, event.why)
 
     def stretches(self) -> Mapping[str, Sequence[Stretch]]:
         """The stretches of each server, up to the last event."""

@@ -6,31 +6,21 @@ import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import msgspec
-from mcap.writer import Writer
+from foxglove import Channel, Context, open_mcap
+from foxglove.messages import CompressedImage, LocationFix, Log, LogLevel, SceneUpdate, Timestamp
 
 from upwash.core.geo import LocalFrame
 from upwash.errors import UsageError
-from upwash.narration import Narrator, Tone
-from upwash.report.foxglove import (
-    ERROR,
-    INFO,
-    WARNING,
-    CompressedImage,
-    LocationFix,
-    Log,
-    Message,
-    SceneUpdate,
-    Time,
-    json_schema,
-)
+from upwash.eventlog import schema
+from upwash.eventlog.narration import Narrator, Tone
 from upwash.report.photos import PhotoShelf, Shot
 from upwash.report.record import Record, place_of
 from upwash.report.scene import FRAME, scene
 
+Message = SceneUpdate | LocationFix | Log | CompressedImage
+
 _NS = 1_000_000_000
-_LEVELS = {Tone.TROUBLE: WARNING, Tone.ALARM: ERROR}
-_NO_COVARIANCE = [0.0] * 9
+_LEVELS = {Tone.TROUBLE: LogLevel.Warning, Tone.ALARM: LogLevel.Error}
 _TOPICS: dict[type[Message], str] = {
     SceneUpdate: "/scene",
     LocationFix: "/fix",
@@ -50,28 +40,22 @@ def write_mcap(records: Sequence[Record], *, photos: Path | None = None) -> byte
         prefix = f"/{record.name}" if len(records) > 1 else ""
         try:
             found += [(time_ns, prefix, message) for time_ns, message in _messages(record, shelf)]
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, OverflowError, TypeError, ValueError) as error:
             raise UsageError(
                 f"{record.name} is not an event log that this version reads: {error!r}"
             ) from error
     if photos is not None and not any(isinstance(message, CompressedImage) for _, _, message in found):
         raise UsageError(f"{photos} has none of the photos that the logs name: give the folder of [camera]")
-    file = io.BytesIO()
-    writer = Writer(file)
-    writer.start()
-    schemas = {
-        message: writer.register_schema(
-            message.schema, "jsonschema", msgspec.json.encode(json_schema(message))
-        )
-        for message in _TOPICS
-    }
-    channels: dict[str, int] = {}
-    for time_ns, prefix, message in sorted(found, key=lambda each: each[0]):
-        topic = prefix + _TOPICS[type(message)]
-        if topic not in channels:
-            channels[topic] = writer.register_channel(topic, "json", schemas[type(message)])
-        writer.add_message(channels[topic], time_ns, msgspec.json.encode(message), time_ns)
-    writer.finish()  # type: ignore[no-untyped-call]
+    file, context = io.BytesIO(), Context()
+    channels: dict[str, Channel] = {}
+    with open_mcap(file, context=context):
+        for time_ns, prefix, message in sorted(found, key=lambda each: each[0]):
+            topic = prefix + _TOPICS[type(message)]
+            if topic not in channels:
+                channels[topic] = Channel(
+                    topic, schema=message.get_schema(), message_encoding="protobuf", context=context
+                )
+            channels[topic].log(message.encode(), log_time=time_ns)
     return file.getvalue()
 
 
@@ -86,9 +70,9 @@ class _Clock:
         """In nanoseconds since 1970."""
         return max(0, self._began_ns + round(at_s * _NS))
 
-    def time(self, at_s: float) -> Time:
+    def time(self, at_s: float) -> Timestamp:
         """As messages have it."""
-        return Time(*divmod(self.ns(at_s), _NS))
+        return Timestamp(*divmod(self.ns(at_s), _NS))
 
 
 def _messages(record: Record, shelf: PhotoShelf) -> Iterator[tuple[int, Message]]:
@@ -109,12 +93,11 @@ def _fixes(record: Record, clock: _Clock) -> Iterator[tuple[int, Message]]:
         yield (
             clock.ns(fix.at_s),
             LocationFix(
-                clock.time(fix.at_s),
-                FRAME,
-                place.latitude_deg,
-                place.longitude_deg,
-                fix.position.altitude_m,
-                _NO_COVARIANCE,
+                timestamp=clock.time(fix.at_s),
+                frame_id=FRAME,
+                latitude=place.latitude_deg,
+                longitude=place.longitude_deg,
+                altitude=fix.position.altitude_m,
             ),
         )
 
@@ -123,20 +106,28 @@ def _lines(record: Record, clock: _Clock) -> Iterator[tuple[int, Message]]:
     narrator = Narrator()
     for event in record.events:
         if (said := narrator.tell(event)) is not None:
-            at_s = event["t"] - record.began_s
-            level = _LEVELS.get(said.tone, INFO)
-            yield clock.ns(at_s), Log(clock.time(at_s), level, said.text, record.name)
+            at_s = event.t - record.began_s
+            level = _LEVELS.get(said.tone, LogLevel.Info)
+            yield (
+                clock.ns(at_s),
+                Log(timestamp=clock.time(at_s), level=level, message=said.text, name=record.name),
+            )
 
 
 def _photos(record: Record, clock: _Clock, shelf: PhotoShelf) -> Iterator[tuple[int, Message]]:
     since_start, last = 0, None
     for event in record.events:
         last = place_of(event, last) or last
-        if event["event"] == "log_resumed":
+        if isinstance(event, schema.LogResumed):
             since_start = 0
-        elif event["event"] == "photo":
-            jpeg = shelf.find(Shot(event["source"], last, since_start))
+        elif isinstance(event, schema.Photo):
+            jpeg = shelf.find(Shot(event.source, last, since_start))
             since_start += 1
-            taken_s = event["t"] - event["age_s"] - record.began_s
+            taken_s = event.t - event.age_s - record.began_s
             if jpeg is not None:
-                yield clock.ns(taken_s), CompressedImage(clock.time(taken_s), "camera", jpeg)
+                yield (
+                    clock.ns(taken_s),
+                    CompressedImage(
+                        timestamp=clock.time(taken_s), frame_id="camera", data=jpeg, format="jpeg"
+                    ),
+                )

@@ -2,58 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
-from upwash.core.geo import Circle, Position
-from upwash.core.servers import State
-from upwash.report.foxglove import (
-    LINE_LOOP,
-    LINE_STRIP,
+from foxglove.messages import (
     Color,
     CylinderPrimitive,
     LinePrimitive,
+    LinePrimitiveLineType,
+    Point3,
     Pose,
+    Quaternion,
     SceneEntity,
     SceneUpdate,
     SpherePrimitive,
     TextPrimitive,
-    Time,
+    Timestamp,
     Vector3,
-    vector,
 )
+
+from upwash.core.geo import Circle, Position
+from upwash.core.servers import State
 from upwash.report.places import COLOURS, name_of
-from upwash.report.record import Call, Record, Stretch
+from upwash.report.record import Record, ReportedCall, Stretch
 
 FRAME = "home"  # east, north and up of it
 _SIDES = 64  # of the line around a range
 _DRONE_M, _CALL_M, _WAYPOINT_M = 4.0, 2.5, 1.0  # sizes
 _RANGE_HEIGHT_M = 0.2
 
-_WHITE, _FAINT, _DRONE = Color(1.0, 1.0, 1.0), Color(1.0, 1.0, 1.0, 0.4), Color(0.2, 0.7, 1.0)
+
+def _shade(red: float, green: float, blue: float, opacity: float = 1.0) -> Color:
+    return Color(r=red, g=green, b=blue, a=opacity)
+
+
+_WHITE, _FAINT, _DRONE = _shade(1.0, 1.0, 1.0), _shade(1.0, 1.0, 1.0, 0.4), _shade(0.2, 0.7, 1.0)
 _STATES = {  # each label also says the state in letters
-    State.AVL: Color(0.6, 0.6, 0.6, 0.15),
-    State.AVL_R: Color(0.6, 0.6, 0.9, 0.2),
-    State.CHECK: Color(0.95, 0.75, 0.2, 0.3),
-    State.CHECK_R: Color(0.95, 0.75, 0.2, 0.3),
-    State.READY: Color(0.2, 0.75, 0.45, 0.35),
-    State.BLACKLISTED: Color(0.85, 0.25, 0.25, 0.3),
+    State.AVL: (0.6, 0.6, 0.6, 0.15),
+    State.AVL_R: (0.6, 0.6, 0.9, 0.2),
+    State.CHECK: (0.95, 0.75, 0.2, 0.3),
+    State.CHECK_R: (0.95, 0.75, 0.2, 0.3),
+    State.READY: (0.2, 0.75, 0.45, 0.35),
+    State.BLACKLISTED: (0.85, 0.25, 0.25, 0.3),
 }
 _PLACES = (
-    Color(0.65, 0.69, 0.73),
-    Color(0.96, 0.65, 0.26),
-    Color(0.48, 0.65, 1.0),
-    Color(0.31, 0.82, 0.63),
-    Color(0.9, 0.55, 0.94),
-    Color(1.0, 0.55, 0.55),
-    Color(0.71, 0.83, 0.33),
+    _shade(0.65, 0.69, 0.73),
+    _shade(0.96, 0.65, 0.26),
+    _shade(0.48, 0.65, 1.0),
+    _shade(0.31, 0.82, 0.63),
+    _shade(0.9, 0.55, 0.94),
+    _shade(1.0, 0.55, 0.55),
+    _shade(0.71, 0.83, 0.33),
 )
 
 
-def scene(record: Record, time_of: Callable[[float], Time]) -> Iterator[tuple[float, SceneUpdate]]:
+def scene(record: Record, time_of: Callable[[float], Timestamp]) -> Iterator[tuple[float, SceneUpdate]]:
     """What is new in the scene at which second of the mission; `time_of` tells the time of day of a second."""
 
     def update(at_s: float, *entities: SceneEntity) -> tuple[float, SceneUpdate]:
-        return at_s, SceneUpdate(list(entities))
+        return at_s, SceneUpdate(entities=list(entities))
 
     yield update(0.0, _plan(record, time_of(0.0)))
     for server, stretches in record.stretches.items():
@@ -68,68 +74,97 @@ def scene(record: Record, time_of: Callable[[float], Time]) -> Iterator[tuple[fl
             yield update(ended_s, _call(index, call, call.position, record, time_of(ended_s)))
 
 
-def _plan(record: Record, time: Time) -> SceneEntity:
+def _plan(record: Record, time: Timestamp) -> SceneEntity:
     altitude_m = max(
         (fix.position.altitude_m for fix in record.track), default=0.0
     )  # the plan's own is not logged
     places = [Position(east_m, north_m, altitude_m) for east_m, north_m in record.plan.waypoints_m]
     return SceneEntity(
-        time,
-        FRAME,
-        "plan",
-        lines=[LinePrimitive(LINE_STRIP, [vector(place) for place in places], _FAINT)],
-        spheres=[SpherePrimitive(Pose(vector(place)), _cube(_WAYPOINT_M), _FAINT) for place in places],
-        texts=[_label("home", Vector3())],
+        timestamp=time,
+        frame_id=FRAME,
+        id="plan",
+        lines=[_line(places, _FAINT)],
+        spheres=[_ball(place, _WAYPOINT_M, _FAINT) for place in places],
+        texts=[_label("home", Position(0.0, 0.0))],
     )
 
 
-def _range(server: str, area: Circle, stretch: Stretch, time: Time) -> SceneEntity:
-    colour = _STATES[stretch.state]
-    border = [vector(corner) for corner in area.corners(_SIDES)]
+def _range(server: str, area: Circle, stretch: Stretch, time: Timestamp) -> SceneEntity:
+    red, green, blue, opacity = _STATES[stretch.state]
+    cylinder = CylinderPrimitive(
+        pose=_upright(area.centre),
+        size=Vector3(x=2 * area.radius_m, y=2 * area.radius_m, z=_RANGE_HEIGHT_M),
+        bottom_scale=1.0,
+        top_scale=1.0,
+        color=_shade(red, green, blue, opacity),
+    )
+    border = _line(area.corners(_SIDES), _shade(red, green, blue), LinePrimitiveLineType.LineLoop)
     return SceneEntity(
-        time,
-        FRAME,
-        f"server {server}",
-        cylinders=[
-            CylinderPrimitive(
-                Pose(vector(area.centre)),
-                Vector3(2 * area.radius_m, 2 * area.radius_m, _RANGE_HEIGHT_M),
-                colour,
-            )
-        ],
-        lines=[LinePrimitive(LINE_LOOP, border, Color(colour.r, colour.g, colour.b))],
-        texts=[_label(f"{server} {stretch.state}", vector(area.centre, above_m=2.0))],
+        timestamp=time,
+        frame_id=FRAME,
+        id=f"server {server}",
+        cylinders=[cylinder],
+        lines=[border],
+        texts=[_label(f"{server} {stretch.state}", area.centre, above_m=2.0)],
     )
 
 
-def _drone(place: Position, time: Time) -> SceneEntity:
-    ground = Vector3(place.east_m, place.north_m)
+def _drone(place: Position, time: Timestamp) -> SceneEntity:
+    ground = Position(place.east_m, place.north_m)
     return SceneEntity(
-        time,
-        FRAME,
-        "drone",
-        spheres=[SpherePrimitive(Pose(vector(place)), _cube(_DRONE_M), _DRONE)],
-        lines=[LinePrimitive(LINE_STRIP, [ground, vector(place)], _DRONE)],
-        texts=[_label("drone", vector(place, above_m=_DRONE_M))],
+        timestamp=time,
+        frame_id=FRAME,
+        id="drone",
+        spheres=[_ball(place, _DRONE_M, _DRONE)],
+        lines=[_line([ground, place], _DRONE)],
+        texts=[_label("drone", place, above_m=_DRONE_M)],
     )
 
 
-def _call(index: int, call: Call, place: Position, record: Record, time: Time) -> SceneEntity:
+def _call(index: int, call: ReportedCall, place: Position, record: Record, time: Timestamp) -> SceneEntity:
     return SceneEntity(
-        time,
-        FRAME,
-        f"call {index}: {name_of(call.result.place)}",
-        spheres=[SpherePrimitive(Pose(vector(place)), _cube(_CALL_M), _colour(call.result.place, record))],
+        timestamp=time,
+        frame_id=FRAME,
+        id=f"call {index}: {name_of(call.result.server)}",
+        spheres=[_ball(place, _CALL_M, _colour(call.result.server, record))],
     )
 
 
-def _colour(place: str, record: Record) -> Color:
-    return _PLACES[0] if place == "local" else _PLACES[1 + record.servers.index(place) % COLOURS]
+def _colour(server: str | None, record: Record) -> Color:
+    return _PLACES[0] if server is None else _PLACES[1 + record.servers.index(server) % COLOURS]
 
 
-def _cube(side_m: float) -> Vector3:
-    return Vector3(side_m, side_m, side_m)
+def _line(
+    places: Iterable[Position],
+    colour: Color,
+    kind: LinePrimitiveLineType = LinePrimitiveLineType.LineStrip,
+) -> LinePrimitive:
+    points = [Point3(x=place.east_m, y=place.north_m, z=place.altitude_m) for place in places]
+    return LinePrimitive(
+        type=kind,
+        pose=_upright(Position(0.0, 0.0)),
+        points=points,
+        color=colour,
+        thickness=2.0,
+        scale_invariant=True,
+    )
 
 
-def _label(text: str, place: Vector3) -> TextPrimitive:
-    return TextPrimitive(Pose(place), text, _WHITE)
+def _ball(place: Position, width_m: float, colour: Color) -> SpherePrimitive:
+    return SpherePrimitive(pose=_upright(place), size=Vector3(x=width_m, y=width_m, z=width_m), color=colour)
+
+
+def _label(text: str, place: Position, *, above_m: float = 0.0) -> TextPrimitive:
+    return TextPrimitive(
+        pose=_upright(place, above_m),
+        text=text,
+        color=_WHITE,
+        billboard=True,
+        font_size=14.0,
+        scale_invariant=True,
+    )
+
+
+def _upright(place: Position, above_m: float = 0.0) -> Pose:
+    position = Vector3(x=place.east_m, y=place.north_m, z=place.altitude_m + above_m)
+    return Pose(position=position, orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0))

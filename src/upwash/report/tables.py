@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from upwash.core.servers import State
+from upwash.eventlog.results import mean_local_delay_s
 from upwash.report.charts import state_seconds
 from upwash.report.markup import Markup, element
 from upwash.report.places import name_of
 from upwash.report.record import Record
-from upwash.results import mean_local_delay_s
 
 
 def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Markup:
@@ -57,7 +57,18 @@ def totals(records: Sequence[Record]) -> Markup:
         ["with every call on the drone", *(_local_only(record) for record in records)],
         ["saved by offloading", *(_saved(record) for record in records)],
     ]
+    if any(record.result.energy for record in records):
+        rows.append(["drawn from the battery", *(_drawn(record) for record in records)])
     return table("Totals", ["", *(record.name for record in records)], rows)
+
+
+def _drawn(record: Record) -> str:
+    energy = record.result.energy
+    return (
+        "not metered"
+        if energy is None
+        else f"{energy.total_wh:.1f} Wh, of which {energy.hover_wh:.1f} Wh in hover"
+    )
 
 
 def _ended(record: Record) -> str:
@@ -106,7 +117,7 @@ def calls(record: Record) -> Markup:
             "start" if call.result.waypoint is None else str(call.result.waypoint),
             f"{call.result.at_s:.1f} s",
             call.result.operation,
-            name_of(call.result.place),
+            name_of(call.result.server),
             f"{call.result.delay_s:.2f} s",
             f"{call.result.waited_s:.2f} s, {call.wait}" if call.wait else "",
             call.result.decision,

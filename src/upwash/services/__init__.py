@@ -2,7 +2,8 @@
 
 from upwash.services.detection import Box, Detection, Mode
 from upwash.services.detector import Detector
+from upwash.services.heads import Head
 from upwash.services.inference import ModelFiles
 from upwash.services.photo import NotAPhoto
 
-__all__ = ["Box", "Detection", "Detector", "Mode", "ModelFiles", "NotAPhoto"]
+__all__ = ["Box", "Detection", "Detector", "Head", "Mode", "ModelFiles", "NotAPhoto"]

@@ -11,12 +11,12 @@ from typing import Annotated
 from msgspec import Meta
 from msgspec.structs import asdict
 
-from upwash.loading import extra
-from upwash.service import service
+from upwash.rpc.service import service
 from upwash.services.detection import Detection, Mode
 from upwash.services.heads import best_of_each, read_heads
 from upwash.services.inference import Inference, ModelFiles, Provider
 from upwash.services.photo import read_photo
+from upwash.support.loading import extra
 
 Threads = Annotated[int, Meta(ge=1, le=1024, description="an integer from 1 to 1024")]
 Side = Annotated[int, Meta(ge=32, le=4096, description="an integer from 32 to 4096, in pixels")]

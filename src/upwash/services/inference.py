@@ -12,7 +12,7 @@ import msgspec
 from upwash.errors import ModelError, UsageError
 from upwash.services.darknet.conversion import converted
 from upwash.services.heads import HEADS_METADATA, Head, decode_heads
-from upwash.user_files import read_file
+from upwash.support.input_files import read_file
 
 if TYPE_CHECKING:
     import numpy as np

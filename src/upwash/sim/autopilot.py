@@ -4,66 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from upwash.config import FaultConfig
 from upwash.core.control import Control, Latch
-from upwash.core.energy import EnergyFacts, WayHome
+from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Circle, Position, Velocity
 from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
-from upwash.ports import DeadMan, DeadManAction, VehicleLimits, VehicleNews
+from upwash.eventlog.schema import SEVERITIES
+from upwash.ports import DeadMan, DeadManAction, VehicleLimits, VehicleNews, VehicleText
+from upwash.sim.energy import EnergyMeter
 from upwash.sim.vehicle import GUIDED, LAND, RETURN, Manner, ModelVehicle
-from upwash.vehicle.kinematics import Phase, duration_s, leg, steadily, stretched
+from upwash.vehicle.kinematics import Phase, duration_s, stretched
 
-_AT_ONCE = 1e9  # metres a second, and more of them each second
 _PATIENCE_S = 60.0  # a leg has failed that takes so much longer than it should
 _HEARTBEAT_S = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class Plain:
-    """Speeds up and brakes alike, and takes off, returns and lands in given times whatever the distance."""
-
-    acceleration_m_s2: float
-    takeoff_s: float
-    return_and_land_s: float
-
-    @property
-    def returning(self) -> WayHome:
-        """In its time, whatever the distance."""
-        return WayHome(
-            altitude_m=0.0,
-            climb_m_s=_AT_ONCE,
-            speed_m_s=_AT_ONCE,
-            acceleration_m_s2=_AT_ONCE,
-            hover_s=self.return_and_land_s,
-            descent_m_s=_AT_ONCE,
-            slowly_below_m=0.0,
-            landing_m_s=_AT_ONCE,
-        )
-
-    def takeoff(self, ground: Position, altitude_m: float) -> tuple[Phase, ...]:
-        """Straight up in its time."""
-        return steadily(
-            ground, Position(ground.east_m, ground.north_m, altitude_m), duration_s=self.takeoff_s
-        )
-
-    def waypoint_leg(self, start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
-        """From rest to rest, under one acceleration."""
-        return leg(start, end, cruise_m_s=ground_speed_m_s, acceleration_m_s2=self.acceleration_m_s2)
-
-    def arrival_s(self, phases: tuple[Phase, ...]) -> float:
-        """At rest."""
-        return duration_s(phases)
-
-    def return_and_land(self, start: Position, home: Position) -> tuple[Phase, ...]:
-        """Straight home in its time."""
-        return steadily(start, home, duration_s=self.return_and_land_s)
-
-    def landing(self, start: Position) -> tuple[Phase, ...]:
-        """Straight down in the time of a return."""
-        return steadily(start, Position(start.east_m, start.north_m), duration_s=self.return_and_land_s)
+_CRITICAL = SEVERITIES.index("critical")
 
 
 class ModelDeadMan:
@@ -89,8 +46,8 @@ class ModelAutopilot:
 
     `stretch` gives a factor on the duration of each leg, for noise, `fault` what is wrong with the vehicle now, and
     `takeovers` who else takes it and when; `sim.faults` says what each fault means. `given_back_unheard` is told when
-    a pilot gives it back of whom the program has heard nothing. The battery is empty `endurance_s` after the first
-    take-off. One that `hovers_at` a place has been left there by another program.
+    a pilot gives it back of whom the program has heard nothing. The battery is as full as `energy` says, or else
+    empty `endurance_s` after the first take-off. One that `hovers_at` a place has been left there by another program.
     """
 
     def __init__(
@@ -103,6 +60,7 @@ class ModelAutopilot:
         fault: Callable[[], FaultConfig | None] = lambda: None,
         takeovers: Sequence[FaultConfig] = (),
         endurance_s: float | None = None,
+        energy: EnergyMeter | None = None,
         hovers_at: Position | None = None,
         commanded: Callable[[str], None] = lambda _: None,
         taken: Callable[[str], None] = lambda _: None,
@@ -116,9 +74,15 @@ class ModelAutopilot:
         self._fault = fault
         self._waypoint = hovers_at
         self._endurance_s = endurance_s
+        self._energy = energy
         self._took_off_s: float | None = None
         self._vehicle = ModelVehicle(
-            self._home, manner, hovers_at=hovers_at, commanded=commanded, taken=taken
+            self._home,
+            manner,
+            hovers_at=hovers_at,
+            commanded=commanded,
+            taken=taken,
+            moved=energy.move if energy else lambda _: None,
         )
         self._given_back_unheard = given_back_unheard
         self._latch = Latch(self._loop.time())
@@ -127,6 +91,8 @@ class ModelAutopilot:
         for takeover in takeovers:
             self._loop.call_at(takeover.from_s, self._be_taken, takeover)
         self._take_report()
+        if energy is not None:
+            self._watch_battery(energy, energy.failsafe_percent)
 
     @property
     def position(self) -> Position:
@@ -135,7 +101,9 @@ class ModelAutopilot:
 
     @property
     def battery_percent(self) -> float | None:
-        """Falls steadily from the first take-off on."""
+        """By what was drawn from it, or else steadily less from the first take-off on."""
+        if self._energy is not None:
+            return self._energy.left_percent
         if self._endurance_s is None:
             return None
         flown_s = 0.0 if self._took_off_s is None else self._loop.time() - self._took_off_s
@@ -147,14 +115,25 @@ class ModelAutopilot:
         return self._vehicle.velocity
 
     @property
+    def heading_deg(self) -> float | None:
+        """It flies nose first; None where it stands or hovers."""
+        now = self._vehicle.velocity
+        if not (now.east_m_s or now.north_m_s):
+            return None
+        return math.degrees(math.atan2(now.east_m_s, now.north_m_s)) % 360.0
+
+    @property
     def wind(self) -> Velocity | None:
         """None blows."""
         return Velocity()
 
     @property
     def energy(self) -> EnergyFacts:
-        """It returns to where it took off; its battery has no stages."""
-        return EnergyFacts(home=self._home, way_home=self._manner.returning)
+        """It returns to where it took off; its battery's one stage is that of its fail-safe."""
+        stage = self._energy.failsafe_percent if self._energy else None
+        return EnergyFacts(
+            low_percent=stage, critical_percent=stage, home=self._home, way_home=self._manner.returning
+        )
 
     @property
     def control(self) -> Control:
@@ -337,6 +316,27 @@ class ModelAutopilot:
         else:
             self._vehicle.fail_safe()
         self._take_heartbeats()
+
+    def _watch_battery(self, energy: EnergyMeter, level_percent: float) -> None:
+        """Has the vehicle land by itself once the battery is down to the level, and fall once it is empty."""
+        left_percent = energy.left_percent
+        if left_percent is None:
+            return
+        if left_percent > level_percent:
+            self._loop.call_later(energy.lasts_s(level_percent), self._watch_battery, energy, level_percent)
+            return
+        if left_percent > 0:
+            self._say(f"Battery Failsafe: {left_percent:.0f} % is left")
+            self._vehicle.fail_safe()
+            self._watch_battery(energy, 0.0)
+        else:
+            self._say("Battery empty: the motors stop")
+            self._vehicle.fall()
+        self._take_heartbeats()
+
+    def _say(self, text: str) -> None:
+        if self._vehicle.armed and not self._is_silent():
+            self._hear(VehicleText(_CRITICAL, text))
 
     def _take_heartbeats(self) -> None:
         """One that tells of the takeover comes at once, or in the first second after the silence of the link."""

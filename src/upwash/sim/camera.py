@@ -8,8 +8,8 @@ import itertools
 from typing import TYPE_CHECKING
 
 from upwash.core.geo import Position
-from upwash.loading import extra
 from upwash.ports import Photo
+from upwash.support.loading import extra
 
 if TYPE_CHECKING:
     from upwash.services.solar_park import RenderedPhoto

@@ -38,14 +38,14 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Awaitable, Callable, Sequence
-from typing import NoReturn, Protocol
+from typing import Protocol
 
 import msgspec
 
 from upwash.config import FaultConfig
-from upwash.core.visitors import Visitor
+from upwash.core.clients import Client
 from upwash.errors import Unreachable, UsageError
-from upwash.protocol import (
+from upwash.rpc.protocol import (
     AVAILABILITY,
     HOLD,
     LEAVE,
@@ -60,10 +60,12 @@ from upwash.protocol import (
 )
 from upwash.sim.lies import as_daemon, as_instance
 from upwash.sim.link import Handler
+from upwash.support.waiting import never
 
 _FLAP_S = 5.0
 _LEAST_STEP_S = 1e-6  # so that a flap that rounding puts at this very moment is waited for, too
 _MOVING = ("off", "stuck", "slow", "flapping")  # what can befall links and the autopilot
+_MOST_STRANGERS = 64
 _SERVER = (*_MOVING, "garbage", "wrong", "lying", "full", "crash")
 _TAKEOVERS = ("pilot", "fail-safe")  # what only the autopilot suffers, at once and for good
 _NOBODY = ":1"
@@ -137,19 +139,19 @@ class Plugboard(Protocol):
 class FaultyServer:
     """One server as it looks from outside: whatever is plugged in through it suffers from the server's faults."""
 
-    def __init__(self, name: str, address: str, board: Plugboard, *, faults: Faults, slots: int) -> None:
+    def __init__(self, name: str, address: str, board: Plugboard, *, faults: Faults) -> None:
         self._name = name
         self._address = address
         self._told = 0  # lies
         self._board = board
         self._faults = faults
-        self._slots = slots
+        self._strangers: list[Client] = []  # that have taken all slots
 
     def plug(self, address: str, handler: Handler) -> None:
         """From now on the instance answers at that port of the server, as well as it can."""
 
-        async def answer(path: str, body: bytes, visitor: Visitor) -> bytes:
-            reply = await self._suffering(lambda: handler(path, body, visitor))
+        async def answer(path: str, body: bytes, client: Client) -> bytes:
+            reply = await self._suffering(lambda: handler(path, body, client))
             fault = self._lying()
             return as_instance(fault.lie, reply, number=self._next_way(fault)) if fault else reply
 
@@ -162,12 +164,12 @@ class FaultyServer:
     def plug_daemon(self, daemon: Handler, *, crash: Callable[[str], None]) -> None:
         """From now on the daemon answers at the server's address, as well as it can; `crash` ends its instances."""
 
-        async def answer(path: str, body: bytes, visitor: Visitor) -> bytes:
-            reply = await self._suffering(lambda: ask(path, body, visitor))
+        async def answer(path: str, body: bytes, client: Client) -> bytes:
+            reply = await self._suffering(lambda: ask(path, body, client))
             fault = self._lying()
             return as_daemon(fault.lie, path, reply, number=self._next_way(fault)) if fault else reply
 
-        async def ask(path: str, body: bytes, visitor: Visitor) -> bytes:
+        async def ask(path: str, body: bytes, client: Client) -> bytes:
             match self._kind():
                 case "wrong" if path == AVAILABILITY:
                     return _lie(msgspec.msgpack.decode(body, type=AvailabilityRequest))
@@ -176,10 +178,11 @@ class FaultyServer:
                 case "wrong" if path in (PREPARE, HOLD):
                     return msgspec.msgpack.encode(HoldReply(held=True))
                 case "full" if path != LEAVE:
-                    return await self._ask_among_strangers(daemon, path, body, visitor)
+                    return await self._ask_among_strangers(daemon, path, body, client)
                 case "crash" if path == AVAILABILITY:
                     crash("crashed")
-            return await daemon(path, body, visitor)
+            await self._dismiss_strangers(daemon)
+            return await daemon(path, body, client)
 
         self._board.plug(self._address, answer)
 
@@ -199,16 +202,32 @@ class FaultyServer:
             case "stuck":
                 await never()
 
-    async def _ask_among_strangers(self, daemon: Handler, path: str, body: bytes, visitor: Visitor) -> bytes:
-        """Has the daemon itself find that no slot is left, but for a drone that holds one."""
-        strangers = [Visitor(f"stranger-{number}") for number in range(self._slots)]
-        for stranger in strangers:
-            await daemon(AVAILABILITY, msgspec.msgpack.encode(AvailabilityRequest(self._name, [])), stranger)
-        try:
-            return await daemon(path, body, visitor)
-        finally:
-            for stranger in strangers:
-                await daemon(LEAVE, msgspec.msgpack.encode(LeaveRequest(self._name)), stranger)
+    async def _ask_among_strangers(self, daemon: Handler, path: str, body: bytes, client: Client) -> bytes:
+        """Has the daemon itself find that no slot is left, but for a drone that holds one or whose turn it is."""
+        if self._strangers:
+            for stranger in self._strangers:
+                await self._asks(daemon, stranger)
+        else:
+            for number in range(_MOST_STRANGERS):
+                stranger = Client(f"stranger-{number}")
+                if not await self._asks(daemon, stranger):
+                    await self._leaves(daemon, stranger)
+                    break
+                self._strangers.append(stranger)
+        return await daemon(path, body, client)
+
+    async def _dismiss_strangers(self, daemon: Handler) -> None:
+        for stranger in self._strangers:
+            await self._leaves(daemon, stranger)
+        self._strangers.clear()
+
+    async def _asks(self, daemon: Handler, stranger: Client) -> bool:
+        request = msgspec.msgpack.encode(AvailabilityRequest(self._name, []))
+        reply = await daemon(AVAILABILITY, request, stranger)
+        return msgspec.msgpack.decode(reply, type=AvailabilityReply).available
+
+    async def _leaves(self, daemon: Handler, stranger: Client) -> None:
+        await daemon(LEAVE, msgspec.msgpack.encode(LeaveRequest(self._name)), stranger)
 
     def _lying(self) -> FaultConfig | None:
         fault = self._faults.now(self._name)
@@ -227,9 +246,3 @@ class FaultyServer:
 def _lie(request: AvailabilityRequest) -> bytes:
     endpoints = dict.fromkeys(request.services, _NOBODY)
     return msgspec.msgpack.encode(AvailabilityReply(available=True, endpoints=endpoints, lease_s=30.0))
-
-
-async def never() -> NoReturn:
-    """Waits until it is cancelled."""
-    await asyncio.get_running_loop().create_future()
-    raise AssertionError("nobody settles this future")

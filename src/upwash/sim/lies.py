@@ -19,7 +19,7 @@ import msgspec
 
 from upwash.config import Lie
 from upwash.errors import Refused
-from upwash.protocol import AVAILABILITY, HOLD, PREPARE, START
+from upwash.rpc.protocol import AVAILABILITY, HOLD, PREPARE, START
 
 _ELSEWHERE = (
     "nobody.invalid:1", "dns:///nobody.invalid:1", "xds:///nobody", "unix:/run/nobody.sock", "unix-abstract:nobody",
@@ -33,7 +33,7 @@ _RESULTS: tuple[dict[str, Any], ...] = (
     {"value": {"neither": "this"}}, {"value": [[[]]]}, {"value": "text"}, {"value": math.nan}, {"fault": 7}, {},
 )  # fmt: skip
 _FAULTS = (
-    "upwash.drone:AutopilotOverruled", "upwash.errors:MissionStopped", "upwash.mission:MissionFailed",
+    "upwash.drone.flight:AutopilotOverruled", "upwash.errors:MissionStopped", "upwash.drone.mission:MissionFailed",
     "builtins:SystemExit", "builtins:KeyboardInterrupt", "builtins:MemoryError", "nobody:Known", _ESCAPES,
 )  # fmt: skip
 

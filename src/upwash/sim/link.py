@@ -7,11 +7,12 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from upwash.core.visitors import Visitor
-from upwash.errors import DeadlineExceeded, InstanceError, Refused, Unreachable
-from upwash.text import printable
+from upwash.core.clients import Client
+from upwash.errors import DeadlineExceeded, InstanceError, NoLease, Refused, Unreachable
+from upwash.sim.life import Life
+from upwash.support.text import printable
 
-Handler = Callable[[str, bytes, Visitor], Awaitable[bytes]]  # path, body, who asks → reply
+Handler = Callable[[str, bytes, Client], Awaitable[bytes]]  # path, body, who asks → reply
 
 
 class Air(Protocol):
@@ -42,26 +43,31 @@ class Switchboard:
 class ModelDialer:
     """Opens links through the air to whoever is plugged in at an address."""
 
-    def __init__(self, drone: str, switchboard: Switchboard, air: Air) -> None:
+    def __init__(self, drone: str, switchboard: Switchboard, air: Air, *, life: Life | None = None) -> None:
         self._drone = drone
         self._switchboard = switchboard
         self._air = air
+        self._life = life or Life()
 
     def dial(self, address: str, *, server: str) -> ModelLink:
         """A link to the address."""
-        return ModelLink(self._drone, address, server, self._switchboard, self._air)
+        return ModelLink(self._drone, address, server, self._switchboard, self._air, life=self._life)
 
 
 class ModelLink:
-    """One connection; out of range it is silent, as a radio is."""
+    """One connection; out of range it is silent, as a radio is, and for good once the drone's life is over."""
 
-    def __init__(self, drone: str, address: str, server: str, switchboard: Switchboard, air: Air) -> None:
+    def __init__(
+        self, drone: str, address: str, server: str, switchboard: Switchboard, air: Air, *, life: Life
+    ) -> None:
         self._drone = drone
         self._address = address
         self._server = server
         self._switchboard = switchboard
         self._air = air
+        self._life = life
         self._requests: set[asyncio.Task[bytes]] = set()
+        self._heard: set[asyncio.Task[bytes]] = set()  # those of them that a server works at
         self._closed = False
 
     async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
@@ -72,7 +78,7 @@ class ModelLink:
         self._requests.add(exchange)
         try:
             async with asyncio.timeout(timeout_s):
-                return await exchange
+                return await asyncio.shield(exchange)  # which _give_up ends, if anything does
         except TimeoutError:
             raise DeadlineExceeded(
                 f"{self._server} at {self._address}: no answer within {timeout_s:.1f} s"
@@ -85,13 +91,18 @@ class ModelLink:
                 raise Unreachable(f"{self._server} at {self._address}: the link was closed") from None
             raise
         finally:
-            exchange.cancel()
+            self._give_up(exchange)
             self._requests.discard(exchange)
 
     async def close(self) -> None:
         """Breaks the connection off, with every request under way."""
         self._closed = True
         for exchange in self._requests:
+            self._give_up(exchange)
+
+    def _give_up(self, exchange: asyncio.Task[bytes]) -> None:
+        """Ends it; a server goes on with what it has heard of a drone that is gone."""
+        if not (self._life.is_over and exchange in self._heard):
             exchange.cancel()
 
     async def _exchange(self, path: str, body: bytes) -> bytes:
@@ -102,15 +113,27 @@ class ModelLink:
         if handler is None:
             raise Unreachable(f"{self._server} at {self._address}: nobody answers")
         try:
-            reply = await handler(path, body, Visitor(self._drone))
+            reply = await self._handled(handler, path, body)
         except InstanceError as error:
             raise Unreachable(f"{self._server} at {self._address}: {error}") from error
         except Refused as refusal:
-            raise Refused(f"{self._server} at {self._address}: {printable(str(refusal))}") from refusal
+            known = NoLease if isinstance(refusal, NoLease) else Refused
+            raise known(f"{self._server} at {self._address}: {printable(str(refusal))}") from refusal
+        if self._life.is_over:
+            return reply  # to nobody
         await self._air.send(self._server, path, reply=True)
         await self._get_through()
         return reply
 
+    async def _handled(self, handler: Handler, path: str, body: bytes) -> bytes:
+        exchange = asyncio.current_task()
+        assert exchange is not None  # noqa: S101 - a coroutine runs in a task
+        self._heard.add(exchange)
+        try:
+            return await handler(path, body, Client(self._drone))
+        finally:
+            self._heard.discard(exchange)
+
     async def _get_through(self) -> None:
-        if not self._air.connected(self._server):
+        if self._life.is_over or not self._air.connected(self._server):
             await asyncio.get_running_loop().create_future()  # until the caller's deadline

@@ -11,6 +11,7 @@ import asyncio
 import threading
 from asyncio import base_events
 from collections.abc import Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NoReturn, TypeVar
 
 from upwash.errors import UpwashError
@@ -35,6 +36,23 @@ class OutsideWorldError(UpwashError):
 
 def run_virtually(main: Coroutine[Any, Any, T]) -> T:
     """Runs a coroutine to its end on a virtual clock that starts at 0; returns or raises what it does."""
+    if not _a_loop_runs_here():
+        return _run(main)
+    with ThreadPoolExecutor(
+        1
+    ) as other:  # a thread has one running loop, and in a notebook there already is one
+        return other.submit(_run, main).result()
+
+
+def _a_loop_runs_here() -> bool:
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return False
+    return True
+
+
+def _run(main: Coroutine[Any, Any, T]) -> T:
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:
         return runner.run(main)
 

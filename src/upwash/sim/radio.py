@@ -14,7 +14,7 @@ from pathlib import Path
 
 from upwash.config import ServerTruth
 from upwash.errors import UsageError
-from upwash.user_files import read_file
+from upwash.support.input_files import read_file
 
 _MOST_BYTES = 10_000_000
 _BUNDLED = {"disc54": "goodput_54.csv", "disc12": "goodput_12.csv"}

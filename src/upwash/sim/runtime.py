@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, Protocol
 
 import msgspec
 from msgspec import inspect as types
 
+from upwash.core.clients import Client
 from upwash.core.estimates import Operation
-from upwash.core.visitors import Visitor
+from upwash.core.instance_gate import InstanceGate
 from upwash.errors import InstanceError, Refused
-from upwash.ports import Answered, InstanceSpec, unheard
-from upwash.protocol import HEALTH_CHECK, SERVING, service_path
-from upwash.service import Method, ServiceSpec
+from upwash.ports import Answered, AnsweredCall, InstanceSpec, ignored
+from upwash.rpc.protocol import HEALTH_CHECK, SERVING, service_path
+from upwash.rpc.service import Method, ServiceSpec
 from upwash.sim.faults import Plugboard
 
 _FIRST_PORT = 40_000
+_NEGLIGIBLE_S = 1e-9  # by which the loop runs its timers early
 
 
 class Computer(Protocol):
@@ -29,14 +32,15 @@ class Computer(Protocol):
     async def start(self, spec: InstanceSpec) -> None:
         """Takes the time that a service needs from its start to being ready."""
 
-    async def compute(self, spec: InstanceSpec, operation: Operation) -> None:
-        """Takes the time that a call of the operation needs."""
+    async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
+        """Takes the time that a call of the operation occupies its instance; returns when it has an answer."""
 
 
 class ModelRuntime:
     """Starts modelled instances of the services on a computer, plugged in at ports of their own.
 
-    Those of the services in `objects` answer what the object answers, the others with empty results.
+    Those of the services in `objects` answer what the object answers, the others with empty results. They compute
+    `lanes` calls at a time, or as many as their services declare.
     """
 
     def __init__(
@@ -46,24 +50,27 @@ class ModelRuntime:
         switchboard: Plugboard,
         *,
         objects: Mapping[str, object] = MappingProxyType({}),
+        lanes: int | None = None,
     ) -> None:
         self._services = services
         self._objects = objects
+        self._lanes = lanes
         self._computer = computer
         self._switchboard = switchboard
         self._ports = itertools.count(_FIRST_PORT)
         self._instances: list[ModelInstance] = []
 
     async def start(
-        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = unheard
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
     ) -> ModelInstance:
         """Returns when the instance is ready to serve."""
         await self._computer.start(spec)
-        endpoint = f":{next(self._ports)}"
+        service = self._services[spec.service]
         instance = ModelInstance(
             spec,
-            self._services[spec.service],
-            endpoint,
+            service,
+            f":{next(self._ports)}",
+            lanes=self._lanes or service.concurrency,
             called=called,
             answered=answered,
             computer=self._computer,
@@ -81,7 +88,10 @@ class ModelRuntime:
 
 
 class ModelInstance:
-    """One instance: takes calls one after the other, as the real one does, and answers as the target, if any."""
+    """One instance: takes so many calls at a time, in order, as the real one does, and answers as the target, if any.
+
+    A call has its answer when its computer says so, which may be after it has given up its lane.
+    """
 
     def __init__(
         self,
@@ -89,6 +99,7 @@ class ModelInstance:
         service: ServiceSpec,
         endpoint: str,
         *,
+        lanes: int,
         called: Callable[[str], None],
         answered: Answered,
         computer: Computer,
@@ -106,21 +117,23 @@ class ModelInstance:
         self._answered = answered
         self._computer = computer
         self._switchboard = switchboard
-        self._admitted: frozenset[str] = frozenset()
-        self._closed = ""  # why no call is answered any more
-        self._busy = asyncio.Lock()
+        self._gate = InstanceGate()
+        self._lanes = asyncio.Semaphore(lanes)  # which come free to whoever has waited longest
+        self._under_way = 0
+        self._idle = asyncio.Event()
         self._ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         switchboard.plug(endpoint, self._answer)
 
-    async def admit(self, drones: frozenset[str]) -> None:
-        """Has only these drones get an answer."""
-        self._admitted = drones
+    async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
+        """Has only these drones get an answer, and what has arrived of those that are finishing."""
+        self._gate.admit(drones, finishing)
 
     async def drain(self, why: str) -> None:
         """Has every further call refused for that reason; returns when none is under way."""
-        self._closed = why
-        async with self._busy:
-            pass
+        self._gate.close(why)
+        while self._under_way:
+            self._idle.clear()
+            await self._idle.wait()
 
     async def exited(self) -> str:
         """Returns how the instance ended, when it does."""
@@ -136,36 +149,64 @@ class ModelInstance:
         if not self._ended.done():
             self._ended.set_result(how)
 
-    async def _answer(self, path: str, body: bytes, drone: Visitor) -> bytes:
+    async def _answer(self, path: str, body: bytes, drone: Client) -> bytes:
         if path == HEALTH_CHECK:
             return SERVING
         if path not in self._methods:
             raise Refused(f"no method {path} here")
         method, reply = self._methods[path]
-        self._refuse_unwelcome(drone)
-        async with self._busy:
-            self._refuse_unwelcome(drone)  # its lease may have ended while it waited for its turn
-            self._called(drone.key)
-            try:
-                operation = Operation(self._spec.service, method.name, method.key_of(body))
-            except msgspec.MsgspecError:
-                return method.perform(None, body)[1]  # which says what is wrong with the arguments
-            began_s = asyncio.get_running_loop().time()
-            try:
-                await self._computer.compute(self._spec, operation)
-            except InstanceError as error:
-                self.crash(str(error))
-            else:
-                self._answered(method.name, asyncio.get_running_loop().time() - began_s)
-        if self._ended.done():
-            raise InstanceError(f"{self._spec.name} {self._ended.result()}")
+        self._gate.require(drone)
+        whole_s = _now_s()
+        with self._counted():
+            async with self._lanes:
+                self._require_life()
+                self._gate.require_still(drone)  # now that its turn has come
+                self._called(drone.key)
+                try:
+                    operation = Operation(self._spec.service, method.name, method.key_of(body))
+                except msgspec.MsgspecError:
+                    return method.perform(None, body)[1]  # which says what is wrong with the arguments
+                answered_s = await self._compute(operation, drone, whole_s)
+            await _until(answered_s)
+        self._require_life()
         return reply if self._target is None else method.perform(self._target, body)[1]
 
-    def _refuse_unwelcome(self, drone: Visitor) -> None:
-        if self._closed:
-            raise Refused(self._closed)
-        if drone.key not in self._admitted:
-            raise Refused(f"drone {drone.name} has no lease here")
+    async def _compute(self, operation: Operation, drone: Client, whole_s: float) -> float:
+        """Returns the time at which the call has its answer, or its end."""
+        began_s = _now_s()
+        try:
+            answered_s = await self._computer.compute(self._spec, operation)
+        except InstanceError as error:
+            self.crash(str(error))
+            return _now_s()
+        self._answered(AnsweredCall(drone.key, operation.method, began_s - whole_s, _now_s() - began_s))
+        return answered_s
+
+    @contextlib.contextmanager
+    def _counted(self) -> Iterator[None]:
+        self._under_way += 1
+        try:
+            yield
+        finally:
+            self._under_way -= 1
+            if not self._under_way:
+                self._idle.set()
+
+    def _require_life(self) -> None:
+        if self._ended.done():
+            raise InstanceError(f"{self._spec.name} {self._ended.result()}")
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()
+
+
+async def _until(time_s: float) -> None:
+    """Returns at that time, or at once where it is past."""
+    if time_s - _now_s() > _NEGLIGIBLE_S:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout_at(time_s):
+                await asyncio.get_running_loop().create_future()
 
 
 def empty_reply(method: Method) -> bytes:

@@ -18,6 +18,7 @@ GUIDED, LOITER, RETURN, LAND = "GUIDED", "LOITER", "RTL", "LAND"
 _ROUNDING_M = 1e-6
 _PAST_THE_BORDER_S = 1e-6
 _PILOT_LANDS_AFTER_S = 20.0
+_GRAVITY_M_S2 = 9.81
 
 
 class Manner(Protocol):
@@ -46,8 +47,9 @@ class Manner(Protocol):
 class ModelVehicle:
     """Stands on the ground disarmed, or hovers where another program left it.
 
-    `commanded` is told the name of each command that reaches it, and `taken` by whom it was taken over. `changed` is
-    set, anew each time, when it begins to move otherwise or its mode or motors change by themselves.
+    `commanded` is told the name of each command that reaches it, `taken` by whom it was taken over, and `moved` each
+    motion as it begins. `changed` is set, anew each time, when it begins to move otherwise or its mode or motors
+    change by themselves.
     """
 
     def __init__(
@@ -58,6 +60,7 @@ class ModelVehicle:
         hovers_at: Position | None = None,
         commanded: Callable[[str], None] = lambda _: None,
         taken: Callable[[str], None] = lambda _: None,
+        moved: Callable[[Motion[Phase]], None] = lambda _: None,
     ) -> None:
         self.mode = GUIDED
         self.armed = hovers_at is not None
@@ -70,6 +73,8 @@ class ModelVehicle:
         self._failsafe = ""
         self._commanded = commanded
         self._taken = taken
+        self._moved = moved
+        self._moved(self._motion)
 
     @property
     def position(self) -> Position:
@@ -100,13 +105,16 @@ class ModelVehicle:
 
     def move(self, phases: tuple[Phase, ...], end: Position) -> None:
         """Begins to move, by a command that was obeyed before; `end` is exactly where the phases lead."""
-        self._motion = Motion(self._loop.time(), phases, end)
-        self._crossings.clear()
+        self._begin(phases, end)
         self._tell_change()
 
     def settle(self, end: Position) -> None:
         """Rests at the end of a motion: a timer may be a nanosecond early, and the vehicle not quite there."""
-        self._motion = Motion(self._loop.time(), (), end)
+        self._begin((), end)
+
+    def _begin(self, phases: tuple[Phase, ...], end: Position) -> None:
+        self._motion = Motion(self._loop.time(), phases, end)
+        self._moved(self._motion)
         self._crossings.clear()
 
     # --- what it does without a command ---------------------------------------------------------------------
@@ -128,6 +136,15 @@ class ModelVehicle:
         self._failsafe = "Battery Failsafe"
         self._land()
 
+    def fall(self) -> None:
+        """Its battery is empty: the motors stop in the air, and it falls straight down."""
+        if not self.flies:
+            return
+        self._taken("fail-safe")
+        self._failsafe = "Battery empty"
+        self._change_mode(LAND)
+        self._come_down(_falling)
+
     def _be_given_back(self, before_back: Callable[[], None]) -> None:
         before_back()
         self._change_mode(GUIDED)
@@ -141,10 +158,12 @@ class ModelVehicle:
 
     def _land(self) -> None:
         self._change_mode(LAND)
+        self._come_down(self._manner.landing)
+
+    def _come_down(self, way: Callable[[Position], tuple[Phase, ...]]) -> None:
         here = self.position
-        phases = self._manner.landing(here) if self.flies else ()
         ground = Position(here.east_m, here.north_m)
-        self.move(phases, ground)
+        self.move(way(here) if self.flies else (), ground)
         self._touchdown = self._loop.call_at(self._motion.ends_s, self._touch_down, ground)
 
     def _touch_down(self, ground: Position) -> None:
@@ -166,6 +185,12 @@ class ModelVehicle:
             self._crossings.append((circles, crossings_s))
         later = bisect_right(crossings_s, self._loop.time())
         return crossings_s[later] if later < len(crossings_s) else None
+
+
+def _falling(start: Position) -> tuple[Phase, ...]:
+    """From rest to the ground, without the air's resistance."""
+    lasts_s = math.sqrt(2 * start.altitude_m / _GRAVITY_M_S2)
+    return (Phase(start, Velocity(up_m_s=-1.0), 0.0, _GRAVITY_M_S2, lasts_s),)
 
 
 def _all_crossings_s(motion: Motion[Phase], circles: Sequence[Circle]) -> Iterator[float]:

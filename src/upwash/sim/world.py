@@ -5,15 +5,17 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 
-from upwash.config import ServerTruth, ServiceConfig
+from upwash.config import NoiseConfig, ServerTruth, ServiceConfig
 from upwash.core.estimates import Operation
 from upwash.core.geo import Circle, Position, ground_distance_m
 from upwash.errors import InstanceError
 from upwash.ports import InstanceSpec
 from upwash.sim.chance import Chance
+from upwash.sim.energy import EnergyMeter
 from upwash.sim.faults import Faults
-from upwash.sim.heat import Heat
-from upwash.sim.radio import goodput_of
+from upwash.sim.joining import Joining
+from upwash.sim.radio import SteadyGoodput, goodput_of
+from upwash.support.heat import Heat
 
 
 class Wire:
@@ -38,6 +40,7 @@ class Radio:
         *,
         faults: Faults,
         position: Callable[[], Position],
+        energy: EnergyMeter | None = None,
     ) -> None:
         self._areas = areas
         self._goodputs = {
@@ -48,6 +51,12 @@ class Radio:
         self._services = {f"/upwash.service.{service.name}/": service for service in services}
         self._faults = faults
         self._position = position
+        self._energy = energy
+        self._bandwidths = {
+            server: SteadyGoodput(truth.bandwidth_bit_s)
+            for server, truth in truths.items()
+            if truth.bandwidth_bit_s
+        }
 
     def connected(self, server: str) -> bool:
         """Whether the drone is in range and the link is not down."""
@@ -70,47 +79,82 @@ class Radio:
         if fault is not None and fault.kind == "slow":
             await asyncio.sleep(fault.extra_s / 2)
         service = self._services.get(path[: path.rfind("/") + 1])
-        goodput = self._goodputs[server, service.name] if service else None
-        if service is None or goodput is None:
+        if service is None:
+            return
+        data_bytes = service.reply_bytes if reply else service.request_bytes
+        goodput = self._goodputs[server, service.name]
+        if goodput is None:
+            self._meter_end_to_end(server, data_bytes)
             return
         distance_m = ground_distance_m(self._position(), self._areas[server].centre)
-        data_bytes = service.reply_bytes if reply else service.request_bytes
-        await asyncio.sleep(goodput.transfer_s(data_bytes, distance_m))
+        begun_s = asyncio.get_running_loop().time()
+        try:
+            await asyncio.sleep(goodput.transfer_s(data_bytes, distance_m))
+        finally:  # also one that is given up has been on the air
+            if self._energy is not None:
+                self._energy.transfer(asyncio.get_running_loop().time() - begun_s)
+
+    def _meter_end_to_end(self, server: str, data_bytes: int) -> None:
+        """What is on the air of a call whose delay is given as a whole; not known without a bandwidth."""
+        if self._energy is not None and server in self._bandwidths:
+            self._energy.transfer(self._bandwidths[server].transfer_s(data_bytes, 0.0))
 
 
 class DroneComputer:
-    """Runs the drone's own services: at the profiled delays, slower the hotter it gets."""
+    """Runs the drone's own services: at the profiled delays, slower the hotter it gets and while a radio joins."""
 
     def __init__(
-        self, services: Sequence[ServiceConfig], *, heat: Heat | None, noise: float, chance: Chance
+        self,
+        services: Sequence[ServiceConfig],
+        *,
+        heat: Heat | None,
+        joining: Joining,
+        noise: float,
+        chance: Chance,
+        energy: EnergyMeter | None = None,
     ) -> None:
         self._services = {service.name: service for service in services}
         self._cold = set(self._services)
         self._heat = heat
+        self._joining = joining
+        self._energy = energy
         self._noise = noise
         self._chance = chance
 
     async def start(self, spec: InstanceSpec) -> None:
         """Before the mission: no time of it."""
 
-    async def compute(self, spec: InstanceSpec, operation: Operation) -> None:
-        """The profiled delay, with the extra of the first call."""
+    async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
+        """The profiled delay, with the extra of the first call; the answer is there at once then."""
         service = self._services[spec.service]
         call_s = delay_of(operation, service.local_call_s)
         call_s *= self._chance.factor(f"call/local/{operation}", self._noise)
         if spec.service in self._cold:
             self._cold.remove(spec.service)
             call_s += service.local_first_extra_s
-        if self._heat is not None:
-            call_s = self._heat.work(call_s, now_s=asyncio.get_running_loop().time())
-        await asyncio.sleep(call_s)
+        slowdown = _of(operation, service.local_joining_slowdown) or 0.0
+        await self._joining.work(self._work_s(call_s), slowdown)
+        return asyncio.get_running_loop().time()
+
+    def _work_s(self, call_s: float) -> float:
+        """How long a call of that length takes now; it is metered."""
+        heat, energy = self._heat, self._energy
+        if heat is None:
+            if energy is not None:
+                energy.compute(energy.load_w * call_s)
+            return call_s
+        before_j = heat.burnt_j
+        took_s = heat.work(call_s, now_s=asyncio.get_running_loop().time())
+        if energy is not None:
+            energy.compute(heat.burnt_j - before_j)
+        return took_s
 
 
 class ServerComputer:
     """Runs the services of one server in the times that are true; while it is to crash, they die half-way."""
 
     def __init__(
-        self, name: str, truth: ServerTruth, *, faults: Faults, noise: float, chance: Chance
+        self, name: str, truth: ServerTruth, *, faults: Faults, noise: NoiseConfig, chance: Chance
     ) -> None:
         self._name = name
         self._truth = truth
@@ -121,27 +165,33 @@ class ServerComputer:
 
     async def start(self, spec: InstanceSpec) -> None:
         """The cold start."""
-        await self._take(self._truth.start_s, f"{spec.name} crashed while it started")
+        start_s = self._truth.start_s * self._chance.factor(f"start/{self._name}", self._noise.start)
+        await self._take(start_s, f"{spec.name} crashed while it started")
         self._cold.add(spec.service)
 
-    async def compute(self, spec: InstanceSpec, operation: Operation) -> None:
-        """The true delay of a call, end to end where the scenario says it so, else the processing alone.
+    async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
+        """What of the true delay occupies the instance; that delay, the processing alone where no other is told.
 
         The first call after a start takes longer by the extra.
         """
-        call_s = computing_s(operation, self._truth)
-        call_s *= self._chance.factor(f"call/{self._name}/{operation}", self._noise)
+        call_s, occupied_s = computing_s(operation, self._truth), occupying_s(operation, self._truth)
+        stretch = self._chance.factor(f"call/{self._name}/{operation}", self._noise.call)
+        call_s *= stretch
+        occupied_s *= stretch
         if spec.service in self._cold:
             self._cold.remove(spec.service)
             call_s += self._truth.first_extra_s
-        await self._take(call_s, f"{spec.name} crashed in a call")
+            occupied_s += self._truth.first_extra_s
+        answered_s = asyncio.get_running_loop().time() + call_s
+        await self._take(call_s, f"{spec.name} crashed in a call", occupied_s=occupied_s)
+        return answered_s
 
-    async def _take(self, time_s: float, crash: str) -> None:
+    async def _take(self, time_s: float, crash: str, *, occupied_s: float | None = None) -> None:
         fault = self._faults.now(self._name)
         if fault is not None and fault.kind == "crash":
             await asyncio.sleep(time_s / 2)
             raise InstanceError(crash)
-        await asyncio.sleep(time_s)
+        await asyncio.sleep(time_s if occupied_s is None else occupied_s)
 
 
 def computing_s(operation: Operation, truth: ServerTruth) -> float:
@@ -150,9 +200,25 @@ def computing_s(operation: Operation, truth: ServerTruth) -> float:
     return delay_of(operation, told or truth.processing_s[operation.service])
 
 
+def occupying_s(operation: Operation, truth: ServerTruth) -> float:
+    """What of a call's true delay on a server occupies its instance; the rest is the way there and back."""
+    call_s = computing_s(operation, truth)
+    if truth.radio != "fixed":  # whose transfers come on top
+        return call_s
+    processing_s = _of(operation, truth.occupying_s.get(operation.service, {}))
+    return call_s if processing_s is None else min(processing_s, call_s)
+
+
 def delay_of(operation: Operation, delays_s: Mapping[str, float]) -> float:
     """The delay of an operation in a table by profile key, by method, or of a single number."""
+    delay_s = _of(operation, delays_s)
+    if delay_s is None:
+        raise KeyError(f"no delay of {operation} among {', '.join(delays_s)}")
+    return delay_s
+
+
+def _of(operation: Operation, table: Mapping[str, float]) -> float | None:
     for key in (operation.key, operation.method, ""):
-        if key in delays_s:
-            return delays_s[key]
-    raise KeyError(f"no delay of {operation} among {', '.join(delays_s)}")
+        if key in table:
+            return table[key]
+    return None

@@ -16,18 +16,17 @@ from upwash.vehicle.kinematics import (
     Curve,
     Motion,
     Phase,
-    Ramp,
     Stretch,
     Together,
     duration_s,
     heading_of,
     leg,
-    ramped_leg,
     settled_s,
     smooth_phase,
     steadily,
 )
 from upwash.vehicle.pursuit import Pursuit, Sample
+from upwash.vehicle.ramps import Ramp, ramped_leg
 
 _REACTION_S = 0.1
 _GUIDED = Pursuit(

@@ -1,4 +1,4 @@
-"""ArduCopter's side of a stand-in's conversations."""
+"""ArduCopter's side of a stand-in's connections."""
 
 from __future__ import annotations
 
@@ -8,14 +8,12 @@ from functools import partial
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.vehicle.boot import Text
-from upwash.vehicle.commands import change_mode, obey, position_in_frame, read_order
+from upwash.vehicle.commands import change_mode, obey, position_in_frame, read_command
 from upwash.vehicle.copter import Copter
 from upwash.vehicle.dead_man import MAV_CMD_SCRIPTING, Scripting
-from upwash.vehicle.faults import FaultKind
 from upwash.vehicle.fence_transfer import FenceTransfer, fence_message
 from upwash.vehicle.firmware import NOTHING, Message, Reply, Report, asked_by_number
 from upwash.vehicle.ftp import Files
-from upwash.vehicle.parameters import Parameters
 from upwash.vehicle.telemetry import REPORTS, STREAMS, gps_global_origin, home_position
 
 _HEARTBEAT_S = 1.0
@@ -45,30 +43,13 @@ class ArduCopter:
         self._synchronises_s: float | None = None
         self._placed = False
 
-    @property
-    def parameters(self) -> Parameters:
-        """Its parameters."""
-        return self.copter.parameters
-
-    def suffers(self, kind: FaultKind, now_s: float) -> bool:
-        """Whether such a thing is wrong with it now."""
-        return self.copter.suffers(kind, now_s)
-
-    def fail(self, kind: FaultKind, now_s: float) -> None:
-        """Something is wrong with it from now on."""
-        self.copter.fail(kind, now_s)
-
-    def mend(self, kind: FaultKind) -> None:
-        """Nothing of that kind is wrong with it any more."""
-        self.copter.mend(kind)
-
     def live(self, now_s: float) -> Iterator[Message]:
         """Where its origin is, and what is wrong with it."""
         copter = self.copter
         if self._synchronises_s is None or now_s >= self._synchronises_s:
             self._synchronises_s = now_s + _TIMESYNC_S
             yield mavlink.MAVLink_timesync_message(0, round(now_s * 1e9))
-        if not self._placed and copter.knows_its_place(now_s):
+        if not self._placed and copter.health.knows_its_place(now_s):
             self._placed = True
             yield from self._origin(now_s)
         yield from map(_text, copter.notice(now_s))
@@ -81,7 +62,7 @@ class ArduCopter:
         if message.command == MAV_CMD_SCRIPTING:
             return Reply((self._scripting.obey(message.param1, self.files),))
         was_armed = self.copter.armed(now_s)
-        answer = obey(self.copter, now_s, read_order(message))
+        answer = obey(self.copter, now_s, read_command(message))
         to_all = [_text(text) for text in answer.texts]
         if self.copter.armed(now_s) and not was_armed:
             to_all += self._origin(now_s)
@@ -98,7 +79,7 @@ class ArduCopter:
 
     def set_parameter(self, _now_s: float, name: str, value: float) -> Iterable[Message]:
         """Changes it in silence."""
-        self.parameters.set(name, value)
+        self.copter.parameters.set(name, value)
         return ()
 
     def _origin(self, now_s: float) -> list[Message]:
@@ -110,7 +91,7 @@ class ArduCopter:
         return Reply(to_all=tuple(map(_text, answer.texts)))
 
     def _hear_heartbeat(self, now_s: float, message: Message) -> Reply:
-        if message.get_srcSystem() == self.parameters["MAV_GCS_SYSID"]:
+        if message.get_srcSystem() == self.copter.parameters["MAV_GCS_SYSID"]:
             self.copter.hear_ground_station(now_s)
         self._scripting.hear(message, now_s)
         return NOTHING
@@ -140,21 +121,21 @@ class ArduCopter:
         return target is not None and self.copter.steer(now_s, target)
 
     def _hear_mission_list_request(self, _now_s: float, message: Message) -> Reply:
-        items = len(self.copter.fence_items) if _is_about_fence(message) else 0
+        items = len(self.copter.fence.items) if _is_about_fence(message) else 0
         count = mavlink.MAVLink_mission_count_message(
             message.get_srcSystem(), message.get_srcComponent(), items, message.mission_type
         )
         return Reply(to_sender=(count,))
 
     def _hear_mission_item_request(self, _now_s: float, message: Message) -> Reply:
-        items = self.copter.fence_items if _is_about_fence(message) else ()
+        items = self.copter.fence.items if _is_about_fence(message) else ()
         if message.seq < len(items):
             return Reply(to_sender=(fence_message(items[message.seq], message.seq, message),))
         return _acknowledged(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)
 
     def _hear_mission_clearing(self, _now_s: float, message: Message) -> Reply:
         if _is_about_fence(message):
-            self.copter.set_fence(())
+            self.copter.fence.set(())
         return _acknowledged(message, mavlink.MAV_MISSION_ACCEPTED)
 
     def _hear_mission_upload(self, _now_s: float, message: Message) -> Reply:

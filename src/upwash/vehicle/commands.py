@@ -12,7 +12,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import GeoPosition, Position
 from upwash.vehicle.answers import Result
 from upwash.vehicle.boot import Text
-from upwash.vehicle.copter import FORCED_ARM, FORCED_DISARM, Answer, Copter, Mode, is_sensible
+from upwash.vehicle.copter import FORCED_ARM, FORCED_DISARM, Answer, Copter
+from upwash.vehicle.flight import is_sensible
+from upwash.vehicle.modes import Mode
 
 _RELATIVE = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 _ABOVE_SEA = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
@@ -20,7 +22,7 @@ _ACCEPTED = Answer(Result.ACCEPTED)
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class VehicleCommand:
     """COMMAND_LONG and COMMAND_INT alike; `place` is parameters 5 to 7: degrees, and metres in the frame."""
 
     number: int
@@ -29,20 +31,20 @@ class Order:
     frame: int
 
 
-def read_order(message: Any) -> Order:
+def read_command(message: Any) -> VehicleCommand:
     """The order in either message."""
     parameters = message.param1, message.param2, message.param3, message.param4
     if message.get_type() == "COMMAND_INT":
         place = message.x / 1e7, message.y / 1e7, message.z
-        return Order(message.command, parameters, place, message.frame)
+        return VehicleCommand(message.command, parameters, place, message.frame)
     place = message.param5, message.param6, message.param7
-    return Order(message.command, parameters, place, mavlink.MAV_FRAME_GLOBAL)
+    return VehicleCommand(message.command, parameters, place, mavlink.MAV_FRAME_GLOBAL)
 
 
-def obey(copter: Copter, now_s: float, order: Order) -> Answer:
+def obey(copter: Copter, now_s: float, command: VehicleCommand) -> Answer:
     """What the copter answers, having done what it was told if it could."""
-    handler = _HANDLERS.get(order.number)
-    return handler(copter, now_s, order) if handler else Answer(Result.UNSUPPORTED)
+    handler = _HANDLERS.get(command.number)
+    return handler(copter, now_s, command) if handler else Answer(Result.UNSUPPORTED)
 
 
 def change_mode(copter: Copter, now_s: float, *, base_mode: float, mode: float) -> Answer:
@@ -65,8 +67,8 @@ def position_in_frame(
     return copter.frame.position(GeoPosition(latitude_deg, longitude_deg, altitude_m))
 
 
-def _arm_or_disarm(copter: Copter, now_s: float, order: Order) -> Answer:
-    wish, magic = order.parameters[:2]
+def _arm_or_disarm(copter: Copter, now_s: float, command: VehicleCommand) -> Answer:
+    wish, magic = command.parameters[:2]
     if wish == 1:
         return copter.arm(now_s, forced=magic == FORCED_ARM)
     if wish == 0:
@@ -74,11 +76,11 @@ def _arm_or_disarm(copter: Copter, now_s: float, order: Order) -> Answer:
     return Answer(Result.UNSUPPORTED)
 
 
-def _take_off(copter: Copter, now_s: float, order: Order) -> Answer:
-    return copter.take_off(now_s, order.place[2])
+def _take_off(copter: Copter, now_s: float, command: VehicleCommand) -> Answer:
+    return copter.take_off(now_s, command.place[2])
 
 
-def _run_prearm_checks(copter: Copter, now_s: float, _order: Order) -> Answer:
+def _run_prearm_checks(copter: Copter, now_s: float, _order: VehicleCommand) -> Answer:
     """Says in words what it objects to; while it is armed there is nothing to check."""
     if copter.armed(now_s):
         return Answer(Result.TEMPORARILY_REJECTED)
@@ -90,19 +92,19 @@ def _enter(mode: Mode) -> Handler:
     return lambda copter, now_s, _order: copter.change_mode(now_s, mode)
 
 
-def _set_mode(copter: Copter, now_s: float, order: Order) -> Answer:
-    return change_mode(copter, now_s, base_mode=order.parameters[0], mode=order.parameters[1])
+def _set_mode(copter: Copter, now_s: float, command: VehicleCommand) -> Answer:
+    return change_mode(copter, now_s, base_mode=command.parameters[0], mode=command.parameters[1])
 
 
-def _change_speed(copter: Copter, now_s: float, order: Order) -> Answer:
-    return copter.change_speed(now_s, order.parameters[1])
+def _change_speed(copter: Copter, now_s: float, command: VehicleCommand) -> Answer:
+    return copter.change_speed(now_s, command.parameters[1])
 
 
-def _reposition(copter: Copter, now_s: float, order: Order) -> Answer:
-    latitude_deg, longitude_deg, altitude_m = order.place
+def _reposition(copter: Copter, now_s: float, command: VehicleCommand) -> Answer:
+    latitude_deg, longitude_deg, altitude_m = command.place
     target = position_in_frame(
         copter,
-        order.frame,
+        command.frame,
         latitude_deg=latitude_deg,
         longitude_deg=longitude_deg,
         altitude_m=altitude_m,
@@ -110,12 +112,12 @@ def _reposition(copter: Copter, now_s: float, order: Order) -> Answer:
     if target is None or not is_sensible(target):
         return Answer(Result.DENIED)
     if copter.mode is not Mode.GUIDED:
-        if not _has_flag(order.parameters[1], mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE):
+        if not _has_flag(command.parameters[1], mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE):
             return Answer(Result.DENIED)
         answer = copter.change_mode(now_s, Mode.GUIDED)
         if answer.result is not Result.ACCEPTED:
             return answer
-    if not copter.keeps_inside(target):
+    if not copter.fence.allows(target):
         return Answer(Result.FAILED)
     copter.steer(now_s, target)
     return _ACCEPTED
@@ -125,7 +127,7 @@ def _has_flag(number: float, flag: int) -> bool:
     return math.isfinite(number) and bool(int(number) & flag)
 
 
-Handler: TypeAlias = Callable[[Copter, float, Order], Answer]
+Handler: TypeAlias = Callable[[Copter, float, VehicleCommand], Answer]
 
 _HANDLERS: dict[int, Handler] = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_or_disarm,

@@ -13,8 +13,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.vehicle.answers import Result
 from upwash.vehicle.boot import INFORMATION, WARNING, Text
-from upwash.vehicle.copter import Copter, Mode
+from upwash.vehicle.copter import Copter
 from upwash.vehicle.ftp import Files
+from upwash.vehicle.modes import Mode
 
 _FILE = "scripts/upwash_dead_man.lua"
 _VERSION = re.compile(rb"^local VERSION = (\d+)$", re.MULTILINE)
@@ -34,9 +35,9 @@ class Scripting:
         self._enabled = bool(copter.parameters["SCR_ENABLE"])
         self._dead_man: _DeadMan | None = None
 
-    def obey(self, order: float, files: Files) -> Result:
+    def obey(self, command: float, files: Files) -> Result:
         """MAV_CMD_SCRIPTING."""
-        if order != _STOP_AND_RESTART:
+        if command != _STOP_AND_RESTART:
             return Result.UNSUPPORTED
         found = _VERSION.search(bytes(files.content.get(_FILE, b"")))
         self._dead_man = _DeadMan(self._copter, self._say, int(found[1])) if found and self._enabled else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -33,6 +34,30 @@ class Fault:
     def lasts(self, uptime_s: float) -> bool:
         """Whether it is wrong now."""
         return self.begins_s <= uptime_s < self.ends_s
+
+
+class Condition:
+    """What is wrong with a vehicle, by the time since it was switched on."""
+
+    def __init__(self, faults: Iterable[Fault], *, now_s: float) -> None:
+        self.faults = list(faults)
+        self._booted_s = now_s
+
+    def uptime_s(self, now_s: float) -> float:
+        """How long it has been switched on."""
+        return now_s - self._booted_s
+
+    def suffers(self, kind: FaultKind, now_s: float) -> bool:
+        """Whether such a thing is wrong with it now."""
+        return any(fault.kind is kind and fault.lasts(self.uptime_s(now_s)) for fault in self.faults)
+
+    def fail(self, kind: FaultKind, now_s: float) -> None:
+        """Something is wrong with it from now on."""
+        self.faults.append(Fault(kind, begins_s=self.uptime_s(now_s)))
+
+    def mend(self, kind: FaultKind) -> None:
+        """Nothing of that kind is wrong with it any more."""
+        self.faults = [fault for fault in self.faults if fault.kind is not kind]
 
 
 def read_fault(text: str) -> Fault:

@@ -10,10 +10,10 @@ from enum import IntEnum
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Position, ground_distance_m
+from upwash.vehicle.boot import NOTICE, Text
 from upwash.vehicle.parameters import Parameters
 
 _HEIGHT, _CIRCLE, _AREAS = 1, 2, 4  # FENCE_TYPE's bits
-ONLY_AREAS = _AREAS
 
 
 class Breach(IntEnum):
@@ -105,7 +105,45 @@ def breach(parameters: Parameters, areas: Sequence[Area], position: Position) ->
     return Breach.NONE
 
 
-def needs_place(parameters: Parameters, areas: Sequence[Area]) -> bool:
-    """Whether the fence cannot be watched without knowing the place."""
-    kinds = int(parameters["FENCE_TYPE"]) if parameters["FENCE_ENABLE"] else 0
-    return bool(kinds & _CIRCLE) or bool(kinds & _AREAS and areas)
+class FenceWatch:
+    """The fence that it has, and whether it is kept to."""
+
+    def __init__(self, parameters: Parameters, now_s: float) -> None:
+        self.items: tuple[FenceItem, ...] = ()
+        self.breach = Breach.NONE
+        self.breaches = 0  # so far
+        self.breached_s = now_s  # the last time
+        self._areas: tuple[Area, ...] = ()
+        self._parameters = parameters
+
+    def set(self, items: tuple[FenceItem, ...]) -> None:
+        """Takes the areas of a new fence; ValueError where the items describe none."""
+        self._areas = read_areas(items)
+        self.items = items
+        self._parameters.set("FENCE_TOTAL", len(items))
+
+    def allows(self, position: Position) -> bool:
+        """Whether the fence lets it fly there."""
+        return breach(self._parameters, self._areas, position) is Breach.NONE
+
+    def selects_nothing(self) -> bool:
+        """Whether it is switched on and has nothing to keep to."""
+        kinds = int(self._parameters["FENCE_TYPE"]) if self._parameters["FENCE_ENABLE"] else -1
+        return kinds == 0 or (kinds == _AREAS and not self._areas)
+
+    def needs_place(self) -> bool:
+        """Whether the fence cannot be watched without knowing the place."""
+        kinds = int(self._parameters["FENCE_TYPE"]) if self._parameters["FENCE_ENABLE"] else 0
+        return bool(kinds & _CIRCLE) or bool(kinds & _AREAS and self._areas)
+
+    def watch(self, position: Position | None, now_s: float) -> Sequence[Text]:
+        """What it says about the place where it flies; None where it does not fly."""
+        found = Breach.NONE if position is None else breach(self._parameters, self._areas, position)
+        if found is self.breach:
+            return ()
+        self.breach = found
+        if found is Breach.NONE:
+            return (Text("Fence breach cleared", NOTICE),)
+        self.breaches += 1
+        self.breached_s = now_s
+        return (Text(f"{'Max Alt' if found is Breach.HEIGHT else 'Circle'} fence breached", NOTICE),)

@@ -48,9 +48,9 @@ class FenceTransfer:
     def _finish(self) -> int:
         self._count = None
         try:
-            self._copter.set_fence(tuple(self._items))
+            self._copter.fence.set(tuple(self._items))
         except ValueError as error:
-            self._copter.set_fence(())
+            self._copter.fence.set(())
             self.complaint = (Text(str(error), WARNING), Text("Fence validation failed", WARNING))
             return int(mavlink.MAV_MISSION_ERROR)
         return int(mavlink.MAV_MISSION_ACCEPTED)

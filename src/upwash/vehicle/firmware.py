@@ -1,4 +1,4 @@
-"""What a stand-in's conversations need of an autopilot: what it reports and obeys, and what it says by itself."""
+"""What a stand-in's connections need of an autopilot: what it reports and obeys, and what it says by itself."""
 
 from __future__ import annotations
 
@@ -37,8 +37,29 @@ class ParameterTable(Protocol):
         """The parameter at that place, if there is one."""
 
 
+class Flown(Protocol):
+    """What a firmware flies: it has parameters, and things go wrong with it."""
+
+    @property
+    def parameters(self) -> ParameterTable:
+        """Its parameters."""
+
+    def suffers(self, kind: FaultKind, now_s: float) -> bool:
+        """Whether such a thing is wrong with it now."""
+
+    def fail(self, kind: FaultKind, now_s: float) -> None:
+        """Something is wrong with it from now on."""
+
+    def mend(self, kind: FaultKind) -> None:
+        """Nothing of that kind is wrong with it any more."""
+
+
 class Firmware(Protocol):
     """An autopilot between two messages; time is an argument everywhere."""
+
+    @property
+    def copter(self) -> Flown:
+        """What it flies."""
 
     @property
     def reports(self) -> Mapping[float, Report]:
@@ -63,19 +84,6 @@ class Firmware(Protocol):
     @property
     def texts_only_to_ground_stations(self) -> bool:
         """Whether STATUSTEXT is only sent to those from whom a ground station's heartbeats come."""
-
-    @property
-    def parameters(self) -> ParameterTable:
-        """Its parameters."""
-
-    def suffers(self, kind: FaultKind, now_s: float) -> bool:
-        """Whether such a thing is wrong with it now."""
-
-    def fail(self, kind: FaultKind, now_s: float) -> None:
-        """Something is wrong with it from now on."""
-
-    def mend(self, kind: FaultKind) -> None:
-        """Nothing of that kind is wrong with it any more."""
 
     def live(self, now_s: float) -> Iterable[Message]:
         """What it says to everyone by itself since it was last asked."""

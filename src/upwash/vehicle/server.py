@@ -6,16 +6,18 @@ import asyncio
 from typing import Any, Protocol
 
 from upwash.errors import UsageError
-from upwash.mavlink_packets import PacketReader
-from upwash.mavlink_signing import Refusal, Signing
+from upwash.mavlink.packets import PacketReader
+from upwash.mavlink.signing import Refusal, Signing
 from upwash.vehicle.ardupilot import ArduCopter
 from upwash.vehicle.clock import Clock
-from upwash.vehicle.conversation import Conversation, Vehicle
-from upwash.vehicle.copter import Copter, VehicleSettings
+from upwash.vehicle.connection import Connection, Vehicle
+from upwash.vehicle.copter import Copter
 from upwash.vehicle.faults import FaultKind
 from upwash.vehicle.firmware import Firmware
 from upwash.vehicle.px4.firmware import Px4
-from upwash.vehicle.px4.vehicle import Px4Settings, Quadrotor
+from upwash.vehicle.px4.settings import Px4Settings
+from upwash.vehicle.px4.vehicle import Quadrotor
+from upwash.vehicle.settings import VehicleSettings
 
 _FORGOTTEN_AFTER_S = 10.0
 _MOST_UNSENT_BYTES = 65_536
@@ -81,24 +83,24 @@ class VehicleServer:
 
     def fail(self, kind: FaultKind) -> None:
         """Something is wrong with it from now on."""
-        self._vehicle.copter.fail(kind, self._vehicle.now_s())
+        self._vehicle.firmware.copter.fail(kind, self._vehicle.now_s())
 
     def mend(self, kind: FaultKind) -> None:
         """Nothing of that kind is wrong with it any more."""
-        self._vehicle.copter.mend(kind)
+        self._vehicle.firmware.copter.mend(kind)
 
     async def close(self) -> None:
         """Switches it off, in flight too, and frees the address."""
         self._life.cancel()
         await asyncio.gather(self._life, return_exceptions=True)
         self._endpoint.close()
-        for conversation in tuple(self._vehicle.conversations):
-            conversation.end()
+        for connection in tuple(self._vehicle.connections):
+            connection.end()
         await asyncio.sleep(0)  # transports close their sockets in the loop's next turn
 
 
 class _Datagrams(asyncio.DatagramProtocol):
-    """UDP: a conversation with each address that has said something in MAVLink lately.
+    """UDP: a connection with each address that has said something in MAVLink lately.
 
     With one peer only, it hears everyone and answers the first, until it is switched off.
     """
@@ -106,7 +108,7 @@ class _Datagrams(asyncio.DatagramProtocol):
     def __init__(self, vehicle: Vehicle, *, one_peer: bool) -> None:
         self._vehicle = vehicle
         self._one_peer = one_peer
-        self._conversations: dict[Any, Conversation] = {}
+        self._connections: dict[Any, Connection] = {}
 
     def connection_made(self, transport: asyncio.DatagramTransport) -> None:  # type: ignore[override]
         self._transport = transport
@@ -115,30 +117,30 @@ class _Datagrams(asyncio.DatagramProtocol):
         # A datagram holds whole messages: read by itself, one peer's garbage cannot swallow another's message.
         for message, refusal in PacketReader(self._vehicle.signing).read(data):
             if refusal is None:
-                self._conversation(address).hear(message)
+                self._connection(address).hear(message)
             elif refusal is Refusal.STALE:
-                self._conversation(address)  # who has the key and a clock that is behind learns the time so
+                self._connection(address)  # who has the key and a clock that is behind learns the time so
 
-    def _conversation(self, address: Any) -> Conversation:
-        if self._one_peer and self._conversations:
-            return next(iter(self._conversations.values()))
-        if address not in self._conversations:
+    def _connection(self, address: Any) -> Connection:
+        if self._one_peer and self._connections:
+            return next(iter(self._connections.values()))
+        if address not in self._connections:
             self._forget_the_silent()
-            self._conversations[address] = Conversation(
+            self._connections[address] = Connection(
                 self._vehicle, write=lambda data: self._transport.sendto(data, address)
             )
-        return self._conversations[address]
+        return self._connections[address]
 
     def _forget_the_silent(self) -> None:
         horizon_s = asyncio.get_running_loop().time() - _FORGOTTEN_AFTER_S
-        for address, conversation in tuple(self._conversations.items()):
-            if conversation.heard_s < horizon_s:
-                conversation.end()
-                del self._conversations[address]
+        for address, connection in tuple(self._connections.items()):
+            if connection.heard_s < horizon_s:
+                connection.end()
+                del self._connections[address]
 
 
 class _Stream(asyncio.Protocol):
-    """TCP: a conversation per connection."""
+    """TCP: one for each connection."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
@@ -146,19 +148,19 @@ class _Stream(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         self._transport = transport
-        self._conversation = Conversation(self._vehicle, write=self._write, hang_up=transport.abort)
+        self._connection = Connection(self._vehicle, write=self._write, hang_up=transport.abort)
 
     def data_received(self, data: bytes) -> None:
         for message, refusal in self._reader.read(data):
             if refusal is None:
-                self._conversation.hear(message)
+                self._connection.hear(message)
 
     def connection_lost(self, error: Exception | None) -> None:
-        self._conversation.end()
+        self._connection.end()
 
     def _write(self, data: bytes) -> None:
         # A peer that does not read loses messages, as on a serial line, instead of filling the memory. One that has
-        # hung up is known as closing before the conversation is told of its end.
+        # hung up is known as closing before the connection is told of its end.
         room = self._transport.get_write_buffer_size() < _MOST_UNSENT_BYTES
         if room and not self._transport.is_closing():
             self._transport.write(data)

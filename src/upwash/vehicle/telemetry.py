@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Position
+from upwash.vehicle import messages
 from upwash.vehicle.answers import LandedState
-from upwash.vehicle.copter import Copter, Mode
+from upwash.vehicle.copter import Copter
 from upwash.vehicle.faults import FaultKind
 from upwash.vehicle.fence import Breach
+from upwash.vehicle.firmware import Message
+from upwash.vehicle.messages import above_sea_mm, boot_ms, degrees_e7, heading_cdeg
+from upwash.vehicle.modes import Mode
 
-Message: TypeAlias = Any  # pymavlink's messages are not typed
 Report: TypeAlias = Callable[[Copter, float], Message]
 
 _BASE_MODE = (
@@ -34,7 +37,6 @@ _SENSORS = (
     | mavlink.MAV_SYS_STATUS_PREARM_CHECK
 )
 _SATELLITES, _TOO_FEW_SATELLITES = 10, 3
-_ONLY_POSITION = 0b110111111000
 _CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
@@ -47,7 +49,7 @@ _VERSION_4_7 = 4 << 24 | 7 << 16
 
 def heartbeat(copter: Copter, now_s: float) -> Message:
     """HEARTBEAT: the mode, whether armed, whether flying."""
-    armed, booting = copter.armed(now_s), copter.booting(now_s)
+    armed, booting = copter.armed(now_s), copter.health.booting(now_s)
     base_mode = _BASE_MODE
     if armed:
         base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
@@ -73,61 +75,36 @@ def sys_status(copter: Copter, now_s: float) -> Message:
         health &= ~mavlink.MAV_SYS_STATUS_SENSOR_GPS
     if copter.suffers(FaultKind.BATTERY, now_s):
         health &= ~mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
-    return mavlink.MAVLink_sys_status_message(
-        onboard_control_sensors_present=_SENSORS,
-        onboard_control_sensors_enabled=_SENSORS,
-        onboard_control_sensors_health=health,
-        load=100,
-        voltage_battery=round(copter.battery_v(now_s) * 1e3),
-        current_battery=-1,
-        battery_remaining=math.floor(copter.battery_percent(now_s)),
-        drop_rate_comm=0,
-        errors_comm=0,
-        errors_count1=0,
-        errors_count2=0,
-        errors_count3=0,
-        errors_count4=0,
-    )
+    return messages.sys_status(copter, now_s, sensors=(_SENSORS, _SENSORS, health), current=-1)
 
 
 def battery_status(copter: Copter, now_s: float) -> Message:
-    """BATTERY_STATUS: how full the battery is, and its voltage as that of one cell."""
-    unknown_mv = 0xFFFF
-    return mavlink.MAVLink_battery_status_message(
-        id=0,
-        battery_function=mavlink.MAV_BATTERY_FUNCTION_ALL,
-        type=mavlink.MAV_BATTERY_TYPE_LIPO,
-        temperature=0x7FFF,
-        voltages=[round(copter.battery_v(now_s) * 1e3), *[unknown_mv] * 9],
-        current_battery=-1,
-        current_consumed=-1,
-        energy_consumed=-1,
-        battery_remaining=math.floor(copter.battery_percent(now_s)),
-    )
+    """BATTERY_STATUS: how full the battery is; it does not tell what is drawn from it."""
+    return messages.battery_status(copter, now_s, current=-1, consumed=-1)
 
 
 def system_time(copter: Copter, now_s: float) -> Message:
     """SYSTEM_TIME: since boot, and the date once its receiver has told it."""
-    unix_us = round(copter.unix_s(now_s) * 1e6)
-    return mavlink.MAVLink_system_time_message(unix_us, _boot_ms(copter, now_s))
+    unix_us = round(copter.health.unix_s(now_s) * 1e6)
+    return mavlink.MAVLink_system_time_message(unix_us, boot_ms(copter, now_s))
 
 
 def gps_raw(copter: Copter, now_s: float) -> Message:
     """GPS_RAW_INT: the receiver's fix."""
     geo = copter.frame.geo(copter.position(now_s))
-    blind = not copter.has_fix(now_s)
-    hears = copter.hears_satellites(now_s)
+    blind = not copter.health.has_fix(now_s)
+    hears = copter.health.hears_satellites(now_s)
     velocity = copter.velocity(now_s)
     return mavlink.MAVLink_gps_raw_int_message(
         time_usec=round(copter.uptime_s(now_s) * 1e6),
         fix_type=_fix_type(blind=blind, hears=hears),
-        lat=0 if blind else _degrees_e7(geo.latitude_deg),
-        lon=0 if blind else _degrees_e7(geo.longitude_deg),
-        alt=_above_sea_mm(copter, copter.position(now_s)),
+        lat=0 if blind else degrees_e7(geo.latitude_deg),
+        lon=0 if blind else degrees_e7(geo.longitude_deg),
+        alt=above_sea_mm(copter, copter.position(now_s)),
         eph=121 if hears else 65535,
         epv=200 if hears else 65535,
         vel=round(math.hypot(velocity.east_m_s, velocity.north_m_s) * 100),
-        cog=_heading_cdeg(copter, now_s),
+        cog=heading_cdeg(copter, now_s),
         satellites_visible=(_TOO_FEW_SATELLITES if blind else _SATELLITES) if hears else 0,
     )
 
@@ -140,59 +117,21 @@ def _fix_type(*, blind: bool, hears: bool) -> int:
 
 def ekf_status(copter: Copter, now_s: float) -> Message:
     """EKF_STATUS_REPORT: by what the position estimate goes."""
-    return mavlink.MAVLink_ekf_status_report_message(copter.ekf_flags(now_s), 0.02, 0.02, 0.02, 0.02, 0.0)
-
-
-def attitude(copter: Copter, now_s: float) -> Message:
-    """ATTITUDE: always level, nose ahead."""
-    yaw = math.remainder(math.radians(copter.heading_deg(now_s)), math.tau)
-    return mavlink.MAVLink_attitude_message(_boot_ms(copter, now_s), 0.0, 0.0, yaw, 0.0, 0.0, 0.0)
-
-
-def local_position(copter: Copter, now_s: float) -> Message:
-    """LOCAL_POSITION_NED: metres from home."""
-    position, velocity = copter.position(now_s), copter.velocity(now_s)
-    return mavlink.MAVLink_local_position_ned_message(
-        _boot_ms(copter, now_s),
-        position.north_m,
-        position.east_m,
-        -position.altitude_m,
-        velocity.north_m_s,
-        velocity.east_m_s,
-        -velocity.up_m_s,
+    return mavlink.MAVLink_ekf_status_report_message(
+        copter.health.ekf_flags(now_s), 0.02, 0.02, 0.02, 0.02, 0.0
     )
 
 
 def global_position(copter: Copter, now_s: float) -> Message:
-    """GLOBAL_POSITION_INT: where it is and how it moves; latitude and longitude are 0 until that is known."""
-    position, velocity = copter.position(now_s), copter.velocity(now_s)
-    geo = copter.frame.geo(position)
-    known = copter.knows_its_place(now_s) or copter.has_fix(now_s)
-    return mavlink.MAVLink_global_position_int_message(
-        time_boot_ms=_boot_ms(copter, now_s),
-        lat=_degrees_e7(geo.latitude_deg) if known else 0,
-        lon=_degrees_e7(geo.longitude_deg) if known else 0,
-        alt=_above_sea_mm(copter, position),
-        relative_alt=round(position.altitude_m * 1e3),
-        vx=round(velocity.north_m_s * 100),
-        vy=round(velocity.east_m_s * 100),
-        vz=round(-velocity.up_m_s * 100),
-        hdg=_heading_cdeg(copter, now_s),
-    )
+    """GLOBAL_POSITION_INT: latitude and longitude are 0 until they are known."""
+    known = copter.health.knows_its_place(now_s) or copter.health.has_fix(now_s)
+    above_home_mm = round(copter.position(now_s).altitude_m * 1e3)
+    return messages.global_position(copter, now_s, above_home_mm=above_home_mm, known=known)
 
 
 def vfr_hud(copter: Copter, now_s: float) -> Message:
     """VFR_HUD: speeds, heading and height, as a pilot reads them."""
-    velocity = copter.velocity(now_s)
-    ground_m_s = math.hypot(velocity.east_m_s, velocity.north_m_s)
-    return mavlink.MAVLink_vfr_hud_message(
-        ground_m_s,
-        ground_m_s,
-        round(copter.heading_deg(now_s)) % 360,
-        35 if copter.flying(now_s) else 0,
-        _above_sea_mm(copter, copter.position(now_s)) / 1e3,
-        velocity.up_m_s,
-    )
+    return messages.vfr_hud(copter, now_s, throttle=35 if copter.flying(now_s) else 0)
 
 
 def position_target(copter: Copter, now_s: float) -> Message | None:
@@ -200,45 +139,19 @@ def position_target(copter: Copter, now_s: float) -> Message | None:
     target = copter.target(now_s)
     if target is None:
         return None
-    geo = copter.frame.geo(target)
-    return mavlink.MAVLink_position_target_global_int_message(
-        _boot_ms(copter, now_s),
-        mavlink.MAV_FRAME_GLOBAL,
-        _ONLY_POSITION,
-        _degrees_e7(geo.latitude_deg),
-        _degrees_e7(geo.longitude_deg),
-        _above_sea_mm(copter, target) / 1e3,
-        *[0.0] * 8,
-    )
+    return messages.position_target_global(copter, now_s, target, frame=mavlink.MAV_FRAME_GLOBAL)
 
 
 def gps_global_origin(copter: Copter, now_s: float) -> Message | None:
     """GPS_GLOBAL_ORIGIN: what local positions count from, once that is known."""
-    if not copter.knows_its_place(now_s):
-        return None
-    home = copter.settings.home
-    return mavlink.MAVLink_gps_global_origin_message(
-        _degrees_e7(home.latitude_deg), _degrees_e7(home.longitude_deg), _above_sea_mm(copter, _AT_HOME)
-    )
+    return messages.gps_global_origin(copter) if copter.health.knows_its_place(now_s) else None
 
 
 def home_position(copter: Copter, now_s: float) -> Message | None:
     """HOME_POSITION: where it returns to, once it knows where it is."""
-    if not copter.knows_its_place(now_s):
+    if not copter.health.knows_its_place(now_s):
         return None
-    home = copter.settings.home
-    return mavlink.MAVLink_home_position_message(
-        latitude=_degrees_e7(home.latitude_deg),
-        longitude=_degrees_e7(home.longitude_deg),
-        altitude=_above_sea_mm(copter, _AT_HOME),
-        x=0,
-        y=0,
-        z=0,
-        q=[1, 0, 0, 0],
-        approach_x=0,
-        approach_y=0,
-        approach_z=0,
-    )
+    return messages.home_position(copter, altitude_mm=above_sea_mm(copter, Position(0.0, 0.0)))
 
 
 def extended_sys_state(copter: Copter, now_s: float) -> Message:
@@ -248,12 +161,12 @@ def extended_sys_state(copter: Copter, now_s: float) -> Message:
 
 def fence_status(copter: Copter, now_s: float) -> Message:
     """FENCE_STATUS: whether it keeps to its fence."""
-    found, count, ago_s = copter.fence_status(now_s)
+    fence, uptime_s = copter.fence, copter.uptime_s(now_s)
     return mavlink.MAVLink_fence_status_message(
-        breach_status=int(found is not Breach.NONE),
-        breach_count=count,
-        breach_type=found,
-        breach_time=round((copter.uptime_s(now_s) - ago_s) * 1e3) if count else 0,
+        breach_status=int(fence.breach is not Breach.NONE),
+        breach_count=fence.breaches,
+        breach_type=fence.breach,
+        breach_time=round((uptime_s - (now_s - fence.breached_s)) * 1e3) if fence.breaches else 0,
         breach_mitigation=mavlink.FENCE_MITIGATE_NONE,
     )
 
@@ -269,18 +182,8 @@ def mission_current(_copter: Copter, _now_s: float) -> Message:
 
 def autopilot_version(_copter: Copter, _now_s: float) -> Message:
     """AUTOPILOT_VERSION: what a client may expect."""
-    return mavlink.MAVLink_autopilot_version_message(
-        capabilities=_CAPABILITIES,
-        flight_sw_version=_VERSION_4_7,
-        middleware_sw_version=0,
-        os_sw_version=0,
-        board_version=0,
-        flight_custom_version=[0] * 8,
-        middleware_custom_version=[0] * 8,
-        os_custom_version=[0] * 8,
-        vendor_id=0,
-        product_id=0,
-        uid=1,
+    return messages.autopilot_version(
+        capabilities=_CAPABILITIES, version=_VERSION_4_7, middleware_version=0, board_version=0
     )
 
 
@@ -289,8 +192,8 @@ REPORTS: dict[float, Report] = {
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: sys_status,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: system_time,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: gps_raw,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: attitude,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: local_position,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: messages.attitude,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: messages.local_position,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: global_position,
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: mission_current,
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: gps_global_origin,
@@ -327,21 +230,3 @@ STREAMS: dict[int, tuple[int, ...]] = {
     ),
 }
 """The messages of each group of REQUEST_DATA_STREAM; EXTENDED_SYS_STATE is in none."""
-
-_AT_HOME = Position(0.0, 0.0)
-
-
-def _boot_ms(copter: Copter, now_s: float) -> int:
-    return round(copter.uptime_s(now_s) * 1e3) % 2**32
-
-
-def _degrees_e7(degrees: float) -> int:
-    return round(degrees * 1e7)
-
-
-def _above_sea_mm(copter: Copter, position: Position) -> int:
-    return round((copter.settings.home_altitude_m + position.altitude_m) * 1e3)
-
-
-def _heading_cdeg(copter: Copter, now_s: float) -> int:
-    return round(copter.heading_deg(now_s) * 100) % 36_000

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
+from importlib.resources import files
 
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
@@ -14,11 +15,12 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from upwash.hosts import names_this_machine
 from upwash.report.photos import PhotoShelf
+from upwash.support.http_host import names_this_machine
 from upwash.view.feed import Feed
 
 _LISTENS_AT = "127.0.0.1"
+_LEAFLET = str(files("js_lib_leaflet") / "static" / "js_lib_leaflet")
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'; img-src 'self'"
@@ -59,6 +61,7 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
         routes=[
             Route("/events", events),
             Route("/photos/{log:int}/{run:int}/{number:int}.jpg", photo),
+            Mount("/leaflet", StaticFiles(directory=_LEAFLET)),
             Mount(
                 "/", StaticFiles(packages=[("upwash.view", "page"), ("upwash.report", "style")], html=True)
             ),

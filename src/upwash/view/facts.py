@@ -38,11 +38,12 @@ class Began(Fact, frozen=True):
 
 
 class Fix(Fact, frozen=True):
-    """Where the drone is."""
+    """Where the drone is, and how full its battery, where that is told too."""
 
     east_m: float
     north_m: float
     altitude_m: float
+    battery_percent: float | None = None
 
 
 class Control(Fact, frozen=True):

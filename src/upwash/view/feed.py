@@ -20,6 +20,14 @@ _BATCH = 2000  # facts
 _RETRY_MS = 1000  # after which a page that lost its connection tries again
 
 
+class Page(msgspec.Struct, frozen=True):
+    """What a page is to be about: `together` says whether the logs are of several drones, to be shown on one map."""
+
+    logs: Sequence[str]
+    together: bool
+    tiles: Tiles | None
+
+
 class Batch(msgspec.Struct, frozen=True):
     """Facts of one log; `start` counts those before them. Another `run` begins anew."""
 
@@ -44,7 +52,8 @@ class Feed:
 
     def __init__(self, recordings: Sequence[Recording], tiles: Tiles | None = None) -> None:
         self.recordings = list(recordings)
-        self._page = {"logs": names_of([recording.log for recording in recordings]), "tiles": tiles}
+        self._names = names_of([recording.log for recording in recordings])
+        self._tiles = tiles
         self._identity = secrets.token_hex(4)  # so that no page takes this feed for one before it
         self._summaries: dict[int, str] = {}
         self._summarized: dict[int, int] = {}
@@ -94,7 +103,8 @@ class Feed:
 
     async def messages(self, after: str = "") -> AsyncIterator[str]:
         """The events for one page, until the feed is closed; `after` is the id of the last one that it has."""
-        yield f"retry: {_RETRY_MS}\n{_message('page', self._page)}"
+        page = Page(self._names, _are_of_several_drones(self.recordings), self._tiles)
+        yield f"retry: {_RETRY_MS}\n{_message('page', page)}"
         seen, summaries = self._seen(after), None
         while True:
             news, closed = self._news, self._closed
@@ -123,6 +133,12 @@ class Feed:
             return [_Seen(run, facts) for run, facts in pairs]
         except ValueError:
             return [_Seen()] * len(self.recordings)
+
+
+def _are_of_several_drones(recordings: Sequence[Recording]) -> bool:
+    """Whether they are; flights that have yet to begin at once are taken for those of several."""
+    drones = {recording.story.drone for recording in recordings}
+    return len(recordings) > 1 and (len(drones) > 1 or None in drones)
 
 
 def _batches(log: int, recording: Recording, seen: _Seen) -> Iterator[Batch]:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import msgspec
 
-from upwash import event_log
 from upwash.errors import UsageError
+from upwash.eventlog import schema
+from upwash.eventlog.log import LineReader
 from upwash.view.story import Story
 from upwash.view.tail import Tail
 
@@ -28,7 +29,7 @@ class Recording:
         self.trouble = ""
         self._keeps = keeps
         self._tail = Tail(log)
-        self._lines_read = 0
+        self._lines = LineReader(log)
         self._begin()
 
     def _begin(self) -> None:
@@ -57,22 +58,16 @@ class Recording:
     def _start_over(self) -> None:
         self._tail.close()
         self._tail = Tail(self.log)
-        self._lines_read = 0
+        self._lines = LineReader(self.log)
         self._begin()
 
     def _take(self, line: bytes) -> None:
-        self._lines_read += 1
-        try:
-            event = event_log.decode_line(line, self.log, self._lines_read)
-            if event is None:
-                return
-            if event["event"] == "log_opened" and self.facts:
-                self._begin()
-            self.facts += map(msgspec.json.encode, self.story.take(event))
-        except (KeyError, TypeError, ValueError, RecursionError) as error:
-            raise UsageError(
-                f"{self.log} is not an event log that this version reads: line {self._lines_read}: {error!r}"
-            ) from error
+        event = self._lines.take(line)
+        if event is None:
+            return
+        if isinstance(event, schema.LogOpened) and self.facts:
+            self._begin()
+        self.facts += map(msgspec.json.encode, self.story.take(event))
 
     def close(self) -> None:
         """Lets go of the log."""

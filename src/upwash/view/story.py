@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from datetime import datetime
-from typing import Any
+from collections.abc import Callable, Iterator
 
 import msgspec
 
 from upwash.core.control import Owner
 from upwash.core.geo import LocalFrame, Position
 from upwash.core.servers import CHECKING, State
-from upwash.narration import MEANINGS, Narrator, in_one_line, tone_of, who_has_it
-from upwash.reasons import ExplainedCall, Reasons, told, told_decision
+from upwash.eventlog import schema
+from upwash.eventlog.narration import MEANINGS, Narrator, in_one_line, tone_of, who_has_it
+from upwash.eventlog.reasons import ExplainedCall, Reasons, told, told_decision
+from upwash.eventlog.results import Beginning
+from upwash.eventlog.schema import Event
 from upwash.report.photos import Shot
-from upwash.report.record import Plan, place_of
-from upwash.results import Beginning
+from upwash.report.record import place_of
 from upwash.view import facts
 from upwash.view.facts import Fact, Outline
 
@@ -26,13 +26,14 @@ _HOME = Position(0.0, 0.0)
 class Story:
     """One run, as far as its log tells it; `shots` are its photos so far, and `ended` says whether it is over.
 
-    `keeps` says of a photo's source whether its photos can be had. What takes in an event that no version of upwash
-    wrote raises KeyError, TypeError or ValueError.
+    `drone` is the drone's name, None before the mission began. `keeps` says of a photo's source whether its photos
+    can be had.
     """
 
     def __init__(self, keeps: Callable[[str], bool]) -> None:
         self.shots: list[Shot] = []
         self.ended = False
+        self.drone: str | None = None
         self._keeps = keeps
         self._narrator = Narrator()
         self._reasons = Reasons()
@@ -46,31 +47,31 @@ class Story:
         self._servers: set[str] = set()
         self._shots_since_start = 0
 
-    def take(self, event: Mapping[str, Any]) -> Iterator[Fact]:
+    def take(self, event: Event) -> Iterator[Fact]:
         """What the next event tells."""
-        self._now_s = max(self._now_s, float(event["t"]))
+        self._now_s = max(self._now_s, event.t)
         said = self._narrator.tell(event)
         call = self._reasons.take(event)
         yield from self._whereabouts(event)
         yield from self._progress(event)
         yield from self._photos(event)
-        if event["event"] == "decided":
+        if isinstance(event, schema.Decided):
             yield facts.Decision(
                 at_s=self._now_s,
-                operation=event["operation"],
+                operation=event.operation,
                 waypoint=self._waypoint,
                 words=list(told_decision(event)),
             )
         if call is not None:
             yield self._call(call)
-        if "before" in event and "after" in event:
-            yield self._step(event["server"], State(event["after"]), event["why"])
+        if isinstance(event, schema.Step):
+            yield self._step(event.server, event.after, event.why)
         if said is not None:
             yield facts.Said(at_s=self._now_s, words=said.text, tone=said.tone)
 
     # --- where the drone is, and what it does -----------------------------------------------------------------
 
-    def _whereabouts(self, event: Mapping[str, Any]) -> Iterator[Fact]:
+    def _whereabouts(self, event: Event) -> Iterator[Fact]:
         here = place_of(event, self._place)
         if here is None and (self._place is None or self._now_s - self._placed_s > _STALE_S):
             here = self._inferred(event)
@@ -80,39 +81,40 @@ class Story:
                 east_m=here.east_m,
                 north_m=here.north_m,
                 altitude_m=here.altitude_m,
+                battery_percent=event.battery_percent if isinstance(event, schema.PositionReport) else None,
             )
             self._place, self._placed_s = here, self._now_s
 
-    def _inferred(self, event: Mapping[str, Any]) -> Position | None:
+    def _inferred(self, event: Event) -> Position | None:
         """Where the drone is believed to be before anything tells, and as it sets off; simulated logs do not say."""
         match event:
-            case {"event": "mission_started"} if self._place is None:
+            case schema.MissionStarted() if self._place is None:
                 return _HOME
-            case {"event": "leg"}:
+            case schema.Leg():
                 return self._place
             case _:
                 return None
 
-    def _progress(self, event: Mapping[str, Any]) -> Iterator[Fact]:
+    def _progress(self, event: Event) -> Iterator[Fact]:
         match event:
-            case {"event": "log_opened", "time": time}:
-                yield facts.Opened(at_s=self._now_s, epoch_s=datetime.fromisoformat(time).timestamp())
-            case {"event": "planned"}:
-                yield self._plan(msgspec.convert(event, Plan))
-            case {"event": "log_resumed"}:
+            case schema.LogOpened(time=time):
+                yield facts.Opened(at_s=self._now_s, epoch_s=time.timestamp())
+            case schema.Planned():
+                yield self._plan(event)
+            case schema.LogResumed():
                 self._shots_since_start, self.ended = 0, False
                 for server in sorted(self._servers):  # a program that begins anew knows of no server's state
                     yield self._step(server, State.AVL, "taken up again")
-            case {"event": "mission_started", "policy": policy}:
-                self._policy = policy
-            case {"event": "arrived", "waypoint": waypoint}:
+            case schema.MissionStarted(drone=drone, policy=policy):
+                self.drone, self._policy = drone, policy
+            case schema.Arrived(waypoint=waypoint):
                 self._waypoint = waypoint
-            case {"event": "control", "owner": owner, "why": why}:
+            case schema.Control(owner=owner, why=why):
                 who = who_has_it(owner)
                 yield facts.Control(at_s=self._now_s, is_ours=owner == Owner.PROGRAM, who=who, why=why)
-            case {"event": "mission_completed" | "mission_ended" as how}:
+            case schema.MissionCompleted() | schema.MissionEnded():
                 self.ended = True
-                yield facts.Ended(at_s=self._now_s, completed=how == "mission_completed")
+                yield facts.Ended(at_s=self._now_s, completed=isinstance(event, schema.MissionCompleted))
         began_s = self._beginning.at_s
         self._beginning.take(event)
         if self._beginning.at_s != began_s:
@@ -122,7 +124,7 @@ class Story:
             yield facts.Doing(at_s=self._now_s, words=doing[0], reached=doing[1])
             self._doing = doing
 
-    def _plan(self, plan: Plan) -> facts.Plan:
+    def _plan(self, plan: schema.Planned) -> facts.Plan:
         self._servers |= set(plan.ranges)
         home = plan.home
         return facts.Plan(
@@ -150,12 +152,12 @@ class Story:
         place = self._place
         return facts.Call(
             at_s=self._now_s,
-            operation=outcome["operation"],
+            operation=outcome.operation,
             waypoint=call.waypoint,
-            place=outcome["place"],
-            delay_s=outcome["delay_s"],
-            waited_s=outcome["waited_s"],
-            wait=outcome["wait"],
+            place=outcome.place,
+            delay_s=outcome.delay_s,
+            waited_s=outcome.waited_s,
+            wait=outcome.wait,
             words=list(told(call))[1:],
             east_m=place.east_m if place else None,
             north_m=place.north_m if place else None,
@@ -163,9 +165,9 @@ class Story:
 
     # --- photos -----------------------------------------------------------------------------------------------
 
-    def _photos(self, event: Mapping[str, Any]) -> Iterator[Fact]:
+    def _photos(self, event: Event) -> Iterator[Fact]:
         match event:
-            case {"event": "photo", "source": str(source)}:
+            case schema.Photo(source=source, truth=truth):
                 position = place_of(event, self._place)
                 self.shots.append(Shot(source, position, self._shots_since_start))
                 self._shots_since_start += 1
@@ -175,9 +177,9 @@ class Story:
                     waypoint=self._waypoint,
                     source=source,
                     kept=self._keeps(source),
-                    truth=_outlines(event.get("truth")),
+                    truth=_outlines(truth),
                 )
-            case {"event": "notified", "message": message}:
+            case schema.Notified(message=message):
                 yield facts.Told(at_s=self._now_s, words=in_one_line(message), boxes=_outlines(message) or ())
 
 

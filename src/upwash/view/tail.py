@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from upwash.errors import UsageError
-from upwash.event_log import LONGEST_LINE_BYTES
+from upwash.eventlog.log import LONGEST_LINE_BYTES
 
 _CHUNK_BYTES = 2**18
 

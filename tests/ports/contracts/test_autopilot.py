@@ -14,13 +14,14 @@ from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, distance_
 from upwash.errors import AutopilotOverruled, AutopilotRefused
 from upwash.ports import Autopilot
 from upwash.real.mavlink import FlightSettings, connect_autopilot
-from upwash.sim.autopilot import ModelAutopilot, Plain
+from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.loop import run_virtually
+from upwash.sim.plain import Plain
 from upwash.sim.vehicle import Manner
 from upwash.vehicle import arducopter
-from upwash.vehicle.copter import VehicleSettings
-from upwash.vehicle.px4.vehicle import Px4Settings
+from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.server import serve_vehicle
+from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 SPEED_M_S = 60.0

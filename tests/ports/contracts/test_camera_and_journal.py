@@ -12,6 +12,7 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+from tests.events import event, written
 
 from upwash.core.geo import Position
 from upwash.ports import Camera, Journal, Notifier
@@ -81,9 +82,9 @@ class Found(msgspec.Struct):
 
 
 async def happen(journal: Journal, notifier: Notifier) -> None:
-    journal.record("first")
+    journal.record(event("armed"))
     await asyncio.sleep(0.1)
-    journal.record("second", server="s1", delay_s=0.5, position={"east_m": 1.0}, why=None)
+    journal.record(event("vehicle_limits", highest_m=0.5, home={"east_m": 1.0, "north_m": 2.0}))
     await notifier.notify([Found("hot-spot")], Position(1.0, 2.0, 3.0))
 
 
@@ -92,7 +93,7 @@ def in_memory(_: Path) -> list[dict[str, Any]]:
         journal = MemoryJournal()
         journal.begin()
         await happen(journal, journal)
-        return [msgspec.json.decode(msgspec.json.encode(event)) for event in journal.events]
+        return written(journal.events)
 
     return run_virtually(run())
 
@@ -117,8 +118,13 @@ def test_events_are_kept_in_order_with_their_time_and_facts(
     assert times_s[0] == pytest.approx(0.0, abs=0.05)
     assert 0.09 < times_s[1] - times_s[0] < 1.0
     assert events == [
-        {"event": "first"},
-        {"event": "second", "server": "s1", "delay_s": 0.5, "position": {"east_m": 1.0}, "why": None},
+        {"event": "armed"},
+        {
+            "event": "vehicle_limits",
+            "home": {"east_m": 1.0, "north_m": 2.0, "altitude_m": 0.0},
+            "highest_m": 0.5,
+            "fences": [],
+        },
         {
             "event": "notified",
             "message": [{"label": "hot-spot"}],

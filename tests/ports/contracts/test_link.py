@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from upwash.core.visitors import Visitor
+from upwash.core.clients import Client
 from upwash.errors import DeadlineExceeded, Refused, Unreachable
 from upwash.ports import Link
 from upwash.real.link import GrpcDialer
@@ -26,13 +26,13 @@ Hold = Callable[[Talk, bool], None]
 
 @asynccontextmanager
 async def model_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
-    async def answer(_path: str, body: bytes, visitor: Visitor) -> bytes:
+    async def answer(_path: str, body: bytes, client: Client) -> bytes:
         match body:
             case b"refuse":
                 raise Refused("not today")
             case b"stuck":
                 await asyncio.Event().wait()
-        return visitor.name.encode() + b" " + body
+        return client.name.encode() + b" " + body
 
     link = ModelDialer("heron", Switchboard({"s1": answer} if answered else {}), Wire()).dial(
         "s1", server="s1"
@@ -51,7 +51,7 @@ async def grpc_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
                 raise Refused("not today")
             case b"stuck":
                 let_go.wait(10.0)
-        return caller.visitor.name.encode() + b" " + body
+        return caller.client.name.encode() + b" " + body
 
     address = f"unix:{folder}/s1.sock"
     listener = Listener(address, answer, max_message_bytes=1000, concurrent_requests=4, requests_per_drone=4)

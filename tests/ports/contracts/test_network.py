@@ -10,12 +10,12 @@ import pytest
 from tests.system.fake_networkmanager import FakeDevice, FakeProfile, running
 
 from upwash.core.geo import Circle, Position
+from upwash.drone.networks import Cell, NoNetwork, PositionNetwork
 from upwash.errors import NetworkError
 from upwash.ports import Network
 from upwash.real.network import ManagedNetwork
 from upwash.sim.journal import MemoryJournal
 from upwash.sim.loop import run_virtually
-from upwash.sim.network import Cell, ModelNetwork, NoNetwork
 
 INSIDE, OUTSIDE = Position(5.0, 0.0), Position(50.0, 0.0)
 JOIN_S = 3.5
@@ -44,7 +44,7 @@ def on_the_model(scene: Scene) -> None:
             "a": [Cell(area, JOIN_S, is_up=lambda: not off.is_set(), goes_down=goes_down)],
             "b": [Cell(area, JOIN_S)],
         }
-        await scene(Stage(ModelNetwork(cells, lambda: INSIDE), off.set))
+        await scene(Stage(PositionNetwork(cells, lambda: INSIDE), off.set))
 
     run_virtually(play())
 
@@ -135,8 +135,8 @@ def test_a_network_that_goes_off_the_air_is_lost_and_then_left(play: Callable[[S
 # --- the model ----------------------------------------------------------------------------------------------
 
 
-def model(position: Callable[[], Position] = lambda: INSIDE, *, is_up: bool = True) -> ModelNetwork:
-    return ModelNetwork({"a": [Cell(Circle(Position(0.0, 0.0), 10.0), JOIN_S, lambda: is_up)]}, position)
+def model(position: Callable[[], Position] = lambda: INSIDE, *, is_up: bool = True) -> PositionNetwork:
+    return PositionNetwork({"a": [Cell(Circle(Position(0.0, 0.0), 10.0), JOIN_S, lambda: is_up)]}, position)
 
 
 def test_joining_takes_its_time_and_is_tried_where_the_drone_is_by_then() -> None:
@@ -163,6 +163,25 @@ def test_what_cannot_be_joined(network: Network, joined: str, problem: str) -> N
         run_virtually(network.join(joined, timeout_s=10.0))
 
 
+def test_a_network_that_is_left_keeps_the_radio_from_joining_the_next_one_for_its_time() -> None:
+    async def scene(flies_on_s: float) -> float:
+        clock = asyncio.get_running_loop().time
+        cell = Cell(Circle(Position(0.0, 0.0), 10.0), JOIN_S, leave_s=2.0)
+        network = PositionNetwork({"a": [cell], "b": [cell]}, lambda: INSIDE)
+        await network.leave()
+        await network.join("a", timeout_s=JOIN_S)
+        assert clock() == JOIN_S, "nothing was to be left"
+        await network.leave()
+        assert clock() == JOIN_S, "nobody waits for that but the next join"
+        await asyncio.sleep(flies_on_s)
+        await network.leave()
+        await network.join("b", timeout_s=JOIN_S)
+        return clock() - JOIN_S
+
+    assert run_virtually(scene(0.5)) == 2.0 + JOIN_S
+    assert run_virtually(scene(3.0)) == 3.0 + JOIN_S
+
+
 def test_a_network_of_several_servers_is_lost_with_the_last_of_them() -> None:
     async def scene() -> float:
         clock = asyncio.get_running_loop().time
@@ -174,7 +193,7 @@ def test_a_network_of_several_servers_is_lost_with_the_last_of_them() -> None:
 
             return Cell(area, 0.0, is_up=lambda: clock() < down_s, goes_down=goes_down)
 
-        network = ModelNetwork({"a": [until(5.0), until(9.0), until(7.0)]}, lambda: INSIDE)
+        network = PositionNetwork({"a": [until(5.0), until(9.0), until(7.0)]}, lambda: INSIDE)
         await network.join("a", timeout_s=1.0)
         await network.lost()
         return clock()

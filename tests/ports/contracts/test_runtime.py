@@ -8,14 +8,14 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass
 from ipaddress import IPv4Network
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.doors import led
 
 from upwash.core.estimates import Operation
-from upwash.errors import LinkError, Refused, UsageError
-from upwash.ports import Dialer, InstanceSpec, Program, Runtime
-from upwash.protocol import service_path
+from upwash.errors import LinkError, NoLease, UsageError
+from upwash.ports import AnsweredCall, Dialer, InstanceSpec, Program, Runtime
 from upwash.real.credentials import Credentials, fingerprint
 from upwash.real.limits import Limits
 from upwash.real.link import GrpcDialer
@@ -24,10 +24,11 @@ from upwash.real.lxd.engine import Engine, EngineAddress
 from upwash.real.lxd.runtime import ContainerRuntime
 from upwash.real.runtime import ProcessRuntime
 from upwash.real.sandbox import Sandbox, find_sandbox
-from upwash.service import load_service, spec_of
+from upwash.rpc.protocol import service_path
+from upwash.rpc.service import load_service, spec_of
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
-from upwash.sim.runtime import ModelRuntime
+from upwash.sim.runtime import Computer, ModelRuntime
 from upwash.sim.world import Wire
 
 
@@ -37,8 +38,39 @@ class Sure:
     async def start(self, spec: InstanceSpec) -> None:
         """At once."""
 
-    async def compute(self, spec: InstanceSpec, operation: Operation) -> None:
+    async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
         """At once."""
+        return asyncio.get_running_loop().time()
+
+
+class Pairs(Sure):
+    """A computer on which a call waits until another one is computed beside it, and then takes a second."""
+
+    def __init__(self) -> None:
+        self.most = 0
+        self._both = asyncio.Barrier(2)
+        self._under_way = 0
+
+    async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
+        """Takes a second, of two calls at a time."""
+        self._under_way += 1
+        self.most = max(self.most, self._under_way)
+        async with asyncio.timeout(10.0):
+            await self._both.wait()
+        await asyncio.sleep(1.0)
+        self._under_way -= 1
+        return await super().compute(spec, operation)
+
+
+@dataclass(frozen=True)
+class Witness:
+    """Answers as the duet does."""
+
+    computer: Pairs
+
+    def play(self) -> int:
+        """How many calls were ever computed at once."""
+        return self.computer.most
 
 
 @dataclass(frozen=True)
@@ -50,16 +82,19 @@ class Site:
     spec: InstanceSpec
     heron: frozenset[str] = frozenset({"heron"})  # what instances know the drone by
     host: str = "127.0.0.1"  # whose ports endpoints are, if they are ports
+    arguments: tuple[object, ...] = ("light",)
 
     async def call(self, endpoint: str) -> object:
-        """Calls the workbench's `work` over a link of its own."""
-        method = spec_of(load_service(self.spec.program.path)).methods["work"]
-        _, request = method.encode(("light",), {})
+        """Calls what there is to be called, over a link of its own."""
+        (name,) = self.spec.methods
+        method = spec_of(load_service(self.spec.program.path)).methods[name]
+        _, request = method.encode(self.arguments, {})
         link = self.dialer.dial(
             f"{self.host}{endpoint}" if endpoint.startswith(":") else endpoint, server="s1"
         )
         try:
-            reply = await link.request(service_path("workbench", "work"), request, timeout_s=10.0)
+            path = service_path(self.spec.service, name)
+            reply = await link.request(path, request, timeout_s=10.0)
         finally:
             await link.close()
         return method.result(method.decode(reply))
@@ -86,46 +121,75 @@ def on(engine: str) -> tuple[pytest.MarkDecorator, ...]:
 )
 def use(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Use:
     """Does something at a site of one of the twins."""
-    program = f"{services}:Workbench"
-    spec = InstanceSpec("s1", "workbench", Program(program), methods=frozenset({"work"}))
-
-    @asynccontextmanager
-    async def model() -> AsyncIterator[Site]:
-        switchboard = Switchboard({})
-        runtime = ModelRuntime({"workbench": spec_of(load_service(program))}, Sure(), switchboard)
-        yield Site(runtime, ModelDialer("heron", switchboard, Wire()), spec, host="")
-
-    @asynccontextmanager
-    async def process(sandbox: Sandbox | None = None) -> AsyncIterator[Site]:
-        runtime = ProcessRuntime(
-            lambda _: f"unix:{tmp_path}/s1.sock",
-            max_message_bytes=1_000_000,
-            sandbox=sandbox,
-        )
-        yield Site(runtime, GrpcDialer("heron", None, max_message_bytes=1_000_000), spec)
+    program = Program(f"{services}:Workbench")
+    spec = InstanceSpec("s1", "workbench", program, methods=frozenset({"work"}))
 
     def site() -> AbstractAsyncContextManager[Site]:
         match request.param:
             case "model":
-                return model()
+                return modelled(spec, Sure())
             case "process":
-                return process()
+                return processes(spec, tmp_path)
             case "sandbox":
-                return process(found_sandbox())
+                return processes(spec, tmp_path, found_sandbox())
             case other:
                 state, _, _, kind = other.split()
                 engine, image = (request.getfixturevalue(name) for name in (kind, "workbench_image"))
                 shown: Callable[[str], Credentials] = request.getfixturevalue("credentials")
                 return containers(engine.socket, image, shown, spec, freezes=state == "frozen")
 
-    def used(what: Callable[[Site], Awaitable[None]]) -> None:
-        async def at_site() -> None:
-            async with site() as there:
-                await what(there)
+    return lambda what: play(what, site, virtually=request.param == "model")
 
-        (run_virtually if request.param == "model" else asyncio.run)(at_site())
 
-    return used
+@pytest.fixture(params=["model", "process", pytest.param("sandbox", marks=pytest.mark.sandbox)])
+def use_duet(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Use:
+    """Does something where the service is a duet, whose instances take two calls at a time."""
+    spec = InstanceSpec("s1", "duet", Program(f"{services}:Duet"), methods=frozenset({"play"}))
+
+    def site() -> AbstractAsyncContextManager[Site]:
+        match request.param:
+            case "model":
+                pairs = Pairs()
+                return modelled(spec, pairs, objects={"duet": Witness(pairs)}, arguments=())
+            case "process":
+                return processes(spec, tmp_path, arguments=())
+            case _:
+                return processes(spec, tmp_path, found_sandbox(), arguments=())
+
+    return lambda what: play(what, site, virtually=request.param == "model")
+
+
+def play(
+    what: Callable[[Site], Awaitable[None]],
+    site: Callable[[], AbstractAsyncContextManager[Site]],
+    *,
+    virtually: bool,
+) -> None:
+    async def at_site() -> None:
+        async with site() as there:
+            await what(there)
+
+    (run_virtually if virtually else asyncio.run)(at_site())
+
+
+@asynccontextmanager
+async def modelled(spec: InstanceSpec, computer: Computer, **site: Any) -> AsyncIterator[Site]:
+    switchboard, objects = Switchboard({}), site.pop("objects", {})
+    described = spec_of(load_service(spec.program.path))
+    runtime = ModelRuntime({spec.service: described}, computer, switchboard, objects=objects)
+    yield Site(runtime, ModelDialer("heron", switchboard, Wire()), spec, host="", **site)
+
+
+@asynccontextmanager
+async def processes(
+    spec: InstanceSpec, folder: Path, sandbox: Sandbox | None = None, **site: Any
+) -> AsyncIterator[Site]:
+    runtime = ProcessRuntime(
+        lambda _: f"unix:{folder}/s1.sock",
+        max_message_bytes=1_000_000,
+        sandbox=sandbox,
+    )
+    yield Site(runtime, GrpcDialer("heron", None, max_message_bytes=1_000_000), spec, **site)
 
 
 def found_sandbox() -> Sandbox:
@@ -159,21 +223,20 @@ async def containers(
             await runtime.close()
 
 
-def test_an_instance_says_what_a_call_took(use: Use) -> None:
+def test_an_instance_says_whose_a_call_was_and_what_it_took(use: Use) -> None:
     async def visit(site: Site) -> None:
-        told: asyncio.Queue[tuple[str, float]] = asyncio.Queue()
-        instance = await site.runtime.start(
-            site.spec, called=lambda _: None, answered=lambda *heard: told.put_nowait(heard)
-        )
+        told: asyncio.Queue[AnsweredCall] = asyncio.Queue()
+        instance = await site.runtime.start(site.spec, called=lambda _: None, answered=told.put_nowait)
         try:
             await instance.admit(site.heron)
             for _ in range(2):
                 began_s = asyncio.get_running_loop().time()
                 await site.call(instance.endpoint)
                 async with asyncio.timeout(5.0):
-                    method, took_s = await told.get()
-                assert method == "work"
-                assert 0.0 <= took_s <= asyncio.get_running_loop().time() - began_s
+                    call = await told.get()
+                assert (call.drone, call.method) == (*site.heron, "work")
+                assert min(call.queued_s, call.took_s) >= 0.0
+                assert call.queued_s + call.took_s <= asyncio.get_running_loop().time() - began_s
             assert told.empty()
         finally:
             await instance.stop()
@@ -192,7 +255,7 @@ def test_an_instance_answers_those_who_are_admitted_and_says_who_called(use: Use
 
         instance = await site.runtime.start(site.spec, called=called)
         try:
-            with pytest.raises(Refused, match="heron"):
+            with pytest.raises(NoLease, match="heron"):
                 await site.call(instance.endpoint)
             assert callers == []
             await instance.admit(site.heron)
@@ -201,12 +264,30 @@ def test_an_instance_answers_those_who_are_admitted_and_says_who_called(use: Use
                 await told.wait()
             assert callers == list(site.heron)
             await instance.admit(frozenset({"stork"}))
-            with pytest.raises(Refused, match="heron"):
+            with pytest.raises(NoLease, match="heron"):
                 await site.call(instance.endpoint)
         finally:
             await instance.stop()
 
     use(visit)
+
+
+def test_as_many_calls_as_the_service_declares_are_computed_at_once_and_no_more(use_duet: Use) -> None:
+    async def visit(site: Site) -> None:
+        told: asyncio.Queue[AnsweredCall] = asyncio.Queue()
+        instance = await site.runtime.start(site.spec, called=lambda _: None, answered=told.put_nowait)
+        try:
+            await instance.admit(site.heron)
+            most = await asyncio.gather(*(site.call(instance.endpoint) for _ in range(4)))
+            assert set(most) == {2}
+            async with asyncio.timeout(5.0):
+                calls = [await told.get() for _ in range(4)]
+            assert {call.drone for call in calls} == site.heron
+            assert all(min(call.queued_s, call.took_s) >= 0.0 for call in calls)
+        finally:
+            await instance.stop()
+
+    use_duet(visit)
 
 
 def test_a_stopped_instance_is_gone_and_stopping_it_again_does_nothing(use: Use) -> None:

@@ -16,7 +16,8 @@ from pathlib import Path
 from tests.system.daemons import MAX_MESSAGE_BYTES, Daemon, Guest, daemon, memory_bytes
 
 from upwash.errors import LinkError
-from upwash.real.credentials import fingerprint, keys_in, make_keys, read_credentials
+from upwash.real.authority import keys_in, make_keys
+from upwash.real.credentials import fingerprint, read_credentials
 from upwash.real.link import GrpcDialer
 
 SERVICE = Path(__file__).with_name("hostile_service.py")
@@ -27,7 +28,8 @@ PRINTED_BYTES = 30_000_000
 _SCRAPE_S = 30.0
 _ATTACKED_S = 8.0
 
-Attack = Callable[[Guest, str], Awaitable[object]]
+# By a drone, at an endpoint, where the drone is known by that key.
+Attack = Callable[[Guest, str, str], Awaitable[object]]
 
 
 def config(keys: Path, *, slots: int = 1, sandbox: str = "off") -> str:
@@ -63,7 +65,7 @@ class Cost:
 
 
 @asynccontextmanager
-async def visitors(at: Daemon, keys: Path) -> AsyncIterator[list[Guest]]:
+async def clients(at: Daemon, keys: Path) -> AsyncIterator[list[Guest]]:
     """The drones heron and stork at the daemon."""
     async with AsyncExitStack() as stack:
         drones = []
@@ -83,12 +85,12 @@ def key_of(keys: Path, drone: str) -> str:
 
 async def cost(at: Daemon, folder: Path, keys: Path, attack: Attack) -> Cost:
     """Has a call of heron's make the service attack, and looks at the daemon meanwhile, which must still answer."""
-    async with visitors(at, keys) as (heron, _):
+    async with clients(at, keys) as (heron, _):
         endpoint = (await heron.start("hostile")).endpoint
         assert await heron.call(endpoint, "echo", b"photo") == b"photo"
         log, found = folder / "stderr", Cost()
         resident, logged = memory_bytes(at.process.pid), log.stat().st_size
-        attacking = asyncio.create_task(_suppressed(attack(heron, endpoint)))
+        attacking = asyncio.create_task(_suppressed(attack(heron, endpoint, key_of(keys, "heron"))))
         while not attacking.done() or not found.scrapes:
             began_s = time.perf_counter()
             found.metrics = await asyncio.to_thread(scrape, log)
@@ -117,7 +119,7 @@ def scrape(log: Path) -> str:
 
 async def keeps_its_slot_silent_s(at: Daemon, keys: Path, *, most_s: float) -> float:
     """How long a drone that says nothing any more keeps its slot where the service says that it calls."""
-    async with visitors(at, keys) as (heron, stork):
+    async with clients(at, keys) as (heron, stork):
         endpoint = (await heron.start("hostile")).endpoint
         await heron.call(endpoint, "forge_calls", ["heron", key_of(keys, "heron")], 0.05)
         silent_s = time.monotonic()
@@ -129,11 +131,11 @@ async def keeps_its_slot_silent_s(at: Daemon, keys: Path, *, most_s: float) -> f
 
 
 ATTACKS: dict[str, Attack] = {
-    f"{INVENTED} invented methods": lambda drone, at: drone.call(at, "invent_methods", INVENTED),
-    "3,000 impossible times": lambda drone, at: drone.call(at, "claim_times", 1500),
-    "20,000 messages out of turn": lambda drone, at: drone.call(at, "speak_out_of_turn", 20_000),
-    "30 MB of long lines": lambda drone, at: drone.call(at, "print_much", PRINTED_BYTES, "x" * 900),
-    "3 MB of short lines": lambda drone, at: drone.call(at, "print_much", PRINTED_BYTES // 10, "x"),
+    f"{INVENTED} invented methods": lambda drone, at, key: drone.call(at, "invent_methods", key, INVENTED),
+    "3,000 impossible times": lambda drone, at, key: drone.call(at, "claim_times", key, 1500),
+    "20,000 messages out of turn": lambda drone, at, _: drone.call(at, "speak_out_of_turn", 20_000),
+    "30 MB of long lines": lambda drone, at, _: drone.call(at, "print_much", PRINTED_BYTES, "x" * 900),
+    "3 MB of short lines": lambda drone, at, _: drone.call(at, "print_much", PRINTED_BYTES // 10, "x"),
 }
 
 

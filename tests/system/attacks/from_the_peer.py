@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.system.attacks.flown import KEY, Stranger, Target, main
 from tests.system.attacks.forged_heartbeats import heartbeat
 
-from upwash.mavlink_signing import Signing
+from upwash.mavlink.signing import Signing
 
 EVERY_S = 0.002
 

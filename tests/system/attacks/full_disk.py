@@ -20,12 +20,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import msgspec
 
-from upwash import event_log
-from upwash.running import ready_program
+from upwash.eventlog import log as event_log
+from upwash.launch.processes import ready_program
 
 SCENARIO = str(Path(__file__).parents[3] / "scenarios" / "thesis.toml")
 FLOWN_NOT_KEPT = 3
@@ -34,7 +34,7 @@ CALLS = 3
 _LIMITED = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), resource.RLIM_INFINITY))
-from upwash.cli import main
+from upwash.cli.main import main
 sys.exit(main(sys.argv[2:]))
 """
 
@@ -396,11 +396,11 @@ def _flown(code: int, said: str, *, kept: bool = True) -> Finding:
 
 def _expect_whole(log: Path, finding: Finding, *, ends: str) -> None:
     """Every line of the log is an event, and the one that it is to end with is there, if any."""
-    events: list[dict[str, Any]] = [event_log.decode(line) for line in log.read_bytes().splitlines()]
-    times_s = [event["t"] for event in events]
+    events = [event_log.decode(line) for line in log.read_bytes().splitlines()]
+    times_s = [event.t for event in events]
     finding.expect(times_s == sorted(times_s), "the log's times do not ascend")
     finding.expect(log.read_bytes().endswith(b"\n"), "the log's last line is torn")
-    names = [event["event"] for event in events]
+    names = [event.kind for event in events]
     finding.expect(not ends or ends in names[-2:], f"the log does not end with {ends}")
 
 

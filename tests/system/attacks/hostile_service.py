@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import msgspec
 
-from upwash.service import service
+from upwash.rpc.service import service
 
 
 @service
@@ -25,20 +25,20 @@ class Hostile:
         """What an honest service would do."""
         return data
 
-    def invent_methods(self, many: int) -> None:
-        """Says that calls of methods that there are not had an answer."""
+    def invent_methods(self, drone: str, many: int) -> None:
+        """Says that calls of methods that there are not had an answer, as a drone made them."""
         for first in range(0, many, 100):
             self._say(
                 *(
-                    {"type": "answered", "method": f"invented_{number}", "took_s": 0.01}
+                    _answer(drone, f"invented_{number}", 0.01)
                     for number in range(first, min(many, first + 100))
                 )
             )
 
-    def claim_times(self, many: int) -> None:
-        """Says that its calls took forever, or less than nothing."""
+    def claim_times(self, drone: str, many: int) -> None:
+        """Says that a drone's calls took forever, or less than nothing."""
         for took_s in (1e300, -1e300):
-            self._say(*[{"type": "answered", "method": "echo", "took_s": took_s}] * many)
+            self._say(*[_answer(drone, "echo", took_s)] * many)
 
     def speak_out_of_turn(self, many: int) -> None:
         """Says again and again that it is ready."""
@@ -77,3 +77,7 @@ class Hostile:
 
     def _say(self, *messages: Mapping[str, object]) -> None:
         self._control.sendall(b"".join(msgspec.json.encode(each) + b"\n" for each in messages))
+
+
+def _answer(drone: str, method: str, took_s: float) -> dict[str, object]:
+    return {"type": "answered", "drone": drone, "method": method, "queued_s": 0.0, "took_s": took_s}

@@ -50,7 +50,15 @@ def detections() -> Iterator[dict[str, Any]]:
     for number in itertools.count(1):
         t = number * 5
         yield {"t": t, "event": "arrived", "waypoint": number % 6, "east_m": 0.0, "north_m": 0.0}
-        yield {"t": t, "event": "photo", "source": "1.jpg", "bytes": 1, "age_s": 0.0, "truth": [BOX] * 60}
+        yield {
+            "t": t,
+            "event": "photo",
+            "source": "1.jpg",
+            "bytes": 1,
+            "age_s": 0.0,
+            "position": HERE,
+            "truth": [BOX] * 60,
+        }
         yield {"t": t, **DECIDED}
         yield {"t": t + 1, **CALL}
         yield {"t": t + 1, "event": "notified", "message": [BOX] * 60, "at": HERE}

@@ -28,11 +28,14 @@ from typing import Any
 
 import grpc
 import msgspec
+from tests.events import written
 from tests.system.daemons import memory_bytes
 
-from upwash import event_log
-from upwash.protocol import AVAILABILITY, START, service_path
-from upwash.real.credentials import keys_in, make_keys
+from upwash.eventlog import log as event_log
+from upwash.eventlog import schema
+from upwash.launch.processes import ready_program
+from upwash.real.authority import keys_in, make_keys
+from upwash.rpc.protocol import AVAILABILITY, START, service_path
 
 SERVER, SERVICE = "s1", "adder"
 ELSEWHERE = f"upwash-elsewhere-{os.getpid()}"
@@ -47,7 +50,7 @@ _MEGABYTES = 2**20
 
 ADDER = """
 import time
-from upwash.service import service
+from upwash.rpc.service import service
 
 @service
 class Adder:
@@ -285,17 +288,22 @@ def flown_past(lie: Lie, folder: Path) -> Outcome:
     (folder / "photos" / "1.jpg").write_bytes(b"\xff\xd8")
     (folder / "adder.py").write_text(ADDER)
     (folder / "mission.py").write_text(MISSION)
-    with _vehicle() as vehicle, LyingDaemon(lie, folder / "keys") as daemon:
+    with _vehicle(folder) as vehicle, LyingDaemon(lie, folder / "keys") as daemon:
         (folder / "drone.toml").write_text(DRONE.format(vehicle=vehicle, daemon=daemon.address))
         code, took_s, most_bytes = _fly(folder)
         asked, elsewhere = sum(daemon.asked.values()), daemon.called_elsewhere
     said = (folder / "said").read_bytes().decode(errors="backslashreplace")
     events = event_log.read(folder / "log.jsonl")
-    texts = [*_texts(events), said]
-    answers = [each for event in events if event["event"] == "notified" for each in event["message"]]
+    texts = [*_texts(written(events)), said]
+    answers = [
+        each
+        for event in events
+        if isinstance(event, schema.Notified)
+        for each in msgspec.convert(event.message, list[int])
+    ]
     wanted = [number + each for number in range(3) for each in range(4)]
     return Outcome(
-        completed=code == 0 and any(event["event"] == "mission_completed" for event in events),
+        completed=code == 0 and any(event.kind == "mission_completed" for event in events),
         right_answers=sum(one == other for one, other in zip(answers, wanted, strict=False)),
         took_s=took_s,
         memory_bytes=most_bytes,
@@ -320,16 +328,10 @@ def _texts(value: object) -> Iterator[str]:
 
 
 @contextlib.contextmanager
-def _vehicle() -> Iterator[str]:
-    command = ["vehicle", "--listen", "tcp:127.0.0.1:0", "--armable-after", "0", "--acceleration", "50"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "upwash", *command], stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        try:
-            yield process.stdout.readline().strip().partition(" ready at ")[2]
-        finally:
-            process.terminate()
+def _vehicle(folder: Path) -> Iterator[str]:
+    options = ("--listen", "tcp:127.0.0.1:0", "--armable-after", "0", "--acceleration", "50")
+    with ready_program("vehicle", folder, "vehicle", *options) as address:
+        yield address
 
 
 def _fly(folder: Path) -> tuple[int, float, int]:

@@ -13,20 +13,20 @@ from typing import Any
 from unittest.mock import patch
 
 import msgspec
-from tests.sim.scenarios_for_tests import scenario, server
+from tests.scenarios import scenario, server
 
-from upwash.core.visitors import Visitor
+from upwash.core.clients import Client
 from upwash.errors import MissionFailed
 from upwash.lab.run import Run, simulate
 from upwash.sim.faults import FaultyServer
 from upwash.sim.link import Handler
 
 NAMED = (
-    "upwash.drone:AutopilotOverruled",
-    "upwash.safety:AutopilotOverruled",
+    "upwash.drone.flight:AutopilotOverruled",
+    "upwash.drone.contingency:AutopilotOverruled",
     "upwash.errors:AutopilotOverruled",
-    "upwash.mission:MissionStopped",
-    "upwash.offloading:UpwashError",
+    "upwash.drone.mission:MissionStopped",
+    "upwash.drone.racing:UpwashError",
     "builtins:ValueError",
     "nobody.knows:This",
 )
@@ -41,8 +41,8 @@ def lying(named: str) -> Iterator[None]:
     plug = FaultyServer.plug
 
     def plug_liar(self: FaultyServer, address: str, instance: Handler) -> None:
-        async def answer(path: str, body: bytes, visitor: Visitor) -> bytes:
-            await instance(path, body, visitor)  # which takes its time
+        async def answer(path: str, body: bytes, client: Client) -> bytes:
+            await instance(path, body, client)  # which takes its time
             return lie
 
         plug(self, address, answer)

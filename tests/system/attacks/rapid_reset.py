@@ -14,8 +14,8 @@ from pathlib import Path
 
 from tests.system.hostile import connected, frame, head
 
-from upwash.protocol import AVAILABILITY
-from upwash.real.credentials import keys_in
+from upwash.real.authority import keys_in
+from upwash.rpc.protocol import AVAILABILITY
 
 CONNECTIONS = 10
 AT_ONCE = 100

@@ -19,7 +19,7 @@ from upwash.emulation.emulate import make_radio
 from upwash.emulation.enclosure import settle_in
 from upwash.emulation.field import Field, Link, Radio
 from upwash.emulation.namespaces import enter, inside, make_namespace
-from upwash.emulation.order import RadioKind, emulated
+from upwash.emulation.request import RadioKind, emulated
 
 SCENARIO = Path(__file__).parents[3] / "scenarios" / "demonstration.toml"
 SENT_BYTES = 3_000_000

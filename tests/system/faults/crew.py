@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from tests.system.faults.lateness import note_waits, waits_of
+from tests.system.faults.lateness import noting_waits, waits_of
 
 from upwash.emulation.namespaces import inside
 
@@ -118,11 +118,8 @@ class DroneProgram:
                     stdout=printed,
                     stderr=printed,
                 )
-            noting = asyncio.create_task(note_waits(waits_of(self.log), self._process.pid))
-            try:
+            with noting_waits(waits_of(self.log), lambda: [self.pid]):
                 code = await self._process.wait()
-            finally:
-                noting.cancel()
             if not self.killed:
                 self.exit_code = code
                 return

@@ -25,12 +25,12 @@ from upwash.emulation.enclosure import settle_in
 from upwash.emulation.field import Field, drone_namespace, server_namespace
 from upwash.emulation.mover import Mover
 from upwash.emulation.namespaces import inside
-from upwash.emulation.order import Order
 from upwash.emulation.programs import daemon_file, drone_file
+from upwash.emulation.request import EmulationRequest
 from upwash.emulation.shaped import ShapedRadio
 from upwash.emulation.tracking import tracked
-from upwash.real.credentials import make_keys
-from upwash.running import ready_vehicle
+from upwash.launch.processes import ready_vehicle
+from upwash.real.authority import make_keys
 
 SCENARIO = Path(__file__).parent / "field.toml"
 _LONGEST_S = 240.0
@@ -52,7 +52,8 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
 
 async def main(seed: int, folder: Path) -> None:
     settle_in(asyncio.get_running_loop().stop)
-    field = Field(Order(scenarios=(SCENARIO,), drones=2, folder=folder).read())
+    ordered = EmulationRequest(scenarios=(SCENARIO,), drones=2, folder=folder).read()
+    field = Field([each.config for each in ordered])
     computers = NamespaceComputers()
     for name in field.namespaces():
         computers.make(name)

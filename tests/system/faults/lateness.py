@@ -6,12 +6,12 @@ has something to do may wait longer, for those that were before it: the kernel c
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 _PERIOD_S = 0.005
@@ -45,26 +45,48 @@ def waits_of(log: Path) -> Path:
     return log.with_suffix(".waits")
 
 
-async def note_waits(file: Path, process_id: int) -> None:
-    """Adds to the file when the threads of a program waited for a processor, until cancelled."""
-    looked_s, before_ns = time.time(), _waited_ns(process_id)
-    with file.open("a", buffering=1) as noted:
-        while True:
-            await asyncio.sleep(_LOOK_S)
-            now_s, now_ns = time.time(), _waited_ns(process_id)
-            waited_ns = sum(ns - before_ns.get(thread, 0) for thread, ns in now_ns.items())
-            waited_s = min(1e-9 * waited_ns, now_s - looked_s)
-            if waited_s > _WORTH_NOTING_S:
-                noted.write(f"{now_s - waited_s} {now_s}\n")
-            looked_s, before_ns = now_s, now_ns
+@contextlib.contextmanager
+def noting_waits(file: Path, processes: Callable[[], Iterable[int]]) -> Iterator[None]:
+    """Adds to the file when threads of these programs waited for a processor, until the end of the block."""
+    ended = threading.Event()
+
+    def note() -> None:
+        with file.open("a", buffering=1) as noted:
+            waits = _Waits(processes())
+            while not ended.wait(_LOOK_S):
+                noted.write(waits.since_last_look(processes()))
+
+    thread = threading.Thread(target=note)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
-def _waited_ns(process_id: int) -> dict[str, int]:
+class _Waits:
+    """For how long threads waited for a processor between one look and the next."""
+
+    def __init__(self, processes: Iterable[int]) -> None:
+        self._looked_s, self._before_ns = time.time(), _waited_ns(processes)
+
+    def since_last_look(self, processes: Iterable[int]) -> str:
+        """The line to note, which is empty where it is not worth it."""
+        now_s, now_ns = time.time(), _waited_ns(processes)
+        waited_ns = sum(ns - self._before_ns.get(thread, 0) for thread, ns in now_ns.items())
+        waited_s = min(1e-9 * waited_ns, now_s - self._looked_s)
+        self._looked_s, self._before_ns = now_s, now_ns
+        return f"{now_s - waited_s} {now_s}\n" if waited_s > _WORTH_NOTING_S else ""
+
+
+def _waited_ns(processes: Iterable[int]) -> dict[str, int]:
     """How long each thread has waited in the run queue so far: schedstat's second number."""
     waited_ns = {}
-    for thread in Path(f"/proc/{process_id}/task").glob("*"):
-        with contextlib.suppress(OSError):  # it has ended meanwhile
-            waited_ns[thread.name] = int((thread / "schedstat").read_text().split()[1])
+    for process in processes:
+        for thread in Path(f"/proc/{process}/task").glob("*"):
+            with contextlib.suppress(OSError):  # it has ended meanwhile
+                waited_ns[thread.name] = int((thread / "schedstat").read_text().split()[1])
     return waited_ns
 
 

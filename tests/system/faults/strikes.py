@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 from tests.system.faults.crew import Daemon, DroneProgram
-from tests.system.faults.plan import LONG_S, Fault, Moment
+from tests.system.faults.plan import Fault, Moment
 
 from upwash.emulation.field import Link
 from upwash.emulation.namespaces import End, inside
@@ -22,8 +22,7 @@ from upwash.emulation.tools import command
 
 _LOOK_S = 0.005
 _MOMENT_WITHIN_S = 8.0  # or it happens between two moments
-_BACK_WITHIN_S = 3.0  # calls, at the server, when a link is there again
-_BACK_AFTER_LONG_S = 5.0
+BACK_WITHIN_S = 3.0  # calls, at the server, when a link is there again
 _SEEN_S = 3.0  # the drone's calls are watched for so long beyond that
 
 
@@ -44,7 +43,7 @@ class Strike(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def back_s(self) -> float:
         """From when on calls must be answered by the server again, after a black-out."""
-        return self.to_s + (_BACK_AFTER_LONG_S if self.to_s - self.from_s >= LONG_S else _BACK_WITHIN_S)
+        return self.to_s + BACK_WITHIN_S
 
 
 class Log:

@@ -4,32 +4,32 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import msgspec
 from tests.system.faults.flight import LATENESS, RECORD, Record
 from tests.system.faults.lateness import read_lateness, waits_of
 from tests.system.faults.mission import Spotter, heard, numbers_at
-from tests.system.faults.strikes import Strike
+from tests.system.faults.strikes import BACK_WITHIN_S, Strike
 
-from upwash.config import DroneConfig, read_drone_config, server_area, server_truth, waypoints
-from upwash.core.geo import Position
-from upwash.core.instances import HostSettings
+from upwash.config import DroneConfig, FaultConfig, read_drone_config, server_areas, server_truth, waypoints
+from upwash.core.admission import AdmissionSettings
 from upwash.core.servers import SELECTED
-from upwash.lab import promises
-from upwash.lab.promises import Promise, calls_of
+from upwash.eventlog import schema
+from upwash.eventlog.log import decode
+from upwash.eventlog.results import read_result
+from upwash.eventlog.schema import Event
+from upwash.lab.faults import promises
+from upwash.lab.faults.promises import Promise
+from upwash.lab.faults.promises.history import calls_of
+from upwash.lab.faults.promises.recovery import spells_of
 from upwash.lab.run import Run
-from upwash.results import read_result
 
-Fact = Mapping[str, Any]
 _OF_CALLS = (Promise.BOUNDED_CALLS, Promise.ONE_ANSWER, Promise.TRUTHFUL_ERRORS)
-_OF_SERVERS = (Promise.ONE_SELECTION, Promise.RANGE, Promise.RESPECT)
+_OF_SERVERS = (Promise.ONE_SELECTION, Promise.RANGE, Promise.RESPECT, Promise.RECOVERY)
 _EDGE_M = 1.0  # nearer to the border of a range, no call has to go there
-_WRITTEN_WITHIN_S = 0.1  # an event's time is that of its writing, which comes after what it tells
 _SLOWEST_LOOK_S = 0.1  # of a time of day that two processes read
 
 
@@ -38,15 +38,15 @@ class Flown:
     """One drone's flight, by its log; the times of its events are by the time of day."""
 
     config: DroneConfig
-    events: list[dict[str, Any]]
+    events: list[Event]
     began_s: float
 
     @property
-    def parts(self) -> list[list[dict[str, Any]]]:
+    def parts(self) -> list[list[Event]]:
         """The events of each program that flew it, of which all but the last were killed."""
-        found: list[list[dict[str, Any]]] = []
+        found: list[list[Event]] = []
         for event in self.events:
-            if event["event"] in ("log_opened", "log_resumed"):
+            if isinstance(event, (schema.LogOpened, schema.LogResumed)):
                 found.append([])
             found[-1].append(event)
         return found
@@ -137,10 +137,10 @@ def judge(folder: Path) -> Verdict:
     for each in flown:
         waited_s = read_lateness(waits_of(folder / f"{each.config.name}.jsonl"))
         stops = _stops(each, record.strikes if each is struck else (), [*late_s, *waited_s])
-        broken += [f"{each.config.name}: {why}" for why in _broken(each, stops)]
+        broken += [f"{each.config.name}: {why}" for why in _broken(each, stops, record.strikes)]
         for call in (call for part in each.parts for call in calls_of(_without(part, stops))):
-            bounds_s.append((call.ended["delay_s"], call.bound_s))
-            places.append(call.ended["place"])
+            bounds_s.append((call.ended.delay_s, call.bound_s))
+            places.append(call.ended.server)
     for strike in black_outs:
         broken += [f"{struck.config.name}: {why}" for why in _not_returned(struck, strike, record.strikes)]
     return Verdict(
@@ -148,7 +148,7 @@ def judge(folder: Path) -> Verdict:
         broken=[*broken, *_admission(record, flown)],
         returns=[Return(each, _returned_s(struck, each)) for each in black_outs],
         calls=len(places),
-        remote_calls=len(places) - places.count("local"),
+        remote_calls=len(places) - places.count(None),
         longest_s=max(bounds_s),
         spare_s=min(bound_s - delay_s for delay_s, bound_s in bounds_s),
     )
@@ -159,41 +159,57 @@ def _read(folder: Path, name: str) -> Flown:
     lines = (folder / f"{name}.jsonl").read_bytes().split(b"\n")
     if lines.pop():
         raise ValueError("its last line is torn")
-    events = [msgspec.json.decode(line) for line in lines]
-    times = [event["t"] for event in events]
+    events = [decode(line) for line in lines]
+    times = [event.t for event in events]
     if times != sorted(times):
         raise ValueError("its times go back")
-    began_s = datetime.fromisoformat(events[0]["time"]).timestamp()
+    opened = events[0]
+    if not isinstance(opened, schema.LogOpened):
+        raise ValueError("it does not begin with the time of day")  # noqa: TRY004 - as of the rest of a file
+    began_s = opened.time.timestamp()
     return Flown(read_drone_config(folder / f"{name}.toml"), events, began_s)
 
 
 # --- promises of one flight ---------------------------------------------------------------------------------
 
 
-def _broken(flown: Flown, stops: Sequence[tuple[float, float]]) -> Iterator[str]:
+def _broken(flown: Flown, stops: Sequence[tuple[float, float]], strikes: Sequence[Strike]) -> Iterator[str]:
     yield from _unfinished(flown)
     yield from _misheard(flown)
-    policy = flown.config.policy
-    written_late = msgspec.structs.replace(policy, blacklist_s=policy.left_alone_s - _WRITTEN_WITHIN_S)
     for part in flown.parts:
-        yield from _checked(msgspec.structs.replace(flown.config, policy=written_late), part, _OF_SERVERS)
-        yield from _checked(flown.config, _without(part, stops), _OF_CALLS)
+        yield from _checked(_history(flown, part, strikes), _OF_SERVERS)
+        yield from _checked(_history(flown, _without(part, stops), ()), _OF_CALLS)
 
 
-def _checked(config: DroneConfig, events: list[dict[str, Any]], checks: Iterable[Promise]) -> Iterator[str]:
-    history = promises.History(config, Run(events, read_result(events), []))
+def _history(flown: Flown, events: list[Event], strikes: Iterable[Strike]) -> promises.History:
+    """What the promises are judged by, which know of servers' faults by the scenario."""
+    faults = tuple(
+        FaultConfig(
+            kind="off",
+            target=f"link:{each.server}" if each.target == "link" else each.server,
+            from_s=max(0.0, each.from_s - flown.began_s),
+            to_s=max(0.0, each.from_s - flown.began_s, each.to_s - flown.began_s),
+        )
+        for each in strikes
+        if each.target in ("link", "daemon", "instance")
+    )
+    config = msgspec.structs.replace(flown.config, faults=faults)
+    return promises.History(config, Run(events, read_result(events), []))
+
+
+def _checked(history: promises.History, checks: Iterable[Promise]) -> Iterator[str]:
     for promise in checks:
         for event, why in promises.CHECKS[promise](history):
             yield f"{promise}: {why}: {event}"
 
 
 def _unfinished(flown: Flown) -> Iterator[str]:
-    names = [event["event"] for event in flown.events]
+    names = [event.kind for event in flown.events]
     if "mission_completed" not in names:
         yield "promise 1: the mission was not completed"
     if "offloading_failed" in names:
         yield "promise 1: offloading ended for the rest of the flight"
-    arrived = {event["waypoint"] for event in flown.events if event["event"] == "arrived"}
+    arrived = {event.waypoint for event in flown.events if isinstance(event, schema.Arrived)}
     if missing := {waypoint.index for waypoint in waypoints(flown.config.mission)} - arrived:
         yield f"promise 1: never arrived at {sorted(missing)}"
 
@@ -201,13 +217,20 @@ def _unfinished(flown: Flown) -> Iterator[str]:
 def _misheard(flown: Flown) -> Iterator[str]:
     """Each call's own answer, once, but for those of a waypoint at which the program was killed."""
     spotter = Spotter()
-    told = [[event["message"] for event in part if event["event"] == "notified"] for part in flown.parts]
+    told = [
+        [
+            msgspec.convert(event.message, dict[str, object])
+            for event in part
+            if isinstance(event, schema.Notified)
+        ]
+        for part in flown.parts
+    ]
     for message in (each for part in told for each in part):
-        wanted = msgspec.to_builtins(heard(spotter, message["asked"]))
+        wanted = msgspec.to_builtins(heard(spotter, msgspec.convert(message["asked"], int)))
         if message != wanted:
             yield f"promises 3 and 4: heard {message} instead of {wanted}"
     for part in told:
-        asked = [message["asked"] for message in part]
+        asked = [msgspec.convert(message["asked"], int) for message in part]
         if asked != sorted(set(asked)):
             yield f"promise 3: answered out of turn: {asked}"
     wanted_numbers = {
@@ -235,35 +258,35 @@ def _stops(
     return stops
 
 
-def _without(events: list[dict[str, Any]], stops: Sequence[tuple[float, float]]) -> list[dict[str, Any]]:
+def _without(events: list[Event], stops: Sequence[tuple[float, float]]) -> list[Event]:
     """The events as they would be if time had stood still too."""
-    return [event | _shifted(event, stops) for event in events]
+    return [_shifted(event, stops) for event in events]
 
 
-def _shifted(event: Fact, stops: Sequence[tuple[float, float]]) -> dict[str, float]:
+def _shifted(event: Event, stops: Sequence[tuple[float, float]]) -> Event:
     def before(t_s: float) -> float:
         return sum(max(0.0, min(t_s, to_s) - from_s) for from_s, to_s in stops)
 
-    shifted = {"t": event["t"] - before(event["t"])}
-    if event["event"] == "call":
-        shifted["delay_s"] = event["delay_s"] - (before(event["t"]) - before(event["t"] - event["delay_s"]))
-    return shifted
+    shifted = {"t": event.t - before(event.t)}
+    if isinstance(event, schema.Call):
+        shifted["delay_s"] = event.delay_s - (before(event.t) - before(event.t - event.delay_s))
+    return msgspec.structs.replace(event, **shifted)
 
 
 # --- links that are there again -----------------------------------------------------------------------------
 
 
-def _decided_and_ended(flown: Flown) -> Iterator[tuple[float, Fact, Fact]]:
+def _decided_and_ended(flown: Flown) -> Iterator[tuple[float, schema.Decided, schema.Call]]:
     """When each call was first decided on, by the time of day, that decision, and the call."""
     for part in flown.parts:
         for call in calls_of(part):
             first = call.decisions[0]
-            yield flown.began_s + first["t"], first, call.ended
+            yield flown.began_s + first.t, first, call.ended
 
 
-def _answered_by(call: Fact, server: str) -> bool:
+def _answered_by(call: schema.Call, server: str) -> bool:
     """Whether the server gave the answer; one that a service raised there is made sure of on the drone."""
-    return call["place"] == server or call.get("remote_fault") == "confirmed"
+    return call.server == server or call.remote_fault == "confirmed"
 
 
 def _returned_s(flown: Flown, strike: Strike) -> float | None:
@@ -275,21 +298,29 @@ def _returned_s(flown: Flown, strike: Strike) -> float | None:
 
 def _not_returned(flown: Flown, strike: Strike, strikes: Iterable[Strike]) -> Iterator[str]:
     """Calls in range that the server did not answer although its link had been there again for long enough."""
-    area = next(
-        server_area(server, flown.config.mission.home)
-        for server in flown.config.servers
-        if server.name == strike.server
-    )
+    area = server_areas(flown.config)[strike.server]
     inner = type(area)(area.centre, area.radius_m - _EDGE_M)
     until_s = min((each.from_s for each in strikes if each.from_s > strike.to_s), default=float("inf"))
+    back_s = max(strike.back_s, _trusted_s(flown, strike) + BACK_WITHIN_S)
     for decided_s, decided, ended in _decided_and_ended(flown):
-        if not strike.back_s <= decided_s < until_s - ended["delay_s"]:
+        if not back_s <= decided_s < until_s - ended.delay_s:
             continue
-        if inner.contains(Position(**decided["position"])) and not _answered_by(ended, strike.server):
+        if inner.contains(decided.position) and not _answered_by(ended, strike.server):
             yield (
                 f"{decided_s - strike.to_s:.2f} s after the end of a black-out of "
-                f"{strike.to_s - strike.from_s:.0f} s a call ran at {ended['place']}: {ended['decision']}"
+                f"{strike.to_s - strike.from_s:.0f} s a call ran at {ended.place}: {ended.decision}"
             )
+
+
+def _trusted_s(flown: Flown, strike: Strike) -> float:
+    """From when on the server may be asked again, which failed more than once lately."""
+    spells = (
+        spell for part in flown.parts for spell in spells_of(_history(flown, part, ())).get(strike.server, [])
+    )
+    probed_s = [
+        flown.began_s + each.probed_s for each in spells if flown.began_s + each.from_s < strike.back_s
+    ]
+    return max(probed_s, default=-math.inf)
 
 
 # --- promise 11 ---------------------------------------------------------------------------------------------
@@ -309,10 +340,10 @@ def _admission(record: Record, flown: Sequence[Flown]) -> Iterator[str]:
 def _served_two(server: str, record: Record, flown: Sequence[Flown]) -> Iterator[str]:
     """Between answers to two drones, the first has left, or its lease is over, or the daemon was another one."""
     facts = sorted(
-        (each.began_s + event["t"], each.config.name, _what(event))
+        (each.began_s + event.t, each.config.name, _what(event))
         for each in flown
         for event in each.events
-        if server in (event.get("place"), event.get("server"))
+        if server == getattr(event, "server", None)
     )
     forgot_s = [each.from_s for each in record.strikes if (each.server, each.target) == (server, "daemon")]
     holder, last_s = "", 0.0
@@ -320,14 +351,14 @@ def _served_two(server: str, record: Record, flown: Sequence[Flown]) -> Iterator
         if what == "left" and drone == holder:
             holder = ""
         elif what == "answered":
-            still_held = at_s - last_s < HostSettings().lease_s - _SLOWEST_LOOK_S
+            still_held = at_s - last_s < AdmissionSettings().lease_s - _SLOWEST_LOOK_S
             forgotten = any(last_s - _SLOWEST_LOOK_S <= each <= at_s for each in forgot_s)
             if holder not in ("", drone) and still_held and not forgotten:
                 yield f"promise 11: {server} answered {drone} {at_s - last_s:.1f} s after {holder}, in its one slot"
             holder, last_s = drone, at_s
 
 
-def _what(event: Fact) -> str:
-    if event["event"] == "call":
+def _what(event: Event) -> str:
+    if isinstance(event, schema.Call):
         return "answered"
-    return "left" if "before" in event and event["after"] not in SELECTED else ""
+    return "left" if isinstance(event, schema.Step) and event.after not in SELECTED else ""

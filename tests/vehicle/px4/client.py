@@ -13,11 +13,11 @@ from tests.vehicle.direct import directly_linked
 from tests.vehicle.test_table import Client
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position
-from upwash.mavlink_px4 import CURRENT_MODE, Mode, bytes_of_float, event_text, float_of_bytes, understood
+from upwash.mavlink.px4 import CURRENT_MODE, Mode, bytes_of_float, event_text, float_of_bytes, understood
 from upwash.sim.loop import run_virtually
-from upwash.vehicle.conversation import Vehicle
+from upwash.vehicle.connection import Vehicle
+from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.px4.telemetry import UNASKED_S
-from upwash.vehicle.px4.vehicle import Px4Settings
 
 HOME = GeoPosition(39.3666, 22.9507)
 HOME_ALTITUDE_M = 488.0

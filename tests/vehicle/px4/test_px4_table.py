@@ -19,14 +19,14 @@ from tests.vehicle.px4.client import (
 
 from upwash.core.geo import Position, ground_distance_m
 from upwash.errors import UsageError
-from upwash.mavlink_px4 import (
+from upwash.mavlink.px4 import (
     AVAILABLE_MODES,
     RUN_PREARM_CHECKS,
     Mode,
     RequestEventMessage,
     float_of_bytes,
 )
-from upwash.vehicle.conversation import Vehicle
+from upwash.vehicle.connection import Vehicle
 from upwash.vehicle.faults import FaultKind
 
 NAN, IGNORED = math.nan, 2**31 - 1
@@ -413,7 +413,7 @@ def test_a_full_battery_runs_down_through_warning_return_and_landing() -> None:
 def test_a_battery_that_fails_suddenly_is_flown_home() -> None:
     async def scenario(client: Px4Client, vehicle: Vehicle) -> None:
         await client.take_off()
-        vehicle.copter.fail(FaultKind.BATTERY, vehicle.now_s())
+        vehicle.firmware.copter.fail(FaultKind.BATTERY, vehicle.now_s())
         await client.in_mode(Mode.RTL)
         assert client.changes[-1][2] == Mode.LOITER
         await client.disarmed()

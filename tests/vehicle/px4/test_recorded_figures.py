@@ -18,8 +18,8 @@ import pytest
 from tests.vehicle.px4.client import SETTINGS, Px4Client, talk
 
 from upwash.core.geo import Position, ground_distance_m
-from upwash.mavlink_px4 import Mode
-from upwash.vehicle.conversation import Vehicle
+from upwash.mavlink.px4 import Mode
+from upwash.vehicle.connection import Vehicle
 from upwash.vehicle.faults import FaultKind
 
 DATA = Path(__file__).parent / "data"
@@ -216,7 +216,7 @@ def test_without_gps_it_descends_when_it_was_seen_to() -> None:
     async def scenario(client: Px4Client, vehicle: Vehicle) -> None:
         await client.take_off()
         await asyncio.sleep(5.0)
-        vehicle.copter.fail(FaultKind.GPS, vehicle.now_s())
+        vehicle.firmware.copter.fail(FaultKind.GPS, vehicle.now_s())
         begun_s = client.now_s()
         descends_s = await client.in_mode(Mode.LAND)
         agrees("gps_lost_descends_s", descends_s - begun_s)

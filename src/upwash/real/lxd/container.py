@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from ipaddress import IPv4Network
 
 from upwash.errors import EngineError
-from upwash.real.leash import Leash, new_leash
+from upwash.real.container_init import CREDENTIALS, SCRATCH_BYTES
+from upwash.real.control_credentials import ControlCredentials, new_control_credentials
 from upwash.real.lxd.engine import EngineInstance
 from upwash.real.lxd.image import ServiceImage
-from upwash.real.warden import LEASH, SCRATCH_BYTES
 
 _SERVER, _SERVICE, _IMAGE = "user.upwash.server", "user.upwash.service", "user.upwash.image"
 _NIC = "eth0"
@@ -50,7 +50,7 @@ class Container:
     member: str
     status: str
     address: str
-    leash: Leash
+    credentials: ControlCredentials
 
 
 def new_container(
@@ -65,14 +65,14 @@ def new_container(
         member=member,
         status="Stopped",
         address=_free_address(subnet, taken),
-        leash=new_leash(),
+        credentials=new_control_credentials(),
     )
 
 
 def known_container(instance: EngineInstance) -> Container | None:
     """The container that an engine's instance is; None for one that upwash did not make."""
     config, nic = instance.config, instance.devices.get(_NIC, {})
-    if not {_SERVER, _SERVICE, _IMAGE, f"environment.{LEASH}"} <= config.keys():
+    if not {_SERVER, _SERVICE, _IMAGE, f"environment.{CREDENTIALS}"} <= config.keys():
         return None
     return Container(
         name=instance.name,
@@ -82,7 +82,7 @@ def known_container(instance: EngineInstance) -> Container | None:
         member=instance.member,
         status=instance.status,
         address=nic.get("ipv4.address", ""),
-        leash=Leash.from_text(config[f"environment.{LEASH}"]),
+        credentials=ControlCredentials.from_text(config[f"environment.{CREDENTIALS}"]),
     )
 
 
@@ -110,7 +110,7 @@ def definition(
         "boot.autostart": "false",
         "limits.memory": str(settings.memory_bytes),
         "limits.processes": str(settings.processes),
-        f"environment.{LEASH}": container.leash.text(),
+        f"environment.{CREDENTIALS}": container.credentials.text(),
         f"environment.{SCRATCH_BYTES}": str(settings.disk_bytes),
         _SERVER: container.server,
         _SERVICE: container.service,

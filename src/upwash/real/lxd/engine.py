@@ -18,8 +18,8 @@ from typing import Any, TypeVar
 from urllib.parse import quote
 
 from upwash.errors import EngineError, UsageError
-from upwash.loading import extra
 from upwash.real.secrets import read_secret
+from upwash.support.loading import extra
 
 _log = logging.getLogger("upwash.lxd")
 

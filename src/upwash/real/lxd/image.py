@@ -11,7 +11,7 @@ from upwash.ports import Program
 from upwash.real.lxd.engine import EngineImage
 
 _PREFIX = "upwash."
-_NAMES = ("service", "program", "settings", "base", "python", "release", "methods")
+_NAMES = ("service", "program", "settings", "base", "python", "release", "methods", "concurrency")
 _plain = msgspec.json.Decoder(dict[str, object])
 
 
@@ -19,7 +19,8 @@ _plain = msgspec.json.Decoder(dict[str, object])
 class ServiceImage:
     """A service's image: its program, the system below it, the Python and upwash that it was packaged with.
 
-    `methods` are those that the service declares, in the words of whoever packaged it.
+    `methods` are those that the service declares, `concurrency` how many calls an instance computes at a time, in the
+    words of whoever packaged it.
     """
 
     service: str
@@ -29,6 +30,7 @@ class ServiceImage:
     release: str
     fingerprint: str = ""
     methods: frozenset[str] = frozenset()
+    concurrency: int = 1
 
     def properties(self) -> dict[str, str]:
         """What is written into the image; its fingerprint comes of that."""
@@ -41,6 +43,7 @@ class ServiceImage:
             f"{_PREFIX}python": self.python,
             f"{_PREFIX}release": self.release,
             f"{_PREFIX}methods": ",".join(sorted(self.methods)),
+            f"{_PREFIX}concurrency": str(self.concurrency),
         }
 
 
@@ -48,17 +51,16 @@ def newest_images(images: Iterable[EngineImage]) -> Mapping[str, ServiceImage]:
     """Of each service the image that was imported last, by the service's name; other people's are left aside."""
     found: dict[str, ServiceImage] = {}
     for image in sorted(images, key=lambda each: each.uploaded_at):
-        said = [image.properties.get(_PREFIX + name) for name in _NAMES]
-        match said:
-            case [str(service), str(path), str(settings), str(base), str(python), str(release), str(methods)]:
-                program = Program(path, _plain.decode(settings))
-                found[service] = ServiceImage(
-                    service,
-                    program,
-                    base,
-                    python,
-                    release,
-                    image.fingerprint,
-                    frozenset(filter(None, methods.split(","))),
-                )
+        said = {name: image.properties.get(_PREFIX + name, "") for name in _NAMES}
+        if said["service"] and said["concurrency"].isdecimal():  # else it says less than images do by now
+            found[said["service"]] = ServiceImage(
+                said["service"],
+                Program(said["program"], _plain.decode(said["settings"])),
+                said["base"],
+                said["python"],
+                said["release"],
+                image.fingerprint,
+                frozenset(filter(None, said["methods"].split(","))),
+                int(said["concurrency"]),
+            )
     return found

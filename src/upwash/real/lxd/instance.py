@@ -8,14 +8,20 @@ from collections.abc import Callable
 
 import msgspec
 
-from upwash.core.visitors import Visitor
+from upwash.core.clients import Client
 from upwash.errors import EngineError, InstanceError
 from upwash.ports import Answered
 from upwash.real.announced import announcement
 from upwash.real.control import Begin
-from upwash.real.conversation import LONGEST_LINE_BYTES, Conversation
+from upwash.real.control_credentials import (
+    CONTROL_PORT,
+    SERVICE_PORT,
+    ControlCredentials,
+    new_control_credentials,
+    notice_silence,
+)
 from upwash.real.door import Lead, Passage
-from upwash.real.leash import CONTROL_PORT, SERVICE_PORT, Leash, new_leash, notice_silence
+from upwash.real.instance_control import LONGEST_LINE_BYTES, InstanceControl
 from upwash.real.lxd.container import Container
 from upwash.real.lxd.engine import Engine
 from upwash.real.output import Output
@@ -48,13 +54,13 @@ class ContainerInstance:
         self.endpoint = ""  # of a passage through the daemon's door
         self._lead = lead
         self._passage: Passage | None = None
-        self._leash: Leash = new_leash()  # of the service: the container's own is its process 1's
+        self._credentials: ControlCredentials = new_control_credentials()  # of the service alone
         self._lost = lost  # is told the member of one that ended without a word
         self._name = name
         self._engine = engine
         self._keep = keep  # takes the instance once it is frozen
         self._output = Output(name)
-        self._conversation: Conversation | None = None
+        self._control: InstanceControl | None = None
         self._stopped = asyncio.Event()
 
     async def begin(
@@ -64,7 +70,7 @@ class ContainerInstance:
         name = self.container.name
         await self._engine.change(name, "start", wait_s=_START_S)
         reports, orders = await self._reach()
-        self._conversation = Conversation(
+        self._control = InstanceControl(
             self._name,
             called,
             self._output,
@@ -74,38 +80,38 @@ class ContainerInstance:
             orders=orders,
         )
         try:
-            await self._conversation.begin(msgspec.structs.replace(begin, leash=self._leash.text()))
+            await self._control.begin(msgspec.structs.replace(begin, credentials=self._credentials.text()))
         except EOFError:
             raise InstanceError(f"{self._name} did not start: {self._how_it_ended()}") from None
         await self._open()
 
     async def resume(self, *, called: Callable[[str], None], answered: Answered) -> None:
         """Has a frozen instance serve again; raises InstanceError."""
-        assert self._conversation is not None  # noqa: S101 - it has begun
+        assert self._control is not None  # noqa: S101 - it has begun
         self._stopped.clear()
-        self._conversation.called, self._conversation.answered = called, answered
+        self._control.called, self._control.answered = called, answered
         await self._engine.change(self.container.name, "unfreeze", wait_s=_FREEZE_S)
-        await self._conversation.admit(frozenset())
+        await self._control.admit(frozenset())
         await self._open()
 
-    async def admit(self, drones: frozenset[str]) -> None:
+    async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
         """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
-        assert self._conversation is not None  # noqa: S101 - it has begun
-        await self._conversation.admit(drones)
+        assert self._control is not None  # noqa: S101 - it has begun
+        await self._control.admit(drones, finishing)
 
     async def drain(self, why: str) -> None:
         """Has every further call refused for that reason; returns when none is under way, or nothing is left.
 
         It never answers again, and is not kept.
         """
-        assert self._conversation is not None  # noqa: S101 - it has begun
+        assert self._control is not None  # noqa: S101 - it has begun
         self._keep = None
-        await self._conversation.drain(why)
+        await self._control.drain(why)
 
     async def exited(self) -> str:
         """Returns how the service ended, with its last words, when it does."""
-        assert self._conversation is not None  # noqa: S101 - it has begun
-        gone = asyncio.create_task(self._conversation.ended())
+        assert self._control is not None  # noqa: S101 - it has begun
+        gone = asyncio.create_task(self._control.ended())
         stopped = asyncio.create_task(self._stopped.wait())
         try:
             await asyncio.wait([gone, stopped], return_when=asyncio.FIRST_COMPLETED)
@@ -120,9 +126,9 @@ class ContainerInstance:
             return
         self._stopped.set()
         await self._shut()
-        if self._keep is not None and self._conversation is not None and not self._conversation.is_over:
+        if self._keep is not None and self._control is not None and not self._control.is_over:
             try:
-                await self._conversation.admit(frozenset())
+                await self._control.admit(frozenset())
                 await self._engine.change(self.container.name, "freeze", wait_s=_FREEZE_S)
             except InstanceError as error:
                 _log.warning("%s cannot be frozen and is stopped: %s", self._name, error)
@@ -135,8 +141,8 @@ class ContainerInstance:
         """Stops the container; where the engine does not answer, what runs in it ends by itself."""
         self._stopped.set()
         await self._shut()
-        if self._conversation is not None:
-            await self._conversation.close()
+        if self._control is not None:
+            await self._control.close()
         try:
             await self._engine.change(self.container.name, "stop", wait_s=_STOP_S)
         except EngineError as error:
@@ -144,13 +150,13 @@ class ContainerInstance:
 
     async def _reach(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         """The control line to the container's process 1, which is about to listen."""
-        leash = self.container.leash.context(is_server=False)
+        credentials = self.container.credentials.context(is_server=False)
         try:
             async with asyncio.timeout(_REACHED_S):
                 while True:
                     try:
                         reports, orders = await asyncio.open_connection(
-                            self.container.address, CONTROL_PORT, ssl=leash, limit=LONGEST_LINE_BYTES
+                            self.container.address, CONTROL_PORT, ssl=credentials, limit=LONGEST_LINE_BYTES
                         )
                     except OSError:
                         await asyncio.sleep(_RETRY_S)
@@ -167,7 +173,7 @@ class ContainerInstance:
         """Leads callers to the service, once that was reached."""
         try:
             async with asyncio.timeout(_ANSWERS_S):
-                _, writer = await self._connect(Visitor(""))
+                _, writer = await self._connect(Client(""))
                 writer.close()
         except OSError as error:
             raise InstanceError(f"{self._name} runs, but does not answer: {error}") from error
@@ -179,18 +185,21 @@ class ContainerInstance:
             await self._passage.close()
             self._passage = None
 
-    async def _connect(self, visitor: Visitor) -> Streams:
+    async def _connect(self, client: Client) -> Streams:
         reader, writer = await asyncio.open_connection(
-            self.container.address, SERVICE_PORT, ssl=self._leash.context(is_server=False), limit=CHUNK_BYTES
+            self.container.address,
+            SERVICE_PORT,
+            ssl=self._credentials.context(is_server=False),
+            limit=CHUNK_BYTES,
         )
-        writer.write(announcement(visitor))
+        writer.write(announcement(client))
         return reader, writer
 
     def _how_it_ended(self) -> str:
-        assert self._conversation is not None  # noqa: S101 - it has begun
-        code = self._conversation.code
-        if self._conversation.fault:
-            return self._conversation.fault
+        assert self._control is not None  # noqa: S101 - it has begun
+        code = self._control.code
+        if self._control.fault:
+            return self._control.fault
         if code is None:
             self._lost(self.container.member)
             return "the container is gone, or cannot be reached"

@@ -8,10 +8,10 @@ from collections.abc import Callable, Collection, Sequence
 from importlib.metadata import version
 
 from upwash.errors import EngineError, InstanceError
-from upwash.ports import Answered, InstanceSpec, unheard
+from upwash.ports import Answered, InstanceSpec, ignored
 from upwash.real.control import Begin
+from upwash.real.control_credentials import SERVICE_PORT
 from upwash.real.door import Lead
-from upwash.real.leash import SERVICE_PORT
 from upwash.real.lxd.container import (
     Container,
     ContainerSettings,
@@ -53,6 +53,7 @@ class ContainerRuntime:
         self._frozen: dict[tuple[str, str], ContainerInstance] = {}
         self._containers: list[Container] = []  # not asked for again: a cluster waits for its lost members
         self._taken: set[str] = set()  # addresses
+        self.concurrency: dict[str, int] = {}  # of each service's image, once it is prepared
         self._suspects: set[str] = set()  # members that lost an instance and are not known to be offline yet
 
     async def prepare(self, servers: Collection[str], wanted: Sequence[tuple[str, str]]) -> None:
@@ -62,6 +63,7 @@ class ContainerRuntime:
         """
         await self._engine.connect()
         images = {service: await self._image(service) for _, service in wanted}
+        self.concurrency = {service: image.concurrency for service, image in images.items()}
         current = {(server, service): images[service].fingerprint for server, service in wanted}
         instances = await self._engine.instances()
         self._taken = addresses(instances)
@@ -78,7 +80,7 @@ class ContainerRuntime:
                 _log.info("%s@%s has a container", service, server)
 
     async def start(
-        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = unheard
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
     ) -> ContainerInstance:
         """Returns when the instance is healthy; raises InstanceError, with nothing left running."""
         image = await self._image(spec.service)
@@ -227,4 +229,5 @@ class ContainerRuntime:
             is_announced=True,
             max_message_bytes=self._max_message_bytes,
             pace_s=spec.pace_s,
+            heats=spec.heats,
         )

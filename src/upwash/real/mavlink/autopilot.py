@@ -73,6 +73,11 @@ class MavlinkAutopilot(ABC):
         return self._telemetry.velocity
 
     @property
+    def heading_deg(self) -> float | None:
+        """Where its nose points, as it reports it."""
+        return self._telemetry.heading_deg
+
+    @property
     def wind(self) -> Velocity | None:
         """As it estimates it."""
         return self._telemetry.wind

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from upwash.core.geo import LocalFrame
-from upwash.mavlink_signing import Signing
+from upwash.mavlink.signing import Signing
 from upwash.real.mavlink.arducopter import ARDUCOPTER, ArduCopter
 from upwash.real.mavlink.autopilot import MavlinkAutopilot, check_speed
-from upwash.real.mavlink.px4 import PX4, Px4
+from upwash.real.mavlink.px4 import Px4
+from upwash.real.mavlink.px4_firmware import PX4
 from upwash.real.mavlink.settings import FlightSettings
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 

@@ -1,6 +1,6 @@
 """Files on an autopilot, over MAVLink FTP (mavlink.io/en/services/ftp.html): small ones, whole, one at a time.
 
-pymavlink packs and parses the message that carries it; what its payload holds is packed and parsed here.
+pymavlink packs and parses the message that carries it, `upwash.mavlink.ftp` what its payload holds.
 """
 
 from __future__ import annotations
@@ -8,84 +8,21 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import secrets
-import struct
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
-from enum import IntEnum
 from typing import TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import AutopilotRefused, AutopilotTimeout
+from upwash.mavlink.ftp import MOST_DATA_BYTES, Opcode, Packet, Trouble, read_packet
 from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.link import COMPANION
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
-_HEAD = struct.Struct("<HBBBBBxI")  # number, session, opcode, size, opcode asked for, burst complete, offset
-_PAYLOAD_BYTES = 251
-MOST_DATA_BYTES = _PAYLOAD_BYTES - _HEAD.size
 MOST_FILE_BYTES = 65_536  # of a file that is read: what is longer is none of ours
 _ATTEMPTS = 12
 _TRANSFERS = 4
 _T = TypeVar("_T")
-
-
-class Opcode(IntEnum):
-    """MAV_FTP_OPCODE."""
-
-    TERMINATE_SESSION = 1
-    RESET_SESSIONS = 2
-    LIST_DIRECTORY = 3
-    OPEN_FILE_READ_ONLY = 4
-    READ_FILE = 5
-    CREATE_FILE = 6
-    WRITE_FILE = 7
-    CREATE_DIRECTORY = 9
-    ACK = 128
-    NAK = 129
-
-
-class Trouble(IntEnum):
-    """MAV_FTP_ERR: why something was refused."""
-
-    FAIL = 1
-    FAIL_ERRNO = 2
-    INVALID_DATA_SIZE = 3
-    INVALID_SESSION = 4
-    NO_SESSIONS_AVAILABLE = 5
-    END_OF_FILE = 6
-    UNKNOWN_COMMAND = 7
-    FILE_EXISTS = 8
-    FILE_PROTECTED = 9
-    FILE_NOT_FOUND = 10
-
-
-@dataclass(frozen=True, slots=True)
-class Packet:
-    """What one FILE_TRANSFER_PROTOCOL message carries."""
-
-    number: int
-    session: int
-    opcode: int
-    asked: int = 0
-    offset: int = 0
-    data: bytes = b""
-    size: int | None = None  # None: of the data
-
-    def payload(self) -> bytes:
-        """As it is sent."""
-        size = len(self.data) if self.size is None else self.size
-        head = _HEAD.pack(self.number, self.session, self.opcode, size, self.asked, 0, self.offset)
-        return (head + self.data).ljust(_PAYLOAD_BYTES, b"\0")
-
-
-def read_packet(payload: bytes) -> Packet | None:
-    """What a payload says; None where it contradicts itself."""
-    if len(payload) < _HEAD.size:
-        return None
-    number, session, opcode, size, asked, _, offset = _HEAD.unpack_from(payload)
-    data = payload[_HEAD.size : _HEAD.size + size]
-    return Packet(number, session, opcode, asked, offset, data) if len(data) == size else None
 
 
 class FileRefused(AutopilotRefused):

@@ -7,8 +7,8 @@ from typing import Any, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.mavlink_packets import PacketReader
-from upwash.mavlink_signing import Refusal, Signing
+from upwash.mavlink.packets import PacketReader
+from upwash.mavlink.signing import Refusal, Signing
 
 Message: TypeAlias = Any  # pymavlink's messages are not typed
 

@@ -18,8 +18,8 @@ from functools import partial
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import UsageError
-from upwash.mavlink_packets import packed
-from upwash.mavlink_signing import Refusal, Signing
+from upwash.mavlink.packets import packed
+from upwash.mavlink.signing import Refusal, Signing
 from upwash.real.mavlink.hearing import Hearing, Message, from_autopilot
 from upwash.real.mavlink.peer import Address, Peer
 

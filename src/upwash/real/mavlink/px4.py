@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import csv
 import math
-import struct
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
-from importlib import resources
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -21,42 +17,30 @@ from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Position, Velocity
 from upwash.core.geofence import Fence
 from upwash.errors import AutopilotError, AutopilotRefused
-from upwash.mavlink_px4 import CURRENT_MODE, EVENTS, RUN_PREARM_CHECKS, Mode, event_text
-from upwash.ports import VehicleLimits, VehicleSetting, VehicleText
+from upwash.mavlink.px4 import RUN_PREARM_CHECKS
+from upwash.ports import VehicleLimits, VehicleSetting
 from upwash.real.mavlink.autopilot import MavlinkAutopilot, check_speed
 from upwash.real.mavlink.course import Abilities, Course
 from upwash.real.mavlink.fence import circle_around, download_fence
-from upwash.real.mavlink.firmware import Firmware
 from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.offboard import SetpointStream
 from upwash.real.mavlink.parameters import read_parameters
-from upwash.real.mavlink.telemetry import Telemetry
+from upwash.real.mavlink.px4_firmware import (
+    LAND,
+    LOITER,
+    LOITER_STATE,
+    MODES,
+    OFFBOARD,
+    RTL,
+    TAKEOFF,
+    failsafe,
+    words_of,
+)
 
-_LOITER, _TAKEOFF, _RTL, _LAND, _OFFBOARD = "AUTO.LOITER", "AUTO.TAKEOFF", "AUTO.RTL", "AUTO.LAND", "OFFBOARD"
-_AUTO = (Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL, Mode.LAND)
-_NAMES = {mode.value: f"AUTO.{mode.name}" if mode in _AUTO else mode.name for mode in Mode}
-_NUMBERS = {name: Mode(number) for number, name in _NAMES.items()}
 _POSITION = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
-_STATES = {
-    Mode.MANUAL: 0,
-    Mode.ALTCTL: 1,
-    Mode.POSCTL: 2,
-    Mode.MISSION: 3,
-    Mode.LOITER: 4,
-    Mode.RTL: 5,
-    Mode.ACRO: 10,
-    Mode.OFFBOARD: 14,
-    Mode.STABILIZED: 15,
-    Mode.TAKEOFF: 17,
-    Mode.LAND: 18,
-}  # PX4's navigation states: the bits in what its checks say of modes
-_LOITER_STATE = 1 << _STATES[Mode.LOITER]
 _LEAST_BLOCKING = (
     mavlink.MAV_SEVERITY_ERROR
 )  # a failed check that is less severe does not keep it from being armed
-_CHECKS_BEGIN, _CHECKS_END = "commander_arming_check_summary", "commander_health_summary"
-_CHECK = "check_"
-_CHECK_ARGUMENTS = struct.Struct("<IB")  # the modes that it concerns, and the component
 _READ_BEFORE_ARMING = (
     "GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST",
     "BAT_LOW_THR", "BAT_CRIT_THR", "RTL_RETURN_ALT",
@@ -75,113 +59,10 @@ _SETTLES_S = 1.0  # more than COM_FAIL_ACT_T
 _FAILS_AFTER_S = 5.0  # COM_FAIL_ACT_T, where it does not say
 
 
-def _mode_name(number: int) -> str:
-    return _NAMES.get(number, f"number {number:#x}")
-
-
-def _failsafe(telemetry: Telemetry, _mode: str) -> str:
-    """The mode that it was told differs then from the one that it flies; a heartbeat has a system status for it."""
-    told = telemetry.flown_and_intended_mode
-    if told is not None and told[0] == telemetry.mode:
-        flown, intended = told
-        return f"a fail-safe chose it, {_mode_name(intended)} was set" if intended not in (0, flown) else ""
-    critical = telemetry.system_status == mavlink.MAV_STATE_CRITICAL
-    return "its system status is critical" if critical else ""
-
-
-def _take(telemetry: Telemetry, message: Message, now_s: float) -> None:
-    match message.get_type():
-        case "CURRENT_MODE":
-            telemetry.flown_and_intended_mode = message.custom_mode, message.intended_custom_mode
-            if (
-                not telemetry.on_ground
-            ):  # where it disarms itself it changes its mode, too: both are in a HEARTBEAT
-                telemetry.mode = message.custom_mode
-        case (
-            "SYS_STATUS"
-        ):  # it has the check among the sensors that are healthy, and not among those that are there
-            health = message.onboard_control_sensors_health
-            telemetry.can_be_armed = bool(health & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
-        case "ESTIMATOR_STATUS":  # at rest on the ground it takes its place for constant
-            doubts = 0 if telemetry.on_ground else mavlink.ESTIMATOR_CONST_POS_MODE
-            flags, doubts = message.flags, doubts | mavlink.ESTIMATOR_GPS_GLITCH
-            telemetry.knows_its_place = bool(flags & mavlink.ESTIMATOR_POS_HORIZ_ABS) and not flags & doubts
-        case "EVENT":
-            _take_event(telemetry, message, now_s)
-
-
-def _take_event(telemetry: Telemetry, event: Any, now_s: float) -> None:
-    """Failed checks come as a set, whole each time that one changes; what was in the last set is no news."""
-    number, name = event.id_of_event, _event_name(event.id_of_event)
-    if name == _CHECKS_BEGIN:
-        telemetry.armable_modes = EVENTS[number].unpacked(event.arguments)[3]
-        telemetry.failed_checks_before, telemetry.failed_checks = telemetry.failed_checks, {}
-    elif name.startswith(_CHECK):
-        modes = _CHECK_ARGUMENTS.unpack_from(event.arguments)[0]
-        telemetry.failed_checks[number] = event.severity, modes
-        is_new = number not in telemetry.failed_checks_before
-        if telemetry.armed and is_new and _concerns(modes, telemetry.mode):
-            _hear(telemetry, event, now_s)
-    elif name != _CHECKS_END:
-        _hear(telemetry, event, now_s)
-
-
-def _concerns(modes: int, mode: int | None) -> bool:
-    """Whether a failed check is for the mode that is flown."""
-    state = _STATES.get(Mode(mode)) if mode in _NAMES else None
-    return state is None or bool(modes >> state & 1)
-
-
-def _hear(telemetry: Telemetry, event: Any, now_s: float) -> None:
-    if event.severity > mavlink.MAV_SEVERITY_DEBUG:  # for programs
-        return
-    text = event_text(event) if event.id_of_event in EVENTS else _words(event.id_of_event)
-    telemetry.hear_text(VehicleText(event.severity, text), now_s)
-
-
-def _words(number: int) -> str:
-    """What the event of that number is about."""
-    if kind := EVENTS.get(number):
-        return kind.text
-    name = _event_name(number)
-    return f"{name.removeprefix(_CHECK).replace('_', ' ')} (event {number})" if name else f"event {number}"
-
-
-def _event_name(number: int) -> str:
-    kind = EVENTS.get(number)
-    return kind.name if kind else _event_names().get(number, "")
-
-
-@cache
-def _event_names() -> Mapping[int, str]:
-    """Of PX4 1.16.1, by bench/px4_events.py."""
-    with resources.files("upwash.real.mavlink").joinpath("px4_events.csv").open(encoding="utf-8") as table:
-        return {int(row["number"]): row["name"] for row in csv.DictReader(table)}
-
-
-PX4 = Firmware(
-    name="PX4",
-    autopilot=mavlink.MAV_AUTOPILOT_PX4,
-    own_mode=_LOITER,  # OFFBOARD needs setpoints: nobody but a program that runs can be in it
-    mode_name=_mode_name,
-    failsafe=_failsafe,
-    take=_take,
-    streams_hz={
-        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
-        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 4.0,
-        mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
-        mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 2.0,
-        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-        CURRENT_MODE: 50.0,  # it comes when the mode changes, and twice a second
-    },
-    sends_parameters_as_bytes=True,
-)
-
-
 class Px4(MavlinkAutopilot):
     """In OFFBOARD from the end of its take-off on: a mode that somebody else sets is seen, and setpoints keep it."""
 
-    return_mode, land_mode = _RTL, _LAND
+    return_mode, land_mode = RTL, LAND
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
@@ -198,7 +79,7 @@ class Px4(MavlinkAutopilot):
         try:
             if self._holds and self._stream.course is not None and self._vehicle.is_ours:
                 with contextlib.suppress(AutopilotError):
-                    await self._change_mode("leave hovering", _LOITER)
+                    await self._change_mode("leave hovering", LOITER)
         finally:
             self._listening.close()
             await self._stream.close()
@@ -208,10 +89,10 @@ class Px4(MavlinkAutopilot):
 
     async def claim(self, *, resumes: bool) -> None:
         """Waits where a fail-safe has only begun: PX4 hovers for some seconds before it acts."""
-        if resumes and self._telemetry.armed and _failsafe(self._telemetry, ""):
+        if resumes and self._telemetry.armed and failsafe(self._telemetry, ""):
             told = await read_parameters(self._vehicle, ["COM_FAIL_ACT_T"])
             wait_s = told.get("COM_FAIL_ACT_T", _FAILS_AFTER_S) + _SETTLES_S
-            await self._vehicle.happens("start", lambda: self._vehicle.mode_name != _LOITER, within_s=wait_s)
+            await self._vehicle.happens("start", lambda: self._vehicle.mode_name != LOITER, within_s=wait_s)
         await super().claim(resumes=resumes)
 
     async def ready(self) -> None:
@@ -241,7 +122,7 @@ class Px4(MavlinkAutopilot):
         vehicle, settings = self._vehicle, self._settings
         deadline_s = vehicle.now_s + settings.ready_timeout_s
         async with vehicle.limited("arm", settings.ready_timeout_s + settings.margin_s):
-            await self._change_mode("arm", _LOITER)
+            await self._change_mode("arm", LOITER)
             while True:
                 try:
                     await self._make_sure_of_mode("arm")
@@ -267,7 +148,7 @@ class Px4(MavlinkAutopilot):
             above_sea_m = self._telemetry.home_above_sea_m + altitude_m
             self._loiters_from_m = altitude_m - _LOITERS_BELOW_M
             await self._lift_off(step, above_sea_m)
-            await self._while_ours(step, lambda: self._vehicle.mode_name == _LOITER)
+            await self._while_ours(step, lambda: self._vehicle.mode_name == LOITER)
             here = self.position
             course = await self._enter_offboard(step)
             course.aim(
@@ -279,7 +160,7 @@ class Px4(MavlinkAutopilot):
         nan = math.nan  # where it stands, headed as it is
         parameters = (-1.0, 0.0, 0.0, nan, nan, nan, above_sea_m)
         await self._until_mode(
-            step, _TAKEOFF, mavlink.MAV_CMD_NAV_TAKEOFF, parameters, lambda: self._telemetry.in_the_air
+            step, TAKEOFF, mavlink.MAV_CMD_NAV_TAKEOFF, parameters, lambda: self._telemetry.in_the_air
         )
 
     async def set_ground_speed(self, ground_speed_m_s: float) -> None:
@@ -321,25 +202,25 @@ class Px4(MavlinkAutopilot):
         vehicle, stream = self._vehicle, self._stream
         vehicle.require_control(step)
         self._holds, self._loiters_from_m = False, None
-        if stream.course is not None and vehicle.mode_name == _OFFBOARD:
+        if stream.course is not None and vehicle.mode_name == OFFBOARD:
             return stream.course
         await self._make_sure_of_mode(step)
-        vehicle.latch.expect_modes((_OFFBOARD,))  # where setpoints were lost, they alone have it go there
+        vehicle.latch.expect_modes((OFFBOARD,))  # where setpoints were lost, they alone have it go there
         stream.begin().stop()
         await vehicle.happens(step, lambda: not vehicle.is_ours, within_s=_BEFORE_OFFBOARD_S)
         try:
-            await self._change_mode(step, _OFFBOARD)
+            await self._change_mode(step, OFFBOARD)
         except BaseException:
-            if vehicle.mode_name != _OFFBOARD:
+            if vehicle.mode_name != OFFBOARD:
                 stream.end()
             raise
         return stream.begin()  # from where it is by now
 
     async def _change_mode(self, step: str, mode: str) -> None:
-        number = _NUMBERS[mode]
+        number = MODES[mode]
         parameters = (mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, number.main, number.sub)
         await self._until_mode(step, mode, mavlink.MAV_CMD_DO_SET_MODE, parameters)
-        if mode != _OFFBOARD:
+        if mode != OFFBOARD:
             self._stream.end()
 
     async def _until_mode(
@@ -446,16 +327,16 @@ class Px4(MavlinkAutopilot):
     def _may_be_armed(self) -> bool:
         """By its checks for AUTO.LOITER, whatever mode it is in."""
         telemetry = self._telemetry
-        if self._vehicle.mode_name != _LOITER:
-            telemetry.can_be_armed = bool((telemetry.armable_modes or 0) & _LOITER_STATE)
+        if self._vehicle.mode_name != LOITER:
+            telemetry.can_be_armed = bool((telemetry.armable_modes or 0) & LOITER_STATE)
         return super()._may_be_armed()
 
     def _reasons_since(self, _since_s: float) -> tuple[str, ...]:
         """What the last set of failed checks holds against arming in AUTO.LOITER."""
         blocking = (
-            _words(number)
+            words_of(number)
             for number, (severity, modes) in self._telemetry.failed_checks.items()
-            if modes & _LOITER_STATE and severity <= _LEAST_BLOCKING
+            if modes & LOITER_STATE and severity <= _LEAST_BLOCKING
         )
         return tuple(dict.fromkeys(blocking))
 
@@ -468,7 +349,7 @@ class Px4(MavlinkAutopilot):
             return
         if self._loiters_from_m is not None and self.position.altitude_m >= self._loiters_from_m:
             self._loiters_from_m = None  # not before: whoever has it hover farther down is a pilot
-            self._vehicle.latch.expect_modes((_TAKEOFF, _LOITER))
+            self._vehicle.latch.expect_modes((TAKEOFF, LOITER))
         now_s = self._vehicle.now_s
         self._velocities.append((now_s, velocity))
         while self._velocities[0][0] < now_s - _MEAN_OVER_S:

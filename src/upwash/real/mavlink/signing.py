@@ -8,7 +8,7 @@ import secrets
 from pathlib import Path
 
 from upwash.errors import CredentialsError, UsageError
-from upwash.mavlink_signing import Signing, key_of, key_of_passphrase
+from upwash.mavlink.signing import Signing, key_of, key_of_passphrase
 from upwash.real.secrets import read_secret
 
 _PASSPHRASE_BYTES = 24

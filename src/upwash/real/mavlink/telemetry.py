@@ -9,12 +9,14 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, Velocity
-from upwash.ports import SEVERITIES, VehicleText
+from upwash.eventlog.schema import SEVERITIES
+from upwash.ports import VehicleText
 from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.link import COMPANION
-from upwash.text import printable
+from upwash.support.text import printable
 
 _DEBUG = len(SEVERITIES) - 1
+_ROUND_CDEG = 36_000  # UINT16_MAX stands for a heading that is not known
 _TEXTS_KEPT = 32
 _LATELY_S = 3.0  # what was said longer ago is not about what has just happened
 _CHUNK_BYTES = 50  # of a text; a longer one comes in several
@@ -39,6 +41,7 @@ class Telemetry:
     position: GeoPosition | None = None
     above_sea_m: float | None = None
     velocity: Velocity | None = None  # over the ground
+    heading_deg: float | None = None
     wind: Velocity | None = None
     battery_percent: float | None = None
     home: GeoPosition | None = None  # its altitude is above the sea
@@ -74,6 +77,7 @@ class Telemetry:
                 self.position = GeoPosition(message.lat / 1e7, message.lon / 1e7, message.relative_alt / 1e3)
                 self.above_sea_m = message.alt / 1e3
                 self.velocity = Velocity(message.vy / 100, message.vx / 100, -message.vz / 100)
+                self.heading_deg = message.hdg / 100 if message.hdg < _ROUND_CDEG else None
             case "HOME_POSITION":
                 place = message.latitude / 1e7, message.longitude / 1e7
                 self.home = GeoPosition(*place, message.altitude / 1e3)

@@ -15,7 +15,7 @@ from upwash.errors import ModelError
 from upwash.services.darknet.graph import build_model
 from upwash.services.darknet.layers import read_network
 from upwash.services.darknet.weights import WeightsFile
-from upwash.user_files import read_file
+from upwash.support.input_files import read_file
 
 _log = logging.getLogger("upwash.detector")
 

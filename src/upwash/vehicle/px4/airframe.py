@@ -1,217 +1,39 @@
-"""How a PX4 flies, as its flights in its own simulation show (version 1.16.1, quadrotor, no wind).
-
-It is a point under drag whose speed is held by proportion and integral. That is why it first stays below the speed
-that it was told, creeps up to it, and overshoots where it stops: the integral, which holds against the drag, is left
-over. The constants are fitted to the medians of eleven recorded legs in each of four ways of flying.
-"""
+"""How a PX4 flies, drawn as phases, for whoever needs a whole flight in advance."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 
 from upwash.core.energy import PX4
 from upwash.core.geo import Position, Velocity, distance_m
 from upwash.vehicle.kinematics import Phase, heading_of
+from upwash.vehicle.px4.body import (
+    CLIMB_M_S,
+    CLIMB_RETURNING_M_S,
+    CLIMBING_M_S2,
+    SINKING_M_S,
+    STEP_S,
+    Body,
+    Steering,
+    approach_m_s,
+    landing_sink_m_s,
+)
 
 returning = PX4
-STEP_S = 0.05
 
-_PROPORTION, _INTEGRAL, _DRAG = 1.06, 0.345, 0.612  # of speed: 1/s, 1/s², 1/s
-_TILT_M_S2, _TILT_LAG_S = 7.83, 0.05
-_SPEEDING_UP_M_S2 = 3.29
-_STOPPING_M_S2 = 3.4  # where it is told to hold, from the speed that it has
-_BRAKING_M_S2, _BRAKING_LEAD_S = 2.66, 2.34  # on the way to a place: speed²/2a + lead x speed is what is left
-_STIFFNESS_1_S = 0.767  # of OFFBOARD: speed per metre that is left
 REACTION_S, FOLLOWING_LAG_S = 0.22, 0.34  # of repositions, of setpoints in OFFBOARD
-_EASING_S = 0.4  # of a pilot's sticks
-
-CLIMB_M_S, CLIMB_RETURNING_M_S = 1.32, 2.85  # at take-off, and to the altitude of a return
-CLIMBING_M_S2, _VERTICAL_M_S2 = 0.75, 2.5
-_VERTICAL_1_S = 0.65
-_SINKING_M_S, _SINKING_LOW_M_S = 1.2, 0.7
-_SLOWER_BELOW_M, _SLOW_BELOW_M = 10.0, 5.0
-BLIND_SINKING_M_S = 0.668  # without a position, or without a pilot
 BELIEVES_GROUND_S = 4.7  # after contact, until it counts as landed
 ALTITUDE_REACHED_M = 0.8  # NAV_MC_ALT_RAD
 spool_up_s = 3.0  # after the command to take off, until it lifts
-
-_TURNING_DEG_S = 40.0
 _ARRIVED_M, _ARRIVED_M_S = 1.0, 0.5  # near and slow enough for the next target
 _STILL_M, _STILL_M_S = 0.05, 0.02
 _LONGEST_S = 600.0
 _SAMPLE_STEPS = 4  # of a phase
 _TURNS_AT_ONCE_M_S = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class Steering:
-    """What the body is to do: to a place, at a velocity, or to a stop; up or down beside that.
-
-    A `place` is flown to at most at `cap_m_s`: `stiffly` as in OFFBOARD, else as in AUTO. Without a place the body
-    takes up the velocity, and `eases` into it under a pilot's sticks; without either it brakes, and not
-    even that if it is `level`.
-    """
-
-    place: Position | None = None
-    cap_m_s: float = 0.0
-    stiffly: bool = False
-    velocity: Velocity | None = None
-    eases: bool = False
-    level: bool = False
-    altitude_m: float | None = None
-    climb_m_s: float = CLIMB_RETURNING_M_S
-    sink_m_s: float = _SINKING_M_S
-    climb_m_s2: float = _VERTICAL_M_S2
-    turns_to_deg: float | None = None
-
-
-@dataclass(slots=True)
-class Body:
-    """The vehicle as a point, with what its controllers remember."""
-
-    east_m: float = 0.0
-    north_m: float = 0.0
-    altitude_m: float = 0.0
-    east_m_s: float = 0.0
-    north_m_s: float = 0.0
-    up_m_s: float = 0.0
-    heading_deg: float = 0.0
-    _held: list[float] = field(default_factory=lambda: [0.0, 0.0])  # the integrals
-    _thrust: list[float] = field(default_factory=lambda: [0.0, 0.0])
-    _told: list[float] = field(default_factory=lambda: [0.0, 0.0])  # the ramp of AUTO
-
-    @property
-    def position(self) -> Position:
-        """Where it is."""
-        return Position(self.east_m, self.north_m, self.altitude_m)
-
-    @property
-    def velocity(self) -> Velocity:
-        """How it moves."""
-        return Velocity(self.east_m_s, self.north_m_s, self.up_m_s)
-
-    @property
-    def ground_speed_m_s(self) -> float:
-        """How fast it moves over the ground."""
-        return math.hypot(self.east_m_s, self.north_m_s)
-
-    @property
-    def told_to_stand(self) -> bool:
-        """Whether it has been braked for long enough: what is left of its speed is to be taken back."""
-        return self._told == [0.0, 0.0]
-
-    def rest(self) -> None:
-        """Stands still, as on the ground."""
-        self.east_m_s = self.north_m_s = self.up_m_s = 0.0
-        self._held, self._thrust, self._told = [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]
-
-    def cruise(self, east_m_s: float, north_m_s: float) -> None:
-        """Moves steadily, and has done so for long."""
-        self.east_m_s, self.north_m_s = east_m_s, north_m_s
-        self._told = [east_m_s, north_m_s]
-        self._held = [_DRAG * east_m_s, _DRAG * north_m_s]
-        self._thrust = list(self._held)
-
-    def step(self, steering: Steering) -> None:
-        """Goes on for `STEP_S`."""
-        self._move_over_ground(steering)
-        self._move_vertically(steering)
-        self._turn(steering)
-
-    def _move_over_ground(self, steering: Steering) -> None:
-        if steering.level:
-            thrust = 0.0, 0.0
-            self._told = [self.east_m_s, self.north_m_s]
-        else:
-            thrust = self._wanted_thrust(self._wanted(steering))
-        share = STEP_S / _TILT_LAG_S
-        self._thrust[0] += (thrust[0] - self._thrust[0]) * share
-        self._thrust[1] += (thrust[1] - self._thrust[1]) * share
-        self.east_m_s += (self._thrust[0] - _DRAG * self.east_m_s) * STEP_S
-        self.north_m_s += (self._thrust[1] - _DRAG * self.north_m_s) * STEP_S
-        self.east_m += self.east_m_s * STEP_S
-        self.north_m += self.north_m_s * STEP_S
-
-    def _wanted(self, steering: Steering) -> tuple[float, float]:
-        """The velocity that the controllers are told."""
-        if steering.velocity is not None and steering.place is None:
-            share = STEP_S / _EASING_S if steering.eases else 1.0
-            self._told[0] += (steering.velocity.east_m_s - self._told[0]) * share
-            self._told[1] += (steering.velocity.north_m_s - self._told[1]) * share
-            return self._told[0], self._told[1]
-        if steering.place is None:
-            return self._ramped(0.0, 0.0, _STOPPING_M_S2)
-        east_m, north_m = steering.place.east_m - self.east_m, steering.place.north_m - self.north_m
-        left_m = math.hypot(east_m, north_m)
-        if steering.stiffly:
-            speed_m_s = min(steering.cap_m_s, _STIFFNESS_1_S * left_m)
-        else:
-            speed_m_s = min(steering.cap_m_s, _approach_m_s(left_m))
-        share = speed_m_s / left_m if left_m else 0.0
-        if steering.stiffly:
-            self._told = [self.east_m_s, self.north_m_s]
-            return _added(steering.velocity, east_m * share, north_m * share)
-        return self._ramped(east_m * share, north_m * share, _SPEEDING_UP_M_S2)
-
-    def _ramped(self, east_m_s: float, north_m_s: float, limit_m_s2: float) -> tuple[float, float]:
-        more_east, more_north = east_m_s - self._told[0], north_m_s - self._told[1]
-        more = math.hypot(more_east, more_north)
-        share = min(1.0, limit_m_s2 * STEP_S / more) if more else 0.0
-        self._told = [self._told[0] + more_east * share, self._told[1] + more_north * share]
-        return self._told[0], self._told[1]
-
-    def _wanted_thrust(self, wanted: tuple[float, float]) -> tuple[float, float]:
-        lacks = wanted[0] - self.east_m_s, wanted[1] - self.north_m_s
-        east = _PROPORTION * lacks[0] + self._held[0]
-        north = _PROPORTION * lacks[1] + self._held[1]
-        strength = math.hypot(east, north)
-        if strength <= _TILT_M_S2 or lacks[0] * east + lacks[1] * north < 0:
-            self._held[0] += _INTEGRAL * lacks[0] * STEP_S
-            self._held[1] += _INTEGRAL * lacks[1] * STEP_S
-        share = min(1.0, _TILT_M_S2 / strength) if strength else 0.0
-        return east * share, north * share
-
-    def _move_vertically(self, steering: Steering) -> None:
-        wanted_m_s = 0.0
-        if steering.altitude_m is not None:
-            left_m = steering.altitude_m - self.altitude_m
-            wanted_m_s = max(-steering.sink_m_s, min(steering.climb_m_s, _VERTICAL_1_S * left_m))
-        elif steering.velocity is not None:
-            wanted_m_s = steering.velocity.up_m_s
-        most = (steering.climb_m_s2 if wanted_m_s > self.up_m_s >= 0 else _VERTICAL_M_S2) * STEP_S
-        self.up_m_s += max(-most, min(most, wanted_m_s - self.up_m_s))
-        self.altitude_m += self.up_m_s * STEP_S
-
-    def _turn(self, steering: Steering) -> None:
-        if steering.turns_to_deg is not None:
-            left_deg = math.remainder(steering.turns_to_deg - self.heading_deg, 360)
-            most_deg = _TURNING_DEG_S * STEP_S
-            self.heading_deg = (self.heading_deg + max(-most_deg, min(most_deg, left_deg))) % 360
-
-
-def landing_sink_m_s(altitude_m: float) -> float:
-    """How fast it sinks on the way to the ground: slower on the last metres."""
-    share = (altitude_m - _SLOW_BELOW_M) / (_SLOWER_BELOW_M - _SLOW_BELOW_M)
-    return _SINKING_LOW_M_S + (_SINKING_M_S - _SINKING_LOW_M_S) * max(0.0, min(1.0, share))
-
-
-def _approach_m_s(left_m: float) -> float:
-    """The speed from which it can stop in time at a place so far away."""
-    lead = _BRAKING_M_S2 * _BRAKING_LEAD_S
-    return math.sqrt(lead**2 + 2 * _BRAKING_M_S2 * left_m) - lead
-
-
-def _added(velocity: Velocity | None, east_m_s: float, north_m_s: float) -> tuple[float, float]:
-    if velocity is None:
-        return east_m_s, north_m_s
-    return east_m_s + velocity.east_m_s, north_m_s + velocity.north_m_s
-
-
-# --- drawn as phases, for whoever needs a whole flight in advance -------------------------------------------------
 
 
 def waypoint_leg(start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
@@ -225,7 +47,7 @@ def rest_of_leg(
     """A leg from that speed to rest; empty if it is faster than it may be, or could not stop in time."""
     length_m = distance_m(start, end)
     cap_m_s = _cruise_m_s(start, end, ground_speed_m_s)
-    if length_m == 0 or speed_m_s > cap_m_s or speed_m_s > max(_approach_m_s(length_m), _TURNS_AT_ONCE_M_S):
+    if length_m == 0 or speed_m_s > cap_m_s or speed_m_s > max(approach_m_s(length_m), _TURNS_AT_ONCE_M_S):
         return ()
     return _along(start, heading_of(start, end), _leg_samples(length_m, cap_m_s, speed_m_s))
 
@@ -412,5 +234,5 @@ def _cruise_m_s(start: Position, end: Position, ground_speed_m_s: float) -> floa
     rise_m = end.altitude_m - start.altitude_m
     if rise_m == 0:
         return ground_speed_m_s
-    vertical_m_s = CLIMB_RETURNING_M_S if rise_m > 0 else _SINKING_M_S
+    vertical_m_s = CLIMB_RETURNING_M_S if rise_m > 0 else SINKING_M_S
     return min(ground_speed_m_s, vertical_m_s * distance_m(start, end) / abs(rise_m))

@@ -10,9 +10,10 @@ from typing import TypeAlias
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition
-from upwash.mavlink_px4 import Mode
+from upwash.mavlink.px4 import Mode
 from upwash.vehicle.answers import Result
 from upwash.vehicle.firmware import Message
+from upwash.vehicle.px4.navigator import Reposition
 from upwash.vehicle.px4.vehicle import FORCED, Quadrotor
 
 _IGNORED_E7 = 2**31 - 1  # of a coordinate in COMMAND_INT: not given
@@ -23,7 +24,7 @@ _MODES = {(mode.main, mode.sub): mode for mode in Mode}
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class VehicleCommand:
     """COMMAND_LONG and COMMAND_INT alike; `place` is parameters 5 to 7, in degrees and metres above the sea."""
 
     parameters: tuple[float, float, float, float]
@@ -35,8 +36,8 @@ def obey(copter: Quadrotor, now_s: float, message: Message) -> tuple[Result, ...
     handler = _HANDLERS.get(message.command)
     if handler is None:
         return (Result.UNSUPPORTED,)
-    order = _read(message)
-    return handler(copter, now_s, order) if order else (Result.DENIED,)
+    command = _read(message)
+    return handler(copter, now_s, command) if command else (Result.DENIED,)
 
 
 def set_mode(copter: Quadrotor, now_s: float, *, base_mode: float, main: float, sub: float) -> Result:
@@ -54,19 +55,19 @@ def set_mode(copter: Quadrotor, now_s: float, *, base_mode: float, main: float, 
     return copter.set_mode(now_s, mode)
 
 
-def _read(message: Message) -> Order | None:
+def _read(message: Message) -> VehicleCommand | None:
     parameters = message.param1, message.param2, message.param3, message.param4
     if message.get_type() != "COMMAND_INT":
-        return Order(parameters, (message.param5, message.param6, message.param7))
+        return VehicleCommand(parameters, (message.param5, message.param6, message.param7))
     if message.x == message.y == _NAN_E7:
         return None
     if message.x == message.y == _IGNORED_E7:
-        return Order(parameters, (math.nan, math.nan, message.z))
-    return Order(parameters, (message.x / 1e7, message.y / 1e7, message.z))
+        return VehicleCommand(parameters, (math.nan, math.nan, message.z))
+    return VehicleCommand(parameters, (message.x / 1e7, message.y / 1e7, message.z))
 
 
-def _arm_or_disarm(copter: Quadrotor, now_s: float, order: Order) -> tuple[Result, ...]:
-    wish, magic = order.parameters[:2]
+def _arm_or_disarm(copter: Quadrotor, now_s: float, command: VehicleCommand) -> tuple[Result, ...]:
+    wish, magic = command.parameters[:2]
     if wish == 1:
         return (copter.arm(now_s, forced=magic == FORCED),)
     if wish == 0:
@@ -74,8 +75,8 @@ def _arm_or_disarm(copter: Quadrotor, now_s: float, order: Order) -> tuple[Resul
     return (Result.UNSUPPORTED,)
 
 
-def _take_off(copter: Quadrotor, now_s: float, order: Order) -> tuple[Result, ...]:
-    above_sea_m = order.place[2]
+def _take_off(copter: Quadrotor, now_s: float, command: VehicleCommand) -> tuple[Result, ...]:
+    above_sea_m = command.place[2]
     return (copter.take_off(now_s, above_sea_m - copter.settings.home_altitude_m),)
 
 
@@ -83,21 +84,21 @@ def _enter(mode: Mode) -> Handler:
     return lambda copter, now_s, _order: (copter.set_mode(now_s, mode),)
 
 
-def _do_set_mode(copter: Quadrotor, now_s: float, order: Order) -> tuple[Result, ...]:
+def _do_set_mode(copter: Quadrotor, now_s: float, command: VehicleCommand) -> tuple[Result, ...]:
     """Two answers: one that the command has arrived, and one that tells what came of it."""
-    base_mode, main, sub, _ = order.parameters
+    base_mode, main, sub, _ = command.parameters
     return Result.ACCEPTED, set_mode(copter, now_s, base_mode=base_mode, main=main, sub=sub)
 
 
-def _change_speed(copter: Quadrotor, now_s: float, order: Order) -> tuple[Result, ...]:
-    return (copter.change_speed(now_s, order.parameters[1]),)
+def _change_speed(copter: Quadrotor, now_s: float, command: VehicleCommand) -> tuple[Result, ...]:
+    return (copter.change_speed(now_s, command.parameters[1]),)
 
 
-def _reposition(copter: Quadrotor, now_s: float, order: Order) -> tuple[Result, ...]:
-    speed_m_s, flags, _, yaw_deg = order.parameters
+def _reposition(copter: Quadrotor, now_s: float, command: VehicleCommand) -> tuple[Result, ...]:
+    speed_m_s, flags, _, yaw_deg = command.parameters
     if flags != mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
         return (Result.UNSUPPORTED,)
-    latitude_deg, longitude_deg, above_sea_m = order.place
+    latitude_deg, longitude_deg, above_sea_m = command.place
     if math.isinf(above_sea_m):
         return (Result.DENIED,)
     east_north_m = None
@@ -106,17 +107,16 @@ def _reposition(copter: Quadrotor, now_s: float, order: Order) -> tuple[Result, 
             return (Result.DENIED,)
         place = copter.frame.position(GeoPosition(latitude_deg, longitude_deg))
         east_north_m = place.east_m, place.north_m
-    result = copter.reposition(
-        now_s,
+    wish = Reposition(
         east_north_m=east_north_m,
         altitude_m=None if math.isnan(above_sea_m) else above_sea_m - copter.settings.home_altitude_m,
         speed_m_s=speed_m_s,
         yaw_deg=yaw_deg if math.isfinite(yaw_deg) else None,
     )
-    return (result,)
+    return (copter.reposition(now_s, wish),)
 
 
-def _run_checks(copter: Quadrotor, now_s: float, _order: Order) -> tuple[Result, ...]:
+def _run_checks(copter: Quadrotor, now_s: float, _order: VehicleCommand) -> tuple[Result, ...]:
     copter.advance(now_s)
     return (Result.TEMPORARILY_REJECTED,) if copter.armed else _ACCEPTED
 
@@ -125,7 +125,7 @@ def _byte(number: float) -> int:
     return int(number) if math.isfinite(number) and 0 <= number <= 255 else 0
 
 
-Handler: TypeAlias = Callable[[Quadrotor, float, Order], tuple[Result, ...]]
+Handler: TypeAlias = Callable[[Quadrotor, float, VehicleCommand], tuple[Result, ...]]
 
 _HANDLERS: dict[int, Handler] = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_or_disarm,

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import Protocol
 
-from upwash.mavlink_px4 import EVENTS, EventMessage
+from upwash.mavlink.px4 import EVENTS, EventMessage
 
 _IDS = {kind.name: number for number, kind in EVENTS.items()}
 _FIRST_SEQUENCE = 65_526
 _KEPT = 40
+
+
+class Tell(Protocol):
+    """Notes an event that happens now."""
+
+    def __call__(self, name: str, *arguments: float) -> None:
+        """By its name in PX4."""
 
 
 class Events:

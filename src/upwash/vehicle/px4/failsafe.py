@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum, auto
 
+from upwash.mavlink.px4 import Mode
+
 
 class Cause(Enum):
     """Why."""
@@ -32,6 +34,18 @@ class Action(IntEnum):
     LAND = 7
     DESCEND = 8
     DISARM = 9
+
+
+MODES_OF_ACTIONS = {
+    Action.POSCTL: Mode.POSCTL,
+    Action.ALTCTL: Mode.ALTCTL,
+    Action.STABILIZED: Mode.STABILIZED,
+    Action.HOLD: Mode.LOITER,
+    Action.RTL: Mode.RTL,
+    Action.LAND: Mode.LAND,
+    Action.DESCEND: Mode.LAND,
+}
+"""The mode that each is flown in."""
 
 
 @dataclass(frozen=True, slots=True)

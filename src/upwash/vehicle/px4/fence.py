@@ -1,11 +1,12 @@
-"""The geofence that a ground station uploads: polygons and circles to stay in or out of."""
+"""Its geofences: the polygons and circles that a ground station uploads, and the cylinder of its parameters."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-from upwash.core.geo import Circle, Position
+from upwash.core.geo import Circle, Position, ground_distance_m
+from upwash.vehicle.px4.parameters import Parameters
 
 _FEWEST_CORNERS = 3
 
@@ -83,3 +84,16 @@ def assembled(items: list[Vertex | Disc]) -> Fence | None:
         (inclusions if first.inclusion else exclusions).append(area)
         del waiting[:used]
     return Fence(tuple(inclusions), tuple(exclusions))
+
+
+def breaches(parameters: Parameters, fence: Fence, place: Position) -> list[str]:
+    """The events that tell which of its fences the place is outside of; home is at its origin."""
+    farthest_m, highest_m = parameters["GF_MAX_HOR_DIST"], parameters["GF_MAX_VER_DIST"]
+    names = []
+    if 0 < farthest_m < ground_distance_m(place, Position(0.0, 0.0)):
+        names.append("check_gf_violation_max_hor_dist")
+    if 0 < highest_m < place.altitude_m:
+        names.append("check_gf_violation_max_alt")
+    if not fence.allows(place):
+        names.append("check_gf_violation_custom_gf")
+    return names

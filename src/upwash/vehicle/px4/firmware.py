@@ -1,4 +1,4 @@
-"""PX4's side of a stand-in's conversations."""
+"""PX4's side of a stand-in's connections."""
 
 from __future__ import annotations
 
@@ -8,41 +8,31 @@ from functools import partial
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.geo import Circle, GeoPosition, Position, Velocity
-from upwash.mavlink_px4 import (
+from upwash.core.geo import GeoPosition, Position, Velocity
+from upwash.mavlink.px4 import (
     AVAILABLE_MODES,
     CUSTOM_MODE_FLAG,
     EventMessage,
     ResponseEventErrorMessage,
     event_text,
 )
-from upwash.vehicle.faults import FaultKind
 from upwash.vehicle.firmware import NOTHING, Message, Reply, Report, asked_by_number
 from upwash.vehicle.px4.commands import obey, set_mode
-from upwash.vehicle.px4.fence import Disc, Fence, Vertex, assembled
-from upwash.vehicle.px4.parameters import Parameters
+from upwash.vehicle.px4.fence_transfer import FenceTransfer
+from upwash.vehicle.px4.inputs import Setpoint, Sticks
+from upwash.vehicle.px4.navigator import is_sensible
 from upwash.vehicle.px4.telemetry import REPORTS, UNASKED_S, UNMODELLED, available_modes, heartbeat
-from upwash.vehicle.px4.vehicle import Quadrotor, Setpoint, Sticks, is_sensible
+from upwash.vehicle.px4.vehicle import Quadrotor
 
 _LOOKS_EVERY_S = 0.05
 _HEARTBEAT_S = 1.0
 _CHECKS_AT_MOST_EVERY_S = 2.0
-_ASKS_AGAIN_S = 0.25
-_MOST_FENCE_ITEMS = 100
 _SEVERITY_OF_PROGRAMS = 8
 _FRAMES_ABOVE_SEA = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
 _FRAMES_ABOVE_HOME = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 _NO_EAST_NORTH, _NO_ALTITUDE, _NO_VELOCITY, _NO_YAW = 0b11, 0b100, 0b111_000, 1 << 10
 _STICK_FULL = 1000.0
 _COMPANIONS = (mavlink.MAV_TYPE_ONBOARD_CONTROLLER,)
-_FENCE_CORNERS = {
-    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: True,
-    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: False,
-}
-_FENCE_CIRCLES = {
-    mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: True,
-    mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: False,
-}
 _ALL_MODES = 2**32 - 1
 # The summaries of the checks, as recorded: their bits are not modelled.
 _SUMMARY_WELL = (0, 1048576, 128, 2155822000, 2155822000)
@@ -67,25 +57,7 @@ class Px4:
         self._beats_s: float | None = None
         self._checked: tuple[str, ...] | None = None
         self._checks_s = -math.inf
-        self._fence_items: list[Message] = []
-        self._upload: _Upload | None = None
-
-    @property
-    def parameters(self) -> Parameters:
-        """Its parameters."""
-        return self.copter.parameters
-
-    def suffers(self, kind: FaultKind, now_s: float) -> bool:
-        """Whether such a thing is wrong with it now."""
-        return self.copter.suffers(kind, now_s)
-
-    def fail(self, kind: FaultKind, now_s: float) -> None:
-        """Something is wrong with it from now on."""
-        self.copter.fail(kind, now_s)
-
-    def mend(self, kind: FaultKind) -> None:
-        """Nothing of that kind is wrong with it any more."""
-        self.copter.mend(kind)
+        self._fence = FenceTransfer(copter)
 
     def live(self, now_s: float) -> Iterator[Message]:
         """That it is alive, and what happened."""
@@ -97,8 +69,7 @@ class Px4:
                 yield beat
         self._check(now_s)
         yield from self._said()
-        if self._upload and now_s >= self._upload.asked_s + _ASKS_AGAIN_S:
-            yield self._upload.request(now_s)
+        yield from self._fence.missing(now_s)
 
     def obey(self, now_s: float, message: Message) -> Reply:
         """One answer, or two; events tell everyone the reasons."""
@@ -117,29 +88,29 @@ class Px4:
     def hear(self, now_s: float, message: Message) -> Reply:
         """Heartbeats, setpoints, sticks, fences, and modes set the old way."""
         listener = _LISTENERS.get(message.get_type())
-        reply = listener(self, now_s, message) if listener else NOTHING
+        reply = listener(self, now_s, message) if listener else self._fence.hear(now_s, message)
         said = tuple(self._said())
         return Reply(reply.results, reply.to_sender, reply.to_all + said) if said else reply
 
     def set_parameter(self, now_s: float, name: str, value: float) -> Iterable[Message]:
         """Changes it, and those that must not be above it."""
         self.copter.advance(now_s)
-        if self.parameters.set(name, value) and name == "MPC_XY_VEL_MAX":
+        if self.copter.parameters.set(name, value) and name == "MPC_XY_VEL_MAX":
             lowered = (
                 ("MPC_XY_CRUISE", "mc_pos_ctrl_cruise_set"),
                 ("MPC_VEL_MANUAL", "mc_pos_ctrl_man_vel_set"),
             )
             for limited, event in lowered:
-                most = self.parameters[name]
-                if self.parameters[limited] > most and self.parameters.change(limited, most):
+                most = self.copter.parameters[name]
+                if self.copter.parameters[limited] > most and self.copter.parameters.change(limited, most):
                     self.copter.events.happened(event, self.copter.uptime_s(now_s), most)
                     yield from self._parameter(limited)
         yield from self._said()
 
     def _parameter(self, name: str) -> Iterator[Message]:
-        if parameter := self.parameters.named(name):
+        if parameter := self.copter.parameters.named(name):
             yield mavlink.MAVLink_param_value_message(
-                name.encode(), parameter.value, parameter.type, len(self.parameters), parameter.index
+                name.encode(), parameter.value, parameter.type, len(self.copter.parameters), parameter.index
             )
 
     # --- what happened --------------------------------------------------------------------------------------
@@ -154,37 +125,37 @@ class Px4:
     def _check(self, now_s: float) -> None:
         """Tells what its checks object to when that changes, and not too often."""
         copter = self.copter
-        if not copter.checked(now_s) or now_s < self._checks_s + _CHECKS_AT_MOST_EVERY_S:
+        if not copter.health.checked(now_s) or now_s < self._checks_s + _CHECKS_AT_MOST_EVERY_S:
             return
-        if (*self._objections(now_s), str(copter.placed)) != self._checked:
+        if (*self._objections(now_s), str(copter.gps.placed)) != self._checked:
             self._tell_checks(now_s)
 
     def _tell_checks(self, now_s: float) -> None:
         copter, objections = self.copter, self._objections(now_s)
-        self._checked, self._checks_s = (*objections, str(copter.placed)), now_s
+        self._checked, self._checks_s = (*objections, str(copter.gps.placed)), now_s
         uptime_s, happened = copter.uptime_s(now_s), copter.events.happened
-        well = copter.placed
+        well = copter.gps.placed
         happened("commander_arming_check_summary", uptime_s, *(_SUMMARY_WELL if well else _SUMMARY_ILL))
         for name in objections:
             modes, component = _CHECKS.get(name, (_ALL_MODES, 20))
-            serious = name == "check_rc_dl_no_dllink" and self.parameters["NAV_DLL_ACT"]
+            serious = name == "check_rc_dl_no_dllink" and self.copter.parameters["NAV_DLL_ACT"]
             happened(name, uptime_s, modes, component, log_levels=0x33 if serious else None)
-        happened("commander_health_summary", uptime_s, *(_HEALTH_WELL if copter.has_fix else _HEALTH_ILL))
+        happened("commander_health_summary", uptime_s, *(_HEALTH_WELL if copter.gps.has_fix else _HEALTH_ILL))
 
     def _objections(self, now_s: float) -> tuple[str, ...]:
         copter = self.copter
         names = {
-            "check_estimator_gps_fix_too_low": not copter.has_fix and not copter.placed,
-            "check_modes_local_pos": not copter.placed,
-            "check_modes_global_pos": not copter.placed,
+            "check_estimator_gps_fix_too_low": not copter.gps.has_fix and not copter.gps.placed,
+            "check_modes_local_pos": not copter.gps.placed,
+            "check_modes_global_pos": not copter.gps.placed,
             "check_modes_mission": True,
             "check_modes_offboard_signal": not copter.hears_setpoints(now_s),
-            "check_modes_home_position": not copter.ever_had_fix,
-            "check_modes_manual_control": not copter.hears_sticks(now_s),
-            "check_rc_dl_no_dllink": not copter.hears_ground_station(now_s),
-            "check_battery_low": copter.battery_level(now_s) == 2,
-            "check_battery_critical": copter.battery_level(now_s) == 3,
-            "check_battery_emergency": copter.battery_level(now_s) == 4,
+            "check_modes_home_position": not copter.gps.ever_had_fix,
+            "check_modes_manual_control": not copter.heard.hears_sticks(now_s),
+            "check_rc_dl_no_dllink": not copter.heard.hears_ground_station(now_s),
+            "check_battery_low": copter.health.battery_level(now_s) == 2,
+            "check_battery_critical": copter.health.battery_level(now_s) == 3,
+            "check_battery_emergency": copter.health.battery_level(now_s) == 4,
         }
         return tuple(name for name, objects in names.items() if objects)
 
@@ -276,118 +247,9 @@ class Px4:
         if _makes_sense(setpoint):
             self.copter.follow(now_s, setpoint)
 
-    # --- the fence ------------------------------------------------------------------------------------------
-
-    def _hear_list_request(self, _now_s: float, message: Message) -> Reply:
-        count = len(self._fence_items) if message.mission_type == mavlink.MAV_MISSION_TYPE_FENCE else 0
-        return Reply(
-            to_sender=(
-                mavlink.MAVLink_mission_count_message(
-                    message.get_srcSystem(), message.get_srcComponent(), count, message.mission_type
-                ),
-            )
-        )
-
-    def _hear_item_request(self, _now_s: float, message: Message) -> Reply:
-        fence = message.mission_type == mavlink.MAV_MISSION_TYPE_FENCE
-        if not (fence and message.seq < len(self._fence_items)):
-            return _acknowledged(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)
-        item = self._fence_items[message.seq]
-        return Reply(
-            to_sender=(
-                mavlink.MAVLink_mission_item_int_message(
-                    message.get_srcSystem(),
-                    message.get_srcComponent(),
-                    message.seq,
-                    item.frame,
-                    item.command,
-                    0,
-                    0,
-                    item.param1,
-                    item.param2,
-                    item.param3,
-                    item.param4,
-                    item.x,
-                    item.y,
-                    item.z,
-                    mission_type=mavlink.MAV_MISSION_TYPE_FENCE,
-                ),
-            )
-        )
-
-    def _hear_clearing(self, _now_s: float, message: Message) -> Reply:
-        if message.mission_type in (mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_ALL):
-            self._fence_items, self.copter.fence = [], Fence()
-        return _acknowledged(message, mavlink.MAV_MISSION_ACCEPTED)
-
-    def _hear_count(self, now_s: float, message: Message) -> Reply:
-        if message.mission_type != mavlink.MAV_MISSION_TYPE_FENCE:
-            return _acknowledged(message, mavlink.MAV_MISSION_UNSUPPORTED)
-        if message.count > _MOST_FENCE_ITEMS:
-            return _acknowledged(message, mavlink.MAV_MISSION_NO_SPACE)
-        if message.count == 0:
-            return self._hear_clearing(now_s, message)
-        self._upload = _Upload(message)
-        return Reply(to_sender=(self._upload.request(now_s),))
-
-    def _hear_item(self, now_s: float, message: Message) -> Reply:
-        upload = self._upload
-        if upload is None or message.mission_type != mavlink.MAV_MISSION_TYPE_FENCE:
-            return _acknowledged(message, mavlink.MAV_MISSION_ERROR)
-        if message.get_srcSystem() != upload.system or message.seq != len(upload.items):
-            return NOTHING  # of somebody else, or once more
-        upload.items.append(message)
-        if len(upload.items) < upload.count:
-            return Reply(to_sender=(upload.request(now_s),))
-        self._upload = None
-        read = [self._fence_item(item) for item in upload.items]
-        fence = assembled([item for item in read if item is not None])
-        if fence is None or None in read:
-            return _acknowledged(message, mavlink.MAV_MISSION_INVALID)
-        self._fence_items, self.copter.fence = upload.items, fence
-        return _acknowledged(message, mavlink.MAV_MISSION_ACCEPTED)
-
-    def _fence_item(self, item: Message) -> Vertex | Disc | None:
-        if item.get_type() == "MISSION_ITEM":
-            latitude_deg, longitude_deg = item.x, item.y
-        else:
-            latitude_deg, longitude_deg = item.x / 1e7, item.y / 1e7
-        if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180 and math.isfinite(item.param1)):
-            return None
-        place = self.copter.frame.position(GeoPosition(latitude_deg, longitude_deg))
-        if item.command in _FENCE_CORNERS:
-            return Vertex(place, int(item.param1), _FENCE_CORNERS[item.command])
-        if item.command in _FENCE_CIRCLES:
-            return Disc(Circle(place, item.param1), _FENCE_CIRCLES[item.command])
-        return None
-
-
-class _Upload:
-    """A fence on its way in: the items so far, each asked for in turn."""
-
-    def __init__(self, message: Message) -> None:
-        self.system, self.component = message.get_srcSystem(), message.get_srcComponent()
-        self.count = int(message.count)
-        self.items: list[Message] = []
-        self.asked_s = -math.inf
-
-    def request(self, now_s: float) -> Message:
-        """Asks for the next item."""
-        self.asked_s = now_s
-        return mavlink.MAVLink_mission_request_int_message(
-            self.system, self.component, len(self.items), mavlink.MAV_MISSION_TYPE_FENCE
-        )
-
 
 def _nothing(_now_s: float) -> None:
     """The report of what is not modelled."""
-
-
-def _acknowledged(message: Message, result: int) -> Reply:
-    ack = mavlink.MAVLink_mission_ack_message(
-        message.get_srcSystem(), message.get_srcComponent(), result, message.mission_type
-    )
-    return Reply(to_sender=(ack,))
 
 
 def _makes_sense(setpoint: Setpoint) -> bool:
@@ -425,11 +287,4 @@ _LISTENERS: dict[str, Callable[[Px4, float, Message], Reply]] = {
     "SET_POSITION_TARGET_LOCAL_NED": Px4._hear_local_setpoint,
     "SET_POSITION_TARGET_GLOBAL_INT": Px4._hear_global_setpoint,
     "REQUEST_EVENT": Px4._hear_event_request,
-    "MISSION_REQUEST_LIST": Px4._hear_list_request,
-    "MISSION_REQUEST": Px4._hear_item_request,
-    "MISSION_REQUEST_INT": Px4._hear_item_request,
-    "MISSION_CLEAR_ALL": Px4._hear_clearing,
-    "MISSION_COUNT": Px4._hear_count,
-    "MISSION_ITEM": Px4._hear_item,
-    "MISSION_ITEM_INT": Px4._hear_item,
 }

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import UsageError
-from upwash.mavlink_px4 import bytes_of_float, float_of_bytes
+from upwash.mavlink.px4 import bytes_of_float, float_of_bytes
 from upwash.vehicle.parameters import Parameter
 
 _INT32 = mavlink.MAV_PARAM_TYPE_INT32

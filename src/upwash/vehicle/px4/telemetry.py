@@ -9,9 +9,10 @@ from typing import TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.geo import Position
-from upwash.mavlink_px4 import AVAILABLE_MODES, CURRENT_MODE, AvailableModesMessage, CurrentModeMessage, Mode
+from upwash.mavlink.px4 import AVAILABLE_MODES, CURRENT_MODE, AvailableModesMessage, CurrentModeMessage, Mode
+from upwash.vehicle import messages
 from upwash.vehicle.firmware import Message
+from upwash.vehicle.messages import above_sea_mm, boot_ms, degrees_e7
 from upwash.vehicle.px4.vehicle import Quadrotor
 
 QuadrotorReport: TypeAlias = Callable[[Quadrotor, float], Message | None]
@@ -58,14 +59,12 @@ _ESTIMATES_ALL = 831  # attitude, velocities, positions; neither by dead reckoni
 _ESTIMATES_WITHOUT_GPS = 165
 _CAPABILITIES = 59_647  # as recorded
 _VERSION_1_16_1 = 1 << 24 | 16 << 16 | 1 << 8 | 255
-_ONLY_POSITION = 0b110111111000
-_AT_HOME = Position(0.0, 0.0)
 
 
 def heartbeat(copter: Quadrotor, now_s: float) -> Message | None:
     """HEARTBEAT: the mode, whether armed, and how it is; nothing in its first second."""
     copter.advance(now_s)
-    if copter.booting(now_s):
+    if copter.health.booting(now_s):
         return None
     base_mode = _BASE_MODES.get(copter.mode, _AUTO_BASE_MODE)
     if copter.armed:
@@ -111,70 +110,45 @@ def sys_status(copter: Quadrotor, now_s: float) -> Message:
     """SYS_STATUS: which sensors are well, whether it could be armed (only `health` says that), and its battery."""
     copter.advance(now_s)
     present, enabled, health = _SENSORS, _SENSORS_ENABLED, _SENSORS_HEALTHY
-    if not copter.checked(now_s):
+    if not copter.health.checked(now_s):
         present, enabled, health = 0, 0, _SENSORS_UNCHECKED
-    elif not copter.placed:
+    elif not copter.gps.placed:
         present, enabled, health = present & ~0x20, enabled & ~0x20, health & ~0x4000
-        if not copter.has_fix:
+        if not copter.gps.has_fix:
             enabled, health = enabled | _GPS_BIT, health & ~_GPS_BIT
-    if copter.hears_sticks(now_s):
+    if copter.heard.hears_sticks(now_s):
         present, health = present | _STICKS_BIT, health | _STICKS_BIT
-    if copter.battery_level(now_s) > 1:
+    if copter.health.battery_level(now_s) > 1:
         health &= ~_BATTERY_BIT
-    if not (copter.armed and copter.battery_level(now_s) < 3) and not copter.armable(now_s):
+    if not (copter.armed and copter.health.battery_level(now_s) < 3) and not copter.armable(now_s):
         health &= ~_ARMABLE_BIT
-    return mavlink.MAVLink_sys_status_message(
-        onboard_control_sensors_present=present,
-        onboard_control_sensors_enabled=enabled,
-        onboard_control_sensors_health=health,
-        load=100,
-        voltage_battery=round(copter.battery_v(now_s) * 1e3),
-        current_battery=-100,
-        battery_remaining=math.floor(copter.battery_percent(now_s)),
-        drop_rate_comm=0,
-        errors_comm=0,
-        errors_count1=0,
-        errors_count2=0,
-        errors_count3=0,
-        errors_count4=0,
-    )
+    return messages.sys_status(copter, now_s, sensors=(present, enabled, health), current=-100)
 
 
 def battery_status(copter: Quadrotor, now_s: float) -> Message:
     """BATTERY_STATUS: how full it is, and how serious that is."""
     copter.advance(now_s)
-    unknown_mv = 0xFFFF
-    return mavlink.MAVLink_battery_status_message(
-        id=0,
-        battery_function=mavlink.MAV_BATTERY_FUNCTION_ALL,
-        type=mavlink.MAV_BATTERY_TYPE_LIPO,
-        temperature=0x7FFF,
-        voltages=[round(copter.battery_v(now_s) * 1e3), *[unknown_mv] * 9],
-        current_battery=-100,
-        current_consumed=0,
-        energy_consumed=-1,
-        battery_remaining=math.floor(copter.battery_percent(now_s)),
-        time_remaining=0,
-        charge_state=copter.battery_level(now_s),
+    return messages.battery_status(
+        copter, now_s, current=-100, consumed=0, charge_state=copter.health.battery_level(now_s)
     )
 
 
 def system_time(copter: Quadrotor, now_s: float) -> Message:
     """SYSTEM_TIME: the date, once it has had a fix, and since boot."""
-    unix_us = round(time.time() * 1e6) if copter.ever_had_fix else 0
-    return mavlink.MAVLink_system_time_message(unix_us, _boot_ms(copter, now_s))
+    unix_us = round(time.time() * 1e6) if copter.gps.ever_had_fix else 0
+    return mavlink.MAVLink_system_time_message(unix_us, boot_ms(copter, now_s))
 
 
 def gps_raw(copter: Quadrotor, now_s: float) -> Message:
     """GPS_RAW_INT: the receiver's fix."""
     geo = copter.frame.geo(copter.position(now_s))
-    velocity, fix = copter.velocity(now_s), copter.has_fix
+    velocity, fix = copter.velocity(now_s), copter.gps.has_fix
     return mavlink.MAVLink_gps_raw_int_message(
         time_usec=round(copter.uptime_s(now_s) * 1e6),
         fix_type=mavlink.GPS_FIX_TYPE_3D_FIX if fix else mavlink.GPS_FIX_TYPE_NO_GPS,
-        lat=_degrees_e7(geo.latitude_deg),
-        lon=_degrees_e7(geo.longitude_deg),
-        alt=_above_sea_mm(copter, copter.position(now_s)),
+        lat=degrees_e7(geo.latitude_deg),
+        lon=degrees_e7(geo.longitude_deg),
+        alt=above_sea_mm(copter, copter.position(now_s)),
         eph=70 if fix else 10_000,
         epv=110 if fix else 10_000,
         vel=round(math.hypot(velocity.east_m_s, velocity.north_m_s) * 100),
@@ -186,74 +160,36 @@ def gps_raw(copter: Quadrotor, now_s: float) -> Message:
 def estimator_status(copter: Quadrotor, now_s: float) -> Message:
     """ESTIMATOR_STATUS: what it knows of itself, as ESTIMATOR_STATUS_FLAGS."""
     copter.advance(now_s)
-    flags = _ESTIMATES_ALL if copter.placed else _ESTIMATES_WITHOUT_GPS
+    flags = _ESTIMATES_ALL if copter.gps.placed else _ESTIMATES_WITHOUT_GPS
     return mavlink.MAVLink_estimator_status_message(
         round(copter.uptime_s(now_s) * 1e6), flags, *[0.02] * 6, 0.3, 0.4
     )
 
 
-def attitude(copter: Quadrotor, now_s: float) -> Message:
-    """ATTITUDE: always level, nose ahead."""
-    yaw = math.remainder(math.radians(copter.heading_deg(now_s)), math.tau)
-    return mavlink.MAVLink_attitude_message(_boot_ms(copter, now_s), 0.0, 0.0, yaw, 0.0, 0.0, 0.0)
-
-
 def attitude_quaternion(copter: Quadrotor, now_s: float) -> Message:
-    """ATTITUDE_QUATERNION: the same."""
+    """ATTITUDE_QUATERNION: the same as ATTITUDE."""
     half = math.radians(copter.heading_deg(now_s)) / 2
     return mavlink.MAVLink_attitude_quaternion_message(
-        _boot_ms(copter, now_s), math.cos(half), 0.0, 0.0, math.sin(half), 0.0, 0.0, 0.0
+        boot_ms(copter, now_s), math.cos(half), 0.0, 0.0, math.sin(half), 0.0, 0.0, 0.0
     )
 
 
 def local_position(copter: Quadrotor, now_s: float) -> Message | None:
     """LOCAL_POSITION_NED: metres from where it was switched on, once it has had a fix."""
-    if not copter.ever_had_fix:
-        return None
-    position, velocity = copter.position(now_s), copter.velocity(now_s)
-    return mavlink.MAVLink_local_position_ned_message(
-        _boot_ms(copter, now_s),
-        position.north_m,
-        position.east_m,
-        -position.altitude_m,
-        velocity.north_m_s,
-        velocity.east_m_s,
-        -velocity.up_m_s,
-    )
+    return messages.local_position(copter, now_s) if copter.gps.ever_had_fix else None
 
 
 def global_position(copter: Quadrotor, now_s: float) -> Message | None:
     """GLOBAL_POSITION_INT: where it is and how it moves, once it has had a fix."""
-    if not copter.ever_had_fix:
+    if not copter.gps.ever_had_fix:
         return None
-    position, velocity = copter.position(now_s), copter.velocity(now_s)
-    geo = copter.frame.geo(position)
-    above_sea_mm = _above_sea_mm(copter, position)
-    return mavlink.MAVLink_global_position_int_message(
-        time_boot_ms=_boot_ms(copter, now_s),
-        lat=_degrees_e7(geo.latitude_deg),
-        lon=_degrees_e7(geo.longitude_deg),
-        alt=above_sea_mm,
-        relative_alt=above_sea_mm - round(copter.home_altitude_m() * 1e3),
-        vx=round(velocity.north_m_s * 100),
-        vy=round(velocity.east_m_s * 100),
-        vz=round(-velocity.up_m_s * 100),
-        hdg=round(copter.heading_deg(now_s) * 100) % 36_000,
-    )
+    above_home_mm = above_sea_mm(copter, copter.position(now_s)) - round(copter.home_altitude_m() * 1e3)
+    return messages.global_position(copter, now_s, above_home_mm=above_home_mm)
 
 
 def vfr_hud(copter: Quadrotor, now_s: float) -> Message:
     """VFR_HUD: speeds, heading and height, as a pilot reads them."""
-    velocity = copter.velocity(now_s)
-    ground_m_s = math.hypot(velocity.east_m_s, velocity.north_m_s)
-    return mavlink.MAVLink_vfr_hud_message(
-        ground_m_s,
-        ground_m_s,
-        round(copter.heading_deg(now_s)) % 360,
-        50 if copter.flying else 0,
-        _above_sea_mm(copter, copter.position(now_s)) / 1e3,
-        velocity.up_m_s,
-    )
+    return messages.vfr_hud(copter, now_s, throttle=50 if copter.flying else 0)
 
 
 def position_target_global(copter: Quadrotor, now_s: float) -> Message | None:
@@ -262,64 +198,31 @@ def position_target_global(copter: Quadrotor, now_s: float) -> Message | None:
     target = copter.target()
     if target is None:
         return None
-    geo = copter.frame.geo(target)
-    return mavlink.MAVLink_position_target_global_int_message(
-        _boot_ms(copter, now_s),
-        mavlink.MAV_FRAME_GLOBAL_INT,
-        _ONLY_POSITION,
-        _degrees_e7(geo.latitude_deg),
-        _degrees_e7(geo.longitude_deg),
-        _above_sea_mm(copter, target) / 1e3,
-        *[0.0] * 8,
-    )
+    return messages.position_target_global(copter, now_s, target, frame=mavlink.MAV_FRAME_GLOBAL_INT)
 
 
 def position_target_local(copter: Quadrotor, now_s: float) -> Message | None:
     """POSITION_TARGET_LOCAL_NED: the same in metres."""
     copter.advance(now_s)
     target = copter.target()
-    if target is None:
-        return None
-    return mavlink.MAVLink_position_target_local_ned_message(
-        _boot_ms(copter, now_s),
-        mavlink.MAV_FRAME_LOCAL_NED,
-        _ONLY_POSITION,
-        target.north_m,
-        target.east_m,
-        -target.altitude_m,
-        *[0.0] * 8,
-    )
+    return None if target is None else messages.position_target_local(copter, now_s, target)
 
 
 def gps_global_origin(copter: Quadrotor, now_s: float) -> Message | None:
     """GPS_GLOBAL_ORIGIN: what local positions count from, once that is known."""
     copter.advance(now_s)
-    if not copter.ever_had_fix:
-        return None
-    home = copter.settings.home
-    return mavlink.MAVLink_gps_global_origin_message(
-        _degrees_e7(home.latitude_deg), _degrees_e7(home.longitude_deg), _above_sea_mm(copter, _AT_HOME)
-    )
+    return messages.gps_global_origin(copter) if copter.gps.ever_had_fix else None
 
 
 def home_position(copter: Quadrotor, now_s: float) -> Message | None:
     """HOME_POSITION: where it returns to; its height changes at the first arming."""
     copter.advance(now_s)
-    if not copter.ever_had_fix:
+    if not copter.gps.ever_had_fix:
         return None
-    home = copter.settings.home
-    return mavlink.MAVLink_home_position_message(
-        latitude=_degrees_e7(home.latitude_deg),
-        longitude=_degrees_e7(home.longitude_deg),
-        altitude=round(copter.home_altitude_m() * 1e3),
-        x=0,
-        y=0,
-        z=0,
-        q=[1, 0, 0, 0],
-        approach_x=0,
-        approach_y=0,
-        approach_z=0,
-        time_usec=round(copter.uptime_s(now_s) * 1e6),
+    return messages.home_position(
+        copter,
+        altitude_mm=round(copter.home_altitude_m() * 1e3),
+        time_us=round(copter.uptime_s(now_s) * 1e6),
     )
 
 
@@ -338,18 +241,11 @@ def mission_current(_copter: Quadrotor, _now_s: float) -> Message:
 
 def autopilot_version(_copter: Quadrotor, _now_s: float) -> Message:
     """AUTOPILOT_VERSION: what a client may expect."""
-    return mavlink.MAVLink_autopilot_version_message(
+    return messages.autopilot_version(
         capabilities=_CAPABILITIES,
-        flight_sw_version=_VERSION_1_16_1,
-        middleware_sw_version=_VERSION_1_16_1,
-        os_sw_version=0,
+        version=_VERSION_1_16_1,
+        middleware_version=_VERSION_1_16_1,
         board_version=1,
-        flight_custom_version=[0] * 8,
-        middleware_custom_version=[0] * 8,
-        os_custom_version=[0] * 8,
-        vendor_id=0,
-        product_id=0,
-        uid=1,
     )
 
 
@@ -358,7 +254,7 @@ REPORTS: dict[float, QuadrotorReport] = {
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: sys_status,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: system_time,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: gps_raw,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: attitude,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: messages.attitude,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: attitude_quaternion,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: local_position,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: global_position,
@@ -407,15 +303,3 @@ UNASKED_S: dict[int, float] = {
     CURRENT_MODE: 2.0,
 }
 """The onboard link's streams, as far as they are modelled."""
-
-
-def _boot_ms(copter: Quadrotor, now_s: float) -> int:
-    return round(copter.uptime_s(now_s) * 1e3) % 2**32
-
-
-def _degrees_e7(degrees: float) -> int:
-    return round(degrees * 1e7)
-
-
-def _above_sea_mm(copter: Quadrotor, position: Position) -> int:
-    return round((copter.settings.home_altitude_m + position.altitude_m) * 1e3)

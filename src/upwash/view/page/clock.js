@@ -1,4 +1,4 @@
-// The moment that is shown, in seconds of the mission.
+// The moment that is shown, in seconds of the mission, or since the first of several drones began its own.
 
 export class Clock {
   constructor() {
@@ -29,8 +29,8 @@ export class Clock {
     this.playing = false;
   }
 
-  seek(missionS) {
-    this.nowS = Math.min(Math.max(0, missionS), this.endS);
+  seek(clockS) {
+    this.nowS = Math.min(Math.max(0, clockS), this.endS);
     this.following = false;
   }
 

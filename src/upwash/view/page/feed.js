@@ -12,9 +12,9 @@ export class Feed {
     const source = new EventSource("events");
     source.addEventListener("page", (message) => {
       if (this.stories.length === 0) {
-        const { logs, tiles } = JSON.parse(message.data);
-        this.stories = logs.map((name) => new Story(name));
-        opened(this.stories, tiles);
+        const page = JSON.parse(message.data);
+        this.stories = page.logs.map((name) => new Story(name));
+        opened(this.stories, page);
       }
       said("");
     });

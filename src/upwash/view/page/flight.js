@@ -1,10 +1,10 @@
-// One flight on the page: all the parts that show it.
+// One flight on the page: all the parts that show it, with a map of its own where it shares none.
 
 import { CallTable } from "./calls.js";
 import { DelayChart } from "./chart.js";
 import { card, element, write } from "./element.js";
+import { degrees } from "./ground.js";
 import { Journal } from "./journal.js";
-import { FlightMap } from "./map.js";
 import { PhotoCard } from "./photo.js";
 import { nameOf, theNameOf } from "./places.js";
 import { ServerList } from "./servers.js";
@@ -13,11 +13,13 @@ export class Flight {
   #run = 0;
   #legend = "";
 
-  constructor(story, log, { places, tiles, picked }) {
+  constructor(story, log, { places, picked, map = null, sign = [] }) {
     this.story = story;
+    this.log = log;
     this.places = places;
+    this.map = map;
     const { name } = story;
-    this.heading = element("h2", {}, name);
+    this.heading = element("h2", {}, ...sign, name);
     this.doing = element("p", { class: "doing", role: "status" });
     this.totals = element("p", { class: "totals" });
     this.summary = element("p", { class: "summary", hidden: "" });
@@ -27,8 +29,7 @@ export class Flight {
     this.decision = element("h3");
     this.reasons = element("ul", { class: "reasons" });
     this.legend = element("p", { class: "legend" });
-    this.map = new FlightMap(name, places, tiles);
-    this.chart = new DelayChart(name, places, picked);
+    this.chart = new DelayChart(name, places, (call) => picked(story, call));
     this.servers = new ServerList(places);
     this.photo = new PhotoCard(log);
     this.calls = new CallTable(name);
@@ -41,20 +42,25 @@ export class Flight {
       "section",
       { class: "flight", "aria-label": `Flight ${name}` },
       element("div", { class: "head" }, ...head),
-      this.map.element,
+      ...(map ? [map.element] : []),
       element("div", { class: "side" }, now, this.servers.element, this.photo.element),
       delays,
       this.journal.element,
     );
   }
 
-  show(missionS, limits) {
+  // What the buttons step through.
+  get watched() {
+    return this.story;
+  }
+
+  show(clockS, limits) {
     if (this.story.run !== this.#run) this.#begin();
-    const moment = this.story.at(missionS);
+    const moment = this.story.at(clockS);
     this.#showHead(moment);
     this.#showDecision(moment);
     this.#showLegend();
-    this.map.show(moment);
+    this.map?.show([moment]);
     this.chart.show(moment, limits);
     this.servers.show(moment);
     this.photo.show(moment);
@@ -68,22 +74,21 @@ export class Flight {
     this.journal.clear();
   }
 
-  restyle(missionS) {
-    this.map.restyle(this.story.at(missionS));
+  restyle(clockS) {
+    this.map?.restyle([this.story.at(clockS)]);
     this.chart.restyle();
   }
 
-  summarize(words) {
+  summarize(summaries) {
+    const words = summaries[this.log] ?? "";
     this.summary.hidden = !words;
-    write(this.summary, words ?? "");
+    write(this.summary, words);
   }
 
   #showHead(moment) {
     const { story } = this;
     const doing = moment.last("doing");
-    const over = story.ended && moment.atS >= story.ended.at_s;
-    const ending = story.ended?.completed ? "mission completed" : "mission ended early";
-    write(this.doing, over ? ending : (doing?.words ?? "waiting for the log to begin"));
+    write(this.doing, inWords(moment));
     const policy = story.began ? `policy ${story.began.policy}` : "";
     const reached = `${doing?.reached ?? 0} of ${story.waypoints} waypoints reached`;
     write(this.totals, [reached, this.#calls(moment), policy].filter(Boolean).join(" · "));
@@ -106,8 +111,8 @@ export class Flight {
   #where(place) {
     if (!place) return "";
     const [east, north, up] = [place.east_m, place.north_m, place.altitude_m].map((metres) => metres.toFixed(0));
-    const degrees = this.map.ground.degrees(place.east_m, place.north_m);
-    return [`${east} m east, ${north} m north, ${up} m up`, degrees].filter(Boolean).join(" · ");
+    const there = degrees(this.story.plan, place.east_m, place.north_m);
+    return [`${east} m east, ${north} m north, ${up} m up`, there].filter(Boolean).join(" · ");
   }
 
   #calls(moment) {
@@ -148,3 +153,8 @@ export class Flight {
   }
 }
 
+// What the drone does.
+export function inWords(moment) {
+  if (moment.isOver) return moment.story.isCompleted ? "mission completed" : "mission ended early";
+  return moment.last("doing")?.words ?? "waiting for the log to begin";
+}

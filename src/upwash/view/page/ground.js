@@ -14,25 +14,27 @@ export class Ground {
     this.options = { ...(tiles ? EARTH : PLANE), zoomSnap: tiles ? 1 : 0.25, zoomDelta: tiles ? 1 : 0.5 };
   }
 
-  // Where home is, from now on.
-  settle(plan) {
-    this.#origin = plan?.home ? plan : NOWHERE;
+  // Whose home is the middle of everything from now on: that of the first plan which knows where it is.
+  settle(plans) {
+    this.#origin = plans.find((plan) => plan?.home) ?? NOWHERE;
   }
 
-  latLng(east, north) {
-    return this.tiles ? this.#onEarth(east, north) : [north, east];
+  // Of a place that is so far from the plan's home.
+  latLng(east, north, plan) {
+    const [right, up] = this.#away(plan);
+    return this.tiles ? onEarth(this.#origin, east + right, north + up) : [north + up, east + right];
   }
 
+  // East and north of the home in the middle.
   metres(latLng) {
     if (!this.tiles) return [latLng.lng, latLng.lat];
     const { home, metres_per_degree } = this.#origin;
     return [(latLng.lng - home[1]) * metres_per_degree[0], (latLng.lat - home[0]) * metres_per_degree[1]];
   }
 
-  // In degrees, or nothing where they are not known.
+  // In degrees, of a place so far from the home in the middle; or nothing where that is not known.
   degrees(east, north) {
-    if (this.#origin === NOWHERE) return "";
-    return this.#onEarth(east, north).map((degrees) => `${degrees.toFixed(6)}°`).join(", ");
+    return degrees(this.#origin === NOWHERE ? null : this.#origin, east, north);
   }
 
   // What lies beneath, where it is wanted and known.
@@ -42,8 +44,20 @@ export class Ground {
     return L.tileLayer(this.tiles.url, { maxZoom, maxNativeZoom: 19, referrerPolicy: "strict-origin" });
   }
 
-  #onEarth(east, north) {
+  // How far the plan's home is from the one in the middle.
+  #away(plan) {
+    if (!plan?.home || plan === this.#origin) return [0, 0];
     const { home, metres_per_degree } = this.#origin;
-    return [home[0] + north / metres_per_degree[1], home[1] + east / metres_per_degree[0]];
+    return [(plan.home[1] - home[1]) * metres_per_degree[0], (plan.home[0] - home[0]) * metres_per_degree[1]];
   }
+}
+
+// A place so far from the plan's home in degrees, or nothing where that home is not known.
+export function degrees(plan, east, north) {
+  if (!plan?.home) return "";
+  return onEarth(plan, east, north).map((each) => `${each.toFixed(6)}°`).join(", ");
+}
+
+function onEarth({ home, metres_per_degree }, east, north) {
+  return [home[0] + north / metres_per_degree[1], home[1] + east / metres_per_degree[0]];
 }

@@ -1,38 +1,57 @@
-// Puts the page together: stories come in, the clock says which moment is shown, flights show it.
+// Puts the page together: stories come in, the clock says which moment is shown, views show it.
 
 import { Clock, told } from "./clock.js";
 import { write } from "./element.js";
 import { Feed } from "./feed.js";
+import { Fleet } from "./fleet.js";
 import { Flight } from "./flight.js";
+import { FlightMap } from "./map.js";
 import { Colours, Places } from "./places.js";
+import { align } from "./timeline.js";
 
 const KEY_S = 5; // that an arrow key moves
 const SILENT_S = 5; // a flight tells where it is every second
 
 const on = (id) => document.getElementById(id);
 const clock = new Clock();
-const colours = new Colours(() => flights.forEach((flight) => flight.restyle(clock.nowS)));
+const colours = new Colours(() => views.forEach((view) => view.restyle(clock.nowS)));
 const places = new Places(colours);
-let flights = [];
+let views = []; // a flight each, or a fleet
+let together = false;
 let frame = null;
 
 const feed = new Feed({
-  opened(stories, tiles) {
-    flights = stories.map((story, log) => {
-      return new Flight(story, log, { places, tiles, picked: (call) => seek(story.missionS(call.at_s)) });
-    });
-    on("flights").replaceChildren(...flights.map((flight) => flight.element));
-    on("flights").classList.toggle("two", flights.length > 1);
-    document.title = `upwash: ${stories.map((story) => story.name).join(" and ")}`;
+  opened(stories, page) {
+    together = page.together;
+    views = together ? [fleetOf(stories, page.tiles)] : stories.map((story, log) => flightOf(story, log, page.tiles));
+    on("flights").replaceChildren(...views.map((view) => view.element));
+    on("flights").classList.toggle("beside", views.length > 1);
+    document.title = `upwash: ${listed(stories.map((story) => story.name))}`;
   },
   grown: refresh,
   summarized(summaries) {
-    flights.forEach((flight, log) => flight.summarize(summaries[log]));
+    views.forEach((view) => view.summarize(summaries));
   },
   said(words) {
     write(on("connection"), words);
   },
 });
+
+function fleetOf(stories, tiles) {
+  return new Fleet(stories, { places, tiles, picked, changed: refresh });
+}
+
+function flightOf(story, log, tiles) {
+  return new Flight(story, log, { places, picked, map: new FlightMap(story.name, { places, tiles }) });
+}
+
+function picked(story, call) {
+  seek(story.clockS(call.at_s));
+}
+
+function listed(names) {
+  return names.length > 1 ? `${names.slice(0, -1).join(", ")} and ${names.at(-1)}` : names.join();
+}
 
 // Shows what is new at the next frame, however much of it comes before.
 function refresh() {
@@ -46,14 +65,15 @@ function refresh() {
 
 function show() {
   const { stories } = feed;
-  clock.extend(Math.max(0, ...stories.map((story) => story.endS)));
-  if (places.know(stories.flatMap((story) => story.servers))) flights.forEach((flight) => flight.restyle(clock.nowS));
+  align(stories, together);
+  clock.extend(Math.max(0, ...stories.map((story) => story.clockS(story.endsS))));
+  if (places.know(stories.flatMap((story) => story.servers))) views.forEach((view) => view.restyle(clock.nowS));
   const limits = {
     waypoints: Math.max(0, ...stories.map((story) => story.waypoints)),
     longestS: Math.max(0.1, ...stories.map((story) => story.longestS)),
     before: stories.some((story) => story.call[0]?.waypoint === null),
   };
-  for (const flight of flights) flight.show(clock.nowS, limits);
+  for (const view of views) view.show(clock.nowS, limits);
   showControls();
 }
 
@@ -69,23 +89,24 @@ function showControls() {
   on("latest").setAttribute("aria-pressed", String(clock.following));
 }
 
-// Whether the flight goes on; and where its log has fallen silent, for how long.
+// Whether a flight goes on; and where the logs have fallen silent, for how long.
 function showMode() {
-  const [story] = feed.open ? feed.stories.filter((each) => each.goesOn) : [];
-  const silentS = story ? story.silentS(Date.now() / 1000) : 0;
-  const silent = silentS > SILENT_S;
-  write(on("mode"), !story ? "playback" : silent ? `no news for ${told(silentS)}` : "live");
-  on("mode").className = !story ? "state" : silent ? "state checking" : "state ready";
+  const live = feed.open ? feed.stories.filter((story) => story.goesOn) : [];
+  const silentS = Math.min(...live.map((story) => story.silentS(Date.now() / 1000)));
+  const silent = live.length > 0 && silentS > SILENT_S;
+  write(on("mode"), !live.length ? "playback" : silent ? `no news for ${told(silentS)}` : "live");
+  on("mode").className = !live.length ? "state" : silent ? "state checking" : "state ready";
 }
 
-function seek(missionS) {
-  clock.seek(missionS);
+function seek(clockS) {
+  clock.seek(clockS);
   refresh();
 }
 
-// To the end of the nearest call on one side of the moment, in any of the flights.
+// To the end of the nearest call on one side of the moment, in any of the flights that are looked at.
 function step(direction) {
-  const ends = feed.stories.flatMap((story) => story.call.map((call) => story.missionS(call.at_s)));
+  const watched = views.map((view) => view.watched);
+  const ends = watched.flatMap((story) => story.call.map((call) => story.clockS(call.at_s)));
   const beyond = ends.filter((end) => direction * (end - clock.nowS) > 1e-3);
   clock.pause();
   if (beyond.length) seek(direction * Math.min(...beyond.map((end) => direction * end)));
@@ -110,5 +131,9 @@ on("next").addEventListener("click", () => step(1));
 on("latest").addEventListener("click", () => {
   clock.follow();
   refresh();
+});
+document.addEventListener("keydown", (event) => {
+  const elsewhere = event.ctrlKey || event.altKey || event.metaKey || event.target.tagName === "SELECT";
+  if (together && !elsewhere && /^[1-9]$/.test(event.key)) views[0].focus(Number(event.key) - 1);
 });
 setInterval(showMode, 1000);

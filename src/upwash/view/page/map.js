@@ -1,32 +1,19 @@
-// The flight from above, in metres from home or over map tiles: plan, ranges, the way flown, calls, and the drone.
+// Flights from above, in metres from home or over map tiles: the servers' ranges, and a layer for each flight.
 
 import * as L from "./leaflet/leaflet-src.esm.js";
+import { badge } from "./badge.js";
 import { element, write } from "./element.js";
 import { Ground } from "./ground.js";
-import { droneIcon, homeIcon } from "./icons.js";
-import { Track } from "./track.js";
-
-const STILL = { interactive: false, keyboard: false };
-const STACKED_PX = 9; // several calls at one place stand beside each other
-
-// A place's mark on the map's canvas, drawn as Leaflet draws its circles.
-const Mark = L.CircleMarker.extend({
-  _updatePath() {
-    const renderer = this._renderer;
-    if (!renderer._drawing || this._empty()) return;
-    const { places, place, aside } = this.options;
-    places.trace(renderer._ctx, place, this._point.x + aside, this._point.y, this._radius);
-    renderer._fillStroke(renderer._ctx, this);
-  },
-});
+import { homeIcon } from "./icons.js";
+import { FlightLayer, STILL } from "./layer.js";
 
 export class FlightMap {
-  #plan = null;
+  #plans = []; // as they are drawn
   #moved = false; // by a person, so that nothing else moves it
-  #marks = [];
-  #chips = new Map();
+  #chips = new Map(); // by server: what is said beside its name
 
-  constructor(name, places, tiles) {
+  // A map of so many drones; `chosen` is told the index of one that is clicked.
+  constructor(name, { places, tiles, drones = 1, chosen = null }) {
     this.places = places;
     this.ground = new Ground(tiles);
     this.frame = element("div", { class: "map" });
@@ -43,10 +30,11 @@ export class FlightMap {
     L.control.zoom({ position: "topleft" }).addTo(this.map);
     L.control.scale({ imperial: false, position: "bottomright" }).addTo(this.map);
     this.#addFit();
-    this.plans = L.layerGroup().addTo(this.map);
-    this.track = new Track(this.map, this.ground, () => this.#lineStyle());
-    this.calls = L.layerGroup().addTo(this.map);
-    this.drone = L.marker([0, 0], { ...STILL, icon: droneIcon(), zIndexOffset: 1000 });
+    this.areas = L.layerGroup().addTo(this.map);
+    this.layers = Array.from({ length: drones }, (_, index) => {
+      const many = drones > 1 ? { number: index + 1, chosen: () => chosen(index) } : {};
+      return new FlightLayer(this.map, this.ground, places, many);
+    });
     this.map.setView([0, 0], this.ground.options.minZoom);
     this.map.on("mousemove", (event) => this.#readOut(event.latlng));
     this.map.on("move", () => this.#readOut(this.map.getCenter()));
@@ -72,13 +60,13 @@ export class FlightMap {
   }
 
   fit() {
-    if (!this.#plan) return;
-    const corners = [[0, 0], ...this.#plan.waypoints_m];
-    for (const [east, north, radius] of Object.values(this.#plan.ranges)) {
-      corners.push([east - radius, north - radius], [east + radius, north + radius]);
-    }
-    const bounds = L.latLngBounds(corners.map(([east, north]) => this.ground.latLng(east, north)));
-    this.map.fitBounds(bounds, { padding: [18, 18], animate: false });
+    const corners = this.#plans.filter(Boolean).flatMap((plan) => {
+      const ranges = Object.values(plan.ranges).flatMap(([east, north, radius]) => {
+        return [[east - radius, north - radius], [east + radius, north + radius]];
+      });
+      return [[0, 0], ...plan.waypoints_m, ...ranges].map(([east, north]) => this.ground.latLng(east, north, plan));
+    });
+    if (corners.length) this.map.fitBounds(L.latLngBounds(corners), { padding: [18, 18], animate: false });
   }
 
   #readOut(place) {
@@ -88,69 +76,61 @@ export class FlightMap {
     write(this.readout, parts.filter(Boolean).join(" · "));
   }
 
-  #lineStyle() {
-    return { color: this.places.colours.of("ink"), weight: 2, opacity: 0.6, ...STILL };
-  }
-
-  show(moment) {
-    if (moment.story.plan !== this.#plan) {
-      this.#plan = moment.story.plan;
-      this.ground.settle(this.#plan);
+  // Each flight at its moment.
+  show(moments) {
+    const plans = moments.map((moment) => moment.story.plan);
+    if (plans.some((plan, index) => plan !== this.#plans[index])) {
+      this.#plans = plans;
+      this.ground.settle(plans);
       this.#begin();
-      this.#drawPlan();
       this.fit();
     }
-    const position = moment.position;
-    this.track.show(moment.story.fix, moment.count("fix"), position);
-    this.#showCalls(moment);
-    this.#showStates(moment);
-    if (position) this.drone.setLatLng(this.ground.latLng(position.east_m, position.north_m)).addTo(this.map);
-    else this.drone.remove();
+    moments.forEach((moment, index) => this.layers[index].show(moment));
+    if (moments.length > 1) this.#showUsers(moments);
+    else this.#showStates(moments[0]);
   }
 
   // Draws everything anew, in other colours.
-  restyle(moment) {
-    this.#plan = undefined;
+  restyle(moments) {
+    this.#plans = [];
     const moved = this.#moved;
     const [centre, zoom] = [this.map.getCenter(), this.map.getZoom()];
-    this.show(moment);
+    this.show(moments);
     if (moved) this.map.setView(centre, zoom, { animate: false });
   }
 
-  #begin() {
-    this.track.clear();
-    this.calls.clearLayers();
-    this.plans.clearLayers();
-    this.#marks = [];
-    this.#chips.clear();
+  focus(index) {
+    this.layers.forEach((layer, each) => layer.focus(each === index));
   }
 
-  #drawPlan() {
-    if (!this.#plan) return;
-    this.ground.layer()?.addTo(this.plans);
-    const ink = this.places.colours.of("soft");
-    const way = this.#plan.waypoints_m.map(([east, north]) => this.ground.latLng(east, north));
-    for (const [server, [east, north, radius]] of Object.entries(this.#plan.ranges)) {
-      this.#drawRange(server, this.ground.latLng(east, north), radius);
+  #begin() {
+    this.areas.clearLayers();
+    this.#chips.clear();
+    this.ground.layer()?.addTo(this.areas);
+    const homes = new Map();
+    for (const plan of this.#plans.filter(Boolean)) {
+      for (const [server, [east, north, radius]] of Object.entries(plan.ranges)) {
+        if (!this.#chips.has(server)) this.#drawRange(server, this.ground.latLng(east, north, plan), radius);
+      }
+      const home = this.ground.latLng(0, 0, plan);
+      homes.set(home.join(), home);
     }
-    L.polyline(way, { ...STILL, color: ink, weight: 1, dashArray: "2 4" }).addTo(this.plans);
-    for (const place of way) {
-      L.circleMarker(place, { ...STILL, radius: 2, weight: 0, fillColor: ink, fillOpacity: 1 }).addTo(this.plans);
-    }
-    L.marker(this.ground.latLng(0, 0), { ...STILL, icon: homeIcon() }).addTo(this.plans);
+    this.layers.forEach((layer, index) => layer.begin(this.#plans[index]));
+    for (const home of homes.values()) L.marker(home, { ...STILL, icon: homeIcon() }).addTo(this.areas);
   }
 
   #drawRange(server, centre, radius) {
     const color = this.places.colour(server);
     const line = { ...STILL, color, weight: 1.5, dashArray: "7 4", fillOpacity: 0.07 };
-    L.circle(centre, { ...line, radius }).addTo(this.plans);
-    const state = element("span", { class: "state" });
-    const chip = element("span", { class: "chip" }, this.places.icon(server), server, " ", state);
-    this.#chips.set(server, state);
+    L.circle(centre, { ...line, radius }).addTo(this.areas);
+    const said = element("span");
+    const chip = element("span", { class: "chip" }, this.places.icon(server), server, " ", said);
+    this.#chips.set(server, said);
     const icon = L.divIcon({ html: chip, className: "server", iconSize: null });
-    L.marker(centre, { ...STILL, icon }).addTo(this.plans);
+    L.marker(centre, { ...STILL, icon }).addTo(this.areas);
   }
 
+  // The state of each server, for the one drone that there is.
   #showStates(moment) {
     for (const [server, chip] of this.#chips) {
       const step = moment.step(server);
@@ -159,30 +139,17 @@ export class FlightMap {
     }
   }
 
-  #showCalls(moment) {
-    const count = moment.count("call");
-    while (this.#marks.length > count) this.calls.removeLayer(this.#marks.pop());
-    while (this.#marks.length < count) {
-      const mark = this.#callMark(moment.story.call, this.#marks.length);
-      this.#marks.push(mark);
-      this.calls.addLayer(mark);
+  // Which drones use each server, or are about to.
+  #showUsers(moments) {
+    for (const [server, chip] of this.#chips) {
+      const users = moments.flatMap((moment, index) => {
+        return moment.using.filter((used) => used.server === server).map(({ tone }) => ({ number: index + 1, tone }));
+      });
+      const key = JSON.stringify(users);
+      if (chip.dataset.users === key) continue;
+      chip.dataset.users = key;
+      chip.className = "users";
+      chip.replaceChildren(...users.map(({ number, tone }) => badge(number, tone)));
     }
-  }
-
-  #callMark(calls, index) {
-    const { place, east_m, north_m } = calls[index];
-    let before = index;
-    while (before > 0 && calls[before - 1].east_m === east_m && calls[before - 1].north_m === north_m) before -= 1;
-    return new Mark(this.ground.latLng(east_m ?? 0, north_m ?? 0), {
-      places: this.places,
-      place,
-      aside: STACKED_PX * (index - before),
-      radius: 5,
-      color: this.places.colours.of("paper"),
-      weight: 1,
-      fillColor: this.places.colour(place),
-      fillOpacity: 1,
-      ...STILL,
-    });
   }
 }

@@ -1,10 +1,11 @@
 // What a log has told so far. Any moment of it is found by a search in lists that only grow.
 
-const SERIES = ["fix", "doing", "control", "decision", "call", "shot", "told", "said"];
+const SERIES = ["fix", "battery", "doing", "control", "decision", "call", "shot", "told", "said"];
 
 export class Story {
   constructor(name) {
     this.name = name;
+    this.zeroS = 0; // the second of the log at which the page's clock begins
     this.begin(0);
   }
 
@@ -56,6 +57,10 @@ export class Story {
         if (fact.place !== "local") this.known.add(fact.place);
         this.call.push(fact);
         break;
+      case "fix":
+        if (fact.battery_percent !== undefined) this.battery.push(fact);
+        this.fix.push(fact);
+        break;
       default:
         this[fact.fact].push(fact);
     }
@@ -79,21 +84,25 @@ export class Story {
     return epochS - this.opened.epoch_s - (this.lastS - this.opened.at_s);
   }
 
-  // The second of the mission at which the story ends, as far as it is told.
-  get endS() {
-    return this.missionS(this.ended?.at_s ?? this.lastS);
+  // The second of the log at which the story ends, as far as it is told.
+  get endsS() {
+    return this.ended?.at_s ?? this.lastS;
+  }
+
+  get isCompleted() {
+    return Boolean(this.ended?.completed);
   }
 
   missionS(atS) {
     return atS - (this.began?.at_s ?? 0);
   }
 
-  logS(missionS) {
-    return missionS + (this.began?.at_s ?? 0);
+  clockS(atS) {
+    return atS - this.zeroS;
   }
 
-  at(missionS) {
-    return new Moment(this, this.logS(missionS));
+  at(clockS) {
+    return new Moment(this, clockS + this.zeroS);
   }
 }
 
@@ -117,6 +126,16 @@ export class Moment {
     return steps[countUntil(steps, this.atS) - 1] ?? null;
   }
 
+  get isOver() {
+    return Boolean(this.story.ended && this.atS >= this.story.ended.at_s);
+  }
+
+  // The servers that the drone uses or is about to, those that are ready first.
+  get using() {
+    const steps = this.story.servers.map((server) => this.step(server)).filter(Boolean);
+    return ["ready", "checking"].flatMap((tone) => steps.filter((step) => step.tone === tone));
+  }
+
   // How many calls ran at each place so far, and how many of them waited.
   get calls() {
     const places = new Map();
@@ -128,6 +147,22 @@ export class Moment {
       waited += wait ? 1 : 0;
     }
     return { count, places, waited };
+  }
+
+  // What offloading saved so far, at the mean local delays so far; null where an operation has not run on the drone.
+  get savedS() {
+    const calls = this.story.call.slice(0, this.count("call"));
+    const local = new Map();
+    for (const { operation, place, delay_s, waited_s } of calls) {
+      if (place !== "local") continue;
+      const [sum, number] = local.get(operation) ?? [0, 0];
+      local.set(operation, [sum + delay_s - waited_s, number + 1]);
+    }
+    if (!calls.every(({ operation }) => local.has(operation))) return null;
+    return calls.reduce((saved, { operation, delay_s }) => {
+      const [sum, number] = local.get(operation);
+      return saved + sum / number - delay_s;
+    }, 0);
   }
 
   // Where the drone is: on the straight way between two fixes.

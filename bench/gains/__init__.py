@@ -1,0 +1,1 @@
+"""What each of upwash's mechanisms gains, in the same worlds and beside the same bound."""

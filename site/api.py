@@ -1,0 +1,197 @@
+"""Writes docs/api.md from the docstrings and signatures of all that is public: `python site/api.py`.
+
+A signature that names a class of upwash's that is not public itself is an error.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+import types
+import typing
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import upwash
+import upwash.services
+
+PAGE = Path(__file__).parents[1] / "docs" / "api.md"
+PACKAGES = (upwash, upwash.services)  # whose `__all__` is what is public
+
+_HEAD = """\
+# The Python interface
+
+<!-- written by site/api.py from the docstrings: change those, then run `make docs` -->
+
+What a mission, a service or a notebook imports is on this page: the names that the packages `upwash` and
+`upwash.services` list in their `__all__`. Every other module of upwash is private, whatever its name, and may change
+at any time. Not imported but written in a configuration are the names of what is bundled: the mission `survey` and
+the service `detector`.
+
+A number's name ends in its unit: `_s` for seconds, `_m` for metres. Positions count from the mission's home. Every
+error is an `UpwashError`.
+"""
+_SECTIONS = {
+    "In a mission": ("Drone", "Vehicle", "Photographer", "User", "Waypoint", "Position"),
+    "In a service": ("service", "once"),
+    "In a notebook": (
+        *("simulate", "Simulation", "simulate_fleet", "FleetSimulation", "compare", "ComparedPolicy"),
+        *("read_log", "read_result", "Event", "RunResult", "CallResult", "Totals", "EnergyTotals"),
+        *("Bound", "FleetBound"),
+    ),
+}
+_GIVEN = ("Drone", "Vehicle", "Photographer", "User", "Event")  # users get these, and make none
+_LONGEST_LINE = 100
+
+
+def page() -> str:
+    """The page as it should be."""
+    public = {name: getattr(upwash, name) for name in upwash.__all__}
+    errors = {name: value for name, value in public.items() if _is_class(value, Exception)}
+    listed = [*errors, *(name for names in _SECTIONS.values() for name in names)]
+    if sorted(listed) != sorted(public):
+        raise SystemExit(f"public, and in no section of site/api.py or in two: {set(public) ^ set(listed)}")
+    parts = [_HEAD]
+    for title, names in _SECTIONS.items():
+        parts.append(f"## {title}\n")
+        parts += [_described(name, public[name]) for name in names]
+    parts += ["## Errors\n", "\n".join(_tree(errors, upwash.UpwashError)) + "\n"]
+    parts += ["## upwash.services\n", f"{inspect.getdoc(upwash.services)}\n"]
+    parts += [_described(name, getattr(upwash.services, name)) for name in upwash.services.__all__]
+    return "\n".join(parts)
+
+
+def _described(name: str, value: object) -> str:
+    if inspect.isclass(value):
+        code, prose = _class_head(name, value), inspect.getdoc(value)
+        members = "".join(f"\n{_member(value, each)}\n" for each in _members(value))
+    elif inspect.isfunction(value):
+        variants = typing.get_overloads(value) or [value]
+        code, prose, members = (
+            "\n".join(_function(name, each) for each in variants),
+            inspect.getdoc(value),
+            "",
+        )
+    else:
+        code, prose, members = f"{name} = {_written(value)}", "", ""
+    text = f"### {name}\n\n```python\n{code}\n```\n"
+    return text + (f"\n{prose}\n" if prose else "") + members
+
+
+def _class_head(name: str, cls: type) -> str:
+    """The class with what is stored in it, and its constructor where that says more."""
+    bases = [_written(base) for base in cls.__bases__ if base.__module__.startswith("upwash")]
+    bases += [base.__name__ for base in cls.__bases__ if issubclass(base, Exception) and not bases]
+    head = f"class {name}({', '.join(bases)}):" if bases else f"class {name}:"
+    hints = typing.get_type_hints(cls)
+    own = [each for each in vars(cls).get("__annotations__", {}) if not each.startswith("_")]
+    defaults = inspect.signature(cls).parameters if own and name not in _GIVEN else {}
+    lines = [f"    {each}: {_written(hints[each])}{_default(defaults.get(each))}" for each in own]
+    if name not in _GIVEN and not own and "__init__" in vars(cls):
+        lines.append("    " + _function("__init__", vars(cls)["__init__"]).replace("\n", "\n    "))
+    return "\n".join([head, *lines]) if lines else f"{head} ..."
+
+
+def _members(cls: type) -> Iterator[str]:
+    """Its own public methods and properties, as they are written."""
+    for name, member in vars(cls).items():
+        if not name.startswith("_") and (inspect.isfunction(member) or isinstance(member, property)):
+            yield name
+
+
+def _member(cls: type, name: str) -> str:
+    member = vars(cls)[name]
+    if isinstance(member, property):
+        assert member.fget is not None  # noqa: S101 - it can be read
+        returns = _written(typing.get_type_hints(member.fget)["return"])
+        text = f"`{name}: {returns}`"
+    else:
+        text = f"`{_signature(name, member, longest=sys.maxsize)}`"
+    first, *others = (inspect.getdoc(member) or "").split("\n\n")
+    return "\n\n".join([f"- {text}: {first}".replace("\n", "\n  "), *others]).replace("\n\n", "\n\n  ")
+
+
+def _function(name: str, function: Callable[..., object]) -> str:
+    return f"def {_signature(name, function)}: ..."
+
+
+def _signature(name: str, function: Callable[..., object], longest: int = _LONGEST_LINE) -> str:
+    """On one line, or where that is too long on one for each parameter."""
+    hints = typing.get_type_hints(function)
+    parts = ["self"] if name == "__init__" else []
+    kind = None
+    for parameter in inspect.signature(function).parameters.values():
+        if parameter.name == "self":
+            continue
+        if parameter.kind is parameter.KEYWORD_ONLY and kind is not parameter.KEYWORD_ONLY:
+            parts.append("*")
+        if kind is parameter.POSITIONAL_ONLY and parameter.kind is not kind:
+            parts.append("/")
+        kind = parameter.kind
+        parts.append(f"{parameter.name}: {_written(hints[parameter.name])}{_default(parameter)}")
+    parts += ["/"] if kind is inspect.Parameter.POSITIONAL_ONLY else []
+    returns = "" if name == "__init__" else f" -> {_written(hints['return'])}"
+    line = f"{name}({', '.join(parts)}){returns}"
+    if len(line) <= longest:
+        return line
+    return f"{name}(\n" + "".join(f"    {part},\n" for part in parts) + f"){returns}"
+
+
+def _default(parameter: inspect.Parameter | None) -> str:
+    if parameter is None or parameter.default is parameter.empty:
+        return ""
+    plain = parameter.default is None or isinstance(parameter.default, (str, int, float, tuple))
+    return f" = {parameter.default!r}".replace("'", '"') if plain else " = ..."
+
+
+def _written(hint: object) -> str:
+    """A type as one writes it, whatever the Python; raises SystemExit for a class that is not public."""
+    arguments = typing.get_args(hint)
+    match typing.get_origin(hint):
+        case None:
+            return _name(hint)
+        case typing.Literal:
+            return f"Literal[{', '.join(_quoted(each) for each in arguments)}]"
+        case typing.Union | types.UnionType:
+            return " | ".join(_written(each) for each in arguments)
+        case origin:
+            return f"{_name(origin)}[{', '.join(_argument(each) for each in arguments)}]"
+
+
+def _argument(hint: object) -> str:
+    return f"[{', '.join(_written(each) for each in hint)}]" if isinstance(hint, list) else _written(hint)
+
+
+def _quoted(value: object) -> str:
+    return f'"{value}"' if isinstance(value, str) else repr(value)
+
+
+def _name(hint: object) -> str:
+    if hint is type(None):
+        return "None"
+    if hint is ...:
+        return "..."
+    name = str(getattr(hint, "__name__", hint))
+    is_ours = isinstance(hint, type) and hint.__module__.startswith("upwash")
+    if is_ours and not any(name in package.__all__ for package in PACKAGES):
+        raise SystemExit(f"a public signature names {name}, which is private")
+    return name
+
+
+def _tree(errors: Mapping[str, type], root: type, depth: int = 0) -> Iterator[str]:
+    arguments = ""
+    if "__init__" in vars(root):
+        arguments = f"({', '.join(list(inspect.signature(root).parameters))})"
+    text = (inspect.getdoc(root) or "").replace("\n\n", " ").replace("\n", " ")
+    yield f"{'    ' * depth}- `{root.__name__}{arguments}`: {text}"
+    for error in errors.values():
+        if error.__base__ is root:
+            yield from _tree(errors, error, depth + 1)
+
+
+def _is_class(value: object, base: type) -> bool:
+    return inspect.isclass(value) and issubclass(value, base)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page())

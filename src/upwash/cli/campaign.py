@@ -1,0 +1,42 @@
+"""upwash campaign: simulates many missions."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from upwash.cli.arguments import count
+
+if TYPE_CHECKING:
+    from upwash.cli.arguments import Commands
+
+
+def add(commands: Commands) -> None:
+    """Adds the command."""
+    campaign = commands.add_parser("campaign", help="simulate many missions, over seeds and settings")
+    campaign.add_argument("scenario", type=Path, help="the scenario, a TOML file")
+    campaign.add_argument("--seeds", type=count, required=True, metavar="N", help="missions per combination")
+    campaign.add_argument(
+        "--set", action="append", default=[], dest="settings", metavar="KEY=V1,V2",
+        help="fly it with each of these values of a key, such as policy.gain_wait or server.s1.range_m",
+    )  # fmt: skip
+    where = campaign.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=count, metavar="N", help="processes here (default: one per core)")
+    where.add_argument("--cluster", metavar="ADDRESS", help="fly on a Dask cluster, such as tcp://HOST:8786")
+    campaign.add_argument(
+        "--out", type=Path, metavar="FILE",
+        help="a .csv or .parquet file; an interrupted campaign is continued there (default: one in runs/)",
+    )  # fmt: skip
+    campaign.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> bool:
+    """Flies them all and prints the means; whether each mission was completed."""
+    from upwash.lab.campaign import in_processes, on_cluster
+    from upwash.lab.campaign_display import show_campaign
+    from upwash.lab.sweep import read_sweep
+
+    sweep = read_sweep(options.scenario, options.settings, seeds=options.seeds)
+    fly = on_cluster(options.cluster) if options.cluster else in_processes(options.workers)
+    return show_campaign(sweep, options.out, fly=fly)

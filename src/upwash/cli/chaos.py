@@ -1,0 +1,56 @@
+"""upwash chaos: flies worlds full of faults and tests the promises."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from upwash.cli.arguments import count
+from upwash.errors import UsageError
+
+if TYPE_CHECKING:
+    from upwash.cli.arguments import Commands
+
+
+def add(commands: Commands) -> None:
+    """Adds the command."""
+    chaos = commands.add_parser("chaos", help="simulate worlds full of faults and test what upwash promises")
+    which = chaos.add_mutually_exclusive_group(required=True)
+    which.add_argument(
+        "--seeds", type=seeds, metavar="A..B", help="fly the worlds of these seeds, on all cores"
+    )
+    which.add_argument("--seed", type=count, metavar="N", help="fly one world, as a failure was reported")
+    chaos.add_argument("--minutes", type=float, metavar="N", help="with --seeds: begin no more after so long")
+    chaos.add_argument(
+        "--workers", type=count, metavar="N", help="with --seeds: processes (default: one per core)"
+    )
+    chaos.add_argument(
+        "--out", type=Path, metavar="FILE", help="with --seeds: leave what they came to there, as JSON"
+    )
+    chaos.add_argument(
+        "--log", type=Path, metavar="FILE",
+        help="with --seed: the event log; the scenario is written beside it, as .toml",
+    )  # fmt: skip
+    chaos.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> bool:
+    """Flies them; whether no promise was broken."""
+    from upwash.lab.faults.display import replay, show_chaos
+
+    if options.seed is not None:
+        if (options.minutes, options.workers, options.out) != (None, None, None):
+            raise UsageError("--minutes, --workers and --out go with --seeds")
+        return replay(options.seed, options.log)
+    if options.log is not None:
+        raise UsageError("--log goes with --seed: one log holds one world")
+    return show_chaos(options.seeds, minutes=options.minutes, workers=options.workers, out=options.out)
+
+
+def seeds(text: str) -> range:
+    """Whole numbers from A to B, written A..B."""
+    first, dots, last = text.partition("..")
+    if not (dots and first.isdecimal() and last.isdecimal() and 1 <= int(first) <= int(last)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not A..B, such as 1..2000")
+    return range(int(first), int(last) + 1)

@@ -1,0 +1,97 @@
+"""upwash check: says what a mission will be like, and what is not right, before take-off."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from upwash.cli.arguments import count, flown_by
+from upwash.errors import UsageError
+
+if TYPE_CHECKING:
+    from upwash.cli.arguments import Commands
+    from upwash.preflight.check import CheckInput
+
+
+def add(commands: Commands) -> None:
+    """Adds the command."""
+    check = commands.add_parser("check", help="predict a mission and say what will hurt, before take-off")
+    check.add_argument("config", type=Path, help="the drone's configuration or a scenario, a TOML file")
+    check.add_argument(
+        "--seeds", type=count, default=5, metavar="N",
+        help="simulated missions for each prediction, where there is noise (default: 5)",
+    )  # fmt: skip
+    check.add_argument(
+        "--workers", type=count, metavar="N", help="processes, where they pay (default: one per core)"
+    )
+    check.add_argument(
+        "--place", type=count, default=0, metavar="N", help="suggest where N more servers would help most"
+    )
+    check.add_argument("--figures", type=Path, metavar="DIR", help="draw the coverage there")
+    what = check.add_mutually_exclusive_group()
+    what.add_argument("--json", action="store_true", help="print what was found as one JSON object")
+    what.add_argument(
+        "--networks", action="store_true", help="only see whether each server's network can be joined"
+    )
+    what.add_argument(
+        "--vehicle",
+        action="store_true",
+        help="only connect to the vehicle, and see whether its dead man is ready",
+    )
+    what.add_argument(
+        "--install-dead-man",
+        action="store_true",
+        help="connect to the vehicle, which stands disarmed, and put the dead man into its autopilot",
+    )
+    check.add_argument("--autopilot", metavar="CONNECTION", help="the vehicle, instead of the configured one")
+    check.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> bool:
+    """Checks and prints what it found; whether there is nothing to warn of."""
+    if options.networks:
+        from rich.console import Console
+
+        from upwash.config import read_drone_config, refuse_several
+        from upwash.preflight.networks import check_networks
+
+        config = read_drone_config(options.config)
+        refuse_several(config, options.config, what="what is looked at")
+        return check_networks(config, Console(markup=False))
+    if options.vehicle or options.install_dead_man:
+        from rich.console import Console
+
+        from upwash.config import read_drone_config, refuse_several
+        from upwash.preflight.vehicle import check_vehicle
+
+        config = flown_by(read_drone_config(options.config), options.autopilot)
+        refuse_several(config, options.config, what="what is looked at")
+        console = Console(markup=False)
+        return check_vehicle(config, console, install_dead_man=options.install_dead_man)
+    from upwash.lab.campaign import here_first
+    from upwash.preflight.check import read_plan
+    from upwash.preflight.display import show_check
+
+    plan = read_plan(options.config)
+    if plan.config.drones:
+        return _check_fleet(plan, options)
+    return show_check(
+        plan,
+        seeds=options.seeds,
+        servers_to_place=options.place,
+        as_json=options.json,
+        figures=options.figures,
+        fly=here_first(options.workers),
+    )
+
+
+def _check_fleet(plan: CheckInput, options: argparse.Namespace) -> bool:
+    from upwash.preflight.fleet_display import show_fleet_check
+
+    if options.place or options.figures is not None:
+        raise UsageError(
+            "--place and --figures are of one drone's way, and this file has [[drone]] tables: leave them out, or "
+            "check a file with one of the drones"
+        )
+    return show_fleet_check(plan, seeds=options.seeds, as_json=options.json, workers=options.workers)

@@ -1,0 +1,121 @@
+"""What a person sees of an edge daemon."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from upwash.core.clients import AccountStatus, RefusalStatus, ServerStatus
+from upwash.rpc.protocol import CertificateStatus, StatusReply
+
+_SOON_DAYS = 30
+_STATE_STYLES = {"running": "green", "starting": "yellow", "stopping": "yellow"}
+
+
+def print_status(status: StatusReply, console: Console) -> None:
+    """Prints the servers with their drones and instances, the last refusals, and the certificates' ends."""
+    console.print(f"up for {_duration(status.up_s)}", soft_wrap=True)
+    if status.closing:
+        console.print(Text(status.closing, style="bold red"), soft_wrap=True)
+    for server in status.servers:
+        _print_server(server, console)
+    _print_refusals(status.refusals, console)
+    _print_certificates(status.certificates, console)
+
+
+def _print_server(server: ServerStatus, console: Console) -> None:
+    waiting = sum(each.waits_s is not None for each in server.accounts)
+    crowd = f", {_counted(waiting, 'drone waits', 'drones wait')}" if waiting else ""
+    used = f"{len(server.leases)} of {server.slots} slots in use"
+    console.print(f"\n{server.name}: {used}{crowd}", soft_wrap=True)
+    if server.slots_why:  # of a daemon that knows turns
+        console.print(Text(f"  {_slots_and_turns(server)}"), soft_wrap=True)
+    for line in (*_holders(server), *_waiting(server)):
+        console.print(Text(f"  {line}"), soft_wrap=True)
+    if server.instances:
+        console.print(_instances(server))
+
+
+def _slots_and_turns(server: ServerStatus) -> str:
+    slots = f"{_counted(server.slots, 'slot', 'slots')}, as {server.slots_why}"
+    if server.turn_s is None:
+        return f"{slots}; turns have no end"
+    ended = f", {_counted(server.turns_ended, 'has', 'have')} ended so far" if server.turns_ended else ""
+    return f"{slots}; a turn lasts {_duration(server.turn_s)}{ended}"
+
+
+def _holders(server: ServerStatus) -> Iterator[str]:
+    """The drones that have a slot, by name."""
+    accounts = {each.drone: each for each in server.accounts}
+    for lease in server.leases:
+        account = accounts.get(lease.drone)
+        since = ""
+        if account is not None and account.holds_s is not None:
+            since = f"has a slot for {_duration(account.holds_s)}, {_counts_as(account)}; "
+        certificate = f", certificate {lease.certificate[:16]}" if lease.certificate else ""
+        held = f", held as {lease.held_by} asked" if lease.held_by else ""
+        yield f"{lease.drone}: {since}lease ends in {_duration(lease.ends_in_s)}{certificate}{held}"
+
+
+def _waiting(server: ServerStatus) -> Iterator[str]:
+    """The drones that wait for a slot, in the order in which they get one."""
+    waiting = [(each, each.waits_s) for each in server.accounts if each.waits_s is not None]
+    for account, waits_s in sorted(waiting, key=lambda each: (each[0].had_s, -each[1], each[0].drone)):
+        yield f"{account.drone}: waits for {_duration(waits_s)}, {_counts_as(account)}"
+
+
+def _counts_as(account: AccountStatus) -> str:
+    return f"counts as having had {_duration(account.had_s)}"
+
+
+def _instances(server: ServerStatus) -> Table:
+    table = _table("instance", "state", "at", "unused for")
+    for instance in server.instances:
+        unused = _duration(instance.unused_s) if instance.state == "running" else ""
+        state = Text(instance.state, style=_STATE_STYLES.get(instance.state, "dim"))
+        table.add_row(Text(instance.service), state, Text(instance.endpoint), unused)
+    return table
+
+
+def _print_refusals(refusals: Sequence[RefusalStatus], console: Console) -> None:
+    if not refusals:
+        return
+    table = _table("last", "times", "server", "who", "why", title="refused")
+    for each in refusals:
+        ago = f"{_duration(each.ago_s)} ago"
+        table.add_row(ago, str(each.times), *map(Text, (each.server, each.client, each.why)))
+    console.print()
+    console.print(table)
+
+
+def _print_certificates(certificates: Sequence[CertificateStatus], console: Console) -> None:
+    if certificates:
+        console.print()
+    for each in certificates:
+        days = (each.expires - datetime.now(UTC)).days
+        line = f"certificate of {each.holder}: valid until {each.expires:%Y-%m-%d}, {days} days"
+        console.print(Text(line, style="bold red" if days < _SOON_DAYS else ""), soft_wrap=True)
+
+
+def _table(*columns: str, title: str | None = None) -> Table:
+    table = Table(box=None, padding=(0, 2), title=title, title_justify="left")
+    for column in columns:
+        table.add_column(column)
+    return table
+
+
+def _counted(number: int, one: str, several: str) -> str:
+    return f"{number} {one if number == 1 else several}"
+
+
+def _duration(seconds: float) -> str:
+    """Two units at most: 12 s, 3 min 4 s, 2 h 5 min, 6 d 7 h."""
+    whole = round(seconds)
+    for unit_s, unit, part_s, part in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
+        if whole >= unit_s:
+            return f"{whole // unit_s} {unit} {whole % unit_s // part_s} {part}"
+    return f"{whole} s"

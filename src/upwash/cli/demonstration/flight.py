@@ -1,0 +1,38 @@
+"""Flies the demonstration: starts a stand-in vehicle and two daemons as processes of their own, and flies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+from upwash.cli.demonstration.configuration import filled_in, read_demonstration
+from upwash.cli.demonstration.daemons import ready_daemons
+from upwash.cli.demonstration.score import score_photos
+from upwash.cli.flying import fly_with_progress
+from upwash.launch.processes import ready_vehicle
+from upwash.real.authority import make_keys
+
+
+def fly_demonstration(
+    folder: Path, *, runtime: str = "", policy: str | None = None, live_port: int | None = None
+) -> None:
+    """Flies it with everything below `folder`; whatever it started is gone when it returns or raises.
+
+    `runtime` is what the daemons' configuration is to say besides, in TOML: a table [runtime]. `policy` is another
+    than the configured one. With `live_port` it is shown on a page meanwhile.
+    """
+    console = Console(markup=False)
+    config = read_demonstration(policy)
+    names = [server.name for server in config.servers]
+    make_keys(folder / "keys", servers=[[name] for name in names], drones=[config.name])
+    with (
+        ready_vehicle("vehicle", folder, config) as vehicle,
+        ready_daemons(names, folder, runtime=runtime) as servers,
+    ):
+        here = filled_in(config, folder, vehicle=vehicle, servers=servers)
+        console.print(
+            f"the vehicle is at {vehicle}, the servers at {', '.join(servers.values())}", soft_wrap=True
+        )
+        fly_with_progress(here, log=folder / "events.jsonl", live_port=live_port)
+    console.print(score_photos(folder / "events.jsonl").in_words(), soft_wrap=True)

@@ -1,0 +1,67 @@
+"""What the detector found in the demonstration's photos, held against what they truly show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from upwash.eventlog import log as event_log
+from upwash.eventlog import schema
+from upwash.eventlog.narration import counted
+from upwash.services import Detection
+from upwash.services.solar_park import TrueBox
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Faults in the photos of a flight: how many there truly are, were found, and were imagined."""
+
+    photos: int
+    true: int
+    found: int
+    false: int
+
+    def __add__(self, other: Score) -> Score:
+        return Score(
+            photos=self.photos + other.photos,
+            true=self.true + other.true,
+            found=self.found + other.found,
+            false=self.false + other.false,
+        )
+
+    def in_words(self) -> str:
+        """What was found, and what was taken for a fault."""
+        return (
+            f"faulty modules: {self.found} of {self.true} found, "
+            f"{counted(self.false, 'false alarm')}, in {self.photos} photos"
+        )
+
+
+NOTHING = Score(photos=0, true=0, found=0, false=0)
+
+
+def score_photos(log: Path) -> Score:
+    """What the flight of that event log told its user, held against what its photos truly show."""
+    truths: list[list[TrueBox]] = []
+    told: list[list[Detection]] = []
+    for event in event_log.read(log):
+        match event:
+            case schema.Photo(truth=truth) if truth is not None:
+                truths.append(msgspec.convert(truth, list[TrueBox]))
+                told.append([])
+            case schema.Notified(message=message):
+                told[-1] = msgspec.convert(message, list[Detection])
+    found = false = 0
+    for truth, detections in zip(truths, told, strict=True):
+        found += sum(any(_is_hit(fault, each) for each in detections) for fault in truth)
+        false += sum(not any(_is_hit(fault, each) for fault in truth) for each in detections)
+    return Score(photos=len(truths), true=sum(map(len, truths)), found=found, false=false)
+
+
+def _is_hit(fault: TrueBox, detection: Detection) -> bool:
+    """Whether the detection names the fault and has its middle on it."""
+    x = detection.left_px + detection.width_px / 2 - fault.left_px
+    y = detection.top_px + detection.height_px / 2 - fault.top_px
+    return detection.label == fault.label and 0 <= x <= fault.width_px and 0 <= y <= fault.height_px

@@ -1,0 +1,75 @@
+"""upwash emulate: flies scenarios in real time, with real programs, on this machine."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from upwash.cli.arguments import count, new_run_folder
+
+if TYPE_CHECKING:
+    from upwash.cli.arguments import Commands
+
+
+def add(commands: Commands) -> None:
+    """Adds the command."""
+    emulate = commands.add_parser(
+        "emulate",
+        help="fly a scenario in real time, by real programs in network namespaces of their own (root)",
+    )
+    emulate.add_argument(
+        "scenarios", nargs="*", type=Path, metavar="SCENARIO", help="TOML files with the same servers"
+    )
+    emulate.add_argument(
+        "--drones", type=count, default=1, metavar="N", help="fly each scenario with so many at once"
+    )
+    emulate.add_argument(
+        "--radio", choices=("table", "ns3"), default="table",
+        help="cables shaped by tables of goodput (default), or ns-3 in real time (make native)",
+    )  # fmt: skip
+    emulate.add_argument(
+        "--in", choices=("namespaces", "containers"), default="namespaces", dest="computers",
+        help="what the drones' and the servers' computers are: namespaces (default), or containers of LXD, where "
+        "servers run their services in containers, too",
+    )  # fmt: skip
+    emulate.add_argument(
+        "--autopilot", action="append", default=[], dest="autopilots", metavar="CONNECTION",
+        help="fly this vehicle instead of a stand-in, such as an ArduPilot's SITL; one for each drone",
+    )  # fmt: skip
+    emulate.add_argument("--folder", type=Path, help="where everything of the run goes (default: runs/TIME)")
+    emulate.add_argument(
+        "--clean", action="store_true", help="only remove what emulations left whose command was killed"
+    )
+    emulate.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> bool:
+    """Emulates; returns whether every flight was completed, and measured well enough."""
+    os.environ.setdefault("GRPC_VERBOSITY", "ERROR")
+    from upwash.emulation.enclosure import clean, require_root_and_tools
+    from upwash.emulation.request import EmulationRequest
+    from upwash.errors import UsageError
+    from upwash.support.loading import extra
+
+    with extra("emulation"):
+        import tomli_w  # noqa: F401 - asked here, as the emulation itself is another process
+    from upwash.emulation.run import run_emulation
+
+    require_root_and_tools()
+    killed = clean()
+    if options.clean:
+        print(f"killed {killed} processes of former emulations" if killed else "no process was left")
+        return True
+    if not options.scenarios:
+        raise UsageError("name a scenario, such as scenarios/demonstration.toml")
+    request = EmulationRequest(
+        scenarios=tuple(file.absolute() for file in options.scenarios),
+        drones=options.drones,
+        radio=options.radio,
+        computers=options.computers,
+        autopilots=tuple(options.autopilots),
+        folder=(options.folder or new_run_folder()).absolute(),
+    )
+    return run_emulation(request)

@@ -1,0 +1,60 @@
+"""upwash goodput: computes a table of goodput by distance."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from upwash.cli.arguments import count
+
+if TYPE_CHECKING:
+    from upwash.cli.arguments import Commands
+
+
+def add(commands: Commands) -> None:
+    """Adds the command."""
+    goodput = commands.add_parser(
+        "goodput", help="compute a radio's goodput by distance with ns-3 (make native)"
+    )
+    goodput.add_argument("radio", choices=("disc12", "disc54"), help="whose settings")
+    goodput.add_argument("--out", type=Path, required=True, metavar="FILE", help="the csv file to write")
+    goodput.add_argument(
+        "--range",
+        type=count,
+        default=100,
+        dest="range_m",
+        metavar="M",
+        help="where the radio ends (default: 100)",
+    )
+    goodput.add_argument(
+        "--request", type=count, default=430_000, dest="request_bytes", metavar="BYTES",
+        help="what is transferred (default: 430000)",
+    )  # fmt: skip
+    goodput.add_argument(
+        "--seeds", type=count, default=20, metavar="N", help="transfers a distance (default: 20)"
+    )
+    goodput.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> bool:
+    """Computes it and writes the file."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from upwash.emulation.goodput import Measurement, measure, write_table
+    from upwash.emulation.native import WIFI
+
+    step_m = options.range_m / 20
+    measurement = Measurement(
+        settings=WIFI[options.radio].ending_at(options.range_m),
+        distances_m=[step * step_m for step in range(25)],
+        request_bytes=options.request_bytes,
+        seeds=options.seeds,
+    )
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("distances", total=len(measurement.distances_m))
+        table = measure(measurement, measured=lambda: bar.advance(task))
+    write_table(options.out, measurement, table)
+    print(f"written: {options.out}")
+    return True

@@ -1,0 +1,104 @@
+"""upwash keys: makes an authority and certificates, and revokes them."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from upwash.cli.arguments import announce
+from upwash.errors import UsageError
+
+if TYPE_CHECKING:
+    from upwash.cli.arguments import Commands
+
+
+_REVOKED = (
+    "no daemon knows of it yet: copy revoked.txt to each, beside its authority.pem or where its keys.revoked says, "
+    "and have it read that: systemctl reload upwash, or SIGHUP"
+)
+_NEW_AUTHORITY = (
+    "copy authority.pem to every drone and server, and restart the daemons, before certificates of the new authority "
+    "are in use; destroy the former's key once nothing is to be signed with it"
+)
+_DROPPED = "copy authority.pem to every drone and server, and restart the daemons: as yet they believe the former too"
+
+
+def add(commands: Commands) -> None:
+    """Adds the command."""
+    keys = commands.add_parser("keys", help="make an authority and certificates for servers and drones")
+    keys.add_argument(
+        "folder", type=Path, nargs="?", help="where they go; an authority that is there is used again"
+    )
+    keys.add_argument(
+        "--server", action="append", default=[], metavar="NAME[,NAME]",
+        help="a certificate for a daemon that acts as the server, or as each of several",
+    )  # fmt: skip
+    keys.add_argument(
+        "--drone", action="append", default=[], metavar="NAME", help="a certificate for a drone"
+    )
+    keys.add_argument(
+        "--operator", action="append", default=[], metavar="NAME",
+        help="a certificate for a person who may ask a daemon for its status",
+    )  # fmt: skip
+    keys.add_argument(
+        "--revoke", action="append", default=[], metavar="NAME",
+        help="put the certificate of that name on the list of those that daemons refuse",
+    )  # fmt: skip
+    keys.add_argument(
+        "--signing", type=Path, metavar="FILE",
+        help="a key for MAVLink messages; prints the passphrase that gives an autopilot the same one",
+    )  # fmt: skip
+    keys.add_argument(
+        "--new-authority", action="store_true",
+        help="make another authority, which signs from now on; what the former signed is believed beside it",
+    )  # fmt: skip
+    keys.add_argument(
+        "--drop-former-authorities", action="store_true",
+        help="from now on nothing is believed but what the present authority signed",
+    )  # fmt: skip
+    keys.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> bool:
+    """Does so and says which files were written, and what is left to do with them."""
+    from upwash.real.authority import drop_former_authorities, make_keys, renew_authority, revoke
+
+    folder = options.folder
+    wanted = options.server or options.drone or options.operator
+    changes = options.revoke or options.new_authority or options.drop_former_authorities
+    if options.signing is not None:
+        _make_signing_key(options.signing)
+    elif not wanted and not changes:
+        raise UsageError(
+            "nothing to make: name at least one --server, --drone or --operator, or --revoke one"
+        )
+    if (wanted or changes) and options.folder is None:
+        raise UsageError("where certificates go is missing: name a folder")
+    if options.revoke:
+        _tell([revoke(folder, options.revoke)], _REVOKED)
+    if options.new_authority:
+        _tell(renew_authority(folder), _NEW_AUTHORITY)
+    if wanted:
+        servers = [names.split(",") for names in options.server]
+        _tell(make_keys(folder, servers=servers, drones=options.drone, operators=options.operator))
+    if options.drop_former_authorities:
+        _tell([drop_former_authorities(folder)], _DROPPED)
+    return True
+
+
+def _make_signing_key(file: Path) -> None:
+    from upwash.real.mavlink.signing import make_signing_key
+
+    passphrase = make_signing_key(file)
+    announce(str(file))
+    announce(f"passphrase for the ground station, shown once: {passphrase}")
+
+
+def _tell(files: Sequence[Path], left_to_do: str = "") -> None:
+    for file in files:
+        announce(str(file))
+    if left_to_do:
+        print(left_to_do, file=sys.stderr)

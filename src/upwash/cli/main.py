@@ -1,0 +1,136 @@
+"""The command line: which commands there are, and how each of them ends."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from upwash.cli import (
+    campaign,
+    chaos,
+    check,
+    compare,
+    demo,
+    emulate,
+    explain,
+    fly,
+    goodput,
+    images,
+    keys,
+    package,
+    profile,
+    report,
+    reproduce,
+    serve,
+    simulate,
+    status,
+    vehicle,
+    view,
+)
+from upwash.errors import MissionFailed, MissionStopped, NotKept, UpwashError, UsageError
+from upwash.support.standard_streams import forgiving_streams, give_up_output, open_closed_streams
+from upwash.support.text import escaped_lines
+
+_OK, _FAILURE, _USAGE, _NOT_KEPT, _INTERRUPTED = 0, 1, 2, 3, 130
+_COMMANDS = (
+    fly,
+    check,
+    serve,
+    status,
+    keys,
+    package,
+    images,
+    profile,
+    vehicle,
+    demo,
+    simulate,
+    view,
+    report,
+    reproduce,
+    campaign,
+    compare,
+    explain,
+    chaos,
+    emulate,
+    goodput,
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs one command and returns how it ended, as docs/missions.md has it."""
+    open_closed_streams()
+    with forgiving_streams() as output:
+        try:
+            code = _run(arguments)
+        except SystemExit as end:  # of argparse, which has said why
+            output.flush()
+            if output.trouble is None:
+                raise
+            code = end.code if isinstance(end.code, int) else _OK if end.code is None else _FAILURE
+    if output.trouble is None:
+        return code
+    give_up_output()
+    is_told = code == _NOT_KEPT or isinstance(output.trouble, BrokenPipeError)  # who closed a pipe has enough
+    if not is_told:
+        _complain(UpwashError(f"standard output cannot be written ({output.trouble.strerror})"), code)
+    return code or _NOT_KEPT
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if "run" not in options:
+        parser.print_help(sys.stderr)
+        return _USAGE
+    sys.path.append(str(Path.cwd()))  # so that `my_mission:fly` is found, as `python -m` would find it
+    try:
+        return _OK if options.run(options) else _FAILURE
+    except UsageError as error:
+        return _complain(error, _USAGE)
+    except MissionStopped as error:
+        return _complain(UpwashError(f"the mission was ended early: {error}"), _INTERRUPTED)
+    except MissionFailed as error:
+        print(escaped_lines(error.trace), file=sys.stderr)
+        return _complain(error, _FAILURE)
+    except NotKept as error:
+        return _complain(error, _NOT_KEPT)
+    except UpwashError as error:
+        return _complain(error, _FAILURE)
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        return _complain(UpwashError(f"{place}{error.strerror or error}"), _FAILURE)
+    except (KeyboardInterrupt, asyncio.CancelledError):
+        print("upwash: stopped at once", file=sys.stderr)
+        return _INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="upwash",
+        description="Runs a drone's heavy computations on the drone or on an edge server in reach.",
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
+    commands = parser.add_subparsers(metavar="COMMAND")
+    for command in _COMMANDS:
+        command.add(commands)
+    return parser
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when it is asked for: that takes longer than everything else here."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version
+
+        print(f"upwash {version('upwash')}")
+        parser.exit()
+
+
+def _complain(error: UpwashError, code: int) -> int:
+    with contextlib.suppress(OSError):
+        print(f"upwash: {escaped_lines(str(error))}", file=sys.stderr)
+    return code

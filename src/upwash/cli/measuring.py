@@ -1,0 +1,92 @@
+"""Profiles a service with progress in the terminal; prints a table and the part of a configuration."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import platform
+from collections.abc import Callable, Coroutine, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+
+from upwash.config import DroneConfig, ServerConfig
+from upwash.errors import NotWritten, UsageError
+from upwash.launch.profile import profile_at, profile_on_this_computer
+from upwash.missions.bundled import LoadedService
+from upwash.profiling.profiler import Sample, Watch, calls_to_make, samples
+from upwash.profiling.report import call_table, server_table, service_table
+from upwash.rpc.service import spec_of
+from upwash.support.output_files import write_file
+
+T = TypeVar("T")
+
+
+def measure_onboard(
+    service: LoadedService, photos: Sequence[bytes], *, program: str | None, calls: int, out: Path | None
+) -> None:
+    """Measures the service on this computer; the [[service]] table goes to `out`, or to standard output."""
+    found = samples(spec_of(service.cls), photos)
+    profile = _watched(
+        found, calls, lambda watch: profile_on_this_computer(service, found, calls=calls, watch=watch)
+    )
+    _tell(call_table(profile.calls), service_table(profile, program=program, computer=_computer()), out)
+
+
+def measure_server(
+    server: ServerConfig,
+    config: DroneConfig,
+    service: LoadedService,
+    photos: Sequence[bytes],
+    *,
+    calls: int,
+    out: Path | None,
+) -> None:
+    """Measures the service at the server; the keys for its [[server]] table go to `out`, or to standard output."""
+    found = samples(spec_of(service.cls), photos)
+    profile = _watched(
+        found, calls, lambda watch: profile_at(server, config, found, calls=calls, watch=watch)
+    )
+    _tell(call_table(profile.calls), server_table(profile, server=server.name, computer=_computer()), out)
+
+
+def find_server(config: DroneConfig, wanted: str) -> ServerConfig:
+    """The server of that name or address; raises UsageError."""
+    for server in config.servers:
+        if wanted in (server.name, server.address):
+            return server
+    names = ", ".join(server.name for server in config.servers) or "none"
+    raise UsageError(f"the configuration has no server {wanted!r}; it has {names}")
+
+
+def _watched(found: Sequence[Sample], calls: int, profile: Callable[[Watch], Coroutine[Any, Any, T]]) -> T:
+    columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("starting", total=calls_to_make(found, calls))
+
+        def watch(what: str) -> None:
+            progress.update(bar, advance=1, description=escape(what))
+
+        return asyncio.run(profile(watch))
+
+
+def _tell(table: object, text: str, out: Path | None) -> None:
+    console = Console(markup=False)
+    Console(stderr=True).print(table)
+    if out is None:
+        console.print(text, end="", soft_wrap=True, highlight=False)
+    else:
+        try:
+            write_file(out, text.encode())
+        except NotWritten:  # what took minutes to measure is not lost for that
+            console.print(text, end="", soft_wrap=True, highlight=False)
+            raise
+        console.print(f"written: {out}", soft_wrap=True)
+
+
+def _computer() -> str:
+    return f"{platform.node()} ({platform.machine()}, {os.cpu_count()} cores)"

@@ -1,0 +1,91 @@
+"""upwash report: makes a page, and files for other tools, from event logs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from upwash.support.output_files import write_file
+from upwash.support.standard_streams import print_bytes
+
+if TYPE_CHECKING:
+    from upwash.cli.arguments import Commands
+    from upwash.report.record import Record
+
+    Writer = Callable[[Sequence[Record]], bytes]
+
+
+_PRINTED = Path("-")
+
+
+def add(commands: Commands) -> None:
+    """Adds the command."""
+    report = commands.add_parser("report", help="make a page, and files for other tools, from event logs")
+    report.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="an event log, flown or simulated")
+    report.add_argument(
+        "-o", "--out", type=Path, metavar="FILE", help="an HTML page about all of them, side by side"
+    )
+    report.add_argument("--csv", type=Path, metavar="FILE", help="a row for each call; - prints it")
+    report.add_argument("--geojson", type=Path, metavar="FILE", help="tracks, waypoints, ranges and calls")
+    report.add_argument("--mcap", type=Path, metavar="FILE", help="a recording that Foxglove opens")
+    report.add_argument(
+        "--photos", type=Path, metavar="DIR", help="with --mcap: the folder of the photos that the logs name"
+    )
+    report.add_argument("--json", action="store_true", help="print the results as one JSON array")
+    report.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> bool:
+    """Makes what was asked for."""
+    from upwash.errors import UsageError
+    from upwash.report.exports import write_csv, write_geojson, write_json
+    from upwash.report.page import write_page
+    from upwash.report.record import read_records
+
+    files: list[tuple[Path | None, Writer]] = [
+        (options.out, _in_utf8(write_page)),
+        (options.csv, _in_utf8(write_csv)),
+        (options.geojson, _in_utf8(write_geojson)),
+        (options.mcap, _recorder(options.photos)),
+        (_PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
+    ]
+    if options.photos and not options.mcap:
+        raise UsageError("--photos goes with --mcap: nothing else has photos in it")
+    wanted = [(file, write) for file, write in files if file is not None]
+    if not wanted:
+        raise UsageError(
+            "nothing to make: ask for -o FILE, --csv FILE, --geojson FILE, --mcap FILE or --json"
+        )
+    if [file for file, _ in wanted].count(_PRINTED) > 1:
+        raise UsageError("two outputs would be printed as one: name a file for all but one of them")
+    records = read_records(options.logs)
+    written = [(file, write(records)) for file, write in wanted]
+    for file, content in written:
+        _leave(content, file)
+    return True
+
+
+def _leave(content: bytes, file: Path) -> None:
+    if file == _PRINTED:
+        print_bytes(content)
+        return
+    write_file(file, content)
+    print(f"written: {file}", file=sys.stderr)
+
+
+def _in_utf8(write: Callable[[Sequence[Record]], str]) -> Writer:
+    return lambda records: write(records).encode()
+
+
+def _recorder(photos: Path | None) -> Writer:
+    def write(records: Sequence[Record]) -> bytes:
+        from upwash.support.loading import extra
+
+        with extra("mcap"):
+            from upwash.report.recording import write_mcap
+        return write_mcap(records, photos=photos)
+
+    return write

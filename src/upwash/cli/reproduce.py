@@ -1,0 +1,38 @@
+"""upwash reproduce: flies the thesis's experiments."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from upwash.cli.arguments import count
+
+if TYPE_CHECKING:
+    from upwash.cli.arguments import Commands
+
+
+def add(commands: Commands) -> None:
+    """Adds the command."""
+    reproduce = commands.add_parser("reproduce", help="fly the thesis's experiments, beside what it printed")
+    reproduce.add_argument(
+        "--seeds", type=count, default=30, metavar="N", help="missions per cell (default: 30)"
+    )
+    reproduce.add_argument("--figures", type=Path, metavar="DIR", help="draw the figures 4.4 to 4.12 there")
+    reproduce.add_argument(
+        "--sensitivity", action="store_true", help="say how far each parameter moves the mission times, too"
+    )
+    reproduce.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the figures of each mission there"
+    )
+    reproduce.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> bool:
+    """Flies them on virtual time and prints the table."""
+    from upwash.lab.reproduction.output import show_reproduction
+
+    show_reproduction(
+        seeds=options.seeds, vary=options.sensitivity, figures=options.figures, results=options.json
+    )
+    return True

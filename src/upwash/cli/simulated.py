@@ -1,0 +1,127 @@
+"""What a simulation prints and writes: one mission's, and those of several drones."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from upwash.eventlog import schema
+from upwash.eventlog.terminal import print_result
+from upwash.support.output_files import write_file
+
+if TYPE_CHECKING:
+    from upwash import Bound, Event, FleetBound, FleetSimulation, Simulation
+
+_PRINTED = (
+    "scenario",
+    "policy",
+    "seed",
+    "mission_time_s",
+    "completed",
+    "calls",
+    "totals",
+    "bound",
+)
+_PRINTED_OF_FLEET = ("scenario", "seed", "mean_s", "worst_s", "jain", "saved_s", "bound")
+
+
+def print_json(simulation: Simulation) -> None:
+    """One mission as an object on a line."""
+    _print_line(_as_object(simulation))
+
+
+def print_fleet_json(fleet: FleetSimulation) -> None:
+    """Several missions as an object on a line, each under its drone's name."""
+    drones = {name: _as_object(each) for name, each in fleet.drones.items()}
+    _print_line({"drones": drones} | {name: getattr(fleet, name) for name in _PRINTED_OF_FLEET})
+
+
+def print_simulation(simulation: Simulation) -> None:
+    """One mission for a person: its calls, and how far it is from the bound."""
+    console = Console(markup=False)
+    print_result(simulation, console, paced=False)
+    if simulation.bound is not None:
+        console.print(_beside(simulation.mission_time_s, simulation.bound), soft_wrap=True)
+
+
+def print_fleet(fleet: FleetSimulation) -> None:
+    """Several missions for a person: a row for each drone, and what they came to together."""
+    console = Console(markup=False)
+    console.print(_drone_table(fleet))
+    for line in _together(fleet):
+        console.print(line, soft_wrap=True)
+
+
+def write_log(file: Path, events: Sequence[Event], scenario: Path, *, seed: int) -> None:
+    """The events as the flying drone would have written them, behind one that names the scenario."""
+    named = schema.Simulated(t=0.0, scenario=str(scenario.resolve()), seed=seed, version=schema.VERSION)
+    write_file(file, b"".join(msgspec.json.encode(event) + b"\n" for event in (named, *events)))
+
+
+def _print_line(printed: dict[str, Any]) -> None:
+    sys.stdout.write(msgspec.json.encode(printed).decode() + "\n")
+
+
+def _as_object(simulation: Simulation) -> dict[str, Any]:
+    printed = {name: getattr(simulation, name) for name in _PRINTED}
+    if simulation.energy is not None:
+        printed["energy"] = simulation.energy
+    if simulation.failure:
+        printed["failure"] = simulation.failure
+    if simulation.vanished:
+        printed["vanished"] = True
+    return printed
+
+
+def _beside(mission_time_s: float, bound: Bound) -> str:
+    return (
+        f"an all-knowing drone needs at least {bound.free_s:.1f} s with every server ready at once: this is "
+        f"{_more(mission_time_s, bound.free_s)}; joining one network after the other it needs "
+        f"{bound.with_joins_s:.1f} s: {_more(mission_time_s, bound.with_joins_s)}"
+    )
+
+
+def _drone_table(fleet: FleetSimulation) -> Table:
+    table = Table(box=None, padding=(0, 2))
+    for title in ("drone", "policy"):
+        table.add_column(title, overflow="fold", min_width=len("location-aware"))
+    for title in ("mission time", "saved", "on servers"):
+        table.add_column(title, justify="right", no_wrap=True)
+    for name, each in fleet.drones.items():
+        time = f"{each.mission_time_s:.1f} s" if each.completed else "vanished" if each.vanished else "failed"
+        saved = f"{fleet.saved_s[name]:.1f} s" if name in fleet.saved_s else "-"
+        remote = f"{sum(each.totals.remote.values())} of {each.totals.calls}"
+        table.add_row(*map(Text, (name, each.policy, time, saved, remote)))
+    return table
+
+
+def _together(fleet: FleetSimulation) -> Iterator[str]:
+    if fleet.mean_s is None or fleet.worst_s is None:
+        yield "no mission was completed"
+        return
+    even = "" if fleet.jain is None else f", Jain's index of what they saved {fleet.jain:.3f}"
+    yield f"mean {fleet.mean_s:.1f} s, worst {fleet.worst_s:.1f} s{even}"
+    left_out = [name for name, each in fleet.drones.items() if not each.completed]
+    if left_out:
+        yield f"not counted, as they did not complete their missions: {', '.join(left_out)}"
+    if fleet.bound is not None:
+        yield _beside_all(fleet.mean_s, fleet.bound)
+
+
+def _beside_all(mean_s: float, bound: FleetBound) -> str:
+    return (
+        f"all-knowing drones need at least {bound.free_s:.1f} s on average, each with every server ready at once and "
+        f"for itself alone: this is {_more(mean_s, bound.free_s)}; with what the servers can compute at a time, "
+        f"{bound.shared_s:.1f} s: {_more(mean_s, bound.shared_s)}"
+    )
+
+
+def _more(time_s: float, least_s: float) -> str:
+    return f"{100 * (time_s / least_s - 1):.1f} % more"

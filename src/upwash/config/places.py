@@ -1,0 +1,96 @@
+"""Where a configured mission goes and where its servers are, on the plane around the mission's home."""
+
+from __future__ import annotations
+
+from collections.abc import Container
+
+import msgspec
+
+from upwash.config.drone import DroneConfig, GridConfig, HomeConfig, MissionConfig, ServerConfig
+from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, Waypoint
+from upwash.core.geofence import Fence
+from upwash.plans import Ending, Plan
+
+
+def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
+    """The mission's waypoints in the order in which they are flown."""
+    if mission.plan is not None:
+        return _planned_waypoints(mission.plan.plan, _frame(mission.home))
+    places = _grid_places(mission.grid) if mission.grid else mission.waypoints_m or ()
+    return tuple(
+        Waypoint(index, Position(east_m, north_m, mission.altitude_m))
+        for index, (east_m, north_m) in enumerate(places)
+    )
+
+
+def geofence(mission: MissionConfig) -> tuple[Fence, ...]:
+    """The fences of the mission's plan."""
+    if mission.plan is None:
+        return ()
+    frame = _frame(mission.home)
+    return tuple(fence.fence(frame) for fence in mission.plan.plan.fences)
+
+
+def planned_home(plan: Plan) -> HomeConfig | None:
+    """The home that a plan names, if it does."""
+    home = plan.home
+    return HomeConfig(latitude_deg=home.latitude_deg, longitude_deg=home.longitude_deg) if home else None
+
+
+def as_planned(mission: MissionConfig, plan: Plan, *, named: Container[str]) -> MissionConfig:
+    """The mission, with what the plan says wherever the configuration names nothing."""
+    planned = {
+        "home": planned_home(plan),
+        "altitude_m": plan.takeoff_altitude_m or plan.waypoints[0].place.altitude_m,
+        "ground_speed_m_s": plan.ground_speed_m_s or mission.ground_speed_m_s,
+    }
+    return msgspec.structs.replace(
+        mission, **{key: value for key, value in planned.items() if key not in named}
+    )
+
+
+def ending(mission: MissionConfig) -> Ending:
+    """How the mission ends when all went well."""
+    return mission.plan.plan.ending if mission.plan is not None else "return"
+
+
+def server_position(server: ServerConfig, home: HomeConfig | None) -> Position:
+    """Where the server stands; `home` is needed for one whose place is given in degrees."""
+    if server.east_m is not None and server.north_m is not None:
+        return Position(server.east_m, server.north_m)
+    if server.latitude_deg is None or server.longitude_deg is None:
+        raise ValueError(f"server {server.name} has no place: read its configuration from a file")
+    return _frame(home).position(GeoPosition(server.latitude_deg, server.longitude_deg))
+
+
+def server_areas(config: DroneConfig) -> dict[str, Circle]:
+    """Where each server is in radio range, by its name."""
+    home = config.mission.home
+    return {server.name: Circle(server_position(server, home), server.range_m) for server in config.servers}
+
+
+def _frame(home: HomeConfig | None) -> LocalFrame:
+    if home is None:
+        raise ValueError("degrees without a home: read the configuration from a file")
+    return LocalFrame(GeoPosition(home.latitude_deg, home.longitude_deg))
+
+
+def _planned_waypoints(plan: Plan, frame: LocalFrame) -> tuple[Waypoint, ...]:
+    return tuple(
+        Waypoint(index, frame.position(each.place), each.ground_speed_m_s)
+        for index, each in enumerate(plan.waypoints)
+    )
+
+
+def _grid_places(grid: GridConfig) -> list[tuple[float, float]]:
+    rows, columns = list(range(grid.rows)), list(range(grid.columns))
+    if grid.start.startswith("top"):
+        rows.reverse()
+    if grid.start.endswith("right"):
+        columns.reverse()
+    places = []
+    for row in rows:
+        places += [(column * grid.spacing_m, row * grid.spacing_m) for column in columns]
+        if grid.rows_alternate:
+            columns.reverse()
+    return places

@@ -1,0 +1,123 @@
+"""Who asks something of a daemon, and what it shows to those who may look."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+_MOST_REFUSALS = 20
+
+
+class Role(StrEnum):
+    """What a certificate is for."""
+
+    DRONE = "drone"
+    OPERATOR = "operator"
+    SERVER = "server"
+
+
+@dataclass(frozen=True, slots=True)
+class Client:
+    """A drone, an operator or another daemon: the name in its certificate, and the certificate's fingerprint.
+
+    The fingerprint is empty where no certificates are used, which is on one machine only.
+    """
+
+    name: str
+    certificate: str = ""
+    role: Role = Role.DRONE
+
+    @property
+    def key(self) -> str:
+        """What instances know it by: a name may be given again after a theft, a fingerprint is never."""
+        return self.certificate or self.name
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseStatus:
+    """A drone that holds a slot; `held_by` is the peer that asked for it, for a drone that is expected."""
+
+    drone: str
+    certificate: str
+    ends_in_s: float
+    held_by: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class InstanceStatus:
+    """A service of a server and where its instance is in its life; unused for so long if it runs."""
+
+    service: str
+    state: str
+    endpoint: str
+    unused_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class AccountStatus:
+    """A drone that holds a slot or waits for one, for so long, and the slot time that counts as its own."""
+
+    drone: str
+    had_s: float
+    holds_s: float | None
+    waits_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class ServerStatus:
+    """One of the servers that a daemon acts as; `slots_why` says what the number of slots follows from.
+
+    A turn lasts `turn_s`, None where it has no end, and so many have ended for the sake of others. A daemon that
+    knows no turns says nothing of all this.
+    """
+
+    name: str
+    slots: int
+    leases: Sequence[LeaseStatus]
+    instances: Sequence[InstanceStatus]
+    slots_why: str = ""
+    turn_s: float | None = None
+    turns_ended: int = 0
+    accounts: Sequence[AccountStatus] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RefusalStatus:
+    """What a client was refused, how often, and how long ago last."""
+
+    server: str
+    client: str
+    why: str
+    times: int
+    ago_s: float
+
+
+@dataclass(slots=True)
+class _Refusal:
+    last_s: float
+    times: int = 0
+
+
+@dataclass(slots=True)
+class Refusals:
+    """The last different refusals."""
+
+    _known: dict[tuple[str, str, str], _Refusal] = field(default_factory=dict)
+
+    def note(self, server: str, client: str, why: str, *, now_s: float) -> None:
+        """Takes in one more; a repetition counts with the first."""
+        what = (server, client, why)
+        refusal = self._known.pop(what, _Refusal(now_s))
+        refusal.times += 1
+        refusal.last_s = now_s
+        self._known[what] = refusal
+        if len(self._known) > _MOST_REFUSALS:
+            del self._known[next(iter(self._known))]
+
+    def status(self, *, now_s: float) -> list[RefusalStatus]:
+        """What is known, the latest first."""
+        return [
+            RefusalStatus(*what, times=refusal.times, ago_s=now_s - refusal.last_s)
+            for what, refusal in reversed(self._known.items())
+        ]

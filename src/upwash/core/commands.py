@@ -1,0 +1,75 @@
+"""What the drone-side machine wants done: commands for the radio, and changes to be logged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from upwash.core.recovery import Probing
+from upwash.core.servers import Change
+
+
+@dataclass(frozen=True, slots=True)
+class Leave:
+    """Give up the server: drop what is under way there, leave its network.
+
+    `check` is the latest check, or probe, of the server, here and in the other commands: the cause that logs name.
+    """
+
+    server: str
+    check: int
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """Join the server's network, in `join_limit_s` at most, and ask for its availability."""
+
+    server: str
+    check: int
+    join_limit_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """Ask the server, which failed, for a sign of life, after the pauses that `probing` allows; join it for that.
+
+    The first pause is `alone_s` at least; joining may take `join_limit_s`.
+    """
+
+    server: str
+    check: int
+    join_limit_s: float
+    alone_s: float
+    probing: Probing
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Ask the daemon to start the services that do not run; it may take `limit_s`."""
+
+    server: str
+    check: int
+    limit_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Prepare:
+    """Have the server of that check ask its peer to start the services, and to hold a slot until it is there."""
+
+    server: str
+    check: int
+    peer: str
+    arrives_in_s: float
+    hold_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Full:
+    """To be logged: the server has no slot for the drone, for which so many wait now; it goes on asking."""
+
+    server: str
+    check: int
+    waiting: int
+
+
+Command = Check | Probe | Start | Prepare | Leave
+Effect = Change | Full | Command

@@ -1,0 +1,200 @@
+"""What the drone-side machine is told: everything that happens to a drone's offloading, as values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from upwash.core.estimates import Operation
+from upwash.core.geo import Position
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """A period is over, or a border of a range was crossed: time to look again."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckAnswered:
+    """The daemon answered that the server is available; whether all wanted services run there already.
+
+    `peers` are the servers that it can have prepared. So many drones wait for a slot there.
+    """
+
+    check: int
+    running: bool
+    peers: tuple[str, ...] = ()
+    waiting: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SlotRefused:
+    """The server serves as many drones as it can; so many wait for a slot, and the drone asks again."""
+
+    check: int
+    waiting: int
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseRenewed:
+    """The server keeps its slot for the drone; so many others wait for one."""
+
+    check: int
+    waiting: int
+
+
+@dataclass(frozen=True, slots=True)
+class TurnOver:
+    """The server, READY by that check, gave the drone's slot to another one; a call was refused for it, or none."""
+
+    check: int
+    why: str
+    in_call: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ServicesStarted:
+    """The daemon started the services and gave their endpoints."""
+
+    check: int
+
+
+@dataclass(frozen=True, slots=True)
+class CheckFailed:
+    """The server could not be joined, did not answer in time, is unavailable or could not start a service."""
+
+    check: int
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeAnswered:
+    """A server that had failed gave a sign of life, it and the wanted services that run there, or not all do."""
+
+    check: int
+    running: bool
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkLost:
+    """The network that was joined for the check is no longer connected."""
+
+    check: int
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A server holds a slot and starts its services, as the daemon `by` has asked it to."""
+
+    server: str
+    by: str
+
+
+@dataclass(frozen=True, slots=True)
+class LocalCallEnded:
+    """A call ran on the drone."""
+
+    operation: Operation
+    delay_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteCallEnded:
+    """A call ran on a server; `late` where the drone's own service had answered it before."""
+
+    server: str
+    operation: Operation
+    delay_s: float
+    late: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteCallFailed:
+    """A call to a server got no usable answer; `check` is the check that made the server READY.
+
+    `late` where the drone's own service had answered it before.
+    """
+
+    server: str
+    check: int
+    why: str
+    late: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteCallRaised:
+    """A server says that the service raised in a call, which is made on the drone before that is believed."""
+
+    server: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteFaultTested:
+    """A call that raised on a server, as that says, was made on the drone; `confirmed` where it raised there too.
+
+    `check` is the check that made the server READY, and `delay_s` how long it took to say so.
+    """
+
+    server: str
+    check: int
+    operation: Operation
+    delay_s: float
+    why: str
+    confirmed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteCallCut:
+    """A call was cut off by its deadline after `waited_s`, on a server that turned out to be alive: it is slow."""
+
+    server: str
+    operation: Operation
+    waited_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class LegBegun:
+    """The drone leaves for a place, at that ground speed; None for the one it flew at before."""
+
+    target: Position
+    ground_speed_m_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Arrived:
+    """The drone is where its leg led to."""
+
+
+@dataclass(frozen=True, slots=True)
+class TargetUnknown:
+    """Where the drone goes next is not known: it takes off, holds, returns or lands."""
+
+
+@dataclass(frozen=True, slots=True)
+class MissionEnded:
+    """No call will come any more."""
+
+
+Event = (
+    Tick
+    | CheckAnswered
+    | SlotRefused
+    | LeaseRenewed
+    | TurnOver
+    | ServicesStarted
+    | CheckFailed
+    | ProbeAnswered
+    | NetworkLost
+    | Prepared
+    | LocalCallEnded
+    | RemoteCallEnded
+    | RemoteCallFailed
+    | RemoteCallRaised
+    | RemoteFaultTested
+    | RemoteCallCut
+    | LegBegun
+    | Arrived
+    | TargetUnknown
+    | MissionEnded
+)

@@ -1,0 +1,224 @@
+"""What a drone can expect of its mission: where it flies next, when it is there, and which calls it makes.
+
+Every coming stop is expected to be like the last one that is over: the same operations, after the same pauses. How
+fast the vehicle speeds up and brakes is learnt from the legs that it has flown. A mission that leaves its plan is
+expected to go on calling around the place that it flies to, as nothing else is known.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import fmean
+
+from upwash.core.estimates import WINDOW_LENGTH, Operation
+from upwash.core.geo import Circle, Position, Waypoint, distance_m
+from upwash.core.legs import Leg, acceleration_m_s2, entered_m
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A call of a stop, `pause_s` after the arrival there or after the call before."""
+
+    operation: Operation
+    pause_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedCall:
+    """A call to come, `gap_s` after the end of the one before, or after now for the first.
+
+    `in_range_s` says of each server in range of it for how much of that time, up to the call, it will have been.
+    """
+
+    operation: Operation
+    gap_s: float
+    in_range_s: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class MissionBeliefs:
+    """What is believed of a mission before it flies: its plan, how it flies, and the calls of its first stop."""
+
+    plan: Sequence[Waypoint] = ()
+    ground_speed_m_s: float = 4.0
+    acceleration_m_s2: float = 1.0
+    stop: Sequence[Step] = ()
+
+
+@dataclass(slots=True)
+class _LegUnderWay:
+    """The leg under way."""
+
+    start: Position
+    end: Position
+    leg: Leg
+    begun_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """A leg to come: how long it takes, and how long after its start it enters the ranges in which it ends."""
+
+    duration_s: float
+    entered_s: Sequence[tuple[str, float]]  # 0 for a range in which it begins
+
+
+class MissionModel:
+    """Follows one mission over its legs and calls, and says what comes next."""
+
+    def __init__(self, beliefs: MissionBeliefs, areas: Mapping[str, Circle]) -> None:
+        self._plan = beliefs.plan
+        self._areas = areas
+        self._ground_speed_m_s = beliefs.ground_speed_m_s
+        self._accelerations_m_s2 = deque([beliefs.acceleration_m_s2], maxlen=WINDOW_LENGTH)
+        self._routine = tuple(beliefs.stop)
+        self._leaving_s = 0.0  # from the last call of a stop to the next leg
+        self._place: Position | None = None  # where it is or flies to, as far as is known
+        self._index: int | None = None  # of that place in the plan
+        self._way: _LegUnderWay | None = None
+        self._last_leg_m = 0.0
+        self._here: list[Step] = []
+        self._free_s = 0.0  # since when nothing is known to go on, or until when the call under way goes on
+        self._entries: dict[tuple[Position, Position], Sequence[tuple[str, float]]] = {}
+        self._ways: dict[
+            tuple[int, float], _Way
+        ] = {}  # by waypoint and ground speed, as the vehicle speeds up now
+
+    def leg_begun(
+        self, start: Position, target: Position, ground_speed_m_s: float | None, *, now_s: float
+    ) -> None:
+        """The mission leaves the place where it was for another."""
+        if self._place is not None and self._way is None:
+            self._routine = tuple(self._here)
+            self._leaving_s = max(0.0, now_s - self._free_s)
+        if ground_speed_m_s is not None:
+            self._ground_speed_m_s = ground_speed_m_s
+        self._place, self._index, self._here = target, self._find(target), []
+        self._last_leg_m = distance_m(start, target)
+        self._way = _LegUnderWay(start, target, self._leg(self._last_leg_m), now_s)
+
+    def arrived(self, *, now_s: float) -> None:
+        """The leg is over."""
+        if self._way is not None:
+            leg = self._way.leg
+            found = acceleration_m_s2(leg.length_m, leg.ground_speed_m_s, now_s - self._way.begun_s)
+            if found is not None:
+                self._accelerations_m_s2.append(found)
+                self._ways.clear()
+        self._way, self._free_s = None, now_s
+
+    def lost(self) -> None:
+        """Nothing is known of what comes next."""
+        self._place = self._way = None
+
+    def call_begun(self, operation: Operation, *, now_s: float) -> None:
+        """The mission calls."""
+        self._here.append(Step(operation, max(0.0, now_s - self._free_s)))
+        self._free_s = now_s
+
+    def call_ends(self, ends_s: float) -> None:
+        """The call under way is over then, as far as is known."""
+        self._free_s = ends_s
+
+    def coming(self, position: Position, *, now_s: float, count: int) -> list[ExpectedCall]:
+        """The next calls, at most so many; none where nothing is known."""
+        calls: list[ExpectedCall] = []
+        if self._place is not None and self._routine:
+            for call in self._calls(self._place, position, now_s):
+                calls.append(call)
+                if len(calls) == count:
+                    break
+        return calls
+
+    def _calls(self, place: Position, position: Position, now_s: float) -> Iterator[ExpectedCall]:
+        if self._way is not None:
+            steps, stop = self._routine, self._rest_of_way(self._way, position)
+        else:
+            steps, stop = self._routine[len(self._here) :], _Stop(self._free_s - now_s)
+            stop.in_range_s = dict.fromkeys(self._near(place), stop.gap_s)
+        yield from self._calls_of(steps, stop, place)
+        free_s = 0.0 if steps else stop.gap_s
+        for end, way in self._ways_after(place):
+            leaving_s = max(0.0, free_s + self._leaving_s)
+            gap_s = leaving_s + way.duration_s
+            in_range_s = {
+                server: gap_s - leaving_s - entered_s if entered_s > 0 else gap_s
+                for server, entered_s in way.entered_s
+            }
+            yield from self._calls_of(self._routine, _Stop(gap_s, in_range_s), end)
+            free_s = 0.0
+
+    def _calls_of(self, steps: Sequence[Step], stop: _Stop, place: Position) -> Iterator[ExpectedCall]:
+        for number, step in enumerate(steps):
+            if number > 0:
+                stop = _Stop(0.0, dict.fromkeys(self._near(place), 0.0))
+            yield ExpectedCall(
+                step.operation,
+                max(0.0, stop.gap_s + step.pause_s),
+                {server: max(0.0, time_s + step.pause_s) for server, time_s in stop.in_range_s.items()},
+            )
+
+    def _rest_of_way(self, way: _LegUnderWay, position: Position) -> _Stop:
+        """How long the rest of the leg takes, and for how much of that the drone will have been in which ranges."""
+        leg = way.leg
+        flown_s = leg.reached_s(leg.length_m - distance_m(position, way.end))
+        rest_s = leg.duration_s - flown_s
+        return _Stop(
+            rest_s,
+            {
+                server: rest_s - max(0.0, leg.reached_s(way_m) - flown_s)
+                for server, way_m in self._entered(way.start, way.end)
+            },
+        )
+
+    def _ways_after(self, place: Position) -> Iterator[tuple[Position, _Way]]:
+        if self._index is None:
+            around = self._way_of(self._leg(self._last_leg_m), place, place)
+            while True:
+                yield place, around
+        speed_m_s = self._ground_speed_m_s
+        for index in range(self._index + 1, len(self._plan)):
+            waypoint = self._plan[index]
+            speed_m_s = waypoint.ground_speed_m_s or speed_m_s
+            way = self._ways.get((index, speed_m_s))
+            if way is None:
+                leg = self._leg(distance_m(place, waypoint.position), speed_m_s)
+                way = self._ways[index, speed_m_s] = self._way_of(leg, place, waypoint.position)
+            yield waypoint.position, way
+            place = waypoint.position
+
+    def _way_of(self, leg: Leg, start: Position, end: Position) -> _Way:
+        entered = [(server, leg.reached_s(way_m)) for server, way_m in self._entered(start, end)]
+        return _Way(leg.duration_s, entered)
+
+    def _leg(self, length_m: float, ground_speed_m_s: float | None = None) -> Leg:
+        return Leg(length_m, ground_speed_m_s or self._ground_speed_m_s, fmean(self._accelerations_m_s2))
+
+    def _find(self, target: Position) -> int | None:
+        """The waypoint that is flown to: the next one there, or an earlier one."""
+        following = 0 if self._index is None else self._index + 1
+        order = [*range(following, len(self._plan)), *range(following)]
+        return next((index for index in order if self._plan[index].position == target), None)
+
+    def _near(self, place: Position) -> list[str]:
+        return [server for server, _ in self._entered(place, place)]
+
+    def _entered(self, start: Position, end: Position) -> Sequence[tuple[str, float]]:
+        """The servers in whose range a leg ends, each with how far from the start the range is entered."""
+        entries = self._entries.get((start, end))
+        if entries is None:
+            found = ((server, entered_m(start, end, area)) for server, area in self._areas.items())
+            entries = self._entries[start, end] = [
+                (server, way_m) for server, way_m in found if way_m is not None
+            ]
+        return entries
+
+
+@dataclass(slots=True)
+class _Stop:
+    """An arrival, `gap_s` after the call before, and for how long each server will have been in range by then."""
+
+    gap_s: float
+    in_range_s: dict[str, float] = field(default_factory=dict)

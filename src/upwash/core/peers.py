@@ -1,0 +1,89 @@
+"""What daemons ask of each other: that a slot be held for a drone that is on its way.
+
+Of what is asked of this daemon: a peer whose drones do not come is believed no more, as its key may be stolen and its
+drones invented. Of what this daemon asks: a drone may have one slot held at a time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+_MOST_MISSED = 3  # drones in a row that a peer expected in vain
+_MISTRUST_HOLDS = 10  # for how many times the longest hold it is refused then
+
+
+@dataclass(slots=True)
+class _Missed:
+    """How many drones in a row that a peer expected did not come, and when that was noticed last."""
+
+    times: int = 0
+    last_s: float = -math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class _SentAhead:
+    """A peer was asked to hold a slot for a drone until then; without that it holds one until `otherwise_s`."""
+
+    peer: str
+    until_s: float
+    otherwise_s: float
+
+
+class Peers:
+    """The servers that other daemons of the operator act as; a slot is held for `hold_s` at most."""
+
+    def __init__(self, names: Iterable[str], *, hold_s: float) -> None:
+        self.names = tuple(names)
+        self._hold_s = hold_s
+        self._missed: dict[str, _Missed] = {}  # by peer
+        self._sent_ahead: dict[str, _SentAhead] = {}  # by drone, until the slot is held no longer
+
+    def unknown(self, peer: str) -> str:
+        """Why the peer is none; empty where it is one."""
+        return "" if peer in self.names else f"{peer} is no peer of this daemon"
+
+    # --- what peers ask of this daemon ------------------------------------------------------------------------
+
+    def mistrust(self, peer: str, *, now_s: float) -> str:
+        """Why nothing is held for the peer now, after what became of the drones that it expected; may be empty."""
+        missed = self._missed.get(peer, _Missed())
+        if missed.times >= _MOST_MISSED and now_s < missed.last_s + _MISTRUST_HOLDS * self._hold_s:
+            return f"the last {missed.times} drones that {peer} expected did not come"
+        return ""
+
+    def came(self, peer: str) -> None:
+        """A drone came that the peer expected."""
+        self._missed.pop(peer, None)
+
+    def missed(self, peer: str, *, now_s: float) -> None:
+        """A drone did not come that the peer expected."""
+        missed = self._missed.setdefault(peer, _Missed())
+        missed.times, missed.last_s = missed.times + 1, now_s
+
+    # --- what this daemon asks of peers -----------------------------------------------------------------------
+
+    def elsewhere(self, drone: str, peer: str, *, now_s: float) -> str:
+        """Why the peer cannot hold a slot for the drone: another one does; empty where none does."""
+        ahead = self._sent_ahead.get(drone)
+        if ahead is not None and ahead.peer != peer and ahead.until_s > now_s:
+            return f"{drone} has a slot of {ahead.peer} held for another {ahead.until_s - now_s:.0f} s"
+        return ""
+
+    def ask(self, drone: str, peer: str, *, for_s: float, now_s: float) -> None:
+        """The peer is asked to hold a slot for the drone, for so long."""
+        ahead = self._sent_ahead.get(drone)
+        known_s = ahead.until_s if ahead is not None else now_s
+        until_s = max(known_s, now_s + min(self._hold_s, for_s))
+        self._sent_ahead[drone] = _SentAhead(peer, until_s, otherwise_s=known_s)
+
+    def refused(self, drone: str, peer: str) -> None:
+        """The peer refused what it was asked last; what it granted before still counts."""
+        ahead = self._sent_ahead.get(drone)
+        if ahead is not None and ahead.peer == peer:
+            self._sent_ahead[drone] = _SentAhead(peer, ahead.otherwise_s, ahead.otherwise_s)
+
+    def forget(self, *, now_s: float) -> None:
+        """Forgets what was asked for a time that is over."""
+        self._sent_ahead = {drone: each for drone, each in self._sent_ahead.items() if each.until_s > now_s}

@@ -1,0 +1,92 @@
+"""How many drones a server takes at the same time, where nobody says: as many as keep its instances busy.
+
+A drone keeps an instance busy for a share of its time: what a call takes there of what passes from one of its calls
+to the next. As many drones fit as there are such shares in what the instance can compute at a time, its lanes. What a
+call waited for others is not counted, or a crowd would make room for a larger one. Until it is measured a drone is
+taken to keep an instance busy for a quarter of its time: most fly for longer than they call.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+_SHARE = 0.25  # until it is measured
+_LEAST_CALLS = 2  # of one drone, from which its share is known
+_WEIGHT = 0.2  # of the latest call in a drone's share
+_MOST_DRONES = 64  # whose shares count, the latest
+
+
+@dataclass(slots=True)
+class _Calls:
+    """One drone's calls of one service, while it holds a slot."""
+
+    ended_s: float | None  # the last one; None where the drone has come anew
+    share: float = 0.0
+    count: int = 0
+
+    def answered(self, *, took_s: float, queued_s: float, now_s: float) -> None:
+        """One more call has ended."""
+        if self.ended_s is not None:
+            cycle_s = max(took_s, now_s - self.ended_s - queued_s)
+            share = took_s / cycle_s if cycle_s > 0 else 1.0
+            self.count += 1
+            self.share += (share - self.share) * max(_WEIGHT, 1 / self.count)
+        self.ended_s = now_s
+
+
+class MeasuredSlots:
+    """The number of slots of one server, by what was measured of the calls that it answered."""
+
+    def __init__(self, lanes: Mapping[str, int]) -> None:
+        self._lanes = dict(lanes)  # by service
+        self._calls: dict[str, OrderedDict[str, _Calls]] = {}  # by service and drone, the latest last
+
+    def offer(self, lanes: Mapping[str, int]) -> None:
+        """From now on these services are offered; what was measured of others is forgotten."""
+        self._lanes = dict(lanes)
+        self._calls = {service: calls for service, calls in self._calls.items() if service in lanes}
+
+    def came(self, drone: str) -> None:
+        """The drone, known by `Client.key`, has a slot anew: what passed since its last call is not its pace."""
+        for calls in self._calls.values():
+            if drone in calls:
+                calls[drone].ended_s = None
+
+    def answered(self, service: str, drone: str, *, took_s: float, queued_s: float, now_s: float) -> None:
+        """A call of the drone has ended, which waited so long for others and took so long by itself."""
+        calls = self._calls.setdefault(service, OrderedDict())
+        known = calls.setdefault(drone, _Calls(None))
+        calls.move_to_end(drone)
+        known.answered(took_s=took_s, queued_s=queued_s, now_s=now_s)
+        if len(calls) > _MOST_DRONES:
+            calls.popitem(last=False)
+
+    @property
+    def count(self) -> int:
+        """How many slots there are: those of the narrowest service, of the measured ones if there are any."""
+        return max(1, min((self._count_of(service) for service in self._known()), default=1))
+
+    @property
+    def why(self) -> str:
+        """What the number follows from, for an operator: the service that is the narrowest."""
+        service = min(self._known(), key=self._count_of, default="")
+        share = self._share_of(service)
+        if share is None:
+            guess = f"{service} is not measured yet, and taken to be busy for {100 * _SHARE:.0f} % of a drone's time"
+            return guess if service else "no service is offered"
+        return f"a drone keeps {service} busy for {100 * share:.0f} % of its time"
+
+    def _known(self) -> list[str]:
+        """The services that are measured, or all where none is: one that nobody calls says nothing."""
+        measured = [service for service in self._lanes if self._share_of(service) is not None]
+        return sorted(measured or self._lanes)
+
+    def _count_of(self, service: str) -> int:
+        lanes, share = self._lanes[service], self._share_of(service)
+        return max(lanes, int(lanes / (_SHARE if share is None else share)))
+
+    def _share_of(self, service: str) -> float | None:
+        shares = [each.share for each in self._calls.get(service, {}).values() if each.count >= _LEAST_CALLS]
+        return max(sum(shares) / len(shares), 1e-3) if shares else None

@@ -1,0 +1,1 @@
+"""PROGRAM: the drone. `flight` is what happens around a mission, `offloading` where its calls run."""

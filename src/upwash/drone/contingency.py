@@ -1,0 +1,84 @@
+"""How a flight ends that cannot go on."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from typing import Literal
+
+from upwash.config import SafeEnd
+from upwash.errors import AutopilotError, AutopilotOverruled
+from upwash.eventlog import schema
+from upwash.ports import Autopilot, Journal
+
+_Action = SafeEnd | Literal["disarm"]
+_ENDED: Mapping[_Action, type[schema.Landed | schema.LeftHovering | schema.Disarmed]] = {
+    "return": schema.Landed,
+    "land": schema.Landed,
+    "hold": schema.LeftHovering,
+    "disarm": schema.Disarmed,
+}
+_KEEP_TRYING_S = 600.0  # about what a battery lasts that the mission has already used half of
+_PAUSE_S = 2.0
+
+
+async def end_safely(autopilot: Autopilot, action: SafeEnd, journal: Journal, *, why: str) -> None:
+    """Has the vehicle return and land, land or hold, again and again while it does not obey.
+
+    One that has not left the ground is disarmed instead. Returns when that is so, when the vehicle is not the
+    program's any more, or when it has tried for long enough; the journal tells which.
+    """
+    loop = asyncio.get_running_loop()
+    deadline_s = loop.time() + _KEEP_TRYING_S
+    told, begun = "", ""
+    while loop.time() < deadline_s:
+        doing: _Action = "disarm" if autopilot.stands else action
+        if doing != begun:
+            begun = doing
+            journal.record(schema.SafeEnd(action=doing, why=why))
+        try:
+            await _carry_out(doing, autopilot)
+        except AutopilotOverruled:
+            return
+        except AutopilotError as error:
+            if str(error) != told:  # a lost link fails alike every time
+                told = str(error)
+                journal.record(schema.SafeEndFailed(action=doing, why=told))
+            await asyncio.sleep(_PAUSE_S)
+        else:
+            journal.record(_ENDED[doing]())
+            return
+    why = f"the vehicle has not obeyed for {_KEEP_TRYING_S:.0f} s; only the pilot and its fail-safes can end this"
+    journal.record(schema.LeftToPilot(why=why))
+
+
+async def follow(autopilot: Autopilot, journal: Journal, *, until: asyncio.Event) -> None:
+    """Sends nothing; returns when a vehicle that is not the program's stands, falls silent, or `until` is set."""
+    control = autopilot.control
+    journal.record(schema.LeftToPilot(why=f"{control}; the log goes on until the vehicle stands"))
+    stood = asyncio.create_task(autopilot.stood())
+    stopped = asyncio.create_task(until.wait())
+    try:
+        await asyncio.wait((stood, stopped), return_when=asyncio.FIRST_COMPLETED)
+        if not stood.done():
+            journal.record(schema.FollowingEnded(why="the program was stopped"))
+        elif isinstance(error := stood.exception(), AutopilotError):
+            journal.record(schema.FollowingEnded(why=str(error)))
+        else:
+            stood.result()
+            journal.record(schema.Stood(position=autopilot.position))
+    finally:
+        stood.cancel()
+        stopped.cancel()
+
+
+async def _carry_out(action: _Action, autopilot: Autopilot) -> None:
+    match action:
+        case "disarm":
+            await autopilot.disarm()
+        case "return":
+            await autopilot.return_home_and_land()
+        case "land":
+            await autopilot.land()
+        case "hold":
+            await autopilot.hold()

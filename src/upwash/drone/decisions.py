@@ -1,0 +1,173 @@
+"""What the drone decides about servers and calls: asked of the core, logged, and given to the radios."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal
+
+from upwash.core.commands import Command, Effect, Full
+from upwash.core.estimates import Estimates, Operation
+from upwash.core.events import Event
+from upwash.core.geo import Position
+from upwash.core.policy import Decision, Local, Remote, Wait
+from upwash.core.selection import Selection
+from upwash.core.servers import Change
+from upwash.eventlog import schema
+from upwash.ports import Autopilot, Journal
+
+_NAMES: Mapping[type[Decision], Literal["local", "remote", "wait"]] = {
+    Local: "local",
+    Remote: "remote",
+    Wait: "wait",
+}
+
+
+class Decisions:
+    """Tells the core what happens, asks it where calls run, and passes its commands on by `send`."""
+
+    def __init__(
+        self, selection: Selection, *, autopilot: Autopilot, journal: Journal, send: Callable[[Command], None]
+    ) -> None:
+        self.server_left = asyncio.Event()  # by a decision on a call, which selects no other server
+        self._selection = selection
+        self._autopilot = autopilot
+        self._journal = journal
+        self._send = send
+        self._told = asyncio.Event()  # is set, and replaced, once something has happened
+        self._changed = asyncio.Event()  # likewise, once the core wants something done
+
+    @property
+    def estimates(self) -> Estimates:
+        """What is believed about delays."""
+        return self._selection.estimates
+
+    @property
+    def overtakes(self) -> bool:
+        """Whether calls that run on the drone may be sent to a server too."""
+        return self._selection.overtakes
+
+    @property
+    def server_in_use(self) -> str | None:
+        """The server that calls go to once it is READY."""
+        current = self._selection.current
+        return current.name if current is not None else None
+
+    def check_of(self, server: str) -> int:
+        """The number of the latest check of the server."""
+        return self._selection.servers[server].check
+
+    def tell(self, event: Event) -> None:
+        """Takes in what happened, and does what it calls for."""
+        effects = self._selection.handle(event, now_s=now_s(), position=self._autopilot.position)
+        self._perform(effects)
+        self._told.set()
+        self._told = asyncio.Event()
+
+    def decide(self, operation: Operation) -> Decision:
+        """Where a call runs that the mission wants now."""
+        position = self._autopilot.position
+        decision, effects = self._selection.decide(operation, now_s=now_s(), position=position)
+        self._decided(operation, decision, effects, position)
+        return decision
+
+    async def wait(self, operation: Operation, wait: Wait) -> Decision:
+        """Waits for the server, as was decided; returns where the call runs then."""
+        check = self.check_of(wait.server)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(wait.at_most_s):
+                while self._selection.is_awaited(check):
+                    await self._changed.wait()
+        position = self._autopilot.position
+        decision, effects = self._selection.decide_after_wait(
+            operation, check, now_s=now_s(), position=position
+        )
+        self._decided(operation, decision, effects, position)
+        return decision
+
+    def overtake(self, operation: Operation, *, began_s: float) -> tuple[Remote | None, float]:
+        """Which server shall compute a call too that the drone has been at since then.
+
+        Returns None where no server would be sooner, and when to ask again if nothing happens until then.
+        """
+        position = self._autopilot.position
+        decision, again_s = self._selection.overtake(
+            operation, began_s=began_s, now_s=now_s(), position=position
+        )
+        if decision is not None:
+            self._decided(operation, decision, (), position)
+        return decision, again_s
+
+    async def until_told(self, unless: asyncio.Task[object], *, until_s: float) -> None:
+        """Returns when something has happened, that time has come, or the task is done."""
+        told = asyncio.create_task(self._told.wait())
+        left_s = until_s - now_s() if until_s < math.inf else None
+        try:
+            await asyncio.wait((unless, told), timeout=left_s, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            told.cancel()
+
+    def _decided(
+        self, operation: Operation, decision: Decision, effects: Sequence[Effect], position: Position
+    ) -> None:
+        """Logs a decision with what it was made of, enough to make it again."""
+        self._perform(effects)
+        if effects:
+            self.server_left.set()
+        known = decision.inputs
+        self._journal.record(
+            schema.Decided(
+                operation=str(operation),
+                decision=_NAMES[type(decision)],
+                server=None if isinstance(decision, Local) else decision.server,
+                deadline_s=decision.deadline_s if isinstance(decision, Remote) else None,
+                at_most_s=decision.at_most_s if isinstance(decision, Wait) else None,
+                raced=isinstance(decision, Remote) and decision.raced,
+                why=decision.why,
+                local_s=known.local_s,
+                selected=known.server,
+                state=known.state,
+                check=known.check,
+                remote_s=known.remote_s,
+                check_s=known.check_s,
+                check_elapsed_s=known.check_elapsed_s,
+                position=position,
+            )
+        )
+
+    def _perform(self, effects: Sequence[Effect]) -> None:
+        for effect in effects:
+            match effect:
+                case Change():
+                    self._record_change(effect)
+                case Full(server, check, waiting):
+                    self._journal.record(schema.NoSlot(server=server, check=check, waiting=waiting))
+                case _:
+                    self._send(effect)
+        if effects:
+            self._changed.set()
+            self._changed = asyncio.Event()
+
+    def _record_change(self, change: Change) -> None:
+        estimates = self._selection.estimates
+        self._journal.record(
+            schema.STEPS[change.event](
+                server=change.server,
+                before=change.before,
+                after=change.after,
+                why=change.why,
+                check=change.check,
+                local_mean_call_s=estimates.mean_call_s(),
+                mean_call_s={
+                    server.name: estimates.mean_call_s(server.name) for server in self._selection.in_range
+                },
+                position=self._autopilot.position,
+            )
+        )
+
+
+def now_s() -> float:
+    """The time of the running loop."""
+    return asyncio.get_running_loop().time()

@@ -1,0 +1,373 @@
+"""PROGRAM: a flight, from the first check of the services to the landed vehicle, around the mission's program."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from upwash.config import DroneConfig, ending, geofence, server_areas, waypoints
+from upwash.core.control import Control
+from upwash.core.estimates import Operation
+from upwash.core.geo import GeoPosition, Waypoint
+from upwash.drone.api import Drone, Mission, Photographer, User, Vehicle, rounded
+from upwash.drone.contingency import end_safely, follow
+from upwash.drone.guard import FailSafeOffloading
+from upwash.drone.mission import MissionThread, mission_failed
+from upwash.drone.offloading import Offloading
+from upwash.drone.onboard import OnboardServices
+from upwash.drone.preparation import endpoints, make_hedging, make_selection
+from upwash.drone.reserve import ReserveWatch
+from upwash.drone.site import Site
+from upwash.errors import (
+    AutopilotError,
+    AutopilotOverruled,
+    AutopilotRefused,
+    MissionStopped,
+    UpwashError,
+)
+from upwash.eventlog import schema
+from upwash.ports import (
+    ArmingDelayed,
+    Autopilot,
+    Camera,
+    Dialer,
+    InstanceSpec,
+    Journal,
+    LinkChanged,
+    Network,
+    Notifier,
+    Program,
+    Runtime,
+    VehicleNews,
+    VehicleSetting,
+    VehicleText,
+)
+from upwash.rpc.service import Method, spec_of
+from upwash.support.heat import Surroundings
+
+_WORDS_KEPT = 8  # of the vehicle's, to say with whom it was lost to
+_WORDS_BEFORE_S = 1.0  # they come with the report that shows the loss
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """Everything that a flight needs from outside: things, or models of them; a network for each radio."""
+
+    autopilot: Autopilot
+    networks: Sequence[Network]
+    dialer: Dialer
+    onboard_dialer: Dialer
+    onboard_runtime: Runtime
+    camera: Camera
+    notifier: Notifier
+    journal: Journal
+
+
+class Flight:
+    """One mission from the first check of the services to the landed vehicle.
+
+    With `done` it takes up a mission that was broken off, which has these waypoints behind it: the vehicle may be in
+    the air, and the plan holds the other waypoints. Where none is left the vehicle is brought to the ground.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        config: DroneConfig,
+        *,
+        services: Mapping[str, type],
+        programs: Mapping[str, Program],
+        ports: Ports,
+        done: frozenset[int] | None = None,
+    ) -> None:
+        self._mission = mission
+        self._config = config
+        self._ports = ports
+        self._thread = MissionThread()
+        self._waypoints = waypoints(config.mission)
+        self._done = done
+        self._plan = tuple(each for each in self._waypoints if each.index not in (done or ()))
+        self._stopped = ""  # why, once it is
+        self.has_ended = False  # so that nothing more is to be said of it
+        self._stop_following = asyncio.Event()
+        self._last_words: deque[tuple[float, VehicleText]] = deque(maxlen=_WORDS_KEPT)  # with their times
+        self._onboard = _onboard_services(config, programs, ports)
+        self._offloading = FailSafeOffloading(
+            _offloading(config, services, self._plan, ports, self._onboard), ports.journal
+        )
+        self._vehicle = Vehicle(
+            ports.autopilot,
+            self._thread,
+            ports.journal,
+            site=Site(
+                waypoints=self._plan,
+                fences=geofence(config.mission),
+                farthest_start_m=config.autopilot.farthest_start_m,
+            ),
+            tell=self._offloading.tell,
+        )
+
+    async def run(self) -> None:
+        """Flies the mission; raises what ended it, after the configured action where the vehicle obeys."""
+        journal, config = self._ports.journal, self._config
+        try:
+            self._ports.autopilot.listen(self._hear_vehicle)
+            await self._take_vehicle()
+            await self._start_services()
+            journal.record(self._planned())
+            journal.record(
+                schema.MissionStarted(
+                    drone=config.name,
+                    policy=config.policy.name,
+                    waypoints=len(self._waypoints),
+                    done=sorted(self._done or ()),
+                )
+            )
+            async with self._offloading.running():
+                await self._fly()
+            self._log_end(schema.MissionCompleted())
+        except (Exception, asyncio.CancelledError) as error:
+            self._log_end(schema.MissionEnded(why=_why(error)))
+            raise
+        finally:
+            await self._release_dead_man()
+            await self._onboard.close()
+
+    def _log_end(self, how: schema.MissionCompleted | schema.MissionEnded) -> None:
+        self._ports.journal.record(how)
+        self.has_ended = True
+
+    def _planned(self) -> schema.Planned:
+        """What a reader of the log needs to draw the flight on a map."""
+        mission = self._config.mission
+        home = mission.home
+        places = [each.position for each in self._waypoints]
+        return schema.Planned(
+            home=GeoPosition(home.latitude_deg, home.longitude_deg) if home else None,
+            waypoints_m=[(place.east_m, place.north_m) for place in places],
+            ranges=server_areas(self._config),
+            paced=any(service.local_pace_s for service in self._config.services),
+        )
+
+    def position_report(self) -> schema.PositionReport:
+        """Where the drone is now, how it moves, and what is known of its battery and of its link to a server."""
+        vehicle, (server, round_trip_s) = self._ports.autopilot, self._offloading.link
+        here, velocity = rounded(vehicle.position), vehicle.velocity
+        speed_m_s = None if velocity is None else math.hypot(velocity.east_m_s, velocity.north_m_s)
+        heading_deg, percent = vehicle.heading_deg, vehicle.battery_percent
+        return schema.PositionReport(
+            east_m=here.east_m,
+            north_m=here.north_m,
+            altitude_m=here.altitude_m,
+            ground_speed_m_s=None if speed_m_s is None else round(speed_m_s, 2),
+            heading_deg=None if heading_deg is None else round(heading_deg, 1),
+            battery_percent=None if percent is None else round(percent, 1),
+            server=server,
+            round_trip_s=None if round_trip_s is None else round(round_trip_s, 4),
+        )
+
+    def stop(self, why: str) -> None:
+        """Ends the mission early, in the configured action; where the vehicle is not ours, ends following it."""
+        self._stopped = self._stopped or why
+        self._ports.journal.record(schema.Stopping(why=why))
+        self._thread.stop(why)
+        self._stop_following.set()
+
+    def _hear_vehicle(self, news: VehicleNews) -> None:
+        journal = self._ports.journal
+        match news:
+            case VehicleText(severity, text):
+                journal.record(schema.VehicleSaid(severity=severity, text=text))
+                self._last_words.append((asyncio.get_running_loop().time(), news))
+            case VehicleSetting(name, value, advice):
+                journal.record(schema.VehicleSetting(name=name, value=value, advice=advice))
+            case LinkChanged(linked, silent_s):
+                kind = schema.LinkRestored if linked else schema.LinkLost
+                journal.record(kind(silent_s=round(silent_s, 1)))
+            case ArmingDelayed(reasons):
+                journal.record(schema.ArmingDelayed(reasons=reasons))
+            case Control(owner, _, why):
+                journal.record(schema.Control(owner=owner, why=why))
+                if not news.is_ours:
+                    self._thread.stop(str(news))
+
+    async def _take_vehicle(self) -> None:
+        """Refuses to begin a mission in the air, and takes up one that was broken off there."""
+        autopilot = self._ports.autopilot
+        flies = await autopilot.in_the_air()
+        if flies and self._done is None:
+            raise AutopilotRefused(
+                "start",
+                "the vehicle is in the air: land it first, or take up the flight that was broken off with "
+                "--resume and its event log; nothing was sent",
+            )
+        await autopilot.claim(resumes=self._done is not None)
+        if flies:
+            self._vehicle._take_up()
+        await self._set_dead_man(flies=flies)
+
+    async def _set_dead_man(self, *, flies: bool) -> None:
+        """Has the autopilot miss this program; where it cannot, only a vehicle that flies already goes on."""
+        settings, journal = self._config.autopilot, self._ports.journal
+        if (
+            settings.dead_man_s is None or settings.on_failure == "hold"
+        ):  # the two together are refused in a file
+            return
+        try:
+            await self._ports.autopilot.dead_man.watch(
+                silence_s=settings.dead_man_s, action=settings.on_failure
+            )
+            journal.record(schema.DeadManSet(silence_s=settings.dead_man_s, action=settings.on_failure))
+        except AutopilotOverruled:
+            raise
+        except AutopilotError as error:
+            if not flies:
+                raise
+            journal.record(schema.DeadManFailed(why=str(error)))
+
+    async def _release_dead_man(self) -> None:
+        """Says goodbye, unless the vehicle is left hovering: then the autopilot is to bring it down."""
+        autopilot = self._ports.autopilot
+        if autopilot.stands or not autopilot.control.is_ours:
+            await autopilot.dead_man.release()
+
+    async def _start_services(self) -> None:
+        try:
+            await self._onboard.start()
+        except (Exception, asyncio.CancelledError) as error:
+            await self._end(_why(error))
+            raise
+
+    async def _fly(self) -> None:
+        try:
+            await self._run_mission()
+        except (Exception, asyncio.CancelledError) as error:
+            await self._end(_why(error))
+            raise
+        await self._end("the mission ended in the air")
+
+    async def _run_mission(self) -> None:
+        watch = asyncio.create_task(self._watch_battery())
+        try:
+            await self._thread.run(lambda: self._program()(self._drone()))
+        except UpwashError:
+            self._require_control()
+            raise
+        except Exception as error:
+            raise mission_failed(error) from error
+        finally:
+            watch.cancel()
+        self._require_control()
+        if self._stopped:  # though the mission made nothing of it
+            raise MissionStopped(self._stopped)
+
+    def _program(self) -> Mission:
+        if self._plan or self._done is None:
+            return self._mission
+        return _come_down if self._vehicle.in_the_air else _stay_down
+
+    def _require_control(self) -> None:
+        """Says what ended the mission where the vehicle was lost to somebody: not what the verb then raised."""
+        control = self._ports.autopilot.control
+        if not control.is_ours:
+            since_s = control.since_s - _WORDS_BEFORE_S
+            words = [text.text for said_s, text in self._last_words if said_s >= since_s]
+            raise AutopilotOverruled("mission", str(control), "; ".join(dict.fromkeys(words)))
+
+    async def _end(self, why: str) -> None:
+        """Ends what is under way safely, while the vehicle is ours; follows it to the ground otherwise."""
+        autopilot, journal = self._ports.autopilot, self._ports.journal
+        if autopilot.control.is_ours and (self._vehicle.in_the_air or autopilot.armed):
+            self._stop_following.clear()
+            await end_safely(autopilot, self._config.autopilot.on_failure, journal, why=why)
+        if not autopilot.control.is_ours:
+            await follow(autopilot, journal, until=self._stop_following)
+
+    async def _watch_battery(self) -> None:
+        """Stops the mission at the reserve, unless it is bringing the vehicle to the ground already."""
+        vehicle, default_m_s = self._vehicle, self._config.mission.ground_speed_m_s
+        watch = ReserveWatch(
+            self._config,
+            self._ports.autopilot,
+            self._ports.journal,
+            flying=lambda: vehicle.in_the_air,
+            leg_speed_m_s=lambda: (vehicle.ground_speed_m_s or default_m_s) if vehicle.on_a_leg else None,
+        )
+        why = await watch.reached()
+        if not vehicle.coming_down:
+            self.stop(why)
+
+    def _drone(self) -> Drone:
+        def invoke(operation: Operation, method: Method, request: bytes) -> Any:
+            return self._thread.call(self._offloading.invoke(operation, method, request))
+
+        return Drone(
+            plan=self._plan,
+            altitude_m=self._config.mission.altitude_m,
+            ending=ending(self._config.mission),
+            autopilot=self._vehicle,
+            camera=Photographer(
+                self._ports.camera,
+                self._thread,
+                self._ports.journal,
+                position=lambda: self._ports.autopilot.position,
+            ),
+            user=User(self._ports.notifier, self._thread),
+            services=frozenset(service.name for service in self._config.services),
+            invoke=invoke,
+        )
+
+
+def _come_down(drone: Drone) -> None:
+    drone.end_flight()
+    drone.autopilot.disarm()
+
+
+def _stay_down(_: Drone) -> None:
+    pass
+
+
+def _onboard_services(config: DroneConfig, programs: Mapping[str, Program], ports: Ports) -> OnboardServices:
+    heats = Surroundings(config.heat.ambient_c, config.heat.load_w) if config.heat else None
+    return OnboardServices(
+        [
+            InstanceSpec(config.name, service.name, programs[service.name], service.local_pace_s, heats=heats)
+            for service in config.services
+        ],
+        drone=config.name,
+        runtime=ports.onboard_runtime,
+        dialer=ports.onboard_dialer,
+        journal=ports.journal,
+    )
+
+
+def _offloading(
+    config: DroneConfig,
+    services: Mapping[str, type],
+    plan: Sequence[Waypoint],
+    ports: Ports,
+    onboard: OnboardServices,
+) -> Offloading:
+    selection = make_selection(config, {name: spec_of(cls) for name, cls in services.items()}, plan)
+    return Offloading(
+        selection,
+        endpoints(config, selection.estimates),
+        period_s=config.policy.period_s,
+        autopilot=ports.autopilot,
+        networks=ports.networks,
+        dialer=ports.dialer,
+        onboard=onboard,
+        journal=ports.journal,
+        hedging=make_hedging(config, selection.estimates),
+    )
+
+
+def _why(error: BaseException) -> str:
+    """What an error says, in words for those that say nothing."""
+    if isinstance(error, asyncio.CancelledError):
+        return "the program was stopped at once"
+    return str(error) or type(error).__name__

@@ -1,0 +1,128 @@
+"""Runs a blocking mission program in a thread of its own beside the event loop.
+
+A mission is plain Python that calls blocking verbs. Each verb is a coroutine on the loop; the mission's thread
+sleeps until it has ended. On a loop of virtual time the two take turns: the loop stands still while mission code
+runs, so that the code takes no time and every run is the same. See docs/decisions/blocking-missions.md.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+import traceback
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any, Protocol, TypeVar, cast, runtime_checkable
+
+from upwash.errors import MissionFailed, MissionStopped
+
+T = TypeVar("T")
+
+_UPWASH = Path(__file__).parents[1]
+_GRACE_S = 5.0  # for a mission's own last words, once it has been stopped
+
+
+@runtime_checkable
+class TurnTaking(Protocol):
+    """An event loop whose clock stands still while a mission's code runs."""
+
+    def stand_still(self, until: threading.Event) -> None:
+        """Does nothing, on the loop's own thread, until the event is set by another."""
+
+
+class MissionThread:
+    """One mission's thread; made on the event loop that runs its verbs."""
+
+    def __init__(self, *, grace_s: float = _GRACE_S) -> None:
+        self._grace_s = grace_s
+        self._loop = asyncio.get_running_loop()
+        self._ended: asyncio.Future[Exception | None] = self._loop.create_future()
+        self._stopped = ""  # why, once it is
+        self._verb: asyncio.Task[Any] | None = None
+        self._ended_verbs: SimpleQueue[asyncio.Task[Any]] = SimpleQueue()
+        self._stand_still = self._loop.stand_still if isinstance(self._loop, TurnTaking) else None
+        self._turn_over = threading.Event()  # the mission's code has come to its next verb, or to its end
+
+    def call(self, verb: Coroutine[Any, Any, T]) -> T:
+        """Runs a verb on the loop and returns its result; for the mission's thread only.
+
+        Raises MissionStopped, now and ever after, once the mission is being ended from outside.
+        """
+        if self._stopped:
+            verb.close()
+            raise MissionStopped(self._stopped)
+        self._loop.call_soon_threadsafe(self._begin, verb)
+        self._turn_over.set()
+        ended = self._ended_verbs.get()
+        if ended.cancelled():
+            raise MissionStopped(self._stopped or "the program is ending")
+        return cast(T, ended.result())
+
+    async def run(self, program: Callable[[], None]) -> None:
+        """Runs the program to its end, but not for long once it is stopped; raises what it raises."""
+
+        def body() -> None:
+            failure: Exception | None = None
+            try:
+                program()
+            except Exception as error:  # noqa: BLE001 - carried over to the loop, not swallowed
+                failure = error
+            except BaseException as error:  # noqa: BLE001 - sys.exit() ends the mission, not the program
+                failure = MissionStopped(f"the mission raised {error!r}")
+            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+                self._loop.call_soon_threadsafe(self._settle, failure)
+            self._turn_over.set()
+
+        thread = threading.Thread(target=body, name="mission", daemon=True)  # it cannot hold up the exit
+        self._give_turn(thread.start)
+        try:
+            failure = await self._ended
+        except asyncio.CancelledError:
+            self.stop("the flight was cancelled")
+            raise
+        if failure is not None:
+            raise failure
+
+    def stop(self, why: str) -> None:
+        """Ends the mission at its next verb, or in the one under way; for the loop's thread only.
+
+        A mission that is busy with itself, or does not listen, is left behind: no verb of it has effect any more.
+        """
+        self._stopped = self._stopped or why
+        self._loop.call_later(self._grace_s, self._settle, MissionStopped(self._stopped))
+        if self._verb is not None:
+            self._verb.cancel()
+
+    def _settle(self, failure: Exception | None) -> None:
+        if not self._ended.done():
+            self._ended.set_result(failure)
+
+    def _begin(self, verb: Coroutine[Any, Any, Any]) -> None:
+        self._verb = self._loop.create_task(verb)
+        self._verb.add_done_callback(self._end)
+        if self._stopped:  # between the call and now
+            self._verb.cancel()
+
+    def _end(self, verb: asyncio.Task[Any]) -> None:
+        self._verb = None
+        self._give_turn(lambda: self._ended_verbs.put(verb))
+
+    def _give_turn(self, wake: Callable[[], None]) -> None:
+        self._turn_over.clear()
+        wake()
+        if self._stand_still is not None:
+            self._stand_still(self._turn_over)
+
+
+def mission_failed(error: Exception) -> MissionFailed:
+    """The error of a program that raised this; its trace is Python's, without the lines of this package."""
+    trace = traceback.TracebackException.from_exception(error)
+    own = [frame for frame in trace.stack if not Path(frame.filename).is_relative_to(_UPWASH)]
+    if own:  # else the mission is a bundled one
+        trace.stack = traceback.StackSummary.from_list(own)
+    said = f": {error}" if str(error) else ""
+    return MissionFailed(
+        f"the mission program raised {type(error).__name__}{said}", "".join(trace.format()).rstrip()
+    )

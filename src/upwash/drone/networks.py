@@ -1,0 +1,91 @@
+"""Networks of servers that nobody has to join, and such as are there by the drone's position alone.
+
+They need nothing but a clock, so that they are the same in simulation and on a desk, where no radio is.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from upwash.core.geo import Circle, Position
+from upwash.errors import NetworkError
+from upwash.support.waiting import never
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """Where a network can be joined, how long that and leaving it take, whether it is on the air, and until when.
+
+    `stretch` gives a factor on the duration of each join, for noise.
+    """
+
+    area: Circle
+    join_s: float
+    is_up: Callable[[], bool] = field(default=lambda: True)
+    goes_down: Callable[[], Awaitable[None]] = never
+    leave_s: float = 0.0
+    stretch: Callable[[], float] = field(default=lambda: 1.0)
+
+
+class PositionNetwork:
+    """Joins a network after its `join_s`, if the drone is in one of its cells by then.
+
+    One that is left keeps the radio busy for its `leave_s`, which nobody waits for but the next join.
+    """
+
+    def __init__(self, cells: Mapping[str, Sequence[Cell]], position: Callable[[], Position]) -> None:
+        self._cells = cells
+        self._position = position
+        self._joined: str | None = None
+        self._free_s = 0.0  # when the radio is done with the network that was left last
+
+    async def join(self, network: str, *, timeout_s: float) -> None:
+        """Joins the network; raises NetworkError out of range, too late, or while another is joined.
+
+        `timeout_s` counts from when the one before is left.
+        """
+        if self._joined is not None:
+            raise NetworkError(f"cannot join {network} while {self._joined} is joined")
+        cells = self._cells.get(network)
+        if not cells:
+            raise NetworkError(f"no network {network} is known: name it in a [[server]] table")
+        if (leaving_s := self._free_s - asyncio.get_running_loop().time()) > 0:
+            await asyncio.sleep(leaving_s)
+        join_s = min(cell.join_s * cell.stretch() for cell in cells)
+        await asyncio.sleep(min(join_s, timeout_s))
+        if join_s > timeout_s:
+            raise NetworkError(f"network {network} was not joined within {timeout_s:.1f} s")
+        if not any(cell.is_up() and cell.area.contains(self._position()) for cell in cells):
+            raise NetworkError(f"network {network} is out of range")
+        self._joined = network
+
+    async def lost(self) -> str:
+        """Returns once the network is off the air; that the drone left its area, the drone itself notices."""
+        if self._joined is None:
+            await never()
+        while on_the_air := next((cell for cell in self._cells[self._joined] if cell.is_up()), None):
+            await on_the_air.goes_down()
+        return f"network {self._joined} is off the air"
+
+    async def leave(self) -> None:
+        """Leaves the network that is joined, if any."""
+        if self._joined is not None:
+            leave_s = min(cell.leave_s for cell in self._cells[self._joined])
+            self._free_s = asyncio.get_running_loop().time() + leave_s
+        self._joined = None
+
+
+class NoNetwork:
+    """For servers that are reached over whatever network the computer has."""
+
+    async def join(self, network: str, *, timeout_s: float) -> None:
+        """Nothing to join."""
+
+    async def lost(self) -> str:
+        """Never: nothing was joined."""
+        await never()
+
+    async def leave(self) -> None:
+        """Nothing to leave."""

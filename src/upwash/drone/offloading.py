@@ -1,0 +1,162 @@
+"""PROGRAM: runs each service call on the drone or on a server, and looks for servers in the background.
+
+The deciding is done by core/selection.py. What is decided about servers is passed on by decisions.py to the radios
+(radios.py, radio_worker.py); calls are made by calling.py and raced by racing.py.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NoReturn
+
+from upwash.core.estimates import Operation
+from upwash.core.events import Event, MissionEnded
+from upwash.core.hedging import Hedging
+from upwash.core.places import ON_DRONE, name_of
+from upwash.core.policy import Remote, Wait
+from upwash.core.selection import Selection
+from upwash.drone.background import Background
+from upwash.drone.calling import Call, Calling
+from upwash.drone.decisions import Decisions, now_s
+from upwash.drone.onboard import OnboardServices
+from upwash.drone.racing import Answer, Racing
+from upwash.drone.radios import Radios
+from upwash.drone.server_session import ServerEndpoint
+from upwash.eventlog import schema
+from upwash.ports import Autopilot, Dialer, Journal, Network
+from upwash.rpc.service import Method
+
+
+class Offloading:
+    """One drone's calls and its business with servers."""
+
+    def __init__(
+        self,
+        selection: Selection,
+        endpoints: Mapping[str, ServerEndpoint],
+        *,
+        period_s: float,
+        autopilot: Autopilot,
+        networks: Sequence[Network],
+        dialer: Dialer,
+        onboard: OnboardServices,
+        journal: Journal,
+        hedging: Hedging | None = None,
+    ) -> None:
+        self._journal = journal
+        self._radios = Radios(
+            lambda server: selection.servers[server].in_range,
+            endpoints,
+            networks=networks,
+            dialer=dialer,
+            journal=journal,
+            tell=self.tell,
+        )
+        self._decisions = Decisions(selection, autopilot=autopilot, journal=journal, send=self._radios.send)
+        self._background = Background(
+            self._decisions,
+            [server.area for server in selection.servers.values()],
+            period_s=period_s,
+            autopilot=autopilot,
+            journal=journal,
+        )
+        self._calling = Calling(self._decisions, self._radios, onboard, journal, hedging)
+        self._racing = Racing(self._decisions, self._calling, journal, hedging)
+
+    async def run(self) -> NoReturn:
+        """Looks for servers and visits them, until cancelled."""
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._background.look())
+                tasks.create_task(self._background.watch_borders())
+                for worker in self._radios.workers:
+                    tasks.create_task(worker.run())
+        finally:
+            await self._racing.stop_losers()
+        raise AssertionError("these tasks never end by themselves")
+
+    async def end(self) -> None:
+        """Leaves whatever server is selected; to be called while `run` runs, after the last call."""
+        await self._racing.stop_losers()
+        self.tell(MissionEnded())
+        await self._radios.done()
+
+    @property
+    def link(self) -> tuple[str | None, float | None]:
+        """The server in use, if one is, and what the last question to its daemon took, once one was answered."""
+        server = self._decisions.server_in_use
+        if server is None:
+            return None, None
+        return server, self._radios.worker_at(server).round_trip_s(server)
+
+    def tell(self, event: Event) -> None:
+        """Takes in what happened, and does what it calls for."""
+        self._decisions.tell(event)
+
+    async def invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
+        """Runs one call where it is decided to run, and on the drone when that fails; returns its decoded reply.
+
+        Raises InstanceError only when the drone's own service fails too.
+        """
+        began_s = now_s()
+        decision = self._decisions.decide(operation)
+        wait: Literal["", "paid off", "failed"] = ""
+        why = decision.why
+        if isinstance(decision, Wait):
+            decision = await self._decisions.wait(operation, decision)
+            wait = "paid off" if isinstance(decision, Remote) else "failed"
+            why = f"{why}: {decision.why}"
+        waited_s = now_s() - began_s
+        answer = await self._racing.answer(decision, Call(operation, method, request))
+        if answer.server is None and isinstance(decision, Remote):
+            why = f"{why}; {_lost(answer)} on the drone"
+        elif answer.overtook:
+            why = f"{why}; {answer.server} became of use, and was sooner"
+        self._journal.record(
+            schema.Call(
+                operation=str(operation),
+                place=name_of(answer.server),
+                check=answer.attempt.check if answer.attempt is not None else None,
+                decision=why,
+                at_s=began_s,
+                delay_s=now_s() - began_s,
+                waited_s=waited_s,
+                onboard_s=answer.onboard_s,
+                wait=wait,
+                fell_back=answer.fell_back,
+                hedged_s=answer.hedged_s,
+                queued_s=answer.queued_s or None,
+                remote_fault=answer.remote_fault,
+            )
+        )
+        return answer.reply
+
+    async def invoke_alone(self, operation: Operation, method: Method, request: bytes) -> Any:
+        """Runs one call on the drone and decides nothing: where deciding has failed, or the method runs once."""
+        began_s = now_s()
+        queued_s = await self._racing.queue(operation.service)
+        reply = await self._calling.onboard(Call(operation, method, request))
+        delay_s = now_s() - began_s
+        self._journal.record(
+            schema.Call(
+                operation=str(operation),
+                place=ON_DRONE,
+                decision="it runs once, and on the drone" if method.once else "offloading has failed",
+                at_s=began_s,
+                delay_s=delay_s,
+                waited_s=0.0,
+                onboard_s=delay_s - queued_s,
+                wait="",
+                fell_back=False,
+                queued_s=queued_s or None,
+            )
+        )
+        return reply
+
+
+def _lost(answer: Answer) -> str:
+    """Why a call that was sent to a server was answered on the drone."""
+    if answer.remote_fault:
+        return f"it raised there, which was {answer.remote_fault}"
+    return "no usable answer, so" if answer.fell_back else "late, and sooner"

@@ -1,0 +1,154 @@
+"""The services on the drone: each in a process of its own, so that its crash is not the drone's."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from upwash.core.places import ON_DRONE
+from upwash.errors import InstanceError, LinkError, Refused
+from upwash.eventlog import schema
+from upwash.ports import Dialer, Instance, InstanceSpec, Journal, Link, Runtime
+from upwash.rpc.protocol import service_path
+
+_START_S = 60.0  # a detector's model may take long to load from an SD card
+_PAUSE_S = 1.0  # between two starts, so that a service that cannot start does not eat the computer
+
+
+class OnboardServices:
+    """Keeps the drone's own instances running and calls them."""
+
+    def __init__(
+        self, specs: Iterable[InstanceSpec], *, drone: str, runtime: Runtime, dialer: Dialer, journal: Journal
+    ) -> None:
+        self._services: Mapping[str, _OnboardService] = {
+            spec.service: _OnboardService(spec, drone=drone, runtime=runtime, dialer=dialer, journal=journal)
+            for spec in specs
+        }
+
+    async def start(self) -> None:
+        """Starts every service; raises InstanceError where one cannot run at all."""
+        for service in self._services.values():
+            await service.start()
+
+    async def call(
+        self, service: str, method: str, request: bytes, *, timeout_s: float, once: bool = False
+    ) -> bytes:
+        """Runs one call; a service that crashes or hangs in it is restarted and the call repeated, unless `once`.
+
+        Raises InstanceError when that fails too.
+        """
+        return await self._services[service].call(method, request, timeout_s=timeout_s, once=once)
+
+    async def close(self) -> None:
+        """Ends every service; returns when none is left."""
+        for service in self._services.values():
+            await service.close()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Running:
+    instance: Instance
+    link: Link
+
+
+class _OnboardService:
+    """One service of the drone and its instance."""
+
+    def __init__(
+        self, spec: InstanceSpec, *, drone: str, runtime: Runtime, dialer: Dialer, journal: Journal
+    ) -> None:
+        self._spec = spec
+        self._drone = drone
+        self._runtime = runtime
+        self._dialer = dialer
+        self._journal = journal
+        self._running: asyncio.Future[_Running] = asyncio.get_running_loop().create_future()
+        self._life: asyncio.Task[None] | None = None
+
+    async def start(self) -> None:
+        first = await self._launch()
+        self._life = asyncio.create_task(self._live(first))
+
+    async def call(self, method: str, request: bytes, *, timeout_s: float, once: bool) -> bytes:
+        try:
+            return await self._attempt(method, request, timeout_s)
+        except Refused as error:  # it is well, and would refuse again
+            raise InstanceError(f"{self._spec.service} on the drone: {error}") from error
+        except LinkError as error:
+            self._journal.record(
+                schema.LocalFailed(service=self._spec.service, method=method, why=str(error))
+            )
+            if once:
+                raise InstanceError(
+                    f"{self._spec.service} failed on the drone in {method}, which may have run and must not run "
+                    f"twice: {error}"
+                ) from error
+        try:
+            return await self._attempt(method, request, timeout_s)
+        except LinkError as error:
+            raise InstanceError(f"{self._spec.service} failed on the drone, twice: {error}") from error
+
+    async def close(self) -> None:
+        if self._life is not None:
+            self._life.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._life
+
+    async def _attempt(self, method: str, request: bytes, timeout_s: float) -> bytes:
+        try:
+            async with asyncio.timeout(_START_S):
+                running = await asyncio.shield(self._running)
+        except TimeoutError:
+            raise InstanceError(f"{self._spec.service} does not start again on the drone") from None
+        path = service_path(self._spec.service, method)
+        try:
+            return await running.link.request(path, request, timeout_s=timeout_s)
+        except Refused:
+            raise
+        except LinkError:
+            self._forget(running)
+            await running.instance.stop()  # it may hang, with the call still running
+            raise
+
+    async def _live(self, running: _Running) -> None:
+        """Starts the service again whenever it has ended, until cancelled."""
+        while True:
+            try:
+                how = await running.instance.exited()
+            finally:
+                self._forget(running)
+                await running.link.close()
+                await running.instance.stop()
+            self._journal.record(schema.LocalEnded(service=self._spec.service, how=how))
+            running = await self._launch_again()
+
+    async def _launch_again(self) -> _Running:
+        while True:
+            try:
+                return await self._launch()
+            except InstanceError as error:
+                self._journal.record(schema.LocalFailed(service=self._spec.service, why=str(error)))
+                await asyncio.sleep(_PAUSE_S)
+
+    async def _launch(self) -> _Running:
+        try:
+            async with asyncio.timeout(_START_S):
+                instance = await self._runtime.start(self._spec, called=lambda _: None)
+        except TimeoutError:
+            raise InstanceError(f"{self._spec.name} was not ready within {_START_S:.0f} s") from None
+        try:
+            await instance.admit(frozenset({self._drone}))
+        except BaseException:
+            await instance.stop()
+            raise
+        running = _Running(instance, self._dialer.dial(instance.endpoint, server=ON_DRONE))
+        self._running.set_result(running)
+        self._journal.record(schema.LocalReady(service=self._spec.service))
+        return running
+
+    def _forget(self, running: _Running) -> None:
+        if self._running.done() and self._running.result() is running:
+            self._running = asyncio.get_running_loop().create_future()

@@ -1,0 +1,170 @@
+"""What a flight starts from: the configuration's beliefs, as the core wants them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from upwash.config import DroneConfig, ServerConfig, ServiceConfig, server_areas
+from upwash.core.estimates import Beliefs, Estimates, Operation, offline_remote_s
+from upwash.core.geo import Waypoint
+from upwash.core.hedging import Hedging
+from upwash.core.mission_model import MissionBeliefs, Step
+from upwash.core.policies import make_policy
+from upwash.core.recovery import Probing
+from upwash.core.selection import Selection, SelectionSettings
+from upwash.drone.server_session import ServerEndpoint
+from upwash.errors import UsageError
+from upwash.rpc.service import ServiceSpec
+
+
+def make_selection(
+    config: DroneConfig, specs: Mapping[str, ServiceSpec], plan: Sequence[Waypoint]
+) -> Selection:
+    """The drone-side machine, with the beliefs of the configuration, for a flight over these waypoints."""
+    policy, estimates = config.policy, make_estimates(config, specs)
+    return Selection(
+        server_areas(config),
+        estimates=estimates,
+        policy=make_policy(
+            policy.name,
+            gain_switch=policy.gain_switch,
+            gain_wait=policy.gain_wait,
+            patient_first_call=policy.patient_first_call,
+        ),
+        settings=SelectionSettings(
+            blacklist_s=policy.left_alone_s,
+            idle_s=policy.idle_s,
+            retry_s=policy.retry_s,
+            radios=config.network.radios,
+            gain_slot=policy.gain_slot,
+            probing=Probing(probe.first_s, probe.longest_s) if (probe := policy.probing) else None,
+        ),
+        mission=_mission_beliefs(config, specs, estimates, plan),
+    )
+
+
+def make_hedging(config: DroneConfig, offline: Estimates) -> Hedging | None:
+    """The hedging that the configuration asks for, if it does, with estimates that have seen no call yet."""
+    hedge = config.policy.hedging
+    if hedge is None:
+        return None
+    return Hedging(
+        quantile=hedge.quantile,
+        budget=hedge.budget,
+        offline_s={
+            server.name: {
+                operation: delay_s
+                for operation in offline.operations
+                if (delay_s := offline.remote_s(server.name, operation)) is not None
+            }
+            for server in config.servers
+        },
+    )
+
+
+def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Estimates:
+    """The offline estimates of every operation that the configuration gives a local delay for."""
+    profiled = {service.name: dict(_profile(service, specs[service.name])) for service in config.services}
+    return Estimates(
+        local_s={
+            operation: config_service.local_call_s[key]
+            for config_service in config.services
+            for operation, key in profiled[config_service.name].items()
+        },
+        servers={
+            server.name: Beliefs(
+                check_s=server.check_s,
+                check_running_s=server.check_running_s,
+                remote_s={
+                    operation: delay_s
+                    for service in config.services
+                    for operation, key in profiled[service.name].items()
+                    if not specs[service.name].methods[operation.method].once
+                    and (delay_s := _remote_s(server, service, key)) is not None
+                },
+            )
+            for server in config.servers
+        },
+        slow_apart=config.policy.probing is not None,
+    )
+
+
+def endpoints(config: DroneConfig, estimates: Estimates) -> dict[str, ServerEndpoint]:
+    """How each server is reached, and the services wanted there: those whose delay there is believed known."""
+    return {
+        server.name: ServerEndpoint(
+            name=server.name,
+            network=server.network,
+            address=server.address or "",
+            services=tuple(
+                service.name
+                for service in config.services
+                if any(
+                    operation.service == service.name
+                    and estimates.remote_s(server.name, operation) is not None
+                    for operation in estimates.operations
+                )
+            ),
+        )
+        for server in config.servers
+    }
+
+
+def _mission_beliefs(
+    config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates, plan: Sequence[Waypoint]
+) -> MissionBeliefs:
+    """The plan, and a first stop with a photo and a call of each operation in the mission's mode.
+
+    But for those that run once, as nothing is decided of them.
+    """
+    mission = config.mission
+    operations = [
+        each
+        for each in estimates.operations
+        if each.key in ("", mission.mode) and not specs[each.service].methods[each.method].once
+    ]
+    pauses_s = (config.camera.photo_s, *(0.0 for _ in operations[1:]))
+    return MissionBeliefs(
+        plan=plan,
+        ground_speed_m_s=mission.ground_speed_m_s,
+        acceleration_m_s2=config.vehicle.acceleration_m_s2,
+        stop=[Step(operation, pause_s) for operation, pause_s in zip(operations, pauses_s, strict=False)],
+    )
+
+
+def _profile(service: ServiceConfig, spec: ServiceSpec) -> Iterator[tuple[Operation, str]]:
+    """Each operation that has a local delay, with the key of that delay.
+
+    A method with a profile argument has one operation per key; any other has its own name's, or else the single
+    number's.
+    """
+    method_names = set(spec.methods)
+    keys = [key for key in service.local_call_s if key and key not in method_names]
+    for method in spec.methods.values():
+        if method.profile_by is not None:
+            if not keys:
+                raise UsageError(
+                    f"service {service.name}: local_call_s must have one delay per {method.profile_by}, "
+                    f"as {method.name} is slower or faster by it"
+                )
+            for key in keys:
+                yield Operation(service.name, method.name, key), key
+        else:
+            for key in (method.name, ""):
+                if key in service.local_call_s:
+                    yield Operation(service.name, method.name), key
+                    break
+
+
+def _remote_s(server: ServerConfig, service: ServiceConfig, key: str) -> float | None:
+    measured_s = server.remote_call_s.get(service.name, {}).get(key)
+    if measured_s is not None:
+        return measured_s
+    processing_s = server.processing_s.get(service.name, {}).get(key)
+    if processing_s is None or server.bandwidth_bit_s is None:
+        return None
+    return offline_remote_s(
+        processing_s=processing_s,
+        data_bytes=service.request_bytes + service.reply_bytes,
+        bandwidth_bit_s=server.bandwidth_bit_s,
+    )

@@ -1,0 +1,130 @@
+"""When the battery ends a mission: below a percentage, or where the way home would leave too little."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from upwash.config import DroneConfig
+from upwash.core.energy import Energy, Margin, Report, Reserve, margin
+from upwash.core.geo import Position
+from upwash.eventlog import schema
+from upwash.ports import Autopilot, Journal
+
+_LOOK_S = 1.0
+_SILENT_LOOKS = 10  # the battery is among the last things that a vehicle reports after a start
+_TELL_AGAIN_S = 60.0
+_TELL_AGAIN_PERCENT = 3.0  # of the margin
+_HOME = Position(0.0, 0.0)
+
+
+class ReserveWatch:
+    """Looks at the vehicle every second, on the ground and in the air.
+
+    `flying` says whether the mission has the vehicle in the air, and `leg_speed_m_s` what the leg under way was told.
+    """
+
+    def __init__(
+        self,
+        config: DroneConfig,
+        autopilot: Autopilot,
+        journal: Journal,
+        *,
+        flying: Callable[[], bool],
+        leg_speed_m_s: Callable[[], float | None],
+    ) -> None:
+        mission = config.mission
+        self._least_percent = mission.reserve_percent
+        self._energy: Energy | None = None
+        if mission.reserve_s is not None:
+            self._energy = Energy(
+                Reserve(mission.reserve_s, mission.reserve_percent),
+                endurance_s=config.vehicle.endurance_s,
+                lands=config.autopilot.on_failure == "land",
+            )
+        self._autopilot = autopilot
+        self._journal = journal
+        self._flying = flying
+        self._leg_speed_m_s = leg_speed_m_s
+        self._home = _HOME  # where it was last seen before it took off
+        self._has_flown = False
+        self._told: tuple[float, float] | None = None  # when, and the margin
+
+    async def reached(self) -> str:
+        """Returns why the mission has to end, once it has; never without a reserve."""
+        if self._least_percent is None and self._energy is None:
+            await asyncio.get_running_loop().create_future()
+        silent = 0
+        while not (why := self._look()):
+            silent += self._autopilot.battery_percent is None
+            if silent == _SILENT_LOOKS:
+                self._journal.record(schema.BatteryWatchFailed(why="the vehicle does not report its battery"))
+            await asyncio.sleep(_LOOK_S)
+        return why
+
+    def _look(self) -> str:
+        percent = self._autopilot.battery_percent
+        if self._energy is not None:
+            now = (
+                self._in_flight(self._energy)
+                if self._flying()
+                else self._before_flight(self._energy, percent)
+            )
+            if now is not None and now.turn_back:
+                return str(now)
+        if percent is not None and self._least_percent is not None and percent < self._least_percent:
+            return (
+                f"{percent:.0f} % is left in the battery, less than the reserve of {self._least_percent:g} %"
+            )
+        return ""
+
+    def _before_flight(self, energy: Energy, percent: float | None) -> Margin | None:
+        """On the ground there is no way home; None once it has flown, as then the mission ends by itself."""
+        if percent is None or self._has_flown:
+            return None
+        self._home = self._autopilot.position
+        return margin(
+            percent,
+            rate_percent_s=energy.rate_percent_s,
+            home_s=0.0,
+            reserve=energy.reserve,
+            low_percent=self._autopilot.energy.low_percent,
+        )
+
+    def _in_flight(self, energy: Energy) -> Margin | None:
+        self._has_flown = True
+        vehicle = self._autopilot
+        report = Report(
+            time_s=asyncio.get_running_loop().time(),
+            position=vehicle.position,
+            percent=vehicle.battery_percent,
+            velocity=vehicle.velocity,
+            leg_speed_m_s=self._leg_speed_m_s(),
+            wind=vehicle.wind,
+        )
+        energy.take(report)
+        now = energy.margin(report, self._home, vehicle.energy)
+        if now is not None:
+            self._tell(now, report.time_s)
+        return now
+
+    def _tell(self, now: Margin, time_s: float) -> None:
+        """Logs the margin when it is first known, has changed by much, was not told for long, or is used up."""
+        if now.rate_percent_s is None:
+            return
+        if self._told is not None and not now.turn_back:
+            told_s, told_percent = self._told
+            is_news = abs(now.percent - told_percent) > _TELL_AGAIN_PERCENT
+            if not is_news and time_s - told_s < _TELL_AGAIN_S:
+                return
+        self._told = time_s, now.percent
+        self._journal.record(
+            schema.Energy(
+                left_percent=round(now.left_percent, 1),
+                rate_percent_s=round(now.rate_percent_s, 4),
+                home_s=round(now.home_s, 1),
+                needed_percent=round(now.needed_percent, 1),
+                floor_percent=round(now.floor_percent, 1),
+                margin_percent=round(now.percent, 1),
+            )
+        )

@@ -1,0 +1,68 @@
+"""What a flight that was broken off has behind it, read from its event log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from upwash.config import DroneConfig, waypoints
+from upwash.core.geo import Waypoint
+from upwash.errors import UsageError
+from upwash.eventlog import schema
+from upwash.eventlog.schema import Event
+
+_SAME_PLACE_M = 0.01
+
+
+def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[int]:
+    """The waypoints that need no second visit; UsageError where the log is of another or a completed mission.
+
+    A waypoint is done once the drone has set off from it to another, or with as many results as one that it has set
+    off from; where it has set off from none, with as many as services are configured.
+    """
+    plan = {each.index: each for each in waypoints(config.mission)}
+    results: dict[int, int] = {}  # of the last visit to each waypoint
+    left: set[int] = set()
+    here: int | None = None
+    completed = False
+    for event in events:
+        match event:
+            case schema.LogOpened():
+                results, left, here, completed = {}, set(), None, False
+            case schema.MissionCompleted():
+                completed = True
+            case schema.MissionStarted():
+                _require_same_drone(event, config, len(plan))
+                here = None
+            case schema.Leg(waypoint=int(index)) if here is not None and index != here:
+                left.add(here)
+                here = None
+            case schema.Arrived(waypoint=int(index), east_m=east_m, north_m=north_m):
+                _require_same_place(index, east_m, north_m, plan.get(index))
+                here, results[index] = index, 0
+            case schema.Call() if here is not None:
+                results[here] += 1
+    if completed:
+        raise UsageError("the mission in this log was completed: there is nothing to take up")
+    wanted = max(1, max((results[each] for each in left), default=len(config.services)))
+    return frozenset(left | {index for index, count in results.items() if count >= wanted})
+
+
+def _require_same_drone(started: schema.MissionStarted, config: DroneConfig, planned: int) -> None:
+    if started.drone != config.name:
+        raise UsageError(f"this log is of the drone {started.drone}, not of {config.name}")
+    if started.waypoints != planned:
+        raise UsageError(
+            f"this log is of another plan: it had {started.waypoints} waypoints, this one has {planned}"
+        )
+
+
+def _require_same_place(index: int, east_m: float, north_m: float, planned: Waypoint | None) -> None:
+    if planned is None:
+        raise UsageError(f"this log is of another plan: this one has no waypoint {index}")
+    place = planned.position
+    off_m = math.hypot(place.east_m - east_m, place.north_m - north_m)
+    if off_m > _SAME_PLACE_M:
+        raise UsageError(
+            f"this log is of another plan: waypoint {planned.index} was {off_m:.2f} m from where it is now"
+        )

@@ -1,0 +1,252 @@
+"""One session with a server: join its network, ask, have the services started, call, leave."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NoReturn
+
+import msgspec
+
+from upwash.errors import LinkError, NoSlot, Refused, Unreachable, UpwashError
+from upwash.ports import Dialer, Link, Network
+from upwash.rpc.protocol import (
+    AVAILABILITY,
+    HEALTH_CHECK,
+    LEAST_LEASE_S,
+    LEAVE,
+    PREPARE,
+    START,
+    AvailabilityReply,
+    AvailabilityRequest,
+    HoldReply,
+    LeaveRequest,
+    PrepareRequest,
+    StartReply,
+    StartRequest,
+    decode_reply,
+    resolve,
+    service_path,
+)
+
+_ANSWER_S = 5.0  # a daemon answers at once or is in trouble
+_FAREWELL_S = 0.5
+_LEAST_ASK_S, _LONGEST_ASK_S = 0.5, 30.0  # between two questions for a slot, whatever a server says
+
+
+@dataclass(frozen=True, slots=True)
+class ServerEndpoint:
+    """How a server is reached, and which of the drone's services are wanted there."""
+
+    name: str
+    network: str
+    address: str
+    services: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a server that is available says: whether all wanted services run, and whom it can have prepared.
+
+    So many drones wait for a slot.
+    """
+
+    running: bool
+    peers: tuple[str, ...]
+    waiting: int
+
+
+class ServerSession:
+    """The drone's business with one server, from selection to de-selection."""
+
+    def __init__(self, endpoint: ServerEndpoint, *, network: Network, dialer: Dialer) -> None:
+        self._server = endpoint
+        self._network = network
+        self._dialer = dialer
+        self._daemon: Link | None = None
+        self._instances: dict[str, Link] = {}
+        self._addresses: dict[str, str] = {}  # that they lead to
+        self._lease_s = LEAST_LEASE_S
+        self.round_trip_s: float | None = None  # of the last question to the daemon
+        self._joined = False
+        self._expected = False  # the daemon keeps a slot for the drone, as it answered
+        self._lost = ""  # why, once the network is
+        self._calls = 0
+        self._quiet = asyncio.Event()
+        self._quiet.set()
+
+    async def join(self, *, timeout_s: float) -> bool:
+        """Joins the server's network; whether it had to be joined. Raises NetworkError."""
+        if self._lost:
+            await self._network.leave()
+            self._joined, self._lost = False, ""
+        if self._joined:
+            return False
+        await self._network.join(self._server.network, timeout_s=timeout_s)
+        self._joined = True
+        return True
+
+    async def lost(self) -> str:
+        """Returns why, once the network that was joined is lost; whatever is under way there has failed by then."""
+        self._lost = await self._network.lost()
+        await self._hang_up()
+        return self._lost
+
+    async def ask(self) -> Answer:
+        """Asks for the services; raises LinkError where the server is not available, NoSlot where it is full."""
+        if self._daemon is None:
+            self._daemon = self._dialer.dial(self._server.address, server=self._server.name)
+        answer = await self._availability()
+        for service in self._server.services:
+            if service in answer.endpoints:
+                await self._dial(service, answer.endpoints[service])
+        running = all(service in self._instances for service in self._server.services)
+        return Answer(running, tuple(answer.peers), answer.waiting)
+
+    async def probe(self) -> bool:
+        """Returns once the daemon, and each wanted service that runs, gives a sign of life; whether all of them run.
+
+        Asks over connections of its own, as those of before may be dead without showing it. Raises LinkError.
+        """
+        daemon = self._dialer.dial(self._server.address, server=self._server.name)
+        links = [daemon]
+        try:
+            try:
+                answer = await self._availability(daemon)
+            except NoSlot:  # which is an answer too
+                return False
+            for service in self._server.services:
+                if service in answer.endpoints:
+                    address = resolve(answer.endpoints[service], self._server.address)
+                    links.append(self._dialer.dial(address, server=self._server.name))
+                    with contextlib.suppress(Refused):  # which is an answer too
+                        await links[-1].request(HEALTH_CHECK, b"", timeout_s=_ANSWER_S)
+        finally:
+            for link in links:
+                await link.close()
+        return all(service in answer.endpoints for service in self._server.services)
+
+    async def start(self, *, timeout_s: float) -> None:
+        """Has the services that do not run yet started, and learns their endpoints; raises LinkError, or NoSlot."""
+        for service in self._server.services:
+            if service in self._instances:
+                continue
+            request = StartRequest(self._server.name, service)
+            reply = decode_reply(
+                await self._tell(START, request, timeout_s=timeout_s), StartReply, sender=self._server.name
+            )
+            if not reply.endpoint:
+                self._raise_if_full(reply)
+                raise Refused(f"{self._server.name} cannot start {service}: {reply.reason}")
+            await self._dial(service, reply.endpoint)
+
+    async def prepare(self, peer: ServerEndpoint, *, arrives_in_s: float, hold_s: float) -> None:
+        """Has the peer of this server start its services and hold a slot; raises LinkError where it will not."""
+        request = PrepareRequest(
+            self._server.name, peer.name, list(peer.services), arrives_in_s=arrives_in_s, hold_s=hold_s
+        )
+        reply = decode_reply(
+            await self._tell(PREPARE, request, timeout_s=_ANSWER_S), HoldReply, sender=self._server.name
+        )
+        if not reply.held:
+            raise Refused(reply.reason)
+
+    async def keep_lease(self, renewed: Callable[[int], None] = lambda _: None) -> NoReturn:
+        """Renews the lease, as the drone may be busy flying for longer than it lasts; NoSlot once its turn is over.
+
+        `renewed` is told each time how many others wait for a slot.
+        """
+        while True:
+            await asyncio.sleep(self._lease_s / 3)
+            try:
+                answer = await self._availability()
+            except NoSlot:
+                raise
+            except UpwashError:
+                continue  # whether the server can still be used, the next call tells
+            renewed(answer.waiting)
+
+    async def call(self, service: str, method: str, request: bytes, *, deadline_s: float) -> bytes:
+        """Runs one call there; raises LinkError."""
+        instance = self._instances.get(service)
+        if instance is None:
+            raise Refused(f"{self._server.name} does not run {service}")
+        self._calls += 1
+        self._quiet.clear()
+        try:
+            return await instance.request(service_path(service, method), request, timeout_s=deadline_s)
+        except LinkError as error:
+            if self._lost:
+                raise Unreachable(f"{self._server.name}: its network was lost: {self._lost}") from error
+            raise
+        finally:
+            self._calls -= 1
+            if self._calls == 0:
+                self._quiet.set()
+
+    async def end(self, *, in_range: bool) -> bool:
+        """Leaves: in range, after the calls under way and with a word to the daemon; else at once.
+
+        Returns whether the daemon answered.
+        """
+        answered = False
+        if in_range:
+            await self._quiet.wait()  # each has its deadline
+            if self._daemon is None and self._expected:  # a probe asked, over a connection of its own
+                self._daemon = self._dialer.dial(self._server.address, server=self._server.name)
+            if self._daemon is not None:
+                with contextlib.suppress(LinkError):
+                    await self._tell(LEAVE, LeaveRequest(self._server.name), timeout_s=_FAREWELL_S)
+                    answered = True
+        await self._hang_up()
+        await self._network.leave()
+        return answered
+
+    async def hang_up(self) -> None:
+        """Drops the calls under way and every connection, and stays on the network."""
+        await self._hang_up()
+        self._instances, self._daemon, self._expected = {}, None, False
+
+    async def _hang_up(self) -> None:
+        for link in (*self._instances.values(), self._daemon):
+            if link is not None:
+                await link.close()
+
+    async def _availability(self, daemon: Link | None = None) -> AvailabilityReply:
+        request = AvailabilityRequest(self._server.name, list(self._server.services))
+        asked_s = asyncio.get_running_loop().time()
+        reply = await self._tell(AVAILABILITY, request, timeout_s=_ANSWER_S, daemon=daemon)
+        self.round_trip_s = asyncio.get_running_loop().time() - asked_s
+        answer = decode_reply(reply, AvailabilityReply, sender=self._server.name)
+        if not answer.available:
+            self._raise_if_full(answer)
+            raise Refused(f"{self._server.name} is unavailable: {answer.reason}")
+        self._lease_s, self._expected = answer.lease_s, True
+        return answer
+
+    def _raise_if_full(self, reply: AvailabilityReply | StartReply) -> None:
+        if reply.ask_again_s > 0:
+            raise NoSlot(
+                f"{self._server.name}: {reply.reason}",
+                waiting=reply.waiting,
+                ask_again_s=min(max(_LEAST_ASK_S, reply.ask_again_s), _LONGEST_ASK_S),
+            )
+
+    async def _tell(
+        self, path: str, message: msgspec.Struct, *, timeout_s: float, daemon: Link | None = None
+    ) -> bytes:
+        daemon = daemon or self._daemon
+        assert daemon is not None  # noqa: S101 - dialled by ask()
+        return await daemon.request(path, msgspec.msgpack.encode(message), timeout_s=timeout_s)
+
+    async def _dial(self, service: str, endpoint: str) -> None:
+        """Has a link to the instance; the one that there is stays, if it leads there."""
+        address = resolve(endpoint, self._server.address)
+        if address == self._addresses.get(service) and service in self._instances:
+            return
+        if service in self._instances:
+            await self._instances[service].close()
+        self._instances[service] = self._dialer.dial(address, server=self._server.name)
+        self._addresses[service] = address

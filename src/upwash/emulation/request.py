@@ -1,0 +1,186 @@
+"""What is to be emulated: what the command says, and the drones and servers that follow from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from upwash.config import (
+    DroneConfig,
+    HomeConfig,
+    NetworkConfig,
+    Presence,
+    ServerConfig,
+    ServerTruth,
+    ServiceConfig,
+    fleet_of,
+    presences,
+    read_drone_config,
+    server_truth,
+)
+from upwash.errors import UsageError
+
+RadioKind = Literal["table", "ns3"]
+ComputerKind = Literal["namespaces", "containers"]
+_SOMEWHERE = HomeConfig(latitude_deg=39.3666, longitude_deg=22.9507)  # for scenarios of the plane alone
+_MOST_STATIONS = 250  # on one server's network, by their addresses
+
+
+@dataclass(frozen=True, slots=True)
+class EmulatedDrone:
+    """One drone of an emulation, whose program is started so long after the others' at the earliest."""
+
+    config: DroneConfig
+    departs_s: float = 0.0
+
+
+class EmulationRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """What the command says, for the enclosed program."""
+
+    scenarios: tuple[Path, ...]
+    drones: int = 1  # of each scenario
+    radio: RadioKind = "table"
+    computers: ComputerKind = "namespaces"
+    autopilots: tuple[str, ...] = ()  # how each drone's vehicle is reached; without any, stand-ins fly
+    outside: int = -1  # a handle of the network namespace in which they are reached
+    folder: Path
+
+    def encoded(self) -> str:
+        """The request as text, which `decoded` reads."""
+        return msgspec.json.encode(self, enc_hook=str).decode()
+
+    @classmethod
+    def decoded(cls, text: str) -> EmulationRequest:
+        """The request that the text says."""
+        return msgspec.json.decode(text, type=cls, dec_hook=lambda kind, value: kind(value))
+
+    def read(self) -> tuple[EmulatedDrone, ...]:
+        """Each drone, as it is emulated; raises UsageError."""
+        drones = [
+            EmulatedDrone(emulated(config), presence.departs_s)
+            for file in self.scenarios
+            for config, presence in _fleet(file)
+            for _ in range(self.drones)
+        ]
+        require_same_servers([each.config for each in drones])
+        if len(drones) > _MOST_STATIONS:
+            raise UsageError(f"{len(drones)} drones are more than an emulation has addresses for")
+        if self.autopilots and len(self.autopilots) != len(drones):
+            raise UsageError(f"{len(drones)} drone(s) need as many autopilots: found {len(self.autopilots)}")
+        return tuple(_named_apart(drones))
+
+
+def _fleet(file: Path) -> Iterator[tuple[DroneConfig, Presence]]:
+    """The drones of a scenario; raises UsageError where one is to vanish."""
+    config = read_drone_config(file)
+    for drone, presence in zip(fleet_of(config), presences(config), strict=True):
+        if presence.vanishes_s is not None:
+            raise UsageError(
+                f"{file.name}: {drone.name} vanishes, which is simulated only: remove its vanishes_s to emulate it"
+            )
+        yield drone, presence
+
+
+def emulated(config: DroneConfig) -> DroneConfig:
+    """The scenario as far as it is emulated: without noise, energy, faults and what slows single calls down.
+
+    Calls on the drone take at least the configured time. The same scenario can be simulated, to compare.
+    """
+    replace = msgspec.structs.replace
+    return replace(
+        config,
+        mission=replace(config.mission, home=config.mission.home or _SOMEWHERE),
+        network=NetworkConfig(kind="stand-in", radios=config.network.radios),
+        keys=None,
+        services=tuple(
+            replace(
+                service,
+                local_pace_s=service.local_call_s,
+                local_first_extra_s=0.0,
+                local_joining_slowdown={},
+            )
+            for service in config.services
+        ),
+        servers=tuple(
+            replace(server, truth=replace(server.truth, first_extra_s=0.0)) for server in config.servers
+        ),
+        energy=None,
+        noise=type(config.noise)(),
+        faults=(),
+    )
+
+
+def left_out(config: DroneConfig) -> list[str]:
+    """What the scenario says that an emulation leaves out."""
+    found = {
+        "energy": config.energy is not None,
+        "noise": config.noise != type(config.noise)(),
+        "fault": bool(config.faults),
+        "local_first_extra_s": any(service.local_first_extra_s for service in config.services),
+        "local_joining_slowdown": any(
+            share for service in config.services for share in service.local_joining_slowdown.values()
+        ),
+        "lanes": any(server.truth.lanes is not None for server in config.servers),
+        "first_extra_s": any(server.truth.first_extra_s for server in config.servers),
+    }
+    return [name for name, there in found.items() if there]
+
+
+def require_same_servers(configs: Sequence[DroneConfig]) -> None:
+    """UsageError where the scenarios do not agree about the servers and their services."""
+    for config in configs[1:]:
+        if (config.servers, _at_servers(config)) != (configs[0].servers, _at_servers(configs[0])):
+            raise UsageError(
+                "scenarios that are emulated together need the same [[server]] and [[service]] tables"
+            )
+
+
+def _at_servers(config: DroneConfig) -> list[ServiceConfig]:
+    """The services without what they take on the drone."""
+    return [msgspec.structs.replace(service, local_call_s={}, local_pace_s={}) for service in config.services]
+
+
+def _named_apart(drones: Sequence[EmulatedDrone]) -> list[EmulatedDrone]:
+    """The same, each with a name of its own."""
+    if len({each.config.name for each in drones}) == len(drones):
+        return list(drones)
+    return [
+        replace(each, config=msgspec.structs.replace(each.config, name=f"{each.config.name}-{number}"))
+        for number, each in enumerate(drones, start=1)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Paces:
+    """The least times of one service on one server: of a call, by profile key, and of its start."""
+
+    call_s: dict[str, float]
+    start_s: float
+
+
+def server_paces(server: ServerConfig, config: DroneConfig) -> dict[str, Paces]:
+    """How long the server's services take, so that calls take as long as the scenario says.
+
+    An end-to-end time includes the transfer, which the link takes for itself.
+    """
+    truth = server_truth(server, config.services)
+    return {
+        service.name: Paces(_call_paces_s(server, truth, service), truth.start_s)
+        for service in config.services
+        if service.name in truth.images
+    }
+
+
+def _call_paces_s(server: ServerConfig, truth: ServerTruth, service: ServiceConfig) -> dict[str, float]:
+    transfer_s = 0.0
+    if truth.radio == "fixed" and server.bandwidth_bit_s is not None:
+        transfer_s = 8 * service.request_bytes / server.bandwidth_bit_s
+    end_to_end_s = truth.remote_call_s.get(service.name, {})
+    return {
+        **truth.processing_s.get(service.name, {}),
+        **{key: max(0.0, call_s - transfer_s) for key, call_s in end_to_end_s.items()},
+    }

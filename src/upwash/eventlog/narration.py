@@ -1,0 +1,275 @@
+"""What the events of a flight say to a person, a sentence each, while it lasts or afterwards."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from upwash.core.control import Owner
+from upwash.core.servers import State
+from upwash.eventlog import schema
+from upwash.eventlog.schema import SEVERITIES, Event
+
+_SAFE_ENDS = {
+    "return": "returning to land",
+    "land": "landing where it is",
+    "hold": "stopping to hover",
+    "disarm": "disarming on the ground",
+}
+WARNING = 4
+_FAILURES = (
+    schema.LocalFailed,
+    schema.RemoteFailed,
+    schema.LeaveFailed,
+    schema.SafeEndFailed,
+    schema.DeadManFailed,
+    schema.BatteryWatchFailed,
+    schema.BorderWatchFailed,
+    schema.OffloadingFailed,
+)
+_OWNERS = {
+    Owner.NOBODY: "nobody",
+    Owner.PROGRAM: "the program",
+    Owner.PILOT: "the pilot",
+    Owner.FAILSAFE: "a fail-safe",
+    Owner.UNKNOWN: "nobody known",
+}
+LEFT_HOVERING = "The vehicle hovers where it is, and nobody flies it now: take over with the remote control."
+
+
+def spans(indices: Sequence[int]) -> str:
+    """Ascending numbers as a person writes them: "0-4, 7"."""
+    stretches = []
+    for _, stretch in itertools.groupby(enumerate(indices), key=lambda each: each[1] - each[0]):
+        members = [index for _, index in stretch]
+        stretches.append(str(members[0]) if len(members) == 1 else f"{members[0]}-{members[-1]}")
+    return ", ".join(stretches)
+
+
+def ran_on(server: str | None) -> str:
+    """Where a call ran, as a sentence says it: on that server, or on the drone."""
+    return "on the drone" if server is None else f"on {server}"
+
+
+def counted(number: int, noun: str) -> str:
+    """So many of it: 1 call, 2 calls."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+class Tone(StrEnum):
+    """How a sentence is meant."""
+
+    PLAIN = "plain"
+    ASIDE = "aside"  # what changes nothing for the mission
+    CHECKING = "checking"
+    READY = "ready"
+    REMOTE = "remote"  # a call that ran on a server
+    FOUND = "found"  # what the mission tells its user
+    TROUBLE = "trouble"  # something failed, and the flight goes on
+    ALARM = "alarm"  # a person should look
+
+
+MEANINGS = {  # CHECK-R means what CHECK does
+    State.AVL: "available",
+    State.AVL_R: "available, its services running",
+    State.CHECK: "being checked",
+    State.READY: "ready for calls",
+    State.BLACKLISTED: "blacklisted",
+}
+_STATE_TONES: dict[str, Tone] = {
+    State.READY: Tone.READY,
+    State.CHECK: Tone.CHECKING,
+    State.CHECK_R: Tone.CHECKING,
+    State.BLACKLISTED: Tone.TROUBLE,
+}
+
+
+def tone_of(state: str) -> Tone:
+    """How it is meant that a server is in that state."""
+    return _STATE_TONES.get(state, Tone.ASIDE)
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """One sentence."""
+
+    text: str
+    tone: Tone = Tone.PLAIN
+
+
+class Narrator:
+    """Follows the events of one flight in their order, and knows what the drone is doing."""
+
+    def __init__(self) -> None:
+        self.doing = "starting the services of the drone"
+        self.where = ""
+        self.reached = 0  # waypoints
+        self.started = False  # whether the mission has begun
+        self.control = ""  # who has the vehicle, since when and why; empty while the program has
+
+    def tell(self, event: Event) -> Said | None:
+        """What the event says; None for one that is not worth a sentence."""
+        match event:
+            case schema.PositionReport(east_m=east_m, north_m=north_m, altitude_m=altitude_m):
+                self.where = f"{east_m:.0f} m east, {north_m:.0f} m north, {altitude_m:.0f} m up"
+                return None
+            case schema.Call():
+                return _call(event, self.doing)
+            case schema.Step(server=server, before=before, after=after, why=why):
+                because = f" ({why})" if why else ""
+                return Said(f"{server}: {before} → {after}{because}", tone_of(after))
+            case schema.Leg(waypoint=waypoint):
+                self.doing = f"flying to {_name_of(waypoint)}"
+                return None
+            case schema.Arrived(waypoint=waypoint):
+                self.doing = f"at {_name_of(waypoint)}"
+                self.reached += waypoint is not None
+                return None
+            case schema.Notified(message=message):
+                return Said(f"told the user: {in_one_line(message)}", Tone.FOUND)
+            case _:
+                said = self._course(event) or self._vehicle(event) or _vehicle_told(event)
+                return said or _ending(event) or _failure(event) or _clock(event)
+
+    def _course(self, event: Event) -> Said | None:
+        match event:
+            case schema.LocalReady(service=service):
+                return Said(f"{service} is ready on the drone")
+            case schema.MissionStarted(policy=policy, done=done):
+                self.started = True
+                self.doing = "before take-off"
+                self.reached = len(done)
+                before = f"taken up again, {len(done)} waypoints done before" if done else "started"
+                return Said(f"mission {before}, policy {policy}")
+            case schema.Returning():
+                self.doing = "returning"
+                return Said("returning home to land")
+            case schema.Landed():
+                self.doing = "landed"
+                return Said("landed")
+            case schema.SafeEnd(action=action, why=why):
+                self.doing = _SAFE_ENDS[action]
+                return Said(f"{self.doing}: {why}", Tone.ALARM)
+            case schema.LeftHovering():
+                self.doing = "hovering"
+                return Said(LEFT_HOVERING, Tone.ALARM)
+        return None
+
+    def _vehicle(self, event: Event) -> Said | None:
+        """Who has the vehicle, and how it gets into the air and down again."""
+        match event:
+            case schema.Control(owner=owner, why=why):
+                taken = f"{who_has_it(owner)} has the vehicle since {event.t:.1f} s: {why}"
+                self.control = "" if owner == Owner.PROGRAM else taken
+                return _control(owner, why)
+            case schema.ArmingDelayed(reasons=reasons):
+                self.doing = "waiting until the vehicle can be armed"
+                said = "; ".join(reasons) or "it does not say why"
+                return Said(f"the vehicle cannot be armed yet: {said}", Tone.TROUBLE)
+            case schema.Armed():
+                self.doing = "armed"
+                return Said("armed")
+            case schema.TookOff(altitude_m=altitude_m):
+                self.doing = "in the air"
+                return Said(f"took off to {altitude_m:g} m")
+            case schema.Stood():
+                self.doing = "on the ground"
+                return Said("the vehicle stands on the ground")
+        return None
+
+
+def _vehicle_told(event: Event) -> Said | None:
+    """What the vehicle says, but for its reasons not to arm, which are told when they change."""
+    match event:
+        case schema.VehicleSaid(severity=severity, text=text) if severity <= WARNING:
+            if text.startswith(("PreArm: ", "Arm: ")):
+                return None
+            return Said(f"the vehicle says: {text} ({SEVERITIES[severity]})", Tone.TROUBLE)
+        case schema.VehicleSetting(name=name, value=value, advice=advice):
+            return Said(f"the vehicle's {name} is {value:g}: {advice}", Tone.TROUBLE)
+        case schema.UnsignedPort(why=why):
+            return Said(why, Tone.TROUBLE)
+        case schema.LinkLost(silent_s=silent_s):
+            return Said(f"the vehicle is not heard any more, for {silent_s:.1f} s", Tone.TROUBLE)
+        case schema.LinkRestored(silent_s=silent_s):
+            return Said(f"the vehicle is heard again, after {silent_s:.1f} s")
+        case schema.DeadManSet(silence_s=silence_s, action=action):
+            doing = "returns" if action == "return" else "lands"
+            said = f"the autopilot {doing} if it does not hear this program for {silence_s:g} s"
+            return Said(said, Tone.ASIDE)
+        case schema.Energy(left_percent=left, home_s=home_s, margin_percent=spare):
+            return Said(f"battery {left:.0f} %, home in {home_s:.0f} s, {spare:.0f} % to spare", Tone.ASIDE)
+    return None
+
+
+def who_has_it(owner: str) -> str:
+    """An owner of the vehicle, as a sentence names it."""
+    return _OWNERS[Owner(owner)]
+
+
+def _control(owner: str, why: str) -> Said:
+    if owner == Owner.PROGRAM:
+        return Said(f"the program has the vehicle: {why}", Tone.ASIDE)
+    return Said(f"{who_has_it(owner)} has the vehicle: {why}; nothing is sent to it any more", Tone.ALARM)
+
+
+def _ending(event: Event) -> Said | None:
+    match event:
+        case schema.Stopping(why=why):
+            return Said(
+                f"stopping ({why}); once more ends this at once, the vehicle left to itself", Tone.ALARM
+            )
+        case schema.LeftToPilot(why=why) | schema.MissionEnded(why=why) | schema.FollowingEnded(why=why):
+            return Said(f"{event.kind.replace('_', ' ')}: {why}", Tone.ALARM)
+    return None
+
+
+def _clock(event: Event) -> Said | None:
+    match event:
+        case schema.WaitingForTheTime(why=why):
+            return Said(f"waiting for the vehicle's GPS to tell the time: {why}", Tone.TROUBLE)
+        case schema.ClockSet(before=before, after=after):
+            return Said(
+                f"this computer's clock said {before.isoformat()}: set to {after.isoformat()}, as the vehicle's GPS "
+                "has it"
+            )
+        case schema.ClockDiffers(clock=clock, gps=gps, why=why):
+            return Said(
+                f"this computer's clock says {clock}, the vehicle's GPS {gps}: left as it is, {why}",
+                Tone.TROUBLE,
+            )
+    return None
+
+
+def _failure(event: Event) -> Said | None:
+    if isinstance(event, _FAILURES):
+        return Said(f"{event.kind.replace('_', ' ')}: {event.why}", Tone.TROUBLE)
+    match event:
+        case schema.RemoteRaised(server=server, operation=operation, raised=raised):
+            said = f"{server} says that {operation} raised {raised}; making the call on the drone"
+            return Said(said, Tone.TROUBLE)
+        case schema.LocalEnded(service=service, how=how):
+            return Said(f"{service} on the drone ended ({how}); starting it again", Tone.TROUBLE)
+    return None
+
+
+def _call(call: schema.Call, doing: str) -> Said:
+    waited = f" after waiting {call.waited_s:.1f} s" if call.wait else ""
+    return Said(
+        f"{doing}: {call.operation} {ran_on(call.server)}, {call.delay_s:.2f} s{waited} ({call.decision})",
+        Tone.PLAIN if call.server is None else Tone.REMOTE,
+    )
+
+
+def _name_of(waypoint: int | None) -> str:
+    return "a place beside the plan" if waypoint is None else f"waypoint {waypoint}"
+
+
+def in_one_line(message: object) -> str:
+    """A message to the user: detections by their number and labels, anything else as it is."""
+    if isinstance(message, list) and all(isinstance(item, dict) and "label" in item for item in message):
+        labels = [item["label"] for item in message]
+        return ", ".join(f"{labels.count(label)} x {label}" for label in dict.fromkeys(labels))
+    return str(message)

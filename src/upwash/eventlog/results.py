@@ -1,0 +1,257 @@
+"""What a run came to, read from its events."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from upwash.core.places import server_of
+from upwash.eventlog import schema
+from upwash.eventlog.schema import Event
+
+# Most events of a long log are positions, which these pass over at once: each case of a match takes time.
+_BEGINNING = frozenset(
+    {schema.MissionStarted, schema.Armed, schema.Photo, schema.Call, schema.Leg, schema.LogResumed}
+)
+_COUNTED = _BEGINNING | {
+    schema.MissionCompleted,
+    schema.Arrived,
+    schema.EnergyUsed,
+    schema.LeftHovering,
+    schema.Selected,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class CallResult:
+    """One service call, as the mission experienced it; `waypoint` is None before the first arrival.
+
+    `place` is where it ran in the end, "local" for the drone or a server's name. `delay_s` is how long the mission
+    waited for its answer, and `waited_s` the part of it that was spent on waiting for a server. `at_s` is when it
+    made the call, in the mission's time.
+    """
+
+    waypoint: int | None
+    operation: str
+    place: str
+    decision: str
+    delay_s: float
+    waited_s: float
+    at_s: float
+
+    @property
+    def server(self) -> str | None:
+        """The server that it ran on; None for the drone."""
+        return server_of(self.place)
+
+
+@dataclass(frozen=True, slots=True)
+class Totals:
+    """Sums over all calls; `remote` counts by server, `fallbacks` remote calls that ended on the drone.
+
+    `waits` counts the calls that waited for a server, `waits_failed` those of them that did in vain, and `switches`
+    how often a server was selected.
+    """
+
+    calls: int
+    local: int
+    remote: dict[str, int]
+    waits: int
+    waits_failed: int
+    switches: int
+    fallbacks: int
+    service_delay_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class EnergyTotals:
+    """What a simulated flight drew from the battery: the rotors while it moved and while it hovered, and the rest.
+
+    `battery_wh` is what the battery held when it was full, None where it was endless.
+    """
+
+    total_wh: float
+    flight_wh: float
+    hover_wh: float
+    computing_wh: float
+    radio_wh: float
+    battery_wh: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """One run; `undone` are the waypoints that were not reached, `left_hovering` whether the pilot has to land.
+
+    The mission's time is counted from arming; `arming_s` is how long it had waited for that. `energy` is None where
+    nobody metered it: it is in simulations alone.
+    """
+
+    policy: str
+    mission_time_s: float
+    completed: bool
+    calls: list[CallResult] = field(repr=False)
+    totals: Totals
+    waypoints: int
+    undone: list[int]
+    left_hovering: bool
+    arming_s: float = 0.0
+    energy: EnergyTotals | None = None
+
+    def local_only_time_s(self) -> float | None:
+        """How long the mission would have taken with every call at the mean measured local delay.
+
+        None where an operation was never run on the drone, so that nothing measured says.
+        """
+        local = mean_local_delay_s(self.calls)
+        if any(call.operation not in local for call in self.calls):
+            return None
+        return self.mission_time_s + sum(local[call.operation] - call.delay_s for call in self.calls)
+
+
+def read_result(events: Iterable[Event]) -> RunResult:
+    """The result of the run that left these events, the last of several, whether it was completed or not.
+
+    All parts of a run that was broken off and taken up again count, and the time between them too.
+    """
+    tally = Tally()
+    for event in events:
+        if isinstance(event, schema.LogOpened):
+            tally = Tally()
+        if not tally.completed:
+            tally.take(event)
+    return tally.result()
+
+
+class Tally:
+    """What one run came to, gathered event by event, of which none is kept."""
+
+    def __init__(self) -> None:
+        self.completed = False
+        self._policy, self._ended_s = "", 0.0
+        self._began = Beginning()
+        self._waypoint: int | None = None
+        self._calls: list[CallResult] = []
+        self._waypoints, self._reached, self._left_hovering = 0, set[int | None](), False
+        self._waits: list[str] = []
+        self._switches = self._fallbacks = 0
+        self._energy: EnergyTotals | None = None
+
+    def take(self, event: Event) -> None:
+        """Takes in the next event."""
+        self._ended_s = event.t
+        if type(event) not in _COUNTED:
+            return
+        self._began.take(event)
+        match event:
+            case schema.MissionStarted():
+                self._policy, self._waypoints = event.policy, event.waypoints
+                self._waypoint, self._left_hovering = None, False
+            case schema.MissionCompleted():
+                self.completed = True
+            case schema.Arrived():
+                self._waypoint = event.waypoint
+                self._reached.add(self._waypoint)
+            case schema.LeftHovering():
+                self._left_hovering = True
+            case schema.Selected():
+                self._switches += 1
+            case schema.EnergyUsed():
+                self._energy = _energy(event)
+            case schema.Call():
+                self._calls.append(_call(event, self._waypoint, self._began.at_s or 0.0))
+                self._waits += [event.wait] if event.wait else []
+                self._fallbacks += event.fell_back
+
+    def result(self) -> RunResult:
+        """What it came to."""
+        remote = Counter(call.server for call in self._calls if call.server is not None)
+        return RunResult(
+            policy=self._policy,
+            mission_time_s=self._ended_s - (self._began.at_s or 0.0),
+            completed=self.completed,
+            calls=self._calls,
+            totals=Totals(
+                calls=len(self._calls),
+                local=len(self._calls) - remote.total(),
+                remote=dict(sorted(remote.items())),
+                waits=len(self._waits),
+                waits_failed=self._waits.count("failed"),
+                switches=self._switches,
+                fallbacks=self._fallbacks,
+                service_delay_s=sum(call.delay_s for call in self._calls),
+            ),
+            waypoints=self._waypoints,
+            undone=[index for index in range(self._waypoints) if index not in self._reached],
+            left_hovering=self._left_hovering,
+            arming_s=self._began.arming_s,
+            energy=self._energy,
+        )
+
+
+class Beginning:
+    """When the mission's time begins, gathered event by event: as it is armed for its first leg.
+
+    `at_s` is None before the mission has started; where it took photos or called services before it was armed, or was
+    taken up again in the air, it began as it started.
+    """
+
+    def __init__(self) -> None:
+        self.at_s: float | None = None
+        self.arming_s = 0.0
+        self._settled = False
+
+    def take(self, event: Event) -> None:
+        """Takes in the next event."""
+        if type(event) not in _BEGINNING:
+            return
+        match event:
+            case schema.MissionStarted() if self.at_s is None:
+                self.at_s = event.t
+            case schema.Armed() if self.at_s is not None and not self._settled:
+                self.arming_s = event.t - self.at_s
+                self.at_s, self._settled = event.t, True
+            case schema.Photo() | schema.Call() | schema.Leg() | schema.LogResumed() if self.at_s is not None:
+                self._settled = True
+
+
+def last_run(events: Iterable[Event]) -> list[Event]:
+    """The events of the last of the runs that a log holds."""
+    run: list[Event] = []
+    for event in events:
+        if isinstance(event, schema.LogOpened):
+            run = []
+        run.append(event)
+    return run
+
+
+def _call(event: schema.Call, waypoint: int | None, began_s: float) -> CallResult:
+    return CallResult(
+        waypoint=waypoint,
+        operation=event.operation,
+        place=event.place,
+        decision=event.decision,
+        delay_s=event.delay_s,
+        waited_s=event.waited_s,
+        at_s=event.t - event.delay_s - began_s,
+    )
+
+
+def _energy(event: schema.EnergyUsed) -> EnergyTotals:
+    return EnergyTotals(
+        total_wh=event.total_wh,
+        flight_wh=event.flight_wh,
+        hover_wh=event.hover_wh,
+        computing_wh=event.computing_wh,
+        radio_wh=event.radio_wh,
+        battery_wh=event.battery_wh,
+    )
+
+
+def mean_local_delay_s(calls: Iterable[CallResult]) -> dict[str, float]:
+    """By operation, what its calls on the drone took on average, without what was waited for servers."""
+    delays: dict[str, list[float]] = {}
+    for call in calls:
+        if call.server is None:
+            delays.setdefault(call.operation, []).append(call.delay_s - call.waited_s)
+    return {operation: sum(values) / len(values) for operation, values in delays.items()}

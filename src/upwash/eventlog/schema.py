@@ -1,0 +1,657 @@
+"""The events of the log, each with its fields; on disk an event is one JSON object a line.
+
+An event's name there is its class's in snake case, `t` its time in seconds since the log was opened. Positions are
+relative to the mission's home. `VERSION` goes up with each change that the version before could not read: an event
+that is new, a field that is renamed or that has no default. docs/event-log.md is made from this module.
+"""
+
+from __future__ import annotations
+
+import functools
+import operator
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime
+from typing import Annotated, Literal, TypeAlias
+
+import msgspec
+
+from upwash.core.control import Owner
+from upwash.core.geo import Circle, GeoPosition, Position
+from upwash.core.places import server_of
+from upwash.core.servers import State, Trigger
+
+VERSION = 2  # of the log; logs of earlier releases have none
+SEVERITIES = (
+    "emergency",
+    "alert",
+    "critical",
+    "error",
+    "warning",
+    "notice",
+    "info",
+    "debug",
+)  # MAVLink's, from 0
+
+_UNSTAMPED = float("nan")  # known by its identity: the time of an event that no journal has recorded yet
+_Time: TypeAlias = Annotated[datetime, msgspec.Meta(tz=True)]
+_SafeEndAction: TypeAlias = Literal["return", "land", "hold", "disarm"]
+
+
+def _snake_case(name: str) -> str:
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
+
+
+class Event(msgspec.Struct, frozen=True, kw_only=True, tag_field="event", tag=_snake_case):
+    """Something that happened, at the second `t` of its log; docs/event-log.md has the fields of each kind.
+
+    Whoever makes one leaves the time to the journal that records it.
+    """
+
+    t: float = _UNSTAMPED
+
+    @property
+    def kind(self) -> str:
+        """The event's name in the log."""
+        return kind_of(type(self))
+
+    @property
+    def is_stamped(self) -> bool:
+        """Whether it has a time."""
+        return self.t is not _UNSTAMPED
+
+
+def kind_of(event: type[Event]) -> str:
+    """The name of such events in the log."""
+    return str(event.__struct_config__.tag)
+
+
+# --- the log ------------------------------------------------------------------------------------------------
+
+
+class LogOpened(Event, frozen=True, kw_only=True):
+    """The log of a flight begins, at that time of day; `version` is the version of this table."""
+
+    time: _Time
+    version: int = 0
+
+
+class LogResumed(Event, frozen=True, kw_only=True):
+    """`--resume` took the flight up, at that time of day."""
+
+    time: _Time
+    version: int = 0
+
+
+class Simulated(Event, frozen=True, kw_only=True):
+    """First line of `upwash simulate --log`: the scenario's file and the seed."""
+
+    scenario: str
+    seed: int
+    version: int = 0
+
+
+class EventsLost(Event, frozen=True, kw_only=True):
+    """So many events could be kept neither on the disk, which was full, nor in memory."""
+
+    count: int
+
+
+# --- the mission --------------------------------------------------------------------------------------------
+
+
+class Planned(Event, frozen=True, kw_only=True):
+    """Home, the waypoints in metres east and north of it, the ranges of the servers, and whether calls are paced."""
+
+    home: GeoPosition | None = None
+    waypoints_m: Sequence[tuple[float, float]] = []
+    ranges: Mapping[str, Circle] = {}
+    paced: bool = False
+
+
+class MissionStarted(Event, frozen=True, kw_only=True):
+    """The drone, the policy, how many waypoints are planned, and those that were `done` when a flight is taken up."""
+
+    drone: str = ""
+    policy: str
+    waypoints: int = 0
+    done: Sequence[int] = []
+
+
+class MissionCompleted(Event, frozen=True, kw_only=True):
+    """The mission was flown to its end, and every server left."""
+
+
+class MissionEnded(Event, frozen=True, kw_only=True):
+    """The mission ended early, and why."""
+
+    why: str
+
+
+class Stopping(Event, frozen=True, kw_only=True):
+    """The mission is to end early: by Ctrl-C, SIGTERM or the reserve."""
+
+    why: str
+
+
+class Leg(Event, frozen=True, kw_only=True):
+    """The drone sets off for a place; `waypoint` is its index, null for a place beside the plan."""
+
+    waypoint: int | None
+    east_m: float
+    north_m: float
+
+
+class Arrived(Event, frozen=True, kw_only=True):
+    """The drone has arrived at the place that it set off for."""
+
+    waypoint: int | None
+    east_m: float
+    north_m: float
+
+
+class Photo(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """A photo: its source, size in bytes, age when the mission got it, place, and its truth if it was rendered."""
+
+    source: str
+    bytes: int
+    age_s: float
+    position: Position
+    truth: Sequence[object] | None = None
+
+
+class Notified(Event, frozen=True, kw_only=True):
+    """What the user was told, and of which place."""
+
+    message: object
+    at: Position
+
+
+# --- the vehicle --------------------------------------------------------------------------------------------
+
+
+class Control(Event, frozen=True, kw_only=True):
+    """Who has the vehicle from now on (`program`, `pilot`, `fail-safe`, `unknown`), and why."""
+
+    owner: Owner
+    why: str
+
+
+class UnsignedPort(Event, frozen=True, kw_only=True):
+    """Anyone who reaches the drone's `udpin` port can pose as the vehicle.
+
+    See [signed messages](vehicle.md#signed-messages).
+    """
+
+    why: str
+
+
+class LinkLost(Event, frozen=True, kw_only=True):
+    """Nothing has been heard of the vehicle for so long."""
+
+    silent_s: float
+
+
+class LinkRestored(Event, frozen=True, kw_only=True):
+    """The vehicle is heard again, after so long."""
+
+    silent_s: float
+
+
+class VehicleSaid(Event, frozen=True, kw_only=True):
+    """The vehicle's own words and their severity, 0 (emergency) to 7 (debug)."""
+
+    severity: Annotated[int, msgspec.Meta(ge=0, lt=len(SEVERITIES))]
+    text: str
+
+
+class VehicleSetting(Event, frozen=True, kw_only=True):
+    """A parameter of the vehicle that the user should know before the flight, and why."""
+
+    name: str
+    value: float
+    advice: str
+
+
+class ArmingDelayed(Event, frozen=True, kw_only=True):
+    """Why the vehicle cannot be armed yet, in its words, each time that changes."""
+
+    reasons: Sequence[str]
+
+
+class VehicleLimits(Event, frozen=True, kw_only=True):
+    """The vehicle's home, the altitude above which it may not fly, and its fences by name, as read before arming."""
+
+    home: Position | None
+    highest_m: float | None
+    fences: Sequence[str]
+
+
+class DeadManSet(Event, frozen=True, kw_only=True):
+    """After how long a silence of the program the autopilot will do what."""
+
+    silence_s: float
+    action: Literal["return", "land"]
+
+
+class DeadManFailed(Event, frozen=True, kw_only=True):
+    """Why the autopilot will not miss the program, where the flight was in the air already."""
+
+    why: str
+
+
+class _AtPlace(Event, frozen=True, kw_only=True, omit_defaults=True):
+    position: Position | None = None
+
+
+class Armed(_AtPlace, frozen=True, kw_only=True):
+    """The motors run."""
+
+
+class TookOff(_AtPlace, frozen=True, kw_only=True):
+    """The vehicle has climbed to the altitude above home."""
+
+    altitude_m: float
+
+
+class Holding(_AtPlace, frozen=True, kw_only=True):
+    """The vehicle hovers, as the mission said."""
+
+
+class Returning(_AtPlace, frozen=True, kw_only=True):
+    """The mission has the vehicle return home and land."""
+
+
+class Landing(_AtPlace, frozen=True, kw_only=True):
+    """The mission has the vehicle land where it is."""
+
+
+class Landed(_AtPlace, frozen=True, kw_only=True):
+    """The vehicle is on the ground; without a position as a safe end."""
+
+
+class Disarmed(_AtPlace, frozen=True, kw_only=True):
+    """The motors stand; without a position as a safe end."""
+
+
+class SafeEnd(Event, frozen=True, kw_only=True):
+    """What is done to end a flight that cannot go on, and why it cannot."""
+
+    action: _SafeEndAction
+    why: str
+
+
+class SafeEndFailed(Event, frozen=True, kw_only=True):
+    """The vehicle did not do it, and why; it is told again."""
+
+    action: _SafeEndAction
+    why: str
+
+
+class LeftHovering(Event, frozen=True, kw_only=True):
+    """The vehicle hovers as a safe end, and nobody flies it."""
+
+
+class LeftToPilot(Event, frozen=True, kw_only=True):
+    """The program sends the vehicle nothing any more, and why."""
+
+    why: str
+
+
+class Stood(Event, frozen=True, kw_only=True):
+    """The vehicle, which was not the program's any more, stands."""
+
+    position: Position
+
+
+class FollowingEnded(Event, frozen=True, kw_only=True):
+    """Why the log of a vehicle that was not the program's any more ends before it stands."""
+
+    why: str
+
+
+class BorderWatchFailed(Event, frozen=True, kw_only=True):
+    """The vehicle is silent: until it is heard again, ranges are looked at once a period only."""
+
+    why: str
+
+
+class Energy(Event, frozen=True, kw_only=True):
+    """With `reserve_s`: what is left in the battery, its loss a second, the time home, what that needs and leaves.
+
+    Written when it is first known, after a change of the margin by more than 3 %, and each minute.
+    """
+
+    left_percent: float
+    rate_percent_s: float
+    home_s: float
+    needed_percent: float
+    floor_percent: float
+    margin_percent: float
+
+
+class EnergyUsed(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """As a simulated mission with `[energy]` ends: what it has drawn, by part, and what the battery held when full.
+
+    `flight_wh` is of the rotors while the drone moves, `hover_wh` while it rests in the air.
+    """
+
+    flight_wh: float
+    hover_wh: float
+    computing_wh: float
+    radio_wh: float
+    battery_wh: float | None = None
+
+    @property
+    def total_wh(self) -> float:
+        """Of all parts."""
+        return round(self.flight_wh + self.hover_wh + self.computing_wh + self.radio_wh, 6)
+
+
+class BatteryWatchFailed(Event, frozen=True, kw_only=True):
+    """The vehicle does not report its battery, so no reserve is watched."""
+
+    why: str
+
+
+class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="position"):
+    """Where the drone is, every second (real flights), with what is known of its motion, battery and link.
+
+    The heading is that of its nose, clockwise from north; `round_trip_s` is what the last question to the daemon of
+    the `server` in use took.
+    """
+
+    east_m: float
+    north_m: float
+    altitude_m: float
+    ground_speed_m_s: float | None = None
+    heading_deg: float | None = None
+    battery_percent: float | None = None
+    server: str | None = None
+    round_trip_s: float | None = None
+
+
+# --- servers ------------------------------------------------------------------------------------------------
+
+
+class Step(Event, frozen=True, kw_only=True):
+    """A server goes from one state into another; `check` numbers the drone's check, or probe, that it belongs to.
+
+    With it the mean delays that are compared to select a server: of calls on the drone, and of those with each server
+    that is in range.
+    """
+
+    server: str
+    before: State
+    after: State
+    why: str = ""
+    check: int = 0
+    local_mean_call_s: float | None = None
+    mean_call_s: Mapping[str, float | None] = {}
+    position: Position | None = None
+
+
+class Selected(Step, frozen=True, kw_only=True):
+    """The server is the one to use from now on, or the next: its check begins, whose number its calls name."""
+
+
+class FoundStopped(Step, frozen=True, kw_only=True):
+    """The daemon answers: it is available, but not all services run."""
+
+
+class FoundRunning(Step, frozen=True, kw_only=True):
+    """The daemon answers: it is available, and all services run."""
+
+
+class Started(Step, frozen=True, kw_only=True):
+    """The services were started, and calls may be sent."""
+
+
+class CheckFailed(Step, frozen=True, kw_only=True):
+    """The server could not be joined, did not answer in time, is unavailable, or could not start a service."""
+
+
+class Deselected(Step, frozen=True, kw_only=True):
+    """The server is left."""
+
+
+class DeselectedAfterStart(Step, frozen=True, kw_only=True):
+    """The server is left while its services are being started."""
+
+
+class CallFailedInRange(Step, frozen=True, kw_only=True):
+    """A call got no usable answer, in the server's range."""
+
+
+class CallFailedOutOfRange(Step, frozen=True, kw_only=True):
+    """A call got no usable answer, as the drone had left the server's range."""
+
+
+class NetworkLost(Step, frozen=True, kw_only=True):
+    """The server's network is no longer connected, though the drone is in range."""
+
+
+class TurnOver(Step, frozen=True, kw_only=True):
+    """The server gave the drone's slot to another drone; it is asked for one again, by a check of a new number."""
+
+
+class NoSlot(Event, frozen=True, kw_only=True):
+    """The server, which is being checked, serves as many drones as it can; so many wait, and the drone asks again."""
+
+    server: str
+    check: int
+    waiting: int
+
+
+class BlacklistExpired(Step, frozen=True, kw_only=True):
+    """The server has been left alone for long enough."""
+
+
+class Probed(Step, frozen=True, kw_only=True):
+    """The server, which had failed, gave a sign of life, but not all services run."""
+
+
+class ProbedRunning(Step, frozen=True, kw_only=True):
+    """The server, which had failed, gave a sign of life, and so did its services."""
+
+
+class IdleExpired(Step, frozen=True, kw_only=True):
+    """Unused for long, the services are no longer believed to run."""
+
+
+class Prepared(Step, frozen=True, kw_only=True):
+    """The next server is made ready by the one in use, its peer."""
+
+
+class NotPrepared(Event, frozen=True, kw_only=True):
+    """Why the server `by`, which is in use, does not have its peer `server` prepared."""
+
+    server: str
+    by: str
+    why: str
+
+
+class Joined(Event, frozen=True, kw_only=True):
+    """The server's network was just joined, for that check."""
+
+    server: str
+    network: str
+    check: int = 0
+
+
+class LeftOver(Event, frozen=True, kw_only=True):
+    """A network that was found joined, and left."""
+
+    network: str
+
+
+class LeaveFailed(Event, frozen=True, kw_only=True):
+    """A network that could not be left, and why."""
+
+    network: str
+    why: str
+
+
+# --- calls --------------------------------------------------------------------------------------------------
+
+
+class Decided(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """A call's decision: where it is to run, why, and every estimate that this was decided on, as it was then.
+
+    `selected` is the server in use with its state and its `check`; `check_s` is what its check takes, of which
+    `check_elapsed_s` are over. A `server` is to answer within `deadline_s`, or is waited for, `at_most_s`; `raced`
+    where the drone computes the call too. A second decision follows where a server becomes of use while the drone is
+    at the call.
+    """
+
+    operation: str
+    decision: Literal["local", "remote", "wait"]
+    server: str | None = None
+    deadline_s: float | None = None
+    at_most_s: float | None = None
+    raced: bool = False
+    why: str
+    local_s: float | None
+    selected: str | None
+    state: State | None
+    check: int | None = None
+    remote_s: float | None
+    check_s: float | None
+    check_elapsed_s: float | None
+    position: Position
+
+
+class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """A call that is over: where it ran, why there, when it began, how long it took, and of that waited and onboard.
+
+    `place` is a server's name, or `local` for the drone; `check` is the number of the server's selection, absent for
+    the drone. `wait` is empty, `paid off` or `failed`. `hedged_s` is when the drone's own service started on it too,
+    `queued_s` for how long that was busy with an earlier call, and `remote_fault` whether what a server said that it
+    raised was `confirmed` or `denied` by the drone's own service. `at_s` is by the program's clock, not the log's.
+    """
+
+    operation: str
+    place: str
+    check: int | None = None
+    decision: str
+    at_s: float
+    delay_s: float
+    waited_s: float
+    onboard_s: float
+    wait: Literal["", "paid off", "failed"]
+    fell_back: bool
+    hedged_s: float | None = None
+    queued_s: float | None = None
+    remote_fault: Literal["", "confirmed", "denied"] = ""
+
+    @property
+    def server(self) -> str | None:
+        """The server that answered it; None where the drone did."""
+        return server_of(self.place)
+
+
+class Hedged(Event, frozen=True, kw_only=True):
+    """The drone's own service starts on a call, after so long, that the server may answer until its new deadline."""
+
+    server: str
+    check: int = 0
+    after_s: float
+    deadline_s: float
+
+
+class Dropped(Event, frozen=True, kw_only=True):
+    """The answer to a call that came second, and from where."""
+
+    operation: str
+    place: str
+
+    @property
+    def server(self) -> str | None:
+        """The server that it came from; None where it was the drone's own."""
+        return server_of(self.place)
+
+
+class RemoteRaised(Event, frozen=True, kw_only=True):
+    """What a server says that the service raised in a call, which is then made on the drone."""
+
+    server: str
+    check: int = 0
+    operation: str
+    raised: str
+
+
+class RemoteFailed(Event, frozen=True, kw_only=True):
+    """A call to a server got no usable answer, or raised there and not on the drone; and why."""
+
+    server: str
+    check: int = 0
+    why: str
+
+
+class LocalReady(Event, frozen=True, kw_only=True):
+    """The service is ready on the drone."""
+
+    service: str
+
+
+class LocalFailed(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """The drone's own service failed in a call of the method, or could not be started again."""
+
+    service: str
+    method: str | None = None
+    why: str
+
+
+class LocalEnded(Event, frozen=True, kw_only=True):
+    """The drone's own service ended, and how; it is started again."""
+
+    service: str
+    how: str
+
+
+class OffloadingFailed(Event, frozen=True, kw_only=True):
+    """A defect in deciding: from now on every call runs on the drone; `trace` is for a bug report."""
+
+    why: str
+    trace: str
+
+
+# --- the clock ----------------------------------------------------------------------------------------------
+
+
+class WaitingForTheTime(Event, frozen=True, kw_only=True):
+    """A certificate is not valid by this computer's clock, and the vehicle's GPS has no fix yet.
+
+    See [a clock that is wrong](raspberry-pi.md#a-clock-that-is-wrong), for the next two as well.
+    """
+
+    why: str
+
+
+class ClockSet(Event, frozen=True, kw_only=True):
+    """This computer's clock was set, from what it said before to what the vehicle's GPS says."""
+
+    before: _Time
+    after: _Time
+
+
+class ClockDiffers(Event, frozen=True, kw_only=True):
+    """This computer's clock and the vehicle's GPS differ, and why the clock was not set."""
+
+    clock: str
+    gps: str
+    why: str
+
+
+def _leaves(cls: type[Event]) -> Iterator[type[Event]]:
+    if not (below := cls.__subclasses__()):
+        yield cls
+    for each in below:
+        yield from _leaves(each)
+
+
+EVENTS: tuple[type[Event], ...] = tuple(_leaves(Event))  # in the order of this file
+STEPS: Mapping[Trigger, type[Step]] = {
+    Trigger(kind_of(each)): each for each in EVENTS if issubclass(each, Step)
+}
+DECODER: msgspec.json.Decoder[Event] = msgspec.json.Decoder(functools.reduce(operator.or_, EVENTS))

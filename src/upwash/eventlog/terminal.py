@@ -1,0 +1,179 @@
+"""What a person sees of a flight in a terminal: progress while it lasts, a table at the end."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from upwash.eventlog import schema
+from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Tone, counted, spans
+from upwash.eventlog.results import EnergyTotals, RunResult
+from upwash.eventlog.schema import Event
+from upwash.support.text import printable
+
+_RECENT = 10
+_WIDE = 400  # columns, where nobody sees them: a row is to be one line of a log
+_WORTH_SHOWING_S = 0.05
+STATE_STYLES = {"READY": "green", "CHECK": "yellow", "CHECK-R": "yellow", "BLACKLISTED": "red"}
+TONE_STYLES = {
+    Tone.ASIDE: "dim",
+    Tone.CHECKING: "yellow",
+    Tone.READY: "green",
+    Tone.REMOTE: "cyan",
+    Tone.FOUND: "bold magenta",
+    Tone.TROUBLE: "red",
+    Tone.ALARM: "bold red",
+}
+
+
+class LiveDisplay:
+    """On a terminal a picture that is kept up, with the latest lines; elsewhere each line as it comes."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._recent: deque[Text] = deque(maxlen=_RECENT)
+        self._live = Live(console=console, get_renderable=self._picture, refresh_per_second=8)
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._console.is_terminal:
+            self._live.stop()
+
+    def _show(self, line: Text) -> None:
+        self._recent.append(line)
+        if not self._console.is_terminal:
+            self._console.print(line, soft_wrap=True)
+
+    def _picture(self) -> Group:
+        """What is to be seen now."""
+        raise NotImplementedError
+
+
+class Progress(LiveDisplay):
+    """Follows the events of a flight: a live display on a terminal, a line per event elsewhere."""
+
+    def __init__(self, servers: Iterable[str], waypoints: int, console: Console) -> None:
+        self._states: dict[str, tuple[str, str]] = dict.fromkeys(servers, ("AVL", ""))
+        self._waypoints = waypoints
+        self._narrator = Narrator()
+        super().__init__(console)  # which looks at the picture
+
+    @property
+    def started(self) -> bool:
+        """Whether the mission has begun."""
+        return self._narrator.started
+
+    def follow(self, event: Event) -> None:
+        """Takes in one event."""
+        if isinstance(event, schema.Step):
+            self._states[event.server] = (event.after, printable(event.why))
+        said = self._narrator.tell(event)
+        if said is None:
+            return
+        self._show(
+            Text(f"{event.t:7.1f} s  ") + Text(printable(said.text), style=TONE_STYLES.get(said.tone, ""))
+        )
+
+    def _picture(self) -> Group:
+        now = self._narrator
+        servers = Table(box=None, padding=(0, 2))
+        servers.add_column("server")
+        servers.add_column("state")
+        servers.add_column("why", style="dim")
+        for name, (state, why) in self._states.items():
+            servers.add_row(name, Text(state, style=STATE_STYLES.get(state, "")), why)
+        head = Text(f"{now.doing} · {now.reached} of {self._waypoints} waypoints reached · {now.where}")
+        taken = [Text(printable(now.control), style="bold red")] if now.control else []
+        return Group(head, *taken, servers, *self._recent)
+
+
+def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
+    """Prints a table of the calls, the totals, and the mission time against what local calls would have made it."""
+    _print_calls(result, console)
+    totals = result.totals
+    servers = ", ".join(f"{count} on {server}" for server, count in totals.remote.items())
+    console.print(
+        f"{counted(totals.calls, 'call')}: {totals.local} on the drone{', ' + servers if servers else ''}; "
+        f"{counted(totals.switches, 'selection')}, {counted(totals.waits, 'wait')} of which "
+        f"{totals.waits_failed} in vain, "
+        f"{totals.fallbacks} fell back to the drone; {totals.service_delay_s:.1f} s spent in calls",
+        soft_wrap=True,
+    )
+    _print_times(result, console, paced=paced)
+    if result.energy is not None:
+        console.print(_energy_line(result.energy), soft_wrap=True)
+    _print_waypoints(result, console)
+
+
+def _energy_line(energy: EnergyTotals) -> str:
+    of = "" if energy.battery_wh is None else f" of {energy.battery_wh:g} Wh"
+    return (
+        f"{energy.total_wh:.1f} Wh{of} drawn: flight {energy.flight_wh:.1f}, hover {energy.hover_wh:.1f}, "
+        f"computing {energy.computing_wh:.2f}, radio {energy.radio_wh:.2f}"
+    )
+
+
+def _print_waypoints(result: RunResult, console: Console) -> None:
+    undone = f", left undone: {spans(result.undone)}" if result.undone else ""
+    reached = result.waypoints - len(result.undone)
+    console.print(f"{reached} of {result.waypoints} waypoints reached{undone}", soft_wrap=True)
+    if result.left_hovering:
+        console.print(Text(LEFT_HOVERING, style="bold red"), soft_wrap=True)
+
+
+def _print_calls(result: RunResult, console: Console) -> None:
+    operations = sorted({call.operation for call in result.calls})
+    several = len(operations) > 1
+    table = Table(title=Text("Service calls" if several else f"Calls of {''.join(operations)}"))
+    table.add_column("waypoint", justify="right")
+    if several:
+        table.add_column("operation")
+    table.add_column("place")
+    table.add_column("delay", justify="right")
+    table.add_column("waited", justify="right")
+    table.add_column("decision")
+    for call in result.calls:
+        waypoint = "" if call.waypoint is None else str(call.waypoint)
+        operation = [call.operation] if several else []
+        place = call.server or "drone"
+        waited = f"{call.waited_s:.1f} s" if call.waited_s >= _WORTH_SHOWING_S else ""
+        cells = (waypoint, *operation, place, f"{call.delay_s:.2f} s", waited, call.decision)
+        table.add_row(*(Text(printable(cell)) for cell in cells))  # as text: [heavy] is no markup
+    console.print(table, width=None if console.is_terminal else _WIDE)
+
+
+def _print_times(result: RunResult, console: Console, *, paced: bool) -> None:
+    if result.arming_s >= _WORTH_SHOWING_S:
+        console.print(f"waited {result.arming_s:.1f} s until the vehicle could be armed", soft_wrap=True)
+    ended = "" if result.completed else ", not completed"
+    local_only_s = result.local_only_time_s()
+    if local_only_s is None or not result.totals.remote or not result.completed:
+        console.print(f"mission time {result.mission_time_s:.1f} s{ended}", soft_wrap=True)
+        return
+    saved = 100 * (1 - result.mission_time_s / local_only_s)
+    console.print(
+        f"mission time {result.mission_time_s:.1f} s; with every call on the drone, at the local delay "
+        f"measured in this flight, {local_only_s:.1f} s: {saved:z.0f} % saved",
+        soft_wrap=True,
+    )
+    if paced:
+        console.print(
+            "Calls on the drone were paced (local_pace_s) to take as long as on a slower computer.",
+            soft_wrap=True,
+        )

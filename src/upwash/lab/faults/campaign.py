@@ -1,0 +1,127 @@
+"""Flies worlds full of faults, and tests the promises over what they leave behind."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import msgspec
+
+from upwash.config import DroneConfig
+from upwash.config.problems import Document
+from upwash.lab.faults.promises import Broken, History, Promise, broken_promises
+from upwash.lab.faults.promises.history import calls_of
+from upwash.lab.faults.worlds import SEEDS_PER_SCENARIO, World, configs, moment_of
+from upwash.lab.observer import Seen
+from upwash.lab.run import Run, simulate_fleet
+
+_NEVER_S = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """A world that was flown: the drones' scenarios with their faults, what became of them, what an observer saw."""
+
+    documents: list[Document]
+    runs: list[Run]
+    seen: list[Seen]
+    broken: list[Broken]
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What one world came to: the longest call with its bound, and the least that a call left of its bound."""
+
+    seed: int
+    broken: list[Broken]
+    drones: int
+    calls: int
+    longest_s: tuple[float, float]
+    spare_s: float
+
+
+def judge(seed: int, *, replay: bool = False) -> Verdict:
+    """Flies the world of the seed and tests its promises; with `replay` twice, which must leave the same log."""
+    try:
+        flown = fly_world(seed)
+        broken = flown.broken or (_differences(seed, flown) if replay else [])
+    except Exception as error:  # noqa: BLE001 - whatever breaks out of a simulation breaks the first promise
+        why = "".join(traceback.format_exception(error))
+        return Verdict(seed, [Broken(Promise.AUTONOMY, seed, None, why)], 0, 0, (0.0, 0.0), math.inf)
+    calls = [call for run in flown.runs for call in calls_of(run.events)]
+    bounds_s = [(call.ended.delay_s, call.bound_s) for call in calls]
+    return Verdict(
+        seed,
+        broken,
+        drones=len(flown.runs),
+        calls=len(calls),
+        longest_s=max(bounds_s, default=(0.0, 0.0)),
+        spare_s=min((bound_s - delay_s for delay_s, bound_s in bounds_s), default=math.inf),
+    )
+
+
+def fly_world(seed: int) -> Flown:
+    """The world of the seed, flown with its faults; without them where that breaks a promise already."""
+    calm = _fly_calm((seed - 1) // SEEDS_PER_SCENARIO)
+    if calm.broken:
+        return dataclasses.replace(
+            calm, broken=[dataclasses.replace(each, seed=seed) for each in calm.broken]
+        )
+    moments = [*map(moment_of, calm.seen), *(moment_of(event) for run in calm.runs for event in run.events)]
+    documents = World(seed).faulty(seed, moments)
+    return _fly(seed, documents, calm.alone)
+
+
+@dataclass(frozen=True, slots=True)
+class _Calm(Flown):
+    """A scenario flown without faults, and by each drone alone without servers."""
+
+    alone: list[Run]
+
+
+@functools.lru_cache(maxsize=1)
+def _fly_calm(number: int) -> _Calm:
+    seed = number * SEEDS_PER_SCENARIO + 1
+    documents = World(seed).calm()
+    alone = [_alone(config) for config in configs(documents)]
+    flown = _fly(seed, documents, alone)
+    return _Calm(documents, flown.runs, flown.seen, flown.broken, alone)
+
+
+def _alone(config: DroneConfig) -> Run:
+    """The same mission without servers; there is nothing to look for, so it does not look."""
+    policy = msgspec.structs.replace(config.policy, period_s=_NEVER_S)
+    by_itself = msgspec.structs.replace(config, servers=(), faults=(), policy=policy)
+    return simulate_fleet([by_itself], computing=True)[0]
+
+
+def _fly(seed: int, documents: list[Document], alone: Sequence[Run]) -> Flown:
+    fleet, seen = configs(documents), list[Seen]()
+    runs = simulate_fleet(fleet, computing=True, seen=seen)
+    broken: list[Broken] = []
+    for config, run, by_itself in zip(fleet, runs, alone, strict=True):
+        history = History(config, run, seen, None if _is_delayed(config) else by_itself)
+        broken += broken_promises(history, seed=seed)
+    return Flown(documents, runs, seen, broken)
+
+
+def _is_delayed(config: DroneConfig) -> bool:
+    """Whether its autopilot is at fault, so that the mission takes longer for reasons of its own."""
+    return any(fault.target == "autopilot" for fault in config.faults)
+
+
+def _differences(seed: int, first: Flown) -> list[Broken]:
+    """What is not the same when the world is flown again."""
+    runs = simulate_fleet(configs(first.documents), computing=True, seen=[])
+    for one, other in zip(first.runs, runs, strict=True):
+        for event, again in zip(one.events, other.events, strict=False):
+            if event != again:
+                why = f"flown again it was {again}"
+                return [Broken(Promise.REPRODUCIBLE, seed, msgspec.to_builtins(event), why)]
+        if one.log() != other.log():
+            return [Broken(Promise.REPRODUCIBLE, seed, None, "flown again the log has another length")]
+    return []

@@ -1,0 +1,188 @@
+"""What a person sees of worlds being flown: progress, and for a broken promise how to see it again."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+
+from upwash.lab.faults.campaign import Flown, Verdict, fly_world, judge
+from upwash.lab.faults.promises import Broken
+from upwash.lab.faults.worlds import as_toml
+from upwash.lab.processes import in_processes
+from upwash.support.output_files import write_file
+
+_CHUNK = 20  # worlds that one process flies in one go
+_REPLAYED_EVERY = 20  # worlds, of which one is flown again and must leave the same log
+_FAILURES_SHOWN = 20
+_LINE_EVERY_S = 60.0
+
+
+class Summary(msgspec.Struct):
+    """What many worlds came to."""
+
+    worlds: int = 0
+    flights: int = 0
+    calls: int = 0
+    replayed: int = 0
+    longest_s: tuple[float, float] = (0.0, 0.0)  # the longest call, and its bound
+    spare_s: float = math.inf  # the least that a call left of its bound
+    broken: list[Broken] = msgspec.field(default_factory=list)
+    took_s: float = 0.0
+
+    def add(self, verdict: Verdict) -> None:
+        """Takes in one world."""
+        self.worlds += 1
+        self.flights += verdict.drones
+        self.calls += verdict.calls
+        self.replayed += is_replayed(verdict.seed)
+        self.longest_s = max(self.longest_s, verdict.longest_s)
+        self.spare_s = min(self.spare_s, verdict.spare_s)
+        self.broken += verdict.broken
+
+
+def is_replayed(seed: int) -> bool:
+    """Whether the world of that seed is one of those that are flown twice."""
+    return seed % _REPLAYED_EVERY == 0
+
+
+def judge_all(seeds: Sequence[int]) -> list[Verdict]:
+    """Flies the worlds of the seeds one after the other."""
+    with _quiet_daemons():
+        return [judge(seed, replay=is_replayed(seed)) for seed in seeds]
+
+
+def show_chaos(
+    seeds: range, *, minutes: float | None = None, workers: int | None = None, out: Path | None = None
+) -> bool:
+    """Flies the worlds, prints each broken promise and what all came to; returns whether none was broken.
+
+    With `minutes` it hands out no more worlds after that time. The summary is left in the file `out`, as JSON.
+    """
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)  # before the hours of flying
+    console, summary, began_s = Console(), Summary(), time.monotonic()
+    chunks = [seeds[first : first + _CHUNK] for first in range(0, len(seeds), _CHUNK)]
+    with _Bar(len(seeds), console) as bar, in_processes(judge_all, chunks, workers=workers) as done:
+        for verdicts in done:
+            for verdict in verdicts:
+                _show_broken(verdict.broken, console, shown=len(summary.broken))
+                summary.add(verdict)
+            bar.advance(summary.worlds)
+            if minutes is not None and time.monotonic() - began_s > 60 * minutes:
+                break
+    summary.took_s = time.monotonic() - began_s
+    _show_summary(summary, console)
+    if out is not None:
+        write_file(out, msgspec.json.format(msgspec.json.encode(summary)) + b"\n")
+    return not summary.broken
+
+
+class _Bar:
+    """How far it is: a bar on a terminal, a line now and then elsewhere."""
+
+    def __init__(self, worlds: int, console: Console) -> None:
+        columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
+        self._progress = Progress(*columns, console=console, disable=not console.is_terminal)
+        self._bar = self._progress.add_task("worlds", total=worlds)
+        self._worlds = worlds
+        self._console = console
+        self._said_s = time.monotonic()
+
+    def __enter__(self) -> _Bar:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def advance(self, done: int) -> None:
+        """So many worlds have been flown."""
+        self._progress.update(self._bar, completed=done)
+        if not self._console.is_terminal and time.monotonic() - self._said_s > _LINE_EVERY_S:
+            self._said_s = time.monotonic()
+            self._console.print(f"{done:,} of {self._worlds:,} worlds", highlight=False)
+
+
+def replay(seed: int, log: Path | None) -> bool:
+    """Flies one world, prints what it came to, and returns whether no promise was broken.
+
+    With `log`, each drone's event log and scenario are written there and beside it, and what an observer saw.
+    """
+    console = Console()
+    flown = fly_world(seed)
+    if log is not None:
+        for file in _write(flown, log):
+            console.print(str(file), soft_wrap=True)
+    _show_broken(flown.broken, console, shown=0, hint=False)
+    if not flown.broken:
+        console.print(f"seed {seed}: no promise broken")
+    return not flown.broken
+
+
+def _write(flown: Flown, log: Path) -> Iterator[Path]:
+    for document, run in zip(flown.documents, flown.runs, strict=True):
+        first = run is flown.runs[0]
+        own = log if first else log.with_name(f"{log.stem}-{document['name']}{log.suffix}")
+        write_file(own, run.log())
+        yield own
+        scenario = own.with_suffix(".toml")
+        write_file(scenario, as_toml(document).encode())
+        yield scenario
+    seen = log.with_name(f"{log.stem}-seen{log.suffix}")
+    write_file(seen, b"".join(msgspec.json.encode(fact) + b"\n" for fact in flown.seen))
+    yield seen
+
+
+def _show_broken(broken: Sequence[Broken], console: Console, *, shown: int, hint: bool = True) -> None:
+    for each in broken[: max(0, _FAILURES_SHOWN - shown)]:
+        console.print(
+            f"{each.promise} broken by seed {each.seed}: {each.why}",
+            style="red",
+            markup=False,
+            soft_wrap=True,
+        )
+        if each.event is not None:
+            console.print(
+                f"  first bad event: {msgspec.json.encode(each.event).decode()}", markup=False, soft_wrap=True
+            )
+        if hint:
+            console.print(
+                f"  see it again: upwash chaos --seed {each.seed} --log chaos-{each.seed}.jsonl",
+                soft_wrap=True,
+            )
+
+
+def _show_summary(summary: Summary, console: Console) -> None:
+    worlds = {each.seed for each in summary.broken}
+    console.print(
+        f"{summary.worlds:,} worlds with {summary.flights:,} flights and {summary.calls:,} calls "
+        f"in {summary.took_s / 60:.1f} min; {summary.replayed:,} worlds flown again",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
+    delay_s, bound_s = summary.longest_s
+    console.print(
+        f"the longest call took {delay_s:.2f} s of at most {bound_s:.2f} s; none left less than "
+        f"{summary.spare_s:.3f} s of its bound",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
+    said = f"promises broken in {len(worlds):,} worlds" if worlds else "no promise broken"
+    console.print(said, style="red" if worlds else "green", highlight=False)
+
+
+@contextlib.contextmanager
+def _quiet_daemons() -> Iterator[None]:
+    """Simulated daemons report thousands of crashes that were meant to be."""
+    daemons = logging.getLogger("upwash.server")
+    before, daemons.disabled = daemons.disabled, True
+    try:
+        yield
+    finally:
+        daemons.disabled = before

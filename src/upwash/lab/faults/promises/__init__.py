@@ -1,0 +1,90 @@
+"""The promises of docs/promises.md, tested over what one simulated flight left behind.
+
+A promise's check yields what breaks it, the first breach first. It goes by the drone's event log, by what an
+observer saw of drones and servers (`observer.py`), and by the same mission flown without servers. The checks stand in
+modules by what they are about; history.py is what all of them read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+
+import msgspec
+
+from upwash.lab.faults.promises.admission import admission
+from upwash.lab.faults.promises.calls import bounded_calls, one_answer, truthful_errors
+from upwash.lab.faults.promises.history import Breach, History
+from upwash.lab.faults.promises.liars import unswayed
+from upwash.lab.faults.promises.missions import autonomy, no_harm
+from upwash.lab.faults.promises.recovery import recovered
+from upwash.lab.faults.promises.servers import in_range, one_selection, respect
+from upwash.lab.faults.promises.turns import turns
+from upwash.lab.faults.promises.vehicle import pilot_wins, vehicle_first
+
+__all__ = ["CHECKS", "Broken", "History", "Promise", "broken_promises"]
+
+
+class Promise(IntEnum):
+    """The promises that a simulated flight can break, by their numbers."""
+
+    AUTONOMY = 1
+    BOUNDED_CALLS = 2
+    ONE_ANSWER = 3
+    TRUTHFUL_ERRORS = 4
+    ONE_SELECTION = 5
+    RANGE = 6
+    RESPECT = 7
+    NO_HARM = 8
+    REPRODUCIBLE = 9
+    ADMISSION = 11
+    VEHICLE_FIRST = 13
+    PILOT_WINS = 14
+    LIARS = 15
+    RECOVERY = 17
+    TURNS = 18
+
+    def __str__(self) -> str:
+        return f"promise {self.value} ({self.name.lower().replace('_', ' ')})"
+
+
+@dataclass(frozen=True, slots=True)
+class Broken:
+    """A promise that a flight broke, in the world of that seed.
+
+    `event` is the first bad one, if one can be named, as a log or an observer has it.
+    """
+
+    promise: Promise
+    seed: int
+    event: Mapping[str, object] | None
+    why: str
+
+
+CHECKS: Mapping[Promise, Callable[[History], Iterator[Breach]]] = {
+    Promise.AUTONOMY: autonomy,
+    Promise.BOUNDED_CALLS: bounded_calls,
+    Promise.ONE_ANSWER: one_answer,
+    Promise.TRUTHFUL_ERRORS: truthful_errors,
+    Promise.ONE_SELECTION: one_selection,
+    Promise.RANGE: in_range,
+    Promise.RESPECT: respect,
+    Promise.NO_HARM: no_harm,
+    Promise.ADMISSION: admission,
+    Promise.VEHICLE_FIRST: vehicle_first,
+    Promise.PILOT_WINS: pilot_wins,
+    Promise.LIARS: unswayed,
+    Promise.RECOVERY: recovered,
+    Promise.TURNS: turns,
+}
+
+
+def broken_promises(history: History, *, seed: int) -> list[Broken]:
+    """The promises that the flight in the world of that seed broke, each by its first breach."""
+    found = []
+    for promise, check in CHECKS.items():
+        for event, why in check(history):
+            found.append(Broken(promise, seed, msgspec.to_builtins(event), why))
+            break
+    return found

@@ -1,0 +1,188 @@
+"""Promises about single calls: 2, their bounds, 3, their answers, and 4, their errors."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator
+
+import msgspec
+
+from upwash.config import DroneConfig
+from upwash.eventlog import schema
+from upwash.eventlog.schema import Event
+from upwash.lab.faults import mission as probing
+from upwash.lab.faults.promises.history import (
+    ROUNDING_S,
+    SLACK_S,
+    Breach,
+    FlownCall,
+    History,
+    calls_of,
+    deadline_of,
+    may_be_cut_short,
+    service_of,
+)
+from upwash.lab.observer import Seen
+
+_REMOTE_LEAST_S, _REMOTE_FACTOR = 1.0, 4.0  # of the deadline of a remote call
+
+
+def bounded_calls(history: History) -> Iterator[Breach]:
+    """The longest worthwhile wait, the remote deadline and one local call, each as the rules say."""
+    policy, first = history.config.policy, set(map(id, _first_calls(history.run.events)))
+    computed: dict[str, deque[Seen]] = {}  # by service, as a hedged call may outlast one of another
+    for fact in history.own("computed"):
+        computed.setdefault(service_of(fact), deque()).append(fact)
+    calls = list(calls_of(history.run.events))
+    before_s: dict[str, float] = {}  # of the last hedged call, by service
+    if not history.seen:  # nobody saw what each took: none took longer than the longest that the log tells
+        for call in calls:
+            service = service_of(call.ended)
+            before_s[service] = max(before_s.get(service, 0.0), call.ended.onboard_s)
+    for call in calls:
+        ended = call.ended
+        if ended.delay_s > call.bound_s:
+            yield ended, f"took {ended.delay_s:.3f} s of at most {call.bound_s:.3f} s"
+        for decided in call.decisions:
+            patient = policy.patient_first_call and id(decided) in first
+            yield from _allowed_too_much(decided, policy.gain_wait, patient=patient)
+        yield from _hedged_too_late(call)
+        service = service_of(ended)
+        if call.queued_s > (most_s := before_s.get(service, 0.0)) + SLACK_S:
+            yield ended, f"waited {call.queued_s:.3f} s for a service that needed {most_s:.3f} s"
+        if computed.get(service) and call.computed:
+            before_s[service] = took_s = computed[service].popleft().took_s
+            if ended.onboard_s > took_s + SLACK_S:
+                yield (
+                    ended,
+                    f"spent {ended.onboard_s:.3f} s on the drone, whose service took {took_s:.3f} s",
+                )
+
+
+def _first_calls(events: Iterable[Event]) -> Iterator[schema.Decided]:
+    """The decisions for a server whose service has answered no call since services were last started there."""
+    warm: dict[str, set[str]] = {}  # services by server
+    asked = ""  # the server that a call was last sent to
+    for event in events:
+        match event:
+            case schema.Call(remote_fault="confirmed"):
+                warm.setdefault(asked, set()).add(service_of(event))
+            case schema.Started(server=server) | schema.Prepared(server=server):
+                warm[server] = set()
+            case schema.Call(server=str(server)):
+                warm.setdefault(server, set()).add(service_of(event))
+            case schema.Decided(decision="remote", server=str(server)):
+                asked = server
+                if service_of(event) not in warm.get(server, set()):
+                    yield event
+
+
+def _allowed_too_much(decided: schema.Decided, gain_wait: float, *, patient: bool) -> Iterator[Breach]:
+    if decided.decision == "local" or decided.raced:  # which costs no time
+        return
+    if decided.local_s is None or decided.remote_s is None:
+        yield decided, "was decided without estimates"
+        return
+    if decided.at_most_s is not None:
+        longest_s = decided.local_s * (1 - gain_wait) - decided.remote_s
+        if decided.at_most_s > longest_s + ROUNDING_S:
+            yield decided, f"may wait {decided.at_most_s:.3f} s, worthwhile are {longest_s:.3f} s"
+    else:
+        expected_s = math.inf if patient else _REMOTE_FACTOR * decided.remote_s
+        longest_s = max(_REMOTE_LEAST_S, min(expected_s, decided.local_s))
+        if (deadline_s := deadline_of(decided)) > longest_s + ROUNDING_S:
+            yield decided, f"has a deadline of {deadline_s:.3f} s, allowed are {longest_s:.3f} s"
+
+
+def _hedged_too_late(call: FlownCall) -> Iterator[Breach]:
+    """The drone's own service starts within the server's deadline, which grows by a local call at most."""
+    hedged, decided = call.hedged, call.sent
+    if hedged is None or decided is None:
+        return
+    deadline_s = deadline_of(decided)
+    if hedged.after_s > deadline_s + ROUNDING_S:
+        yield hedged, f"starts {hedged.after_s:.3f} s into a call whose deadline is {deadline_s:.3f} s"
+    longest_s = max(deadline_s, hedged.after_s + (decided.local_s or 0.0))
+    if hedged.deadline_s > longest_s + ROUNDING_S:
+        yield hedged, f"has a deadline of {hedged.deadline_s:.3f} s, allowed are {longest_s:.3f} s"
+
+
+def one_answer(history: History) -> Iterator[Breach]:
+    """One result a call, its own; a server's within the deadline."""
+    for call in calls_of(history.run.events):
+        yield from _unbelievable(call)
+    told = _told(history)
+    for number, (event, heard) in enumerate(told):
+        if heard.asked != number:
+            yield event, f"this is about call {heard.asked}, but number {number} was to come"
+        elif not heard.raised and heard != _expected(history.config, heard.asked):
+            yield event, f"call {heard.asked} was answered by {heard.answer}, which is another call's answer"
+    if _is_probing(history.config) and len(told) != (calls := len(history.run.result.calls)):
+        yield None, f"{calls} calls ended, and {len(told)} answers reached the mission"
+
+
+def _unbelievable(call: FlownCall) -> Iterator[Breach]:
+    ended, alone = call.ended, [each for each in call.tried if not each.raced]
+    if len(alone) > 1 or (alone and alone[0] is not call.tried[0]):
+        yield alone[-1], "a second server was tried for one call, and the drone's own service was not at it"
+    if ended.server is None:
+        return
+    answering = [each for each in call.tried if each.server == ended.server]
+    if not answering:
+        yield ended, f"was answered by {ended.server}, where it was not sent"
+        return
+    hedged = call.hedged
+    late_s = [
+        ended.t - each.t - (hedged.deadline_s if hedged and each is call.sent else deadline_of(each))
+        for each in answering
+    ]
+    if min(late_s) > SLACK_S:
+        yield ended, f"was answered {min(late_s):.3f} s after the deadline"
+
+
+def truthful_errors(history: History) -> Iterator[Breach]:
+    """The service's own exception for the calls that raise it, and no other; each was raised on the drone."""
+    if _is_probing(history.config):
+        yield from _raised_afar(history.run.events)
+    for event, heard in _told(history):
+        wanted = _expected(history.config, heard.asked)
+        if heard.raised != wanted.raised:
+            yield (
+                event,
+                f"call {heard.asked} raised {heard.raised or 'nothing'} instead of {wanted.raised or 'nothing'}",
+            )
+    if not may_be_cut_short(history.config) and history.run.failure:
+        yield None, f"the mission met an error: {history.run.failure}"
+
+
+def _raised_afar(events: Iterable[Event]) -> Iterator[Breach]:
+    """Exceptions that the mission heard of calls that were answered by a server."""
+    server: str | None = None  # that answered the last call
+    for event in events:
+        if isinstance(event, schema.Call):
+            server = event.server
+        elif isinstance(event, schema.Notified) and server is not None and _heard(event).raised:
+            yield (
+                event,
+                f"the mission heard what {server} said was raised; the drone's own service was not asked",
+            )
+
+
+def _told(history: History) -> list[tuple[Event, probing.Heard]]:
+    if not _is_probing(history.config):
+        return []
+    return [(event, _heard(event)) for event in history.run.events if isinstance(event, schema.Notified)]
+
+
+def _heard(event: schema.Notified) -> probing.Heard:
+    return msgspec.convert(event.message, probing.Heard)
+
+
+def _is_probing(config: DroneConfig) -> bool:
+    return config.mission.program.startswith(f"{probing.__name__}:")
+
+
+def _expected(config: DroneConfig, number: int) -> probing.Heard:
+    mode: probing.Mode = "light" if config.mission.mode == "light" else "heavy"
+    return probing.expected(config.mission.program, mode, number)

@@ -1,0 +1,113 @@
+"""What is known of a flight when it is over, as the checks of all promises read it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from upwash.config import DroneConfig
+from upwash.eventlog import schema
+from upwash.eventlog.schema import Event
+from upwash.lab.observer import Seen
+from upwash.lab.run import Run
+
+Fact = Event | Seen
+Breach = tuple[Fact | None, str]  # the bad event, where one can be named, and what is bad about it
+SLACK_S = 0.1
+ROUNDING_S = 2e-6  # of the times in a log
+ANSWER_S = 5.0  # for which a daemon's word is waited for
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """What is known of one flight when it is over.
+
+    `seen` are the events of an observer, of other drones' flights in the same world too; `alone` is the same mission
+    by the same chance without any server, where that can be compared.
+    """
+
+    config: DroneConfig
+    run: Run
+    seen: Sequence[Seen] = ()
+    alone: Run | None = None
+
+    def own(self, *names: str) -> Iterator[Seen]:
+        """What the observer saw of this drone, of those names."""
+        return (fact for fact in self.seen if fact.event in names and fact.drone == self.config.name)
+
+
+@dataclass(frozen=True, slots=True)
+class FlownCall:
+    """One call of the mission with the decisions that were made for it, and its hedge, if it had one."""
+
+    decisions: tuple[schema.Decided, ...]
+    ended: schema.Call
+    hedged: schema.Hedged | None = None
+
+    @property
+    def allowed_s(self) -> float:
+        """What the rules allowed it to wait and to try: what was not allowed counts 0.
+
+        A hedged call was tried alone until the drone's own service started; what comes then is that one's time, as
+        in a call that is raced.
+        """
+        waits_s = sum((each.at_most_s or 0.0 for each in self.decisions), self.queued_s)
+        if self.hedged is not None:
+            return waits_s + self.hedged.after_s
+        return waits_s + (deadline_of(self.sent) if self.sent is not None else 0.0)
+
+    @property
+    def tried(self) -> list[schema.Decided]:
+        """The decisions for servers."""
+        return [each for each in self.decisions if each.decision == "remote"]
+
+    @property
+    def sent(self) -> schema.Decided | None:
+        """The decision for a server alone, if there was one, with the drone's own service not at the call too."""
+        return next((each for each in self.tried if not each.raced), None)
+
+    @property
+    def queued_s(self) -> float:
+        """How long the drone's own service was busy with an earlier call that was hedged."""
+        return self.ended.queued_s or 0.0
+
+    @property
+    def computed(self) -> bool:
+        """Whether the drone's own service was at it."""
+        raced = any(each.raced for each in self.tried) and self.ended.onboard_s > 0
+        return self.hedged is not None or self.ended.server is None or raced
+
+    @property
+    def bound_s(self) -> float:
+        """The longest that it may have taken."""
+        return self.allowed_s + self.ended.onboard_s + SLACK_S
+
+
+def deadline_of(decided: schema.Decided) -> float:
+    """Within what time the server was to answer, by a decision for one."""
+    assert decided.deadline_s is not None  # noqa: S101 - such a decision has one
+    return decided.deadline_s
+
+
+def calls_of(events: Sequence[Event]) -> Iterator[FlownCall]:
+    """The calls of an event log, in order."""
+    decisions: list[schema.Decided] = []
+    hedged: schema.Hedged | None = None
+    for event in events:
+        if isinstance(event, schema.Decided):
+            decisions.append(event)
+        elif isinstance(event, schema.Hedged):
+            hedged = event
+        elif isinstance(event, schema.Call):
+            yield FlownCall(tuple(decisions), event, hedged)
+            decisions, hedged = [], None
+
+
+def may_be_cut_short(config: DroneConfig) -> bool:
+    """Whether the autopilot fails in this world, so that the mission may end early, in its safe action."""
+    return any(fault.target == "autopilot" and fault.kind != "slow" for fault in config.faults)
+
+
+def service_of(fact: schema.Call | schema.Decided | Seen) -> str:
+    """The service that the event's call is of."""
+    return fact.operation.partition(".")[0]

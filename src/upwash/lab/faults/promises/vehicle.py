@@ -1,0 +1,72 @@
+"""Promises about the vehicle: 13, that it is ended safely, and 14, that a pilot wins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from upwash.core.control import Owner
+from upwash.eventlog import schema
+from upwash.lab.faults.promises.history import Breach, History
+from upwash.lab.observer import Seen
+
+_DONE = {
+    "return": schema.Landed,
+    "land": schema.Landed,
+    "hold": schema.LeftHovering,
+    "disarm": schema.Disarmed,
+}
+_KEEP_TRYING_S = 600.0  # a safe end is given up no earlier
+
+
+def vehicle_first(history: History) -> Iterator[Breach]:
+    """A mission that ends early in the air ends in the configured action, or has tried for long enough.
+
+    One that ends on the ground disarms the vehicle. A vehicle that somebody else has taken is theirs to end with.
+    """
+    events = {type(event): event for event in history.run.events}  # the last of each kind
+    for over in history.own("flight_over"):
+        if schema.Landed in events and over.altitude_m > 0:
+            yield events[schema.Landed], f"the vehicle is {over.altitude_m:.1f} m up"
+    safe_ends = [event for event in history.run.events if isinstance(event, schema.SafeEnd)]
+    if not history.run.failure or schema.Armed not in events or (schema.Landed in events and not safe_ends):
+        return
+    last = history.run.events[-1]
+    if not isinstance(last, schema.MissionEnded):
+        yield last, "the mission failed, and its end is not in the log"
+    if _owners(history)[-1] is not Owner.PROGRAM:
+        return
+    wanted = history.config.autopilot.on_failure
+    begun = safe_ends[0] if safe_ends else None
+    if begun is None or begun.action not in (wanted, "disarm"):
+        yield begun or last, f"the mission failed in the air without {wanted}"
+    elif given_up := events.get(schema.LeftToPilot):
+        if given_up.t - begun.t < _KEEP_TRYING_S:
+            yield given_up, f"the vehicle was given up after {given_up.t - begun.t:.0f} s"
+    elif _DONE[safe_ends[-1].action] not in events:
+        yield last, f"{begun.action} neither succeeded nor was given up"
+
+
+def pilot_wins(history: History) -> Iterator[Breach]:
+    """From the moment that a pilot or a fail-safe has the vehicle, no command reaches it, and it is not taken back.
+
+    While its link is silent the program cannot know, but it sends nothing then either. A pilot who takes it and gives
+    it back within one silence leaves nothing that the program could hear of: that turn does not count.
+    """
+    taken: Seen | None = None
+    for fact in history.own("taken", "given_back_unheard", "commanded"):
+        if fact.event == "taken":
+            taken = taken or fact
+        elif fact.event == "given_back_unheard":
+            taken = None
+        elif taken is not None:
+            yield (
+                fact,
+                f"{fact.command} was commanded {fact.t - taken.t:.3f} s after a {taken.by} took over",
+            )
+    owners = _owners(history)
+    if Owner.PROGRAM in owners[1:]:
+        yield None, f"the vehicle was the {' then the '.join(owners)}'s: it was taken back"
+
+
+def _owners(history: History) -> list[Owner]:
+    return [event.owner for event in history.run.events if isinstance(event, schema.Control)]

@@ -1,0 +1,410 @@
+"""Whole worlds from one seed: missions, drones, servers, beliefs, truths, and what goes wrong when.
+
+A scenario is drawn, flown once without faults, and then given faults that are aimed at moments of that flight: at a
+network being joined, a daemon being asked, a service starting, a call, a reply, a farewell. A few seeds share one
+scenario, each with faults of its own.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+from upwash.config import DroneConfig, Lie, drone_config
+from upwash.config.problems import Document
+from upwash.eventlog import schema
+from upwash.eventlog.schema import Event
+from upwash.lab.faults import mission as probing
+from upwash.lab.observer import Seen
+
+_SERVER_KINDS = ("off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash")
+_MOVING_KINDS = ("off", "stuck", "slow", "flapping")
+_LIES = get_args(Lie)
+_LONGEST_FAULT_S = 10_000.0  # longer than any of these missions
+SEEDS_PER_SCENARIO = 4  # so that most of the time goes into flights with faults
+_MOMENTS = (
+    "selected", "found_stopped", "found_running", "started", "deselected", "decided", "call", "leg", "arrived",
+    "joined", "left", "sent", "asked", "answered", "served", "instance_started", "instance_ended", "admitted",
+    "prepared", "held",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """When something happened in a flight, and at which server, if at one."""
+
+    t: float
+    what: str
+    server: str | None
+
+
+def moment_of(event: Event | Seen) -> Moment:
+    """The moment of an event of a log, or of what an observer saw."""
+    if isinstance(event, Seen):
+        return Moment(event.t, event.event, event.server)
+    at = event.server if isinstance(event, (schema.Step, schema.Joined, schema.Decided)) else None
+    return Moment(event.t, event.kind, at)
+
+
+class World:
+    """The scenarios of some drones that share their servers; each seed adds faults of its own."""
+
+    def __init__(self, seed: int) -> None:
+        self._number = (seed - 1) // SEEDS_PER_SCENARIO
+        chance = random.Random(f"world/{self._number}")  # noqa: S311 - not for secrets
+        document = _with_peers(_Draft(chance, self._number).document(), self._number)
+        document = _with_slow_first_calls(document, self._number)
+        document = _with_busy_radios(document, self._number)
+        document = _with_probing(document, self._number)
+        document = _with_eager_hedges(document, self._number)
+        self._documents = [_with_radios(document, self._number)]
+        for number in range(2, 2 + chance.choices((0, 1, 2), (75, 19, 6))[0]):
+            self._documents.append(_companion(self._documents[0], chance, number))
+        self._documents = _with_fleet(self._documents, self._number)
+
+    def calm(self) -> list[Document]:
+        """The scenario of each drone, nothing going wrong."""
+        return self._documents
+
+    def faulty(self, seed: int, events: Sequence[Moment]) -> list[Document]:
+        """The same with the faults of the seed, aimed at moments of these events of the calm flight."""
+        chance = random.Random(f"faults/{seed}")  # noqa: S311 - not for secrets
+        names = [server["name"] for server in self._documents[0]["server"]]
+        moments = [event for event in events if event.what in _MOMENTS]
+        faults = [
+            _fault(chance, names, moments) for _ in range(chance.choices(range(6), (8, 30, 27, 18, 10, 7))[0])
+        ]
+        if chance.random() < 0.15:
+            faults += [_autopilot_fault(chance, events) for _ in range(chance.randint(1, 2))]
+        faults += _takeovers(seed, events)
+        faults += _lies(seed, names, moments)
+        return [{**document, "fault": faults} for document in self._documents]
+
+
+def configs(documents: Sequence[Document]) -> list[DroneConfig]:
+    """The scenarios that the documents say."""
+    return [_config(document) for document in documents]
+
+
+def as_toml(document: Document) -> str:
+    """The document as a file that says the same."""
+    lines = [f"{key} = {_toml(value)}" for key, value in document.items() if not _is_table(value)]
+    for key, value in document.items():
+        if not _is_table(value):
+            continue
+        for table in value if isinstance(value, list) else [value]:
+            lines += ["", f"[[{key}]]" if isinstance(value, list) else f"[{key}]"]
+            lines += [f"{name} = {_toml(each)}" for name, each in table.items()]
+    return "\n".join(lines) + "\n"
+
+
+class _Draft:
+    """Draws one drone's scenario."""
+
+    def __init__(self, chance: random.Random, number: int) -> None:
+        self._chance = chance
+        self._number = number
+        self._mode = chance.choice(("light", "heavy"))
+        self._places = _places(chance)
+        self._services = self._draw_services()
+
+    def document(self) -> Document:
+        """The scenario, without faults."""
+        chance = self._chance
+        both = len(self._services) > 1
+        document: dict[str, Any] = {
+            "name": "d1",
+            "seed": self._number,
+            "mission": {
+                "program": f"{probing.__name__}:{'look_and_read' if both else 'look'}",
+                "mode": self._mode,
+                "altitude_m": chance.choice((5.0, 20.0, 60.0)),
+                "ground_speed_m_s": _number(chance, 3.0, 15.0),
+                "waypoints_m": self._places,
+            },
+            "vehicle": self._vehicle(),
+            "autopilot": {"on_failure": chance.choice(("return", "land", "hold"))},
+            "camera": {"photo_s": chance.choice((0.0, 0.2, 1.0))},
+            "policy": self._policy(),
+            "service": self._services,
+            "server": self._servers(),
+        }
+        if chance.random() < 0.3:
+            document["noise"] = {"call": _number(chance, 0.0, 0.4), "leg": _number(chance, 0.0, 0.1)}
+        if chance.random() < 0.1:
+            document["heat"] = {"ambient_c": _number(chance, 20.0, 60.0)}
+        if chance.random() < 0.3:
+            document["policy"]["hedge"] = {
+                "after": chance.choice(("p50", "p80", "p95")),
+                "budget": chance.choice((0.02, 0.1, 0.5)),
+            }
+        return document
+
+    def _vehicle(self) -> dict[str, Any]:
+        chance = self._chance
+        if chance.random() < 0.25:
+            return {"profile": "arducopter"}
+        return {
+            "acceleration_m_s2": _number(chance, 0.5, 5.0),
+            "takeoff_s": _number(chance, 0.0, 12.0),
+            "return_and_land_s": _number(chance, 1.0, 16.0),
+        }
+
+    def _policy(self) -> dict[str, Any]:
+        chance = self._chance
+        return {
+            "name": chance.choices(
+                ("location-aware", "look-ahead", "opportunistic", "local-only"), (36, 36, 25, 3)
+            )[0],
+            "gain_switch": chance.choice((0.0, 0.1, 0.25, 0.5)),
+            "gain_wait": chance.choice((0.0, 0.1, 0.25, 0.6)),
+            "period_s": chance.choice((0.5, 1.0, 2.0, 3.0)),
+            "blacklist_s": chance.choice((1.0, 5.0, 20.0, 60.0)),
+            "idle_s": chance.choice((0.0, 10.0, 180.0)),
+            "retry_s": chance.choice((0.0, 20.0, 300.0)),
+        }
+
+    def _draw_services(self) -> list[dict[str, Any]]:
+        chance = self._chance
+        spotter = {
+            "name": "spotter",
+            "program": f"{probing.__name__}:Spotter",
+            "request_bytes": chance.choice((1_000, 100_000, 425_000)),
+            "local_call_s": {"light": _number(chance, 0.5, 4.0), "heavy": _number(chance, 3.0, 10.0)},
+            "local_first_extra_s": chance.choice((0.0, 0.0, 2.0)),
+        }
+        gauge = {
+            "name": "gauge",
+            "program": f"{probing.__name__}:Gauge",
+            "request_bytes": 10_000,
+            "local_call_s": {"": _number(chance, 0.3, 6.0)},
+        }
+        return [spotter, gauge] if chance.random() < 0.35 else [spotter]
+
+    def _servers(self) -> list[dict[str, Any]]:
+        count = self._chance.choices((1, 2, 3, 4), (25, 40, 25, 10))[0]
+        return [self._server(f"s{number}") for number in range(1, count + 1)]
+
+    def _server(self, name: str) -> dict[str, Any]:
+        chance = self._chance
+        east_m, north_m = chance.choice(self._places)
+        check_running_s = _number(chance, 0.1, 6.0)
+        server = {
+            "name": name,
+            "east_m": round(east_m + chance.uniform(-60, 60), 1),
+            "north_m": round(north_m + chance.uniform(-60, 60), 1),
+            "range_m": _number(chance, 10.0, 160.0),
+            "network": "shared" if chance.random() < 0.1 else name,
+            "check_running_s": check_running_s,
+            "check_s": round(check_running_s + chance.uniform(0.0, 12.0), 2),
+            "remote_call_s": self._remote_s(0.02, 0.8 if chance.random() < 0.85 else 1.5),
+        }
+        truth: dict[str, Any] = {"slots": chance.choice((1, 1, 2))}
+        if chance.random() < 0.5:  # it is not as believed
+            truth["join_s"] = _number(chance, 0.0, 12.0)
+            truth["start_s"] = _number(chance, 0.0, 20.0)
+            truth["remote_call_s"] = self._remote_s(0.02, 2.0)
+        elif chance.random() < 0.3:
+            truth["radio"] = chance.choice(("disc54", "disc12"))
+            truth["processing_s"] = self._remote_s(0.01, 0.3)
+        if chance.random() < 0.08:
+            names = [service["name"] for service in self._services]
+            truth["images"] = chance.sample(names, chance.randrange(len(names)))
+        return {**server, "truth": truth}
+
+    def _remote_s(self, least: float, most: float) -> dict[str, dict[str, float]]:
+        """Delays as shares of the local ones."""
+        return {
+            service["name"]: {
+                key: round(local_s * self._chance.uniform(least, most), 3)
+                for key, local_s in service["local_call_s"].items()
+            }
+            for service in self._services
+        }
+
+
+def _with_peers(document: Document, number: int) -> Document:
+    """In every second world servers are peers of each other, some of which do not know it."""
+    chance = random.Random(f"peers/{number}")  # noqa: S311 - not for secrets
+    names = [server["name"] for server in document["server"]]
+    if chance.random() < 0.5 or len(names) == 1:
+        return document
+    for server in document["server"]:
+        others = [name for name in names if name != server["name"]]
+        server["truth"]["peers"] = [name for name in others if chance.random() < 0.7]
+    return document
+
+
+def _with_slow_first_calls(document: Document, number: int) -> Document:
+    """In some worlds the drone is patient with first calls, and some of them take their time."""
+    chance = random.Random(f"first calls/{number}")  # noqa: S311 - not for secrets
+    if chance.random() < 0.7:
+        return document
+    document["policy"]["patient_first_call"] = True
+    for server in document["server"]:
+        server["truth"]["first_extra_s"] = chance.choice((0.0, 1.0, 4.0))
+    return document
+
+
+def _with_busy_radios(document: Document, number: int) -> Document:
+    """In some worlds leaving a network takes its time, and joining one slows the drone's own services down."""
+    chance = random.Random(f"busy radios/{number}")  # noqa: S311 - not for secrets
+    if chance.random() < 0.85:
+        return document
+    for server in document["server"]:
+        server["truth"]["leave_s"] = chance.choice((0.0, 0.5, 3.0))
+    for service in document["service"]:
+        service["local_joining_slowdown"] = {
+            key: chance.choice((0.0, 0.2, 1.0)) for key in service["local_call_s"]
+        }
+    return document
+
+
+def _with_probing(document: Document, number: int) -> Document:
+    """In every second world servers that failed are probed, in the others left alone; in some the name says all."""
+    chance = random.Random(f"probing/{number}")  # noqa: S311 - not for secrets
+    policy = document["policy"]
+    if chance.random() < 0.5:
+        policy.setdefault("hedge", False)
+        return document
+    del policy["blacklist_s"]
+    if chance.random() < 0.7:
+        first_s = chance.choice((0.2, 0.5, 2.0))
+        policy["probe"] = {"first_s": first_s, "longest_s": first_s * chance.choice((1, 2, 10))}
+        policy.setdefault("hedge", False)
+    return document
+
+
+def _with_eager_hedges(document: Document, number: int) -> Document:
+    """In some worlds half of all remote calls are late enough to hedge, and little may be computed for nothing."""
+    chance = random.Random(f"hedges/{number}")  # noqa: S311 - not for secrets
+    if chance.random() < 0.93:
+        return document
+    return {**document, "policy": {**document["policy"], "hedge": {"after": "p50", "budget": 0.05}}}
+
+
+def _with_radios(document: Document, number: int) -> Document:
+    """In every third world the drones have two radios."""
+    chance = random.Random(f"radios/{number}")  # noqa: S311 - not for secrets
+    return {**document, "network": {"radios": 2}} if chance.random() < 1 / 3 else document
+
+
+def _places(chance: random.Random) -> list[list[float]]:
+    count = chance.choices((1, 2, 3, 4, 6), (5, 25, 35, 25, 10))[0]
+    if chance.random() < 0.5:
+        columns, spacing_m = chance.choice((1, 2, 3)), chance.choice((10.0, 20.0, 40.0))
+        return [[spacing_m * (number % columns), spacing_m * (number // columns)] for number in range(count)]
+    return [[round(chance.uniform(0, 120), 1), round(chance.uniform(0, 120), 1)] for _ in range(count)]
+
+
+def _companion(document: Document, chance: random.Random, number: int) -> Document:
+    """Another drone in the world: its own mission and luck, the same servers."""
+    mission = {
+        **document["mission"],
+        "waypoints_m": _places(chance),
+        "ground_speed_m_s": _number(chance, 3.0, 15.0),
+    }
+    return {
+        **document,
+        "name": f"d{number}",
+        "seed": document["seed"] + number * 1_000_000_007,
+        "mission": mission,
+    }
+
+
+def _with_fleet(documents: list[Document], number: int) -> list[Document]:
+    """In some worlds more drones come, and take short turns at servers with few slots, or as many as they measure."""
+    chance = random.Random(f"fleet/{number}")  # noqa: S311 - not for secrets
+    if chance.random() < 0.9:
+        return documents
+    document = documents[0]
+    servers = [
+        {**server, "truth": {**server["truth"], "slots": slots, "turn_s": _number(chance, 12.0, 24.0)}}
+        for server in document["server"]
+        for slots in [chance.choice((1, 1, 2, "auto"))]
+    ]
+    fleet = [{**each, "server": servers} for each in documents]
+    more = range(len(fleet) + 1, len(fleet) + 1 + chance.randint(1, 5))
+    return fleet + [_companion(fleet[0], chance, each) for each in more]
+
+
+def _fault(chance: random.Random, servers: Sequence[str], moments: Sequence[Moment]) -> dict[str, Any]:
+    server = chance.choice(servers)
+    from_s = chance.uniform(0.0, 100.0)
+    if moments and chance.random() < 0.85:
+        moment = chance.choice(moments)
+        server = moment.server or server
+        from_s = moment.t + chance.choice((0.0, chance.uniform(-0.01, 0.01), chance.uniform(-3.0, 3.0)))
+    on_link = chance.random() < 0.35
+    return {
+        "target": f"link:{server}" if on_link else server,
+        "kind": chance.choice(_MOVING_KINDS if on_link else _SERVER_KINDS),
+        **_spell(chance, from_s),
+    }
+
+
+def _autopilot_fault(chance: random.Random, events: Sequence[Moment]) -> dict[str, Any]:
+    from_s = (chance.choice(events).t if events else 0.0) + chance.uniform(-1.0, 1.0)
+    return {"target": "autopilot", "kind": chance.choice(_MOVING_KINDS), **_spell(chance, from_s)}
+
+
+def _takeovers(seed: int, events: Sequence[Moment]) -> list[dict[str, Any]]:
+    """In every tenth world a pilot or a fail-safe takes the vehicle, at any moment."""
+    chance = random.Random(f"takeovers/{seed}")  # noqa: S311 - not for secrets
+    if chance.random() > 0.1:
+        return []
+    kinds = chance.choice((["pilot"], ["fail-safe"], ["fail-safe", "pilot"]))
+    return [{**_autopilot_fault(chance, events), "kind": kind} for kind in kinds]
+
+
+def _lies(seed: int, servers: Sequence[str], moments: Sequence[Moment]) -> list[dict[str, Any]]:
+    """In every third world servers lie."""
+    chance = random.Random(f"lies/{seed}")  # noqa: S311 - not for secrets
+    if chance.random() > 1 / 3:
+        return []
+    aimed = (_fault(chance, servers, moments) for _ in range(chance.randint(1, 3)))
+    return [
+        {**each, "target": each["target"].removeprefix("link:"), "kind": "lying", "lie": chance.choice(_LIES)}
+        for each in aimed
+    ]
+
+
+def _spell(chance: random.Random, from_s: float) -> dict[str, float]:
+    from_s = round(max(0.0, from_s), 4)
+    lasts_s = chance.choice((0.02, 0.5, 2.0, 5.0, 12.0, 40.0, _LONGEST_FAULT_S)) * chance.uniform(0.5, 1.5)
+    return {
+        "from_s": from_s,
+        "to_s": round(from_s + lasts_s, 4),
+        "extra_s": round(chance.choice((0.05, 1.0, 5.0, 30.0)) * chance.uniform(0.5, 1.5), 3),
+    }
+
+
+def _number(chance: random.Random, least: float, most: float) -> float:
+    return round(chance.uniform(least, most), 2)
+
+
+def _config(document: Document) -> DroneConfig:
+    return drone_config(document, Path("world.toml"))
+
+
+def _is_table(value: object) -> bool:
+    return isinstance(value, dict) or (
+        isinstance(value, list) and all(isinstance(each, dict) for each in value)
+    )
+
+
+def _toml(value: object) -> str:
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case str():
+            return f'"{value}"'
+        case dict():
+            inner = ", ".join(f'"{key}" = {_toml(each)}' for key, each in value.items())
+            return f"{{ {inner} }}"
+        case list():
+            return f"[{', '.join(_toml(each) for each in value)}]"
+    return repr(value)

@@ -1,0 +1,232 @@
+"""What an onlooker sees of a simulated world: facts that no program knows or tells.
+
+An observer stands between a program and a port and lets everything through as it is.
+
+| event | with |
+|---|---|
+| `dialled` | a drone opens a link: server, and the address |
+| `sent` | a drone sends a request: server, path, and where the drone is |
+| `joined`, `left` | a drone, a network, and by which radio |
+| `computed` | a drone's own service has done a call: the operation, and how long it took |
+| `asked`, `answered` | a drone's request reaches a daemon, and is answered: server, path |
+| `held` | a daemon holds a slot for a drone, for so long at most, as the peer `by` has asked it to |
+| `instance_started`, `instance_ended` | server, service, endpoint; from the first moment of its start |
+| `admitted` | the drones that an instance answers from now on |
+| `served` | an instance begins a drone's call |
+| `commanded`, `taken` | a command of the drone's program reaches its vehicle; a pilot or a fail-safe takes it |
+| `given_back_unheard` | a pilot gives it back, all of whose turn lay within one silence of the vehicle's link |
+| `flight_over` | the drone, and how high it is |
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import msgspec
+
+from upwash.core.clients import Client
+from upwash.core.estimates import Operation
+from upwash.core.geo import Position
+from upwash.errors import UpwashError
+from upwash.ports import Answered, Dialer, Instance, InstanceSpec, Link, Network, Runtime, ignored
+from upwash.rpc.protocol import HOLD, HoldReply, HoldRequest
+from upwash.sim.life import Life
+from upwash.sim.link import Handler
+from upwash.sim.runtime import Computer
+
+
+class Seen(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One thing that was seen, by its name in the table above, and of the other fields those that belong to it.
+
+    `t` is the second of the simulation, `radio` counts from 0, and a time in seconds ends in `_s`.
+    """
+
+    t: float = msgspec.field(default_factory=lambda: round(asyncio.get_running_loop().time(), 6))
+    event: str
+    drone: str = ""
+    server: str = ""
+    path: str = ""
+    address: str = ""
+    position: Position | None = None
+    network: str = ""
+    radio: int = 0
+    operation: str = ""
+    took_s: float = 0.0
+    by: str = ""
+    for_s: float = 0.0
+    service: str = ""
+    drones: Sequence[str] = ()
+    command: str = ""
+    altitude_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class DroneObserver:
+    """Sees what one drone does while its computer is there."""
+
+    drone: str
+    seen: list[Seen]
+    position: Callable[[], Position]
+    life: Life
+
+    def dialer(self, dialer: Dialer) -> Dialer:
+        """Sees the requests that are sent over links of the dialer."""
+        return _Dialer(dialer, self)
+
+    def networks(self, networks: Sequence[Network]) -> list[Network]:
+        """Sees networks being joined and left, by each radio."""
+        return [_Network(network, radio, self) for radio, network in enumerate(networks)]
+
+    def computer(self, computer: Computer) -> Computer:
+        """Sees how long the drone's own services take."""
+        return _Computer(computer, self)
+
+    def note(self, seen: Seen) -> None:
+        """Notes what the drone did."""
+        if not self.life.is_over:
+            self.seen.append(msgspec.structs.replace(seen, drone=self.drone))
+
+
+@dataclass(frozen=True, slots=True)
+class ServerObserver:
+    """Sees what one server does."""
+
+    server: str
+    seen: list[Seen]
+
+    def daemon(self, handle: Handler) -> Handler:
+        """Sees the requests that reach the daemon."""
+
+        async def answer(path: str, body: bytes, client: Client) -> bytes:
+            self.note(Seen(event="asked", path=path, drone=client.name))
+            reply = await handle(path, body, client)
+            self.note(Seen(event="answered", path=path, drone=client.name))
+            if path == HOLD and msgspec.msgpack.decode(reply, type=HoldReply).held:
+                hold = msgspec.msgpack.decode(body, type=HoldRequest)
+                self.note(Seen(event="held", drone=hold.drone, by=client.name, for_s=hold.for_s))
+            return reply
+
+        return answer
+
+    def runtime(self, runtime: Runtime) -> Runtime:
+        """Sees instances start, end and serve."""
+        return _Runtime(runtime, self)
+
+    def note(self, seen: Seen) -> None:
+        """Notes what the server did."""
+        self.seen.append(msgspec.structs.replace(seen, server=self.server))
+
+
+@dataclass(frozen=True, slots=True)
+class _Dialer:
+    seen: Dialer
+    observer: DroneObserver
+
+    def dial(self, address: str, *, server: str) -> Link:
+        self.observer.note(Seen(event="dialled", server=server, address=address))
+        return _Link(self.seen.dial(address, server=server), server, self.observer)
+
+
+@dataclass(frozen=True, slots=True)
+class _Link:
+    seen: Link
+    server: str
+    observer: DroneObserver
+
+    async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
+        position = self.observer.position()
+        self.observer.note(Seen(event="sent", server=self.server, path=path, position=position))
+        return await self.seen.request(path, body, timeout_s=timeout_s)
+
+    async def close(self) -> None:
+        await self.seen.close()
+
+
+@dataclass(frozen=True, slots=True)
+class _Network:
+    seen: Network
+    radio: int
+    observer: DroneObserver
+
+    async def join(self, network: str, *, timeout_s: float) -> None:
+        await self.seen.join(network, timeout_s=timeout_s)
+        self.observer.note(Seen(event="joined", network=network, radio=self.radio))
+
+    async def lost(self) -> str:
+        return await self.seen.lost()
+
+    async def leave(self) -> None:
+        await self.seen.leave()
+        self.observer.note(Seen(event="left", radio=self.radio))
+
+
+@dataclass(frozen=True, slots=True)
+class _Computer:
+    seen: Computer
+    observer: DroneObserver
+
+    async def start(self, spec: InstanceSpec) -> None:
+        await self.seen.start(spec)
+
+    async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
+        began_s = asyncio.get_running_loop().time()
+        answered_s = await self.seen.compute(spec, operation)
+        took_s = asyncio.get_running_loop().time() - began_s
+        self.observer.note(Seen(event="computed", operation=str(operation), took_s=took_s))
+        return answered_s
+
+
+@dataclass(frozen=True, slots=True)
+class _Runtime:
+    seen: Runtime
+    observer: ServerObserver
+
+    async def start(
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
+    ) -> Instance:
+        def served(drone: str) -> None:
+            self.observer.note(Seen(event="served", service=spec.service, drone=drone))
+            called(drone)
+
+        self.observer.note(Seen(event="instance_started", service=spec.service))
+        try:
+            instance = await self.seen.start(spec, called=served, answered=answered)
+        except (UpwashError, asyncio.CancelledError):
+            self.observer.note(Seen(event="instance_ended", service=spec.service))
+            raise
+        return _Instance(instance, spec.service, self.observer)
+
+
+@dataclass(slots=True)
+class _Instance:
+    seen: Instance
+    service: str
+    observer: ServerObserver
+    ended: bool = False
+
+    @property
+    def endpoint(self) -> str:
+        return self.seen.endpoint
+
+    async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
+        self.observer.note(Seen(event="admitted", service=self.service, drones=sorted(drones)))
+        await self.seen.admit(drones, finishing)
+
+    async def drain(self, why: str) -> None:
+        await self.seen.drain(why)
+
+    async def exited(self) -> str:
+        how = await self.seen.exited()
+        self._end()
+        return how
+
+    async def stop(self) -> None:
+        self._end()
+        await self.seen.stop()
+
+    def _end(self) -> None:
+        if not self.ended:
+            self.ended = True
+            self.observer.note(Seen(event="instance_ended", service=self.service))

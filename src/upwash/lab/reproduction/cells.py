@@ -1,0 +1,192 @@
+"""The thesis's experiments flown again (its section 4.4): what is flown, and what each mission came to.
+
+There is one parameter set per set-up, `thesis/hitl.toml` and `thesis/simulation.toml`; the experiments differ from
+it in the detector's mode, the policy and the load on s2, and in nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
+from importlib.resources import as_file, files
+from statistics import fmean
+from typing import Literal, NamedTuple
+
+import msgspec
+
+from upwash.config import DroneConfig, ServerConfig, read_drone_config
+from upwash.errors import UpwashError
+from upwash.eventlog import schema
+from upwash.eventlog.results import CallResult
+from upwash.lab import processes
+from upwash.lab.bounds import bound_of
+from upwash.lab.run import Run, simulate
+from upwash.lab.simulation import with_policy
+
+Mode = Literal["light", "heavy"]
+PolicyName = Literal["local-only", "location-aware", "opportunistic"]
+
+SETUPS = {"hitl": "HITL/SITL set-up, 54 Mbit/s", "simulation": "simulation set-up, 12 Mbit/s"}
+_SLOWER_S = {"light": 1.0, "heavy": 7.0}  # what a call takes longer on the loaded s2
+_LOADED = "s2"
+
+
+class Experiment(NamedTuple):
+    """One of the thesis's four experiments."""
+
+    mode: Mode
+    slow_s2: bool
+
+    @property
+    def name(self) -> str:
+        """Its name in printed.csv."""
+        return f"{'slow-s2' if self.slow_s2 else 'equal-servers'}-{self.mode}"
+
+
+EXPERIMENTS = tuple(Experiment(mode, slow_s2) for slow_s2 in (False, True) for mode in ("light", "heavy"))
+NAIVE = Experiment("heavy", slow_s2=True)  # where the thesis estimates what its naive selection would cost
+
+
+class Cell(NamedTuple):
+    """What is flown once per seed. Without offloading s2's load makes no difference, so it is flown without."""
+
+    setup: str
+    experiment: Experiment
+    policy: PolicyName
+
+
+def unchanged(config: DroneConfig) -> DroneConfig:
+    """The scenario as it is."""
+    return config
+
+
+class Flight(NamedTuple):
+    """One mission: a cell, with a seed, and what is otherwise in its scenario (a function that can be pickled)."""
+
+    cell: Cell
+    seed: int
+    change: Callable[[DroneConfig], DroneConfig] = unchanged
+
+
+class Flown(NamedTuple):
+    """What one mission came to; `s2_calls` ran on s2 and took `s2_call_s` on the average, without waits."""
+
+    mission_min: float
+    bound_min: float
+    service_delay_s: float
+    local_call_s: float
+    waited_calls_s: Sequence[float]
+    waits_in_vain: int
+    s2_calls: int
+    s2_call_s: float
+
+    @property
+    def saved_s(self) -> float:
+        """How much less time the calls that waited took than as many local ones."""
+        return self.local_call_s * len(self.waited_calls_s) - sum(self.waited_calls_s)
+
+
+def cells() -> tuple[Cell, ...]:
+    """Everything that has to be flown, in each set-up."""
+    return tuple(
+        cell for setup in SETUPS for cell in (*timed_cells(setup), Cell(setup, NAIVE, "opportunistic"))
+    )
+
+
+def timed_cells(setup: str) -> Iterator[Cell]:
+    """The cells of a set-up whose mission times Table 4.1 prints."""
+    for experiment in EXPERIMENTS:
+        if not experiment.slow_s2:
+            yield Cell(setup, experiment, "local-only")
+    for experiment in EXPERIMENTS:
+        yield Cell(setup, experiment, "location-aware")
+
+
+def local_only(setup: str, experiment: Experiment) -> Cell:
+    """The cell without offloading that an experiment is compared with."""
+    return Cell(setup, Experiment(experiment.mode, slow_s2=False), "local-only")
+
+
+def scenario(cell: Cell, *, seed: int) -> DroneConfig:
+    """The cell's scenario: its set-up's parameters, with the cell's mode, policy and load on s2."""
+    config = with_policy(parameters(cell.setup), cell.policy)
+    mode, slow_s2 = cell.experiment
+    servers = tuple(
+        _loaded(server) if slow_s2 and server.name == _LOADED else server for server in config.servers
+    )
+    mission = msgspec.structs.replace(config.mission, mode=mode)
+    return msgspec.structs.replace(config, seed=seed, mission=mission, servers=servers)
+
+
+@lru_cache
+def parameters(setup: str) -> DroneConfig:
+    """What all cells of a set-up share."""
+    with as_file(files("upwash.lab.reproduction") / "thesis" / f"{setup}.toml") as file:
+        return read_drone_config(file)
+
+
+def fly(cell: Cell, seed: int) -> Run:
+    """Simulates the cell's mission; raises UpwashError where it was not completed."""
+    return _fly(Flight(cell, seed), scenario(cell, seed=seed))
+
+
+def fly_all(
+    flights: Sequence[Flight], *, workers: int | None = None, progress: Callable[[], None] = lambda: None
+) -> list[Flown]:
+    """What each flight came to, in their order, flown on all cores or so many; calls `progress` after each."""
+    flown: dict[int, Flown] = {}
+    with processes.here_first(_numbered, list(enumerate(flights)), workers=workers) as results:
+        for number, result in results:
+            flown[number] = result
+            progress()
+    return [flown[number] for number in range(len(flights))]
+
+
+def _loaded(server: ServerConfig) -> ServerConfig:
+    """The server under load: calls take longer in truth, and the drone has to find out."""
+    slower = {
+        service: {key: call_s + _SLOWER_S[key] for key, call_s in calls_s.items()}
+        for service, calls_s in server.remote_call_s.items()
+    }
+    truth = msgspec.structs.replace(server.truth, remote_call_s=slower)
+    return msgspec.structs.replace(server, truth=truth)
+
+
+def _fly(flight: Flight, config: DroneConfig) -> Run:
+    run = simulate(config)
+    if not run.result.completed:
+        cell = flight.cell
+        name = f"{cell.experiment.name}, {cell.setup}, {cell.policy}, seed {flight.seed}"
+        raise UpwashError(f"{name}: the mission was not completed: {run.failure}")
+    return run
+
+
+def _numbered(part: tuple[int, Flight]) -> tuple[int, Flown]:
+    number, flight = part
+    return number, _flown(flight)
+
+
+def _flown(flight: Flight) -> Flown:
+    config = flight.change(scenario(flight.cell, seed=flight.seed))
+    run = _fly(flight, config)
+    result, bound = run.result, bound_of(run, config)
+    assert bound is not None  # noqa: S101 - _fly() saw it completed
+    on_s2_s = [_net_s(call) for call in result.calls if call.server == _LOADED]
+    return Flown(
+        mission_min=result.mission_time_s / 60,
+        bound_min=bound.free_s / 60,
+        service_delay_s=result.totals.service_delay_s,
+        local_call_s=fmean(
+            call.delay_s for call in result.calls if call.server is None and not call.waited_s
+        ),
+        waited_calls_s=[
+            event.delay_s for event in run.events if isinstance(event, schema.Call) and event.wait
+        ],
+        waits_in_vain=result.totals.waits_failed,
+        s2_calls=len(on_s2_s),
+        s2_call_s=fmean(on_s2_s) if on_s2_s else 0.0,
+    )
+
+
+def _net_s(call: CallResult) -> float:
+    return call.delay_s - call.waited_s

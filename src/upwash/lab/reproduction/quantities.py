@@ -1,0 +1,165 @@
+"""The figures that the thesis gives, as they come out of the missions flown, beside what it prints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from upwash.lab.confidence import Mean, mean_of
+from upwash.lab.reproduction.cells import (
+    EXPERIMENTS,
+    NAIVE,
+    SETUPS,
+    Cell,
+    Experiment,
+    Flight,
+    Flown,
+    cells,
+    fly_all,
+    local_only,
+)
+from upwash.lab.reproduction.printed import printed_figures
+
+
+class Quantity(NamedTuple):
+    """A figure, and the name that it has in printed.csv."""
+
+    name: str
+    label: str
+    unit: str
+
+
+LOCAL_ONLY = Quantity("mission_time_local_only", "mission time, no offloading", "min")
+OFFLOADING = Quantity("mission_time_offloading", "mission time, offloading", "min")
+_GAIN = Quantity("time_gain", "time gain", "percent")
+_BOUND = Quantity("mission_time_over_the_bound", "  above the all-knowing bound", "percent")
+_RATIO = Quantity("total_service_delay_local_over_offloading", "service delay, local / offl.", "ratio")
+_WAITS = Quantity("waits_decided", "decisions to wait", "count")
+_IN_VAIN = Quantity("waits_in_vain", "  of them in vain", "count")
+_SAVED = Quantity(
+    "saving_of_waiting_over_local_at_those_waypoints", "service delay saved by waiting", "percent"
+)
+_SAVED_THERE = Quantity("saving_of_waiting_at_those_waypoints_alone", "  of the calls that waited", "percent")
+_NAIVE_DELAY = Quantity("naive_selection_extra_service_delay", "naive, logs: service delay", "percent")
+_NAIVE_MIN = Quantity("naive_selection_extra_mission_time", "naive, logs: longer mission", "min")
+_NAIVE_SHARE = Quantity("naive_selection_extra_mission_time_share", "naive, logs: longer mission", "percent")
+_FLOWN = "_flown"  # what the thesis estimated from logs
+_NAIVE_DELAY_FLOWN = Quantity(_NAIVE_DELAY.name + _FLOWN, "naive, flown: service delay", "percent")
+_NAIVE_MIN_FLOWN = Quantity(_NAIVE_MIN.name + _FLOWN, "naive, flown: longer mission", "min")
+_NAIVE_SHARE_FLOWN = Quantity(_NAIVE_SHARE.name + _FLOWN, "naive, flown: longer mission", "percent")
+
+_FORMS = {"min": "{:.2f} min", "ratio": "{:.2f} x", "count": "{:.1f}", "percent": "{:.1f} %"}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One figure as flown, a value per seed, and as printed in the thesis, where it is."""
+
+    setup: str
+    experiment: Experiment
+    quantity: Quantity
+    values: Sequence[float]
+    printed: float | None
+
+    @property
+    def mean(self) -> Mean:
+        """The mean over the seeds, with its 95 % confidence."""
+        return mean_of(self.values)
+
+    @property
+    def deviation_percent(self) -> float | None:
+        """How far the mean is from the printed figure; None where there is none, or where it is 0."""
+        return 100 * (self.mean.value / self.printed - 1) if self.printed else None
+
+    def written(self) -> tuple[str, str, str]:
+        """The mean, the printed figure and how far it is from that: counts and percentages by their difference."""
+        mean, unit = self.mean, self.quantity.unit
+        margin = f" ± {mean.margin:.2f}" if mean.count > 1 else ""
+        ours = _FORMS[unit].format(mean.value) + margin
+        if self.printed is None:
+            return ours, "", ""
+        difference = mean.value - self.printed
+        deviation = f"{100 * difference / self.printed:+.1f} %" if self.printed else ""
+        if unit == "count":
+            deviation = f"{difference:+.1f}"
+        elif unit == "percent":
+            deviation = f"{difference:+.1f} points"
+        return ours, f"{self.printed:g}", deviation
+
+
+def reproduce(
+    *, seeds: int, workers: int | None = None, progress: Callable[[], None] = lambda: None
+) -> list[Comparison]:
+    """Flies every cell with seeds 1 to `seeds`, calling `progress` after each of `missions(seeds)` missions."""
+    flights = [Flight(cell, seed) for cell in cells() for seed in range(1, seeds + 1)]
+    flown: dict[Cell, list[Flown]] = {cell: [] for cell in cells()}
+    for flight, result in zip(flights, fly_all(flights, workers=workers, progress=progress), strict=True):
+        flown[flight.cell].append(result)
+    return list(_compare(flown))
+
+
+def missions(seeds: int) -> int:
+    """How many missions a reproduction with so many seeds flies."""
+    return len(cells()) * seeds
+
+
+def _compare(flown: Mapping[Cell, Sequence[Flown]]) -> Iterator[Comparison]:
+    printed = printed_figures()
+    for setup in SETUPS:
+        for experiment in EXPERIMENTS:
+            for quantity, values in _quantities(flown, setup, experiment):
+                its_name = quantity.name.removesuffix(_FLOWN)
+                yield Comparison(
+                    setup, experiment, quantity, values, printed.get((experiment.name, setup, its_name))
+                )
+
+
+def _quantities(
+    flown: Mapping[Cell, Sequence[Flown]], setup: str, experiment: Experiment
+) -> Iterator[tuple[Quantity, list[float]]]:
+    local = flown[local_only(setup, experiment)]
+    aware = flown[Cell(setup, experiment, "location-aware")]
+    pairs = list(zip(local, aware, strict=True))
+    if not experiment.slow_s2:
+        yield LOCAL_ONLY, [each.mission_min for each in local]
+    yield OFFLOADING, [each.mission_min for each in aware]
+    yield _GAIN, [100 * (1 - its.mission_min / ours.mission_min) for ours, its in pairs]
+    yield _BOUND, [100 * (each.mission_min / each.bound_min - 1) for each in aware]
+    yield _RATIO, [ours.service_delay_s / its.service_delay_s for ours, its in pairs]
+    yield _WAITS, [len(each.waited_calls_s) for each in aware]
+    yield _IN_VAIN, [each.waits_in_vain for each in aware]
+    waiting = [each for each in aware if each.waited_calls_s]
+    if waiting:
+        yield _SAVED, [100 * each.saved_s / (each.service_delay_s + each.saved_s) for each in waiting]
+        yield (
+            _SAVED_THERE,
+            [100 * each.saved_s / (each.local_call_s * len(each.waited_calls_s)) for each in waiting],
+        )
+    if experiment == NAIVE:
+        equal = flown[Cell(setup, Experiment(experiment.mode, slow_s2=False), "location-aware")]
+        yield from _naive(
+            flown[Cell(setup, experiment, "opportunistic")],
+            (_NAIVE_DELAY_FLOWN, _NAIVE_MIN_FLOWN, _NAIVE_SHARE_FLOWN),
+            aware,
+        )
+        estimated = [_with_slow_calls(log, its) for log, its in zip(equal, aware, strict=True)]
+        yield from _naive(estimated, (_NAIVE_DELAY, _NAIVE_MIN, _NAIVE_SHARE), aware)
+
+
+def _naive(
+    naive: Sequence[Flown], quantities: tuple[Quantity, Quantity, Quantity], aware: Sequence[Flown]
+) -> Iterator[tuple[Quantity, list[float]]]:
+    more_delay, more_min, more_share = quantities
+    pairs = list(zip(naive, aware, strict=True))
+    yield more_delay, [100 * (ours.service_delay_s / its.service_delay_s - 1) for ours, its in pairs]
+    yield more_min, [ours.mission_min - its.mission_min for ours, its in pairs]
+    yield more_share, [100 * (ours.mission_min / its.mission_min - 1) for ours, its in pairs]
+
+
+def _with_slow_calls(log: Flown, slow: Flown) -> Flown:
+    """The mission with equal servers, had its calls on s2 taken as long as with s2 slow: the thesis's estimate."""
+    longer_s = log.s2_calls * (slow.s2_call_s - log.s2_call_s)
+    return log._replace(
+        mission_min=log.mission_min + longer_s / 60, service_delay_s=log.service_delay_s + longer_s
+    )

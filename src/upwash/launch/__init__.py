@@ -1,0 +1,1 @@
+"""Puts the programs on `real/`: one module a program."""

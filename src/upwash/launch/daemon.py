@@ -1,0 +1,358 @@
+"""Puts the edge daemon on things: sockets, processes, signals, certificates, the service manager."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import socket
+import tempfile
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from upwash.config import DaemonConfig
+from upwash.core.admission import AdmissionController, AdmissionSettings, ServerOffer
+from upwash.core.clients import Client
+from upwash.errors import Refused, UpwashError, UsageError
+from upwash.launch.daemon_keys import DaemonKeys, watch_expiry
+from upwash.missions.bundled import load_services
+from upwash.ports import InstanceSpec, Program, Runtime
+from upwash.real.announced import Inside
+from upwash.real.door import Door, Seen, door_limits, leading, opened_door, raise_limit_of_files
+from upwash.real.limits import Limits
+from upwash.real.listener import Caller, Health, Listener, cannot_listen
+from upwash.real.runtime import ProcessRuntime, sockets_in
+from upwash.real.sandbox import Sandbox, find_sandbox
+from upwash.real.service_manager import ServiceManager
+from upwash.real.signals import ending_in_time, on_hangup, stopping_politely
+from upwash.real.streams import listening_socket
+from upwash.rpc.service import spec_of
+from upwash.server.daemon import EdgeServer, Image
+from upwash.support.loading import extra
+
+if TYPE_CHECKING:
+    from upwash.metrics.daemon import DaemonMetrics
+
+_log = logging.getLogger("upwash.serving")
+Handle = Callable[[str, bytes, Client], Coroutine[Any, Any, bytes]]
+
+_CONCURRENT_REQUESTS = 128  # most take no time, a start as long as the service needs
+_REQUESTS_PER_DRONE = 8
+_LONGEST_REQUEST_BYTES = 2**20  # photos go to instances
+_LONGEST_ANSWER_S = 600.0  # to who sets no deadline
+_ENDING_S = 30.0  # for all that follows the calls under way
+_ROOT = (
+    "the daemon is root, and so is whatever breaks out of a sandbox that root made: "
+    "run it as a user of its own (docs/operators.md), or say runtime.sandbox_as_root = true"
+)
+_CLOSING = "this edge server is shutting down"
+
+
+async def serve(
+    config: DaemonConfig,
+    *,
+    read_again: Callable[[], DaemonConfig],
+    ready: Callable[[str], None],
+    manager: ServiceManager,
+) -> None:
+    """Runs the daemon until SIGTERM or Ctrl-C, by which calls under way get `drain_s`; `ready` is told the address.
+
+    SIGHUP has the configuration read again.
+    """
+    images = _images(config)
+    keys = DaemonKeys(config)
+    sandbox, weakness = await asyncio.to_thread(_sandbox, config)
+    loop = asyncio.get_running_loop()
+
+    def seen(server: str, drone: str) -> None:  # by the door, in its own thread
+        loop.call_soon_threadsafe(edge.seen, server, drone)
+
+    async with contextlib.AsyncExitStack() as stack:
+        in_time = stack.enter_context(ending_in_time())
+        outside = stack.enter_context(_listening(config.listen)) if keys.credentials else None
+        sockets = Path(stack.enter_context(_folder_for_sockets(config)))
+        door = await stack.enter_async_context(_door(keys, seen))
+        runtime, lanes = await stack.enter_async_context(_runtime(config, door, sockets, sandbox))
+        images = _with_lanes(images, lanes)
+        metrics = _metrics(config)
+        edge = await _edge_server(config, images, metrics.runtime(runtime) if metrics else runtime, keys)
+        handle = metrics.daemon(edge.handle) if metrics else edge.handle
+        hung_up, stopped = asyncio.Event(), asyncio.Event()
+        stack.enter_context(stopping_politely(lambda _: stopped.set()))
+        stack.enter_context(on_hangup(hung_up.set))
+        stack.push_async_callback(edge.close)
+        address = await stack.enter_async_context(
+            _answering(config, door, outside, sockets, handle, serving=lambda: not stopped.is_set())
+        )
+        if metrics and config.metrics:
+            await stack.enter_async_context(_exposed(metrics, edge, config.metrics))
+        if weakness:
+            _log.warning("%s", weakness)
+        ready(address)
+        manager.ready()
+        reloading = _reload_at(
+            hung_up,
+            config,
+            read_again=read_again,
+            edge=edge,
+            lanes=lanes,
+            keys=keys,
+            door=door,
+            manager=manager,
+        )
+        for work in (edge.run(), reloading, watch_expiry(keys)):
+            stack.callback(asyncio.create_task(work).cancel)
+        await stopped.wait()
+        in_time(config.drain_s + _ENDING_S)
+        manager.stopping("waiting for the calls under way")
+        await edge.drain(_CLOSING)
+
+
+async def _edge_server(
+    config: DaemonConfig, images: Mapping[str, Image], runtime: Runtime, keys: DaemonKeys
+) -> EdgeServer:
+    settings = AdmissionSettings(lease_s=config.lease_s, idle_stop_s=config.idle_stop_s, hold_s=config.hold_s)
+    peers = {peer.name: peer.address for peer in config.peers}
+    offers = _offers(config, images)
+    edge = EdgeServer(
+        AdmissionController(offers, settings, peers=list(peers)),
+        images=images,
+        runtime=runtime,
+        dialer=keys,
+        peers=peers,
+        start_timeout_s=config.start_timeout_s,
+        drain_s=config.drain_s,
+        certificates=keys.certificates,
+    )
+    await edge.reload(offers, images=images, revoked=keys.revoked, certificates=keys.certificates)
+    return edge
+
+
+@contextlib.asynccontextmanager
+async def _answering(
+    config: DaemonConfig,
+    door: Door | None,
+    outside: socket.socket | None,
+    sockets: Path,
+    handle: Handle,
+    *,
+    serving: Callable[[], bool],
+) -> AsyncIterator[str]:
+    """Has requests answered until the end of the block, through the door if there is one; yields the address."""
+    inside = Inside(f"{sockets}/daemon.sock") if door else None
+    listener = _listener(config, inside, handle)
+    listener.add(Health([each.name for each in config.identities], serving=serving))
+    listener.start()
+    try:
+        if door and inside and outside:
+            passage = await door.lead(outside, inside.connect)
+            yield passage.address
+            await passage.close()
+        else:
+            yield listener.address
+    finally:
+        await asyncio.to_thread(listener.stop)
+
+
+def _images(config: DaemonConfig) -> dict[str, Image]:
+    """What each service is; in a container its program is the image's, and checks its settings there."""
+    if config.runtime.kind == "lxd":
+        known = {
+            each.name: Image(Program("", each.settings.values if each.settings else {}))
+            for each in config.images
+        }
+    else:
+        known = {
+            name: Image(service.program, methods=frozenset(spec.methods), lanes=spec.concurrency)
+            for name, service in load_services(config.images).items()
+            for spec in [spec_of(service.cls)]
+        }
+    return {
+        each.name: replace(known[each.name], pace_s=each.pace_s, start_pace_s=each.start_pace_s)
+        for each in config.images
+    }
+
+
+def _with_lanes(images: Mapping[str, Image], lanes: Mapping[str, int]) -> dict[str, Image]:
+    """The same with the lanes of those services whose programs only their runtime knows."""
+    return {name: replace(image, lanes=lanes.get(name, image.lanes)) for name, image in images.items()}
+
+
+def _offers(config: DaemonConfig, images: Mapping[str, Image]) -> dict[str, ServerOffer]:
+    lanes = {name: image.lanes for name, image in images.items()}
+    return {
+        each.name: ServerOffer(frozenset(each.images), each.slots, each.turn_s, lanes)
+        for each in config.identities
+    }
+
+
+def _sandbox(config: DaemonConfig) -> tuple[Sandbox | None, str]:
+    """The sandbox for services, and its weakness if any; raises UsageError where a required one is not to be had."""
+    runtime = config.runtime
+    if runtime.kind == "lxd":
+        return None, ""
+    if runtime.sandbox == "off":
+        return None, "services run without a sandbox, as runtime.sandbox says"
+    is_root = os.geteuid() == 0
+    if is_root and not runtime.sandbox_as_root:
+        raise UsageError(_ROOT)
+    limits = Limits(runtime.memory_bytes, runtime.processes, runtime.disk_bytes)
+    try:
+        sandbox = find_sandbox(limits, readable=runtime.readable)
+    except UsageError as error:
+        if runtime.sandbox == "required":
+            raise
+        return None, f"services run without a sandbox: {error}"
+    if is_root:
+        return sandbox, "the daemon is root: services in their sandbox may start processes without limit"
+    return sandbox, ""
+
+
+@contextlib.asynccontextmanager
+async def _door(keys: DaemonKeys, seen: Seen) -> AsyncIterator[Door | None]:
+    """Where certificates are looked at, if there are any."""
+    if keys.credentials is None:
+        yield None
+        return
+    async with opened_door(keys.trust(), door_limits(raise_limit_of_files()), seen=seen) as door:
+        yield door
+
+
+@contextlib.asynccontextmanager
+async def _runtime(
+    config: DaemonConfig, door: Door | None, sockets: Path, sandbox: Sandbox | None
+) -> AsyncIterator[tuple[Runtime, Mapping[str, int]]]:
+    """What runs instances, and the lanes of services by their images, where it runs them from images."""
+    lead = leading(door, config.listen.rpartition(":")[0]) if door else None
+    if config.runtime.kind == "lxd":
+        from upwash.launch.containers import container_runtime
+
+        assert lead is not None  # noqa: S101 - the configuration was checked for certificates
+        async with container_runtime(config, lead) as containers:
+            yield containers, containers.concurrency
+    else:
+        processes = ProcessRuntime(
+            sockets_in(sockets) if lead else _beside(config.listen, sockets),
+            lead=lead,
+            max_message_bytes=config.max_message_bytes,
+            sandbox=sandbox,
+        )
+        yield processes, {}
+
+
+def _folder_for_sockets(config: DaemonConfig) -> tempfile.TemporaryDirectory[str]:
+    """Beside the daemon's own socket, if it has one: drones call no other sockets than those below its folder."""
+    own = config.listen.removeprefix("unix:")
+    beside = None if own == config.listen else Path(own).absolute().parent
+    return tempfile.TemporaryDirectory(prefix="u-", dir=beside)
+
+
+def _beside(listen: str, sockets: Path) -> Callable[[InstanceSpec], str]:
+    """Instances listen on the daemon's own interface, on ports of the system's choice."""
+    if listen.startswith("unix:"):
+        return sockets_in(sockets)
+    host = listen.rpartition(":")[0]
+    return lambda _: f"{host}:0"
+
+
+def _listening(address: str) -> socket.socket:
+    try:
+        return listening_socket(address)
+    except OSError:
+        raise cannot_listen(address) from None
+
+
+# --- requests -----------------------------------------------------------------------------------------------
+
+
+def _listener(config: DaemonConfig, inside: Inside | None, handle: Handle) -> Listener:
+    loop = asyncio.get_running_loop()
+
+    def answer_in_time(path: str, body: bytes, caller: Caller) -> bytes:
+        answer = asyncio.run_coroutine_threadsafe(handle(path, body, caller.client), loop)
+        try:
+            return answer.result(timeout=min(caller.time_left_s() or _LONGEST_ANSWER_S, _LONGEST_ANSWER_S))
+        except TimeoutError:
+            answer.cancel()
+            raise Refused("the drone's deadline is over") from None
+
+    return Listener(
+        f"unix:{inside.path}" if inside else config.listen,
+        answer_in_time,
+        who_is=inside.client if inside else None,
+        max_message_bytes=min(config.max_message_bytes, _LONGEST_REQUEST_BYTES),
+        concurrent_requests=_CONCURRENT_REQUESTS,
+        requests_per_drone=_REQUESTS_PER_DRONE,
+    )
+
+
+# --- metrics -----------------------------------------------------------------------------------------------
+
+
+def _metrics(config: DaemonConfig) -> DaemonMetrics | None:
+    if config.metrics is None:
+        return None
+    with extra("metrics"):
+        from upwash.metrics.daemon import DaemonMetrics
+    return DaemonMetrics()
+
+
+@contextlib.asynccontextmanager
+async def _exposed(metrics: DaemonMetrics, edge: EdgeServer, listen: str) -> AsyncIterator[None]:
+    from upwash.metrics.exposition import exposed
+
+    metrics.look_at(edge)
+    async with exposed(metrics.registry, listen):
+        yield
+
+
+# --- another configuration ----------------------------------------------------------------------------------
+
+
+async def _reload_at(
+    hung_up: asyncio.Event,
+    config: DaemonConfig,
+    *,
+    read_again: Callable[[], DaemonConfig],
+    edge: EdgeServer,
+    lanes: Mapping[str, int],
+    keys: DaemonKeys,
+    door: Door | None,
+    manager: ServiceManager,
+) -> NoReturn:
+    """Has the edge server follow the configuration, at each hang-up; one that cannot be followed changes nothing."""
+    while True:
+        await hung_up.wait()
+        hung_up.clear()
+        manager.reloading()
+        try:
+            new = await asyncio.to_thread(read_again)
+            _refuse_restart(config, new)
+            images = _with_lanes(await asyncio.to_thread(_images, new), lanes)
+            keys.renew(new)
+        except UpwashError as error:
+            _log.error("the old configuration stays: %s", error)
+        else:
+            if door:
+                await door.trust(keys.trust())
+            await edge.reload(
+                _offers(new, images), images=images, revoked=keys.revoked, certificates=keys.certificates
+            )
+            _log.info("the configuration was read again; %d certificates are revoked", len(keys.revoked))
+        manager.ready()
+
+
+def _refuse_restart(old: DaemonConfig, new: DaemonConfig) -> None:
+    """Raises UsageError where the two differ in what a running daemon cannot change."""
+    if [each.name for each in old.identities] != [each.name for each in new.identities]:
+        raise UsageError("another server cannot join a daemon that runs, nor leave it: restart it")
+    if (old.keys is None) != (new.keys is None):
+        raise UsageError("a daemon that runs cannot begin or cease to use certificates: restart it")
+    if old.runtime.kind == "lxd" and old.images != new.images:
+        raise UsageError("the services of containers are prepared at the start: restart it")
+    for name in sorted(set(old.__struct_fields__) - {"images", "identities", "keys"}):
+        if getattr(old, name) != getattr(new, name):
+            raise UsageError(f"{name} cannot change while the daemon runs: restart it")

@@ -1,0 +1,105 @@
+"""What the programs on a drone share: how its vehicle, its servers and its own services are reached."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from upwash.config import DroneConfig, is_on_this_machine
+from upwash.core.geo import GeoPosition, LocalFrame
+from upwash.errors import CredentialsError, UsageError
+from upwash.mavlink.signing import Signing
+from upwash.real.credentials import Credentials, read_credentials
+from upwash.real.link import GrpcDialer
+from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopilot
+from upwash.real.mavlink.signing import read_signing
+from upwash.real.runtime import ProcessRuntime, sockets_in
+
+MAX_MESSAGE_BYTES = 16 * 2**20
+_DEFAULTS = FlightSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleLink:
+    """How the configured vehicle is reached."""
+
+    connection: str
+    home: GeoPosition
+    ground_speed_m_s: float
+    signing: Signing | None
+
+    async def connect(self, settings: FlightSettings = _DEFAULTS) -> MavlinkAutopilot:
+        """Connects to it; raises AutopilotError where nothing is heard."""
+        return await connect_autopilot(
+            self.connection,
+            frame=LocalFrame(self.home),
+            ground_speed_m_s=self.ground_speed_m_s,
+            settings=settings,
+            signing=self.signing,
+        )
+
+
+def vehicle_link(config: DroneConfig) -> VehicleLink:
+    """How the configured vehicle is reached; raises UsageError where the configuration does not say."""
+    home, key = config.mission.home, config.autopilot.signing_key
+    if home is None:
+        raise UsageError(
+            "mission.home is missing: a flight needs the place where east and north are 0, such as "
+            "home = { latitude_deg = 39.3666, longitude_deg = 22.9507 } in [mission]"
+        )
+    if config.autopilot.connection is None:
+        raise UsageError(
+            "autopilot.connection is missing: say how the vehicle is reached, or use --autopilot"
+        )
+    return VehicleLink(
+        config.autopilot.connection,
+        GeoPosition(home.latitude_deg, home.longitude_deg),
+        config.mission.ground_speed_m_s,
+        read_signing(key) if key else None,
+    )
+
+
+def require_reachable(config: DroneConfig) -> None:
+    """Refuses servers whose address is not known, or that are not to be called without certificates."""
+    for server in config.servers:
+        if not server.address:
+            raise UsageError(
+                f"server {server.name} has no address: a flight needs to know where its daemon is"
+            )
+        if config.keys is None and not is_on_this_machine(server.address):
+            raise UsageError(
+                f"server {server.name} at {server.address} needs certificates: make them with `upwash keys` "
+                "and name them in [keys]; only servers on this machine are called without"
+            )
+
+
+def server_dialer(config: DroneConfig, credentials: Credentials | None) -> GrpcDialer:
+    """Dials the drone's servers."""
+    return GrpcDialer(config.name, credentials, max_message_bytes=MAX_MESSAGE_BYTES)
+
+
+def drone_credentials(config: DroneConfig, *, valid_now: bool = True) -> Credentials | None:
+    """What the drone shows servers, None without [keys]; raises CredentialsError where that is not the drone's.
+
+    With `valid_now` it is valid by this computer's clock.
+    """
+    keys = config.keys
+    if keys is None:
+        return None
+    credentials = read_credentials(keys.authority, keys.certificate, keys.key, valid_now=valid_now)
+    if config.name not in credentials.names:
+        raise CredentialsError(
+            f"the certificate is for {', '.join(credentials.names)}, but this drone is called {config.name}: "
+            f'write name = "{credentials.names[0]}" at the top of its configuration, or make another certificate'
+        )
+    return credentials
+
+
+def onboard_runtime(sockets: Path) -> ProcessRuntime:
+    """Starts the drone's own services, which listen in that folder."""
+    return ProcessRuntime(sockets_in(sockets), max_message_bytes=MAX_MESSAGE_BYTES)
+
+
+def onboard_dialer(drone: str) -> GrpcDialer:
+    """Dials the drone's own services, which need no certificates."""
+    return GrpcDialer(drone, None, max_message_bytes=MAX_MESSAGE_BYTES)

@@ -1,0 +1,181 @@
+"""Puts a drone's flight on things: its vehicle, camera, networks, servers and services."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import tempfile
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+from upwash.config import CameraConfig, DroneConfig, unsigned_port
+from upwash.drone.flight import Flight, Ports
+from upwash.drone.resumption import waypoints_done
+from upwash.errors import UsageError
+from upwash.eventlog import schema
+from upwash.launch.drone import (
+    VehicleLink,
+    drone_credentials,
+    onboard_dialer,
+    onboard_runtime,
+    require_reachable,
+    server_dialer,
+    vehicle_link,
+)
+from upwash.launch.networks import opened_networks
+from upwash.missions.bundled import load_mission, load_services
+from upwash.ports import Autopilot, Camera, Journal
+from upwash.real.camera import FolderCamera
+from upwash.real.clock import SYSTEM_CLOCK, Clock, agree_on_time, keep_right_from_services, problem_by
+from upwash.real.credentials import Credentials
+from upwash.real.journal import FileJournal, JournalNotifier, Watcher, read_events
+from upwash.real.log_file import Unwritten
+from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience
+from upwash.real.signals import outliving_the_terminal, stopping_politely
+from upwash.real.video import VideoCamera
+from upwash.sim.camera import RenderedCamera
+from upwash.support.loading import extra
+
+_TRACK_PERIOD_S = 1.0
+_GPS_FIX_S = 60.0  # an autopilot that was just switched on needs about so long
+_GPS_REPORT_S = 2.0  # until it was asked for, and has told
+_LOOK_S = 0.1
+
+
+async def fly(
+    config: DroneConfig,
+    *,
+    program: str | None = None,
+    log: Path,
+    resumes: bool = False,
+    watchers: tuple[Watcher, ...] = (),
+    unwritten: Unwritten | None = None,
+    clock: Clock = SYSTEM_CLOCK,
+) -> None:
+    """Flies the configured mission with the configured vehicle, or another program with it.
+
+    The event log goes to `log`, and each event to the watchers too; what the log lacks at the end is in `unwritten`.
+    With `resumes` it takes up the mission that this log is of, where that was broken off. Ctrl-C ends the mission, as
+    any failure does: in what autopilot.on_failure says; a second one ends the program at once. Raises what ended the
+    mission early.
+    """
+    vehicle = vehicle_link(config)
+    mission = load_mission(program or config.mission.program, mode=config.mission.mode)
+    services = load_services(config.services)
+    done = waypoints_done(read_events(log), config) if resumes else None
+    require_reachable(config)
+    credentials = drone_credentials(config, valid_now=False)  # before the clock is known to be right
+    async with contextlib.AsyncExitStack() as stack:
+        watchers += await _metrics(config, stack)
+        camera = await _camera(config.camera, stack)
+        journal = stack.enter_context(
+            contextlib.closing(FileJournal(log, watchers=watchers, resumes=resumes, unwritten=unwritten))
+        )
+        autopilot = await _autopilot(config, vehicle, journal, stack)
+        if credentials is not None:
+            gps_unix_s = await _gps_unix_s(autopilot, problem_by(clock, credentials), journal)
+            agree_on_time(gps_unix_s, credentials, journal, clock=clock)
+        keep_right_from_services()
+        flight = Flight(
+            mission,
+            config,
+            services={name: service.cls for name, service in services.items()},
+            ports=await _ports(config, autopilot, camera, credentials, journal=journal, stack=stack),
+            programs={name: service.program for name, service in services.items()},
+            done=done,
+        )
+        await stack.enter_async_context(_tracking(flight, journal))
+        stack.enter_context(stopping_politely(flight.stop))
+        stack.enter_context(outliving_the_terminal())
+        await flight.run()
+
+
+async def _autopilot(
+    config: DroneConfig, vehicle: VehicleLink, journal: Journal, stack: contextlib.AsyncExitStack
+) -> MavlinkAutopilot:
+    if problem := unsigned_port(config.autopilot):
+        journal.record(schema.UnsignedPort(why=problem))
+    autopilot = await vehicle.connect(
+        FlightSettings(
+            arrival_distance_m=config.autopilot.arrival_distance_m,
+            arrival_speed_m_s=config.autopilot.arrival_speed_m_s,
+            patience=Patience(lost_after_s=config.autopilot.link_patience_s),
+        )
+    )
+    stack.push_async_callback(autopilot.close)
+    return autopilot
+
+
+async def _ports(
+    config: DroneConfig,
+    autopilot: Autopilot,
+    camera: Camera,
+    credentials: Credentials | None,
+    *,
+    journal: FileJournal,
+    stack: contextlib.AsyncExitStack,
+) -> Ports:
+    sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="upwash-")))
+    return Ports(
+        autopilot=autopilot,
+        networks=await opened_networks(config, autopilot, journal, stack),
+        dialer=server_dialer(config, credentials),
+        onboard_dialer=onboard_dialer(config.name),
+        onboard_runtime=onboard_runtime(sockets),
+        camera=camera,
+        notifier=JournalNotifier(journal),
+        journal=journal,
+    )
+
+
+async def _metrics(config: DroneConfig, stack: contextlib.AsyncExitStack) -> tuple[Watcher, ...]:
+    """What keeps the metrics up to date, where they are asked for; they are offered from now on."""
+    if config.metrics is None:
+        return ()
+    with extra("metrics"):
+        from upwash.metrics.drone import DroneMetrics
+        from upwash.metrics.exposition import exposed
+    metrics = DroneMetrics([server.name for server in config.servers])
+    await stack.enter_async_context(exposed(metrics.registry, config.metrics))
+    return (metrics.follow,)
+
+
+async def _camera(config: CameraConfig, stack: contextlib.AsyncExitStack) -> Camera:
+    if config.folder is not None:
+        return FolderCamera(config.folder, photo_s=config.photo_s)
+    if config.park_seed is not None:
+        return RenderedCamera(config.park_seed, photo_s=config.photo_s, in_thread=True)
+    if config.device is not None:
+        return stack.enter_context(contextlib.closing(await VideoCamera.open(config.device)))
+    raise UsageError(
+        "no camera: say in [camera] where photos come from: folder, device, or park_seed for rendered ones"
+    )
+
+
+async def _gps_unix_s(autopilot: MavlinkAutopilot, problem: str, journal: Journal) -> float | None:
+    """The time by the vehicle's GPS; where certificates are not valid by this computer's, its fix is waited for."""
+    if problem and autopilot.unix_s is None:
+        journal.record(schema.WaitingForTheTime(why=problem))
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(_GPS_FIX_S if problem else _GPS_REPORT_S):
+            while autopilot.unix_s is None:  # noqa: ASYNC110 - it comes by a message a second
+                await asyncio.sleep(_LOOK_S)
+    return autopilot.unix_s
+
+
+@contextlib.asynccontextmanager
+async def _tracking(flight: Flight, journal: Journal) -> AsyncIterator[None]:
+    """Logs where the drone is, every second until the mission's end."""
+
+    async def track() -> None:
+        while not flight.has_ended:
+            journal.record(flight.position_report())
+            await asyncio.sleep(_TRACK_PERIOD_S)
+
+    task = asyncio.create_task(track())
+    try:
+        yield
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task

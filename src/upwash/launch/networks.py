@@ -1,0 +1,48 @@
+"""Puts a drone's radios on the networks that its configuration names."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+
+from upwash.config import DroneConfig, server_areas, server_truth
+from upwash.drone.networks import Cell, NoNetwork, PositionNetwork
+from upwash.ports import Autopilot, Journal, Network
+from upwash.support.loading import extra
+
+
+async def opened_networks(
+    config: DroneConfig, autopilot: Autopilot, journal: Journal, stack: contextlib.AsyncExitStack
+) -> list[Network]:
+    """A network for each radio, until the stack is closed; raises NetworkError where one cannot be used."""
+    radios = range(config.network.radios)
+    if config.network.kind == "wired":
+        return [NoNetwork() for _ in radios]
+    if config.network.kind == "networkmanager":
+        return [
+            await _managed_network(interfaces, config, journal, stack) for interfaces in _per_radio(config)
+        ]
+    areas = server_areas(config)
+    cells: dict[str, list[Cell]] = {}
+    for server in config.servers:
+        truth = server_truth(server, config.services)
+        cell = Cell(areas[server.name], truth.join_s, leave_s=truth.leave_s)
+        cells.setdefault(server.network, []).append(cell)
+    return [PositionNetwork(cells, lambda: autopilot.position) for _ in radios]
+
+
+def _per_radio(config: DroneConfig) -> list[tuple[str, ...]]:
+    """The interfaces of each radio: a single one joins networks on whichever fits, of several each has its own."""
+    interfaces = config.network.interfaces
+    return [interfaces] if config.network.radios == 1 else [(each,) for each in interfaces]
+
+
+async def _managed_network(
+    interfaces: Sequence[str], config: DroneConfig, journal: Journal, stack: contextlib.AsyncExitStack
+) -> Network:
+    with extra("network"):
+        from upwash.real.network import ManagedNetwork
+    network = ManagedNetwork(interfaces, [server.network for server in config.servers], journal)
+    stack.push_async_callback(network.close)
+    await network.open()
+    return network

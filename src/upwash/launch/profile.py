@@ -1,0 +1,63 @@
+"""Measures what a service's calls cost, before the flight: here, or at one of the drone's servers."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from upwash.config import DroneConfig, ServerConfig
+from upwash.drone.networks import NoNetwork
+from upwash.drone.server_session import ServerEndpoint
+from upwash.launch.drone import (
+    drone_credentials,
+    onboard_dialer,
+    onboard_runtime,
+    require_reachable,
+    server_dialer,
+)
+from upwash.missions.bundled import LoadedService
+from upwash.ports import InstanceSpec
+from upwash.profiling.profiler import (
+    OnboardProfile,
+    Sample,
+    ServerProfile,
+    Watch,
+    profile_onboard,
+    profile_server,
+)
+from upwash.real.memory import peak_memory_bytes
+from upwash.rpc.service import spec_of
+
+_PROFILER = "profiler"
+
+
+async def profile_on_this_computer(
+    service: LoadedService, found: Sequence[Sample], *, calls: int, watch: Watch
+) -> OnboardProfile:
+    """Measures the service in instances such as the drone's own."""
+    with tempfile.TemporaryDirectory(prefix="upwash-") as sockets:
+        return await profile_onboard(
+            InstanceSpec(_PROFILER, spec_of(service.cls).name, service.program),
+            found,
+            calls=calls,
+            drone=_PROFILER,
+            runtime=onboard_runtime(Path(sockets)),
+            dialer=onboard_dialer(_PROFILER),
+            memory_bytes=peak_memory_bytes,
+            watch=watch,
+        )
+
+
+async def profile_at(
+    server: ServerConfig, config: DroneConfig, found: Sequence[Sample], *, calls: int, watch: Watch
+) -> ServerProfile:
+    """Measures a service at one of the drone's servers, with the drone's certificate."""
+    config = msgspec.structs.replace(config, servers=(server,))
+    require_reachable(config)
+    dialer = server_dialer(config, drone_credentials(config))
+    services = tuple(dict.fromkeys(sample.operation.service for sample in found))
+    endpoint = ServerEndpoint(server.name, server.network, server.address or "", services)
+    return await profile_server(endpoint, found, calls=calls, network=NoNetwork(), dialer=dialer, watch=watch)

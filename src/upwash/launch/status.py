@@ -1,0 +1,41 @@
+"""Asks an edge daemon how it is, for an operator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from upwash.config import is_address, is_on_this_machine
+from upwash.errors import Unreachable, UsageError
+from upwash.launch.drone import MAX_MESSAGE_BYTES
+from upwash.real.credentials import read_credentials
+from upwash.real.link import GrpcDialer
+from upwash.rpc.protocol import STATUS, StatusReply, StatusRequest, decode_reply
+
+_STATUS_S = 10.0
+
+
+async def ask_status(address: str, *, server: str, operator: str, keys: Path | None) -> StatusReply:
+    """How the daemon at the address is; `server` is one that it acts as. Raises LinkError where it does not say."""
+    if not is_address(address):
+        raise UsageError(f'"{address}" is no address: give host:port, or unix:path')
+    if keys is None and not is_on_this_machine(address):
+        raise UsageError(f"{address} is another machine: give --keys DIR, --operator NAME and --server NAME")
+    if keys is not None and not server:
+        raise UsageError("--server is missing: name a server that the daemon's certificate is for")
+    credentials = keys and read_credentials(
+        keys / "authority.pem", keys / f"{operator}.pem", keys / f"{operator}.key"
+    )
+    dialer = GrpcDialer(operator, credentials or None, max_message_bytes=MAX_MESSAGE_BYTES)
+    link = dialer.dial(address, server=server or "daemon")
+    try:
+        reply = await link.request(STATUS, msgspec.msgpack.encode(StatusRequest()), timeout_s=_STATUS_S)
+    except Unreachable as error:
+        remedy = (
+            "" if keys else "; a daemon that has certificates wants yours: give --keys DIR and --server NAME"
+        )
+        raise Unreachable(f"{error}{remedy}") from error
+    finally:
+        await link.close()
+    return decode_reply(reply, StatusReply, sender=address)

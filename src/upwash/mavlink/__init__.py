@@ -1,0 +1,1 @@
+"""MAVLink as the driver and the stand-in both speak it."""

@@ -1,0 +1,43 @@
+"""MAVLink messages from bytes, for the driver and the stand-in: whatever the bytes are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.mavlink.px4 import understood
+from upwash.mavlink.signing import Refusal, Signing
+
+_NOT_UNDERSTOOD = (mavlink.MAVLink_bad_data, mavlink.MAVLink_unknown)  # garbage, or no checksum to verify
+
+
+class PacketReader:
+    """Reads a stream of bytes, or one datagram; raises nothing, and keeps no more than one packet's start.
+
+    With `signing` each message comes with why it is not to be believed.
+    """
+
+    def __init__(self, signing: Signing | None = None) -> None:
+        self._signing = signing
+        self._parser = mavlink.MAVLink(None)
+        self._parser.robust_parsing = True  # what cannot be understood becomes a message of its own
+
+    def read(self, data: bytes) -> list[tuple[Any, Refusal | None]]:
+        """The messages that the bytes complete."""
+        parser = self._parser
+        found = parser.parse_buffer(data) or ()
+        del parser.buf[: parser.buf_index]  # pymavlink frees it only when a packet ends with the bytes
+        parser.buf_index = 0
+        return [
+            (message, self._signing.refusal(bytes(raw.get_msgbuf())) if self._signing else None)
+            for raw in found
+            if not isinstance(message := understood(raw), _NOT_UNDERSTOOD)
+        ]
+
+
+def packed(message: Any, codec: Any, signing: Signing | None) -> bytes:
+    """The message's bytes, signed where there is a key; the codec's sequence number goes on."""
+    data = signing.pack(message, codec) if signing else bytes(message.pack(codec))
+    codec.seq = (codec.seq + 1) % 256
+    return data

@@ -1,0 +1,112 @@
+"""Missions and services by name: the bundled ones, and the user's own by their path."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, cast
+
+from upwash.config import SettingsTable, convert
+from upwash.drone.api import Mission
+from upwash.errors import UsageError
+from upwash.ports import Program
+from upwash.rpc.service import load_service, spec_of
+from upwash.rpc.settings import construct, plain, required_settings
+from upwash.support.loading import load
+
+_MISSIONS = {"survey": "upwash.missions.survey:survey"}
+_SERVICES = {"detector": "upwash.services:Detector"}
+
+
+def load_mission(program: str, *, mode: str) -> Mission:
+    """The mission of that name or path; one with a parameter `mode` gets it."""
+    if ":" not in program and program not in _MISSIONS:
+        raise UsageError(
+            f"there is no mission {program!r}: the bundled ones are {', '.join(_MISSIONS)}; "
+            "a mission of your own is path/to/file.py:function"
+        )
+    mission = load(_MISSIONS.get(program, program))
+    if not callable(mission):
+        raise UsageError(f"mission {program!r} is not a function")
+    if inspect.iscoroutinefunction(mission):
+        raise UsageError(f"mission {program!r} is async: write it as a plain blocking function")
+    try:
+        signature = inspect.signature(mission)
+        if "mode" in signature.parameters:
+            mission = functools.partial(mission, mode=mode)
+        inspect.signature(mission).bind(None)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"mission {program!r} cannot be called with a drone alone: {error}") from error
+    return cast(Mission, mission)
+
+
+class ConfiguredService(Protocol):
+    """A service as a drone's or a daemon's configuration has it."""
+
+    @property
+    def name(self) -> str:
+        """As its class is declared."""
+
+    @property
+    def program(self) -> str | None:
+        """The path of its class, if it is not the bundled one of that name."""
+
+    @property
+    def settings(self) -> SettingsTable | None:
+        """What its constructor gets."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedService:
+    """A service's class, and what its instances run."""
+
+    cls: type
+    program: Program
+
+    def made(self) -> object:
+        """An object of the class, made as an instance makes its own."""
+        return construct(self.cls, spec_of(self.cls).settings, self.program.settings)
+
+
+def load_services(configured: Sequence[ConfiguredService]) -> dict[str, LoadedService]:
+    """The services of a configuration, by name; raises UsageError for one that does not fit its class."""
+    return {each.name: _load_service(each, f"service[{index}]") for index, each in enumerate(configured)}
+
+
+def load_service_alone(name: str) -> LoadedService:
+    """A service without a configuration: a bundled one by its name, or any by its class's path; raises UsageError."""
+    path = name if ":" in name else bundled_service(name)
+    return LoadedService(load_service(path), Program(path))
+
+
+def _load_service(configured: ConfiguredService, key: str) -> LoadedService:
+    path = configured.program or bundled_service(configured.name)
+    cls = load_service(path)
+    spec = spec_of(cls)
+    if spec.name != configured.name:
+        raise UsageError(
+            f"service {configured.name!r} runs {cls.__name__}, which is declared as {spec.name!r}: use that name"
+        )
+    table = configured.settings
+    if table is None:
+        if needed := required_settings(spec.settings):
+            raise UsageError(
+                f"service {spec.name!r} needs {', '.join(needed)}: add them in [service.settings]"
+            )
+        return LoadedService(cls, Program(path))
+    settings = convert(
+        table.values, spec.settings, file=table.file, as_written=table.values, at=f"{key}.settings"
+    )
+    return LoadedService(cls, Program(path, plain(settings)))
+
+
+def bundled_service(name: str) -> str:
+    """The path of a bundled service's class; raises UsageError naming those that there are."""
+    if name not in _SERVICES:
+        raise UsageError(
+            f"service {name!r} needs a program, path/to/file.py:Class or package.module:Class; "
+            f"bundled, and without one, there is only: {', '.join(_SERVICES)}"
+        )
+    return _SERVICES[name]

@@ -1,0 +1,319 @@
+"""What will hurt: everything that a person should know, and perhaps mend, before take-off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from msgspec import Struct
+
+from upwash.config import (
+    DroneConfig,
+    EnergyConfig,
+    PolicyConfig,
+    ServerConfig,
+    is_on_this_machine,
+    unsigned_port,
+)
+from upwash.core.policy import WaitRule
+from upwash.preflight.coverage import Coverage
+from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, without
+from upwash.preflight.way_home import PX4_LOW_PERCENT, farthest, reserve_percent
+
+_WORTH_SAYING = 0.01  # of a mission time: less is the luck of when a check happened to begin
+
+
+class PreflightWarning(Struct, frozen=True):
+    """One thing that will hurt: its kind, which stays the same from version to version, and what a person reads."""
+
+    kind: str
+    text: str
+
+
+class Belief(Struct, frozen=True, kw_only=True):
+    """What a call is believed to take on the drone, and on each server that offers it."""
+
+    operation: str
+    local_s: float
+    remote_s: Mapping[str, float]
+
+
+def usable_s(config: DroneConfig) -> float | None:
+    """How long the battery lasts above the mission's reserve; None where the configuration does not say."""
+    if config.vehicle.endurance_s is None:
+        return None
+    return config.vehicle.endurance_s * (1 - (reserve_percent(config) or 0.0) / 100)
+
+
+def usable_wh(config: DroneConfig) -> float | None:
+    """What the simulated battery gives above the mission's reserve; None where the configuration does not say."""
+    if config.energy is None or config.energy.battery_wh is None:
+        return None
+    return config.energy.battery_wh * (1 - _level_percent(config, config.energy) / 100)
+
+
+def _level_percent(config: DroneConfig, energy: EnergyConfig) -> float:
+    """At which the flight ends: by the mission's reserve or by the vehicle's own fail-safe."""
+    return max(reserve_percent(config) or 0.0, energy.failsafe_percent)
+
+
+def warnings(
+    config: DroneConfig,
+    covered: Sequence[Coverage],
+    beliefs: Sequence[Belief],
+    predictions: Sequence[Prediction],
+) -> list[PreflightWarning]:
+    """All that is known to hurt; the beliefs are those of the operations that the mission calls."""
+    found: list[PreflightWarning] = []
+    if config.policy.name != LOCAL_ONLY:
+        found += _range_concerns(config.servers, covered)
+        found += _operation_concerns(config, beliefs)
+        found += _gain_concerns(config, predictions)
+    found += _failure_concerns(predictions)
+    found += _battery_concerns(config, predictions)
+    found += _energy_concerns(config, predictions)
+    found += _way_home_concerns(config)
+    found += _address_concerns(config.servers)
+    if is_for_flight(config):
+        found += _port_concerns(config)
+        found += _flight_concerns(config)
+        found += _stage_concerns(config)
+    return found
+
+
+def is_for_flight(config: DroneConfig) -> bool:
+    """Whether the file says how anything real is reached; else it is a scenario, to be simulated only."""
+    return config.autopilot.connection is not None or any(server.address for server in config.servers)
+
+
+def _range_concerns(
+    servers: Sequence[ServerConfig], covered: Sequence[Coverage]
+) -> Iterator[PreflightWarning]:
+    checks = {server.name: server for server in servers}
+    for each in covered:
+        server = checks[each.server]
+        if not each.waypoints:
+            yield PreflightWarning(
+                "covers-nothing",
+                f"{each.server} covers no waypoint: the nearest is {each.nearest_m:.0f} m away, its range is "
+                f"{each.range_m:g} m",
+            )
+        elif each.longest_stay_s <= server.check_running_s:
+            yield PreflightWarning(
+                "too-short",
+                f"{each.server} is in range for at most {each.longest_stay_s:.1f} s at a time, less than a check "
+                f"takes (check_running_s = {server.check_running_s:g}): it is never ready in time",
+            )
+        elif each.longest_stay_s <= server.check_s:
+            yield PreflightWarning(
+                "too-short",
+                f"{each.server} is in range for at most {each.longest_stay_s:.1f} s at a time, less than a check "
+                f"takes that starts the services (check_s = {server.check_s:g}): it helps only if they run already",
+            )
+
+
+def _operation_concerns(config: DroneConfig, beliefs: Sequence[Belief]) -> Iterator[PreflightWarning]:
+    if not config.servers:
+        return
+    for belief in beliefs:
+        fastest_s = min(belief.remote_s.values(), default=None)
+        if fastest_s is None:
+            yield PreflightWarning(
+                "not-offered", f"no server is configured with a delay of {belief.operation}"
+            )
+        elif fastest_s >= belief.local_s:
+            yield PreflightWarning(
+                "not-faster",
+                f"no server is faster for {belief.operation}: {belief.local_s:g} s on the drone, {fastest_s:g} s "
+                "on the fastest server",
+            )
+    for server in config.servers:
+        yield from _wait_concerns(server.name, config.policy, beliefs)
+
+
+def _wait_concerns(
+    server: str, policy: PolicyConfig, beliefs: Sequence[Belief]
+) -> Iterator[PreflightWarning]:
+    """Of a server that is faster, but for no operation so much that a wait for it could ever pay off."""
+    rule = WaitRule(gain_wait=policy.gain_wait)
+    faster = [
+        (1 - remote_s / each.local_s, each)
+        for each in beliefs
+        if (remote_s := each.remote_s.get(server)) is not None and remote_s < each.local_s
+    ]
+    if not faster or any(
+        rule.longest_s(local_s=each.local_s, remote_s=each.remote_s[server]) > 0 for _, each in faster
+    ):
+        return
+    saved, best = max(faster, key=lambda pair: pair[0])
+    yield PreflightWarning(
+        "never-waits",
+        f"the drone never waits for {server}: a call there saves at most {100 * saved:.0f} % "
+        f"({best.operation}), and policy.gain_wait = {policy.gain_wait:g} wants more",
+    )
+
+
+def _gain_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> Iterator[PreflightWarning]:
+    by_case = {each.case: each for each in predictions}
+    configured = by_case.get(AS_CONFIGURED)
+    if configured is None or configured.mission_time_s is None:
+        return
+    local_only = by_case.get(LOCAL_ONLY)
+    if config.servers and local_only is not None and not _is_slower(local_only, configured):
+        yield PreflightWarning(
+            "no-gain",
+            f"the servers gain next to nothing: {configured.mission_time_s:.0f} s as configured, "
+            f"{local_only.mission_time_s or 0:.0f} s with every call on the drone",
+        )
+    for server in config.servers:
+        other = by_case.get(without(server.name))
+        if other is not None and _is_slower(configured, other):
+            yield PreflightWarning(
+                "hurts",
+                f"{server.name} makes the mission slower: {configured.mission_time_s:.0f} s with it, "
+                f"{other.mission_time_s or 0:.0f} s with it dead",
+            )
+
+
+def _is_slower(this: Prediction, than: Prediction) -> bool:
+    """Whether it takes longer by more than its margins leave open, and by so much that it is worth saying."""
+    if this.mission_time_s is None or than.mission_time_s is None:
+        return this.mission_time_s is None and than.mission_time_s is not None
+    least_s = max(_WORTH_SAYING * than.mission_time_s, this.certain_margin_s + than.certain_margin_s)
+    return this.mission_time_s - than.mission_time_s > least_s
+
+
+def _failure_concerns(predictions: Sequence[Prediction]) -> Iterator[PreflightWarning]:
+    cases: dict[str, list[str]] = {}  # by reason
+    for each in predictions:
+        if each.failures:
+            case = f"{each.case} ({len(each.failures)} of {each.missions})"
+            cases.setdefault(each.failures[0], []).append(case)
+    for reason, failed in cases.items():
+        yield PreflightWarning(
+            "not-completed", f"simulated missions were not completed, {', '.join(failed)}: {reason}"
+        )
+
+
+def _battery_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> Iterator[PreflightWarning]:
+    lasts_s = usable_s(config)
+    if lasts_s is None:
+        return
+    needed_s = {
+        each.case: each.mission_time_s + each.certain_margin_s
+        for each in predictions
+        if each.mission_time_s is not None
+    }
+    too_long = [f"{case} ({seconds:.0f} s)" for case, seconds in needed_s.items() if seconds > lasts_s]
+    if too_long:
+        yield PreflightWarning(
+            "battery",
+            f"the battery lasts {lasts_s:.0f} s{_above_the_reserve(config)}, which is not enough for the mission "
+            f"{', '.join(too_long)}",
+        )
+
+
+def _energy_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> Iterator[PreflightWarning]:
+    given_wh = usable_wh(config)
+    if given_wh is None or config.energy is None:
+        return
+    needed_wh = {
+        each.case: each.energy_wh + (each.energy_margin_wh or 0.0)
+        for each in predictions
+        if each.energy_wh is not None
+    }
+    too_much = [
+        f"{case} ({energy_wh:.1f} Wh)" for case, energy_wh in needed_wh.items() if energy_wh > given_wh
+    ]
+    if too_much:
+        yield PreflightWarning(
+            "battery",
+            f"the battery gives {given_wh:.1f} Wh down to {_level_percent(config, config.energy):g} %, where the "
+            f"flight ends, which is not enough for the mission {', '.join(too_much)}",
+        )
+
+
+def _above_the_reserve(config: DroneConfig) -> str:
+    reserve = reserve_percent(config)
+    if not reserve:
+        return ""
+    if reserve == config.mission.reserve_percent:
+        return f" above the reserve of {reserve:g} %"
+    return f" above the reserve of {config.mission.reserve_s:g} s"
+
+
+def _way_home_concerns(config: DroneConfig) -> Iterator[PreflightWarning]:
+    """Of a waypoint from which the drone would turn back as soon as it has come there, or sooner."""
+    lasts_s = usable_s(config)
+    if config.mission.reserve_s is None:
+        return
+    if lasts_s is None:
+        yield PreflightWarning(
+            "endurance",
+            "mission.reserve_s is given and vehicle.endurance_s is not: what the way home needs is not known until a "
+            "minute has been flown, and nothing says here whether the battery lasts",
+        )
+        return
+    far = farthest(config)
+    if far.out_s + far.home_s > lasts_s:
+        yield PreflightWarning(
+            "too-far",
+            f"waypoint {far.waypoint} is {far.away_m:.0f} m from home: {far.out_s:.0f} s there and "
+            f"{far.home_s:.0f} s back are more than the battery lasts{_above_the_reserve(config)}, {lasts_s:.0f} s",
+        )
+
+
+def _stage_concerns(config: DroneConfig) -> Iterator[PreflightWarning]:
+    """Of a reserve that the vehicle's own low-battery stage may lie above."""
+    reserve = reserve_percent(config)
+    if config.mission.reserve_s is None or reserve is None or reserve >= PX4_LOW_PERCENT:
+        return
+    yield PreflightWarning(
+        "low-battery-stage",
+        f"the reserve is {reserve:.0f} % of the battery, and a PX4 calls its own low at {PX4_LOW_PERCENT:g} %, "
+        "unless BAT_LOW_THR was changed; an ArduPilot's stage (BATT_LOW_*) is known only once it is connected. The "
+        "higher one counts, and the mission ends the sooner: to plan with it, give reserve_percent = "
+        f"{PX4_LOW_PERCENT:g} or more",
+    )
+
+
+def _address_concerns(servers: Sequence[ServerConfig]) -> Iterator[PreflightWarning]:
+    by_address: dict[str, list[str]] = {}
+    for server in servers:
+        if server.address:
+            by_address.setdefault(server.address, []).append(server.name)
+    for address, names in by_address.items():
+        if len(names) > 1:
+            yield PreflightWarning(
+                "same-address",
+                f"{' and '.join(names)} have one address, {address}: right only if one daemon offers them all, "
+                "or each has it in a network of its own",
+            )
+
+
+def _port_concerns(config: DroneConfig) -> Iterator[PreflightWarning]:
+    if problem := unsigned_port(config.autopilot):
+        yield PreflightWarning("unsigned-port", problem)
+
+
+def _flight_concerns(config: DroneConfig) -> Iterator[PreflightWarning]:
+    """What `upwash fly` would refuse."""
+    if config.mission.home is None:
+        yield PreflightWarning(
+            "no-home", "mission.home is missing: a flight needs the place where east and north are 0"
+        )
+    camera = config.camera
+    if camera.folder is None and camera.device is None and camera.park_seed is None:
+        yield PreflightWarning(
+            "no-camera", "no camera: say in [camera] where photos come from: folder, device or park_seed"
+        )
+    for server in config.servers:
+        if not server.address:
+            yield PreflightWarning(
+                "no-address", f"{server.name} has no address: say where its daemon is reached"
+            )
+        elif config.keys is None and not is_on_this_machine(server.address):
+            yield PreflightWarning(
+                "no-keys",
+                f"{server.name} at {server.address} needs certificates: make them with `upwash keys` and name them "
+                "in [keys]",
+            )

@@ -1,0 +1,1 @@
+"""PROGRAM: measures what the calls of a service cost."""

@@ -1,0 +1,304 @@
+"""PROGRAM: measures what a service's calls cost, on the drone and on a server: the offline profiling before a flight.
+
+The thesis takes a first estimate of a remote call from a server's processing time and bandwidth (equation 3.1), and
+every other one from tests on the ground (section 3.3).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import inspect
+import itertools
+import statistics
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from msgspec import inspect as types
+
+from upwash.core.estimates import Operation
+from upwash.core.places import ON_DRONE
+from upwash.drone.server_session import ServerEndpoint, ServerSession
+from upwash.errors import UpwashError, UsageError
+from upwash.ports import Dialer, InstanceSpec, Link, Network, Runtime
+from upwash.rpc.protocol import service_path
+from upwash.rpc.service import Method, ServiceSpec
+
+_LONGEST_CALL_S = 600.0
+_LONGEST_START_S = 300.0
+_PROBES = 7
+_LEAST_CARRIED_S = 1e-3  # a shorter difference is noise: the way is too fast to tell
+_UNDECODABLE = (
+    b"\xc1"  # the one byte that MessagePack never uses: a service refuses it before it computes anything
+)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One operation, and a request of it for each photo."""
+
+    operation: Operation
+    method: Method
+    requests: tuple[bytes, ...]
+
+    @property
+    def request_bytes(self) -> int:
+        """The mean size of its requests."""
+        return round(statistics.fmean(len(request) for request in self.requests))
+
+
+@dataclass(frozen=True)
+class CallProfile:
+    """What calls of one operation took: the first of a new instance, those after it, and the mean size of a reply."""
+
+    sample: Sample
+    first_s: float
+    call_s: tuple[float, ...]
+    reply_bytes: int
+
+    @property
+    def mean_s(self) -> float:
+        """The mean delay of the calls after the first."""
+        return statistics.fmean(self.call_s)
+
+
+@dataclass(frozen=True)
+class OnboardProfile:
+    """A service on the drone: its calls, and how long an instance took to start and how much memory it needed."""
+
+    calls: tuple[CallProfile, ...]
+    start_s: tuple[float, ...]
+    peak_memory_bytes: int
+
+
+@dataclass(frozen=True)
+class ServerProfile:
+    """A service on a server: its calls, from selection to READY, and what the way there carries.
+
+    `check_s` is None where the services ran already, `goodput_bit_s` where the way is too fast to tell.
+    """
+
+    calls: tuple[CallProfile, ...]
+    processing_s: Mapping[Operation, float]
+    check_s: float | None
+    check_running_s: float
+    goodput_bit_s: float | None
+
+
+Watch = Callable[[str], None]  # told what is done next, once per call
+
+
+def samples(spec: ServiceSpec, photos: Sequence[bytes]) -> list[Sample]:
+    """Every operation that can be called with a photo; raises UsageError where there is none.
+
+    That is a method with one parameter of bytes; the profile argument takes each of its values, and any other
+    parameter has a default.
+    """
+    found = [
+        Sample(
+            Operation(spec.name, method.name, key),
+            method,
+            tuple(method.encode((), {name: photo, **arguments})[1] for photo in photos),
+        )
+        for method in spec.methods.values()
+        if not method.once and (name := _photo_parameter(method)) is not None
+        for key, arguments in _keys(method)
+    ]
+    if not found:
+        raise UsageError(
+            f"service {spec.name!r} has no method that takes one photo (a parameter of bytes, all others with "
+            "defaults): profile it with a program of your own"
+        )
+    return found
+
+
+def calls_to_make(found: Sequence[Sample], calls: int) -> int:
+    """How often a Watch is told of a call while these are measured."""
+    return len(found) * (calls + 1)
+
+
+async def profile_onboard(
+    spec: InstanceSpec,
+    found: Sequence[Sample],
+    *,
+    calls: int,
+    drone: str,
+    runtime: Runtime,
+    dialer: Dialer,
+    memory_bytes: Callable[[], int],
+    watch: Watch,
+) -> OnboardProfile:
+    """Measures each operation in an instance of its own, so that each has a first call.
+
+    `memory_bytes()` is what the instance has needed so far.
+    """
+    profiles, starts_s, memories_bytes = [], [], []
+    for sample in found:
+        began_s = _now_s()
+        async with asyncio.timeout(_LONGEST_START_S):
+            instance = await runtime.start(spec, called=lambda _: None)
+        starts_s.append(_now_s() - began_s)
+        try:
+            await instance.admit(frozenset({drone}))
+            link = dialer.dial(instance.endpoint, server=ON_DRONE)
+            try:
+                profiles.append(await _measure(sample, _over(link), calls=calls, watch=watch))
+                memories_bytes.append(memory_bytes())
+            finally:
+                await link.close()
+        finally:
+            await instance.stop()
+    return OnboardProfile(tuple(profiles), tuple(starts_s), max(memories_bytes))
+
+
+async def profile_server(
+    endpoint: ServerEndpoint,
+    found: Sequence[Sample],
+    *,
+    calls: int,
+    network: Network,
+    dialer: Dialer,
+    watch: Watch,
+) -> ServerProfile:
+    """Visits the server twice, as a drone does, and calls its services the second time."""
+    check_s = await _check_stopped_s(ServerSession(endpoint, network=network, dialer=dialer))
+    session = ServerSession(endpoint, network=network, dialer=dialer)
+    began_s = _now_s()
+    try:
+        if not (await session.ask()).running:
+            raise UpwashError(
+                f"{endpoint.name} has stopped its services again already: let its idle_stop_s be longer"
+            )
+        check_running_s = _now_s() - began_s
+        async with _kept(session):
+            profiles = [await _measure(sample, _to(session), calls=calls, watch=watch) for sample in found]
+            transfer_s, goodput_bit_s = await _measure_transfer(found[0], _to(session))
+    finally:
+        await session.end(in_range=True)
+    return ServerProfile(
+        tuple(profiles),
+        processing_s={each.sample.operation: max(0.0, each.mean_s - transfer_s) for each in profiles},
+        check_s=check_s,
+        check_running_s=check_running_s,
+        goodput_bit_s=goodput_bit_s,
+    )
+
+
+Request = Callable[[Sample, bytes], Awaitable[bytes]]
+
+
+def _over(link: Link) -> Request:
+    def request(sample: Sample, body: bytes) -> Awaitable[bytes]:
+        path = service_path(sample.operation.service, sample.operation.method)
+        return link.request(path, body, timeout_s=_LONGEST_CALL_S)
+
+    return request
+
+
+def _to(session: ServerSession) -> Request:
+    def request(sample: Sample, body: bytes) -> Awaitable[bytes]:
+        operation = sample.operation
+        return session.call(operation.service, operation.method, body, deadline_s=_LONGEST_CALL_S)
+
+    return request
+
+
+async def _measure(sample: Sample, request: Request, *, calls: int, watch: Watch) -> CallProfile:
+    delays_s, replies_bytes = [], []
+    for body in itertools.islice(itertools.cycle(sample.requests), calls + 1):
+        watch(str(sample.operation))
+        began_s = _now_s()
+        reply = await request(sample, body)
+        delays_s.append(_now_s() - began_s)
+        replies_bytes.append(len(reply))
+        try:
+            sample.method.result(sample.method.decode(reply))
+        except Exception as error:
+            raise UsageError(
+                f"{sample.operation} failed on a photo, so there is nothing to measure: {error}"
+            ) from error
+    return CallProfile(sample, delays_s[0], tuple(delays_s[1:]), round(statistics.fmean(replies_bytes)))
+
+
+async def _measure_transfer(sample: Sample, request: Request) -> tuple[float, float | None]:
+    """The delay of a request that nothing is computed for, and the goodput that its size makes of it."""
+    sizes_bytes = 1, sample.request_bytes
+    delays_s: dict[int, list[float]] = {size_bytes: [] for size_bytes in sizes_bytes}
+    for _ in range(_PROBES):
+        for size_bytes in sizes_bytes:
+            began_s = _now_s()
+            await request(sample, _UNDECODABLE * size_bytes)
+            delays_s[size_bytes].append(_now_s() - began_s)
+    small_s, large_s = (statistics.median(delays_s[size_bytes]) for size_bytes in sizes_bytes)
+    carried_s = large_s - small_s
+    if carried_s < _LEAST_CARRIED_S:
+        return large_s, None
+    return large_s, 8 * (sizes_bytes[1] - sizes_bytes[0]) / carried_s
+
+
+async def _check_stopped_s(session: ServerSession) -> float | None:
+    """From selection to READY with the services to be started; None where they ran already."""
+    began_s = _now_s()
+    try:
+        if (await session.ask()).running:
+            return None
+        await session.start(timeout_s=_LONGEST_START_S)
+        return _now_s() - began_s
+    finally:
+        await session.end(in_range=True)
+
+
+@contextlib.asynccontextmanager
+async def _kept(session: ServerSession) -> AsyncIterator[None]:
+    lease = asyncio.create_task(session.keep_lease())
+    try:
+        yield
+    finally:
+        lease.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await lease
+
+
+def _photo_parameter(method: Method) -> str | None:
+    """The one parameter that takes a photo, if any other can be filled in."""
+    needed = [field for field in _fields(method) if _is_required(method, field)]
+    photos = [field for field in needed if isinstance(field.type, types.BytesType)]
+    if len(photos) != 1 or any(field.name not in (photos[0].name, method.profile_by) for field in needed):
+        return None
+    return photos[0].name
+
+
+def _keys(method: Method) -> Iterator[tuple[str, dict[str, object]]]:
+    """Each profile key, with the argument that has it."""
+    if method.profile_by is None:
+        yield "", {}
+        return
+    found = next(field.type for field in _fields(method) if field.name == method.profile_by)
+    match found:
+        case types.LiteralType(values):
+            arguments: Sequence[object] = values
+        case types.EnumType(cls):
+            arguments = tuple(cls)
+        case types.BoolType():
+            arguments = (False, True)
+        case _:
+            raise UsageError(
+                f"method {method.name}: the values of {method.profile_by} are not known; "
+                "declare it as a Literal or an Enum"
+            )
+    for argument in arguments:
+        yield str(getattr(argument, "value", argument)), {method.profile_by: argument}
+
+
+def _is_required(method: Method, field: types.Field) -> bool:
+    return method.signature.parameters[field.name].default is inspect.Parameter.empty
+
+
+def _fields(method: Method) -> tuple[types.Field, ...]:
+    request = types.type_info(method.request.type)
+    assert isinstance(request, types.StructType)  # noqa: S101 - made by service.py
+    return request.fields
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()

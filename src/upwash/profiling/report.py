@@ -1,0 +1,100 @@
+"""What profiling found: a table for people, and the part of a configuration that `fly` and `simulate` read."""
+
+from __future__ import annotations
+
+import json
+import re
+import statistics
+from collections.abc import Mapping, Sequence
+
+from rich.table import Table
+from rich.text import Text
+
+from upwash.profiling.profiler import CallProfile, OnboardProfile, ServerProfile
+
+_MEGA = 1e6
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def call_table(profiles: Sequence[CallProfile]) -> Table:
+    """Each operation's delays."""
+    table = Table(box=None, padding=(0, 2))
+    table.add_column("operation", overflow="fold")
+    for title in ("first call", "mean", "median", "longest"):
+        table.add_column(title, justify="right", no_wrap=True)
+    for each in profiles:
+        table.add_row(
+            Text(str(each.sample.operation)),
+            *(
+                f"{delay_s:.3f} s"
+                for delay_s in (each.first_s, each.mean_s, statistics.median(each.call_s), max(each.call_s))
+            ),
+        )
+    return table
+
+
+def service_table(profile: OnboardProfile, *, program: str | None, computer: str) -> str:
+    """The [[service]] table of a configuration, with what it was measured on in its comments."""
+    calls = profile.calls
+    first_extra_s = max(0.0, *(each.first_s - each.mean_s for each in calls))
+    lines = [
+        f"# Measured on {computer}: {len(calls[0].call_s)} calls of each operation.",
+        f"# Ready {statistics.median(profile.start_s):.2f} s after its start; "
+        f"at most {profile.peak_memory_bytes / _MEGA:.0f} MB of memory.",
+        "[[service]]",
+        f"name = {_text(calls[0].sample.operation.service)}",
+    ]
+    if program is not None:
+        lines.append(f"program = {_text(program)}")
+    lines += [
+        f"request_bytes = {max(each.sample.request_bytes for each in calls)}",
+        f"reply_bytes = {max(each.reply_bytes for each in calls)}",
+        f"local_call_s = {_delays({_key(each): each.mean_s for each in calls})}",
+        f"local_first_extra_s = {first_extra_s:.3f}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def server_table(profile: ServerProfile, *, server: str, computer: str) -> str:
+    """What was measured of a server, as keys for its [[server]] table."""
+    service = profile.calls[0].sample.operation.service
+    calls_s = _delays({_key(each): each.mean_s for each in profile.calls})
+    lines = [
+        f"# Measured from {computer}: {len(profile.calls[0].call_s)} calls of each operation.",
+        f"# For the [[server]] table of {server}:",
+    ]
+    if profile.check_s is None:
+        lines.append("# check_s: not measured, as the services ran already when the drone came")
+    else:
+        lines.append(f"check_s = {profile.check_s:.3f}")
+    lines.append(f"check_running_s = {profile.check_running_s:.3f}")
+    if profile.goodput_bit_s is None:
+        lines.append(
+            "# The way there is too fast for its goodput to be measured, so calls are given end to end."
+        )
+        lines.append(f"remote_call_s = {{ {_quoted_key(service)} = {calls_s} }}")
+    else:
+        processing_s = {_key(each): profile.processing_s[each.sample.operation] for each in profile.calls}
+        lines += [
+            f"bandwidth_bit_s = {profile.goodput_bit_s:.0f}",
+            f"processing_s = {{ {_quoted_key(service)} = {_delays(processing_s)} }}",
+            f"# End to end, here and now: remote_call_s = {{ {_quoted_key(service)} = {calls_s} }}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _key(profile: CallProfile) -> str:
+    """The configuration's key for the delays of an operation."""
+    return profile.sample.operation.key or profile.sample.operation.method
+
+
+def _delays(delays_s: Mapping[str, float]) -> str:
+    return "{ " + ", ".join(f"{_quoted_key(key)} = {delay_s:.3f}" for key, delay_s in delays_s.items()) + " }"
+
+
+def _quoted_key(key: str) -> str:
+    return key if _BARE_KEY.fullmatch(key) else _text(key)
+
+
+def _text(value: str) -> str:
+    return json.dumps(value)  # what JSON quotes, TOML reads

@@ -1,0 +1,392 @@
+"""A vehicle at the other end of a MAVLink connection, as far as it is listened to and asked.
+
+Questions, such as for a report or a parameter, change nothing: they are sent whoever has the vehicle.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.control import Latch, Report
+from upwash.errors import AutopilotError, AutopilotLost, AutopilotTimeout
+from upwash.mavlink.signing import Refusal, Signing
+from upwash.ports import LinkChanged, VehicleNews
+from upwash.real.mavlink.firmware import Firmware
+from upwash.real.mavlink.hearing import Message, from_autopilot
+from upwash.real.mavlink.link import MavlinkLink
+from upwash.real.mavlink.settings import Patience
+from upwash.real.mavlink.telemetry import Telemetry
+
+_HEARTBEAT_S = 1.0
+_COPTERS = (
+    mavlink.MAV_TYPE_QUADROTOR,
+    mavlink.MAV_TYPE_COAXIAL,
+    mavlink.MAV_TYPE_HELICOPTER,
+    mavlink.MAV_TYPE_HEXAROTOR,
+    mavlink.MAV_TYPE_OCTOROTOR,
+    mavlink.MAV_TYPE_TRICOPTER,
+    mavlink.MAV_TYPE_DODECAROTOR,
+    mavlink.MAV_TYPE_DECAROTOR,
+)
+_TELL_THE_MODE = ("HEARTBEAT", "CURRENT_MODE", "FENCE_STATUS")
+_LATE_BY = 16  # messages: what is older by its sequence number comes from a vehicle that was restarted
+_ASKED_AT_ONCE = 10  # times that a missing stream is asked for each second
+_ASKED_EACH = 30  # and from then on only each so many
+_NEWS_KEPT = 1000  # until somebody listens
+_REMEDIES = {
+    Refusal.UNSIGNED: "give it the key with a ground station, or leave autopilot.signing_key out",
+    Refusal.OTHER_KEY: "give it the key of autopilot.signing_key with a ground station, or name the file of its key",
+    Refusal.STALE: "wait until its GPS has a fix, and see that this computer's clock is right",
+    Refusal.REPLAYED: "somebody repeats what it said earlier, or it was started anew: try again",
+}
+
+
+class HeardVehicle:
+    """The first autopilot heard on the connection; others on it are ignored.
+
+    So is what arrives twice or late: a mode that the vehicle has left, an answer to an earlier attempt. `firmwares`
+    are those that can be flown; which one this is, is known once it was `found`.
+    """
+
+    def __init__(
+        self,
+        connection: str,
+        patience: Patience,
+        firmwares: Sequence[Firmware],
+        *,
+        signing: Signing | None = None,
+    ) -> None:
+        self.telemetry = Telemetry()
+        self.firmware = firmwares[0]
+        self.patience = patience
+        self._firmwares = {each.autopilot: each for each in firmwares}
+        self._loop = asyncio.get_running_loop()
+        self.latch = Latch(self._loop.time())
+        self._hear_news: Callable[[VehicleNews], None] | None = None
+        self._unheard_news: deque[VehicleNews] = deque(maxlen=_NEWS_KEPT)
+        self._listeners: list[Callable[[Message], None]] = []
+        self._texts_told = 0
+        self._silent_s = 0.0  # in all, of silences that are over
+        self._identity: tuple[int, int] | None = None  # its system and component
+        self._heard_s: dict[int, float] = {}  # when, by message number
+        self._asked_times: dict[int, int] = {}  # by message number, since it last came
+        self._sequence: int | None = None  # the number of its last message
+        self._unflyable: tuple[int, int] | None = None  # MAV_AUTOPILOT and MAV_TYPE of another that was heard
+        self._last_heard_s = self._loop.time()
+        self.mode_told_s = -math.inf  # when it last was
+        self._news = asyncio.Event()
+        self._link = MavlinkLink(
+            connection,
+            self._hear,
+            signing=signing,
+            follows=self._follows,
+            moved_after_s=patience.dead_after_s,
+        )
+        self.heartbeat_word: Callable[[], int] = lambda: 0  # what else each of our heartbeats says
+        self.missed_after_s = math.inf  # after so long a silence of the link its dead man may have acted
+        self._accompanying = asyncio.create_task(self._accompany())
+        self._watching = asyncio.create_task(self._watch_link())
+
+    async def found(self, *, within_s: float) -> None:
+        """Returns when the vehicle's heartbeat has been heard; raises AutopilotError if it is not."""
+        try:
+            async with asyncio.timeout(within_s):
+                while self._identity is None:
+                    await self._news.wait()
+        except TimeoutError:
+            raise AutopilotError("connect", self._why_not_found(within_s)) from None
+
+    @property
+    def now_s(self) -> float:
+        """The loop's time."""
+        return self._loop.time()
+
+    @property
+    def mode_name(self) -> str:
+        """The flight mode's name."""
+        mode = self.telemetry.mode
+        return "unknown" if mode is None else self.firmware.mode_name(mode)
+
+    @property
+    def said_lately(self) -> str:
+        """What it said in the last seconds, the most severe first."""
+        return self.telemetry.said_lately(self._loop.time())
+
+    def listen(self, hear: Callable[[VehicleNews], None]) -> None:
+        """Has `hear` called with all news, and first with those since the connection was made."""
+        self._hear_news = hear
+        while self._unheard_news:
+            hear(self._unheard_news.popleft())
+
+    def tell(self, news: VehicleNews) -> None:
+        """Passes news on to who listens, or keeps them until somebody does."""
+        if self._hear_news:
+            self._hear_news(news)
+        else:
+            self._unheard_news.append(news)
+
+    @contextlib.contextmanager
+    def listening(self, hear: Callable[[Message], None]) -> Iterator[None]:
+        """Has `hear` called with each message of the vehicle until the end of the block."""
+        self._listeners.append(hear)
+        try:
+            yield
+        finally:
+            self._listeners.remove(hear)
+
+    @property
+    def linked(self) -> bool:
+        """Whether the vehicle has been heard lately."""
+        return self._loop.time() - self._last_heard_s < self.patience.quiet_after_s
+
+    async def link_lost(self) -> None:
+        """Returns when nothing has been heard of the vehicle for `quiet_after_s`."""
+        while self.linked:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout_at(self._last_heard_s + self.patience.quiet_after_s):
+                    await self._news.wait()
+
+    async def link_restored(self) -> None:
+        """Returns when the vehicle is heard, at once if it is."""
+        while not self.linked:
+            await self._news.wait()
+
+    @property
+    def silent_s(self) -> float:
+        """For how long nothing has been heard of it."""
+        return self._loop.time() - self._last_heard_s
+
+    def heard_since(self, number: int, time_s: float) -> bool:
+        """Whether the message of that number has come since then."""
+        return self._heard_s.get(number, -math.inf) >= time_s
+
+    @property
+    def unix_s(self) -> float | None:
+        """The time now by the vehicle's GPS; None while it does not know it."""
+        told_s = self.telemetry.unix_s
+        return told_s and told_s + self._loop.time() - self._heard_s[mavlink.MAVLINK_MSG_ID_SYSTEM_TIME]
+
+    async def close(self) -> None:
+        """Gives up the connection."""
+        tasks = self._accompanying, self._watching
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        await self._link.close()
+
+    async def until(self, step: str, condition: Callable[[], bool]) -> None:
+        """Returns when the condition, looked at with each message, is true; raises AutopilotLost on silence."""
+        while not condition():
+            try:
+                async with asyncio.timeout_at(self._last_heard_s + self.patience.lost_after_s):
+                    await self._news.wait()
+            except TimeoutError:
+                raise AutopilotLost(step, self._silence()) from None
+
+    async def happens(self, step: str, condition: Callable[[], bool], *, within_s: float) -> bool:
+        """Whether the condition comes true within the time."""
+        try:
+            async with asyncio.timeout(within_s):
+                await self.until(step, condition)
+        except TimeoutError:
+            return False
+        return True
+
+    @contextlib.asynccontextmanager
+    async def limited(self, step: str, timeout_s: float) -> AsyncIterator[None]:
+        """Raises AutopilotTimeout where the block takes longer; silences of the link do not count."""
+        begun_s, silent_before_s = self._loop.time(), self._silence_so_far_s()
+        timer: asyncio.TimerHandle
+
+        def look() -> None:
+            nonlocal timer
+            silent_s = self._silence_so_far_s() - silent_before_s
+            left_s = begun_s + timeout_s + silent_s - self._loop.time()
+            if left_s <= 0 and self.linked:
+                limit.reschedule(self._loop.time())
+            else:
+                timer = self._loop.call_later(max(left_s, self.patience.answer_s / 2), look)
+
+        try:
+            async with asyncio.timeout(None) as limit:
+                timer = self._loop.call_later(timeout_s, look)
+                yield
+        except TimeoutError:
+            problem = f"not done within {timeout_s:.0f} s, in mode {self.mode_name}"
+            raise AutopilotTimeout(step, problem, self.said_lately) from None
+        finally:
+            timer.cancel()
+
+    def ask(self, message: Callable[[int, int], Message]) -> None:
+        """Sends a question, made for a system and component: one that changes nothing about how the vehicle flies."""
+        self._link.send(message(*(self._identity or (0, 0))))
+
+    def ask_for(self, number: int) -> None:
+        """Asks for one report of that message number. A mode comes by HEARTBEAT, up to a second late by itself."""
+        self.question(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
+
+    def question(self, command: int, *parameters: float) -> None:
+        """Sends a command that only asks, once; nobody waits for its answer."""
+        padded = (*parameters, *[0.0] * (7 - len(parameters)))
+        self.ask(
+            lambda system, component: mavlink.MAVLink_command_long_message(
+                system, component, command, 0, *padded
+            )
+        )
+
+    def beat(self) -> None:
+        """Sends a heartbeat, as it also does once a second."""
+        self._link.send(
+            mavlink.MAVLink_heartbeat_message(
+                mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+                mavlink.MAV_AUTOPILOT_INVALID,
+                base_mode=0,
+                custom_mode=self.heartbeat_word(),
+                system_status=mavlink.MAV_STATE_ACTIVE,
+                mavlink_version=3,
+            )
+        )
+
+    def _silence_so_far_s(self) -> float:
+        now_silent_s = self._loop.time() - self._last_heard_s
+        return self._silent_s + (now_silent_s if now_silent_s >= self.patience.quiet_after_s else 0.0)
+
+    def _hear(self, message: Message) -> None:
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        if self._identity is None and self._follows(message):
+            self._identity = sender
+            self.firmware = self._firmwares[message.autopilot]
+            self._link.speak_as_part_of(message.get_srcSystem())
+            self._ask_for_missing_streams()
+        if sender != self._identity or self._is_late(message.get_seq()):
+            return
+        now_s = self._loop.time()
+        self._suspect_dead_man(now_s)
+        self._silent_s = self._silence_so_far_s()
+        if not self.linked:
+            self.ask_for(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+        self._sequence = message.get_seq()
+        self._last_heard_s = self._heard_s[message.get_msgId()] = now_s
+        self.telemetry.take(message, now_s)
+        self.firmware.take(self.telemetry, message, now_s)
+        self._take_control(message)
+        self._tell_texts()
+        for hear in tuple(self._listeners):
+            hear(message)
+        news, self._news = self._news, asyncio.Event()
+        news.set()
+
+    def _suspect_dead_man(self, now_s: float) -> None:
+        """What it said when it acted is lost where the link was."""
+        silent_s = now_s - self._last_heard_s
+        if silent_s >= self.missed_after_s:
+            self.telemetry.suspect_dead_man(f"its dead man, after {silent_s:.0f} s without a link", now_s)
+
+    def _take_control(self, message: Message) -> None:
+        """Feeds the latch with each heartbeat, and with what says that a fail-safe chose the mode."""
+        if self.telemetry.mode is None or message.get_type() not in _TELL_THE_MODE:
+            return
+        if message.get_type() != "FENCE_STATUS":
+            self.mode_told_s = self._loop.time()
+        mode, before = self.mode_name, self.latch.control
+        report = Report(mode, self.telemetry.armed, self.firmware.failsafe(self.telemetry, mode))
+        self.latch.report(report, self._loop.time())
+        if self.latch.control != before:
+            self.tell(self.latch.control)
+
+    def _tell_texts(self) -> None:
+        new = self.telemetry.texts_heard - self._texts_told
+        self._texts_told = self.telemetry.texts_heard
+        for _, text in list(self.telemetry.texts)[-new:] if new else ():
+            self.tell(text)
+
+    def _is_late(self, sequence: int) -> bool:
+        """Whether a message is one that was heard already, or older; after a silence anything is news."""
+        return self._sequence is not None and self.linked and (self._sequence - sequence) % 256 <= _LATE_BY
+
+    async def _accompany(self) -> None:
+        """Heartbeats as a companion computer: as a ground station it would hide the loss of the real one."""
+        while True:
+            await self._link.opened.wait()
+            self.beat()
+            self._ask_for_missing_streams()
+            self._leave_a_dead_connection()
+            await asyncio.sleep(_HEARTBEAT_S)
+
+    async def _watch_link(self) -> None:
+        """Tells of each silence, once the vehicle was found."""
+        while self._identity is None:
+            await self._news.wait()
+        while True:
+            await self.link_lost()
+            self.tell(LinkChanged(linked=False, silent_s=self.silent_s))
+            since_s = self._last_heard_s
+            await self.link_restored()
+            self.tell(LinkChanged(linked=True, silent_s=self._last_heard_s - since_s))
+
+    def _ask_for_missing_streams(self) -> None:
+        """Asks at the start, and again where a request was lost or the autopilot was restarted."""
+        if self._identity is None:
+            return
+        now_s = self._loop.time()
+        for number, rate_hz in self.firmware.streams_hz.items():
+            if self._heard_s.get(number, -math.inf) >= now_s - self.patience.quiet_after_s:
+                self._asked_times.pop(number, None)
+            elif self._is_to_be_asked_for(number):
+                self.question(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_hz)
+
+    def _is_to_be_asked_for(self, number: int) -> bool:
+        """Ever more rarely: some reports never come, such as ArduCopter's of a fence that is switched off."""
+        times = self._asked_times.get(number, 0)
+        if self.linked:
+            self._asked_times[number] = times + 1
+        return times < _ASKED_AT_ONCE or times % _ASKED_EACH == 0
+
+    def _leave_a_dead_connection(self) -> None:
+        """A peer that vanished without a word leaves a connection behind on which nothing ever comes."""
+        last_sign_s = max(self._last_heard_s, self._link.opened_s)
+        if self._loop.time() - last_sign_s > self.patience.dead_after_s:
+            self._link.reopen()
+
+    def _follows(self, message: Message) -> bool:
+        """Whether it is the heartbeat of the vehicle, or of one that can be flown while there is none."""
+        if not from_autopilot(message):
+            return False
+        if self._identity is not None:
+            return (message.get_srcSystem(), message.get_srcComponent()) == self._identity
+        flyable = message.autopilot in self._firmwares and message.type in _COPTERS
+        if not flyable:
+            self._unflyable = message.autopilot, message.type
+        return flyable
+
+    def _why_not_found(self, within_s: float) -> str:
+        connection, refused = self._link.connection, self._link.refused
+        if refused is not None:
+            return f"an autopilot was heard on {connection}, and its messages {refused.value}; {_REMEDIES[refused]}"
+        if self._unflyable:
+            autopilot, kind = self._unflyable
+            return (
+                f"{name_of('MAV_AUTOPILOT', autopilot)} with {name_of('MAV_TYPE', kind)} was heard on {connection}, "
+                f"and nothing else within {within_s:g} s; only multicopters with "
+                f"{' or '.join(each.name for each in self._firmwares.values())} can be flown"
+            )
+        return (
+            f"no autopilot was heard on {connection} within {within_s:g} s{self._link.why_silent}; check that it is "
+            "powered, that the address or device and its speed are right, and that no other program holds it"
+        )
+
+    def _silence(self) -> str:
+        link, lost_after_s = self._link, self.patience.lost_after_s
+        return f"nothing was heard on {link.connection} for {lost_after_s:g} s{link.why_silent}"
+
+
+def name_of(enum: str, number: int | None) -> str:
+    """What MAVLink calls the number in that enumeration."""
+    entry = mavlink.enums[enum].get(number)
+    return entry.name if entry else f"number {number}"

@@ -1,0 +1,143 @@
+"""What a PX4 reports, and what its modes, fail-safes and events mean."""
+
+from __future__ import annotations
+
+import csv
+import struct
+from collections.abc import Mapping
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.mavlink.px4 import CURRENT_MODE, EVENTS, Mode, event_text
+from upwash.ports import VehicleText
+from upwash.real.mavlink.firmware import Firmware
+from upwash.real.mavlink.hearing import Message
+from upwash.real.mavlink.telemetry import Telemetry
+
+LOITER, TAKEOFF, RTL, LAND, OFFBOARD = "AUTO.LOITER", "AUTO.TAKEOFF", "AUTO.RTL", "AUTO.LAND", "OFFBOARD"
+_AUTO = (Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL, Mode.LAND)
+_NAMES = {mode.value: f"AUTO.{mode.name}" if mode in _AUTO else mode.name for mode in Mode}
+MODES = {name: Mode(number) for number, name in _NAMES.items()}
+_STATES = {
+    Mode.MANUAL: 0,
+    Mode.ALTCTL: 1,
+    Mode.POSCTL: 2,
+    Mode.MISSION: 3,
+    Mode.LOITER: 4,
+    Mode.RTL: 5,
+    Mode.ACRO: 10,
+    Mode.OFFBOARD: 14,
+    Mode.STABILIZED: 15,
+    Mode.TAKEOFF: 17,
+    Mode.LAND: 18,
+}  # PX4's navigation states: the bits in what its checks say of modes
+LOITER_STATE = 1 << _STATES[Mode.LOITER]
+_CHECKS_BEGIN, _CHECKS_END = "commander_arming_check_summary", "commander_health_summary"
+_CHECK = "check_"
+_CHECK_ARGUMENTS = struct.Struct("<IB")  # the modes that it concerns, and the component
+
+
+def _mode_name(number: int) -> str:
+    return _NAMES.get(number, f"number {number:#x}")
+
+
+def failsafe(telemetry: Telemetry, _mode: str) -> str:
+    """The mode that it was told differs then from the one that it flies; a heartbeat has a system status for it."""
+    told = telemetry.flown_and_intended_mode
+    if told is not None and told[0] == telemetry.mode:
+        flown, intended = told
+        return f"a fail-safe chose it, {_mode_name(intended)} was set" if intended not in (0, flown) else ""
+    critical = telemetry.system_status == mavlink.MAV_STATE_CRITICAL
+    return "its system status is critical" if critical else ""
+
+
+def _take(telemetry: Telemetry, message: Message, now_s: float) -> None:
+    match message.get_type():
+        case "CURRENT_MODE":
+            telemetry.flown_and_intended_mode = message.custom_mode, message.intended_custom_mode
+            if (
+                not telemetry.on_ground
+            ):  # where it disarms itself it changes its mode, too: both are in a HEARTBEAT
+                telemetry.mode = message.custom_mode
+        case (
+            "SYS_STATUS"
+        ):  # it has the check among the sensors that are healthy, and not among those that are there
+            health = message.onboard_control_sensors_health
+            telemetry.can_be_armed = bool(health & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
+        case "ESTIMATOR_STATUS":  # at rest on the ground it takes its place for constant
+            doubts = 0 if telemetry.on_ground else mavlink.ESTIMATOR_CONST_POS_MODE
+            flags, doubts = message.flags, doubts | mavlink.ESTIMATOR_GPS_GLITCH
+            telemetry.knows_its_place = bool(flags & mavlink.ESTIMATOR_POS_HORIZ_ABS) and not flags & doubts
+        case "EVENT":
+            _take_event(telemetry, message, now_s)
+
+
+def _take_event(telemetry: Telemetry, event: Any, now_s: float) -> None:
+    """Failed checks come as a set, whole each time that one changes; what was in the last set is no news."""
+    number, name = event.id_of_event, _event_name(event.id_of_event)
+    if name == _CHECKS_BEGIN:
+        telemetry.armable_modes = EVENTS[number].unpacked(event.arguments)[3]
+        telemetry.failed_checks_before, telemetry.failed_checks = telemetry.failed_checks, {}
+    elif name.startswith(_CHECK):
+        modes = _CHECK_ARGUMENTS.unpack_from(event.arguments)[0]
+        telemetry.failed_checks[number] = event.severity, modes
+        is_new = number not in telemetry.failed_checks_before
+        if telemetry.armed and is_new and _concerns(modes, telemetry.mode):
+            _hear(telemetry, event, now_s)
+    elif name != _CHECKS_END:
+        _hear(telemetry, event, now_s)
+
+
+def _concerns(modes: int, mode: int | None) -> bool:
+    """Whether a failed check is for the mode that is flown."""
+    state = _STATES.get(Mode(mode)) if mode in _NAMES else None
+    return state is None or bool(modes >> state & 1)
+
+
+def _hear(telemetry: Telemetry, event: Any, now_s: float) -> None:
+    if event.severity > mavlink.MAV_SEVERITY_DEBUG:  # for programs
+        return
+    text = event_text(event) if event.id_of_event in EVENTS else words_of(event.id_of_event)
+    telemetry.hear_text(VehicleText(event.severity, text), now_s)
+
+
+def words_of(number: int) -> str:
+    """What the event of that number is about."""
+    if kind := EVENTS.get(number):
+        return kind.text
+    name = _event_name(number)
+    return f"{name.removeprefix(_CHECK).replace('_', ' ')} (event {number})" if name else f"event {number}"
+
+
+def _event_name(number: int) -> str:
+    kind = EVENTS.get(number)
+    return kind.name if kind else _event_names().get(number, "")
+
+
+@cache
+def _event_names() -> Mapping[int, str]:
+    """Of PX4 1.16.1, by bench/px4_events.py."""
+    with resources.files("upwash.real.mavlink").joinpath("px4_events.csv").open(encoding="utf-8") as table:
+        return {int(row["number"]): row["name"] for row in csv.DictReader(table)}
+
+
+PX4 = Firmware(
+    name="PX4",
+    autopilot=mavlink.MAV_AUTOPILOT_PX4,
+    own_mode=LOITER,  # OFFBOARD needs setpoints: nobody but a program that runs can be in it
+    mode_name=_mode_name,
+    failsafe=failsafe,
+    take=_take,
+    streams_hz={
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 4.0,
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
+        mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 2.0,
+        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
+        CURRENT_MODE: 50.0,  # it comes when the mode changes, and twice a second
+    },
+    sends_parameters_as_bytes=True,
+)

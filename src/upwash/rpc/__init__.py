@@ -1,0 +1,1 @@
+"""How a call is declared, encoded and addressed."""

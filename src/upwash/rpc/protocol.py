@@ -1,0 +1,222 @@
+"""What a drone and an edge daemon say to each other: paths and messages.
+
+Each message is one MessagePack map; each exchange is one request and one reply on a gRPC path, so that a client
+or a server in another language needs nothing but gRPC and MessagePack. Who the drone is says its certificate,
+not the message.
+
+Neither end believes the other more than it must: every field has its bounds where it is declared, every text is
+escaped as it arrives, and a message that breaks a bound is none.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import msgspec
+from msgspec import Meta
+
+from upwash.core.clients import RefusalStatus, ServerStatus
+from upwash.errors import GarbledReply, Refused
+from upwash.rpc.wire import decode
+from upwash.support.text import LONGEST_TEXT, escaped, printable
+
+AVAILABILITY = "/upwash.Daemon/Availability"
+START = "/upwash.Daemon/Start"
+LEAVE = "/upwash.Daemon/Leave"
+PREPARE = "/upwash.Daemon/Prepare"
+HOLD = "/upwash.Daemon/Hold"
+STATUS = "/upwash.Daemon/Status"
+# gRPC's standard question, to a daemon or an instance of a service, and the answer of one that is well.
+HEALTH_CHECK = "/grpc.health.v1.Health/Check"
+SERVING = b"\x08\x01"
+
+LONGEST_REPLY_BYTES = 2**16  # of a daemon to a drone: results come from instances
+LONGEST_STATUS_BYTES = 2**20  # of a daemon to an operator
+LEAST_LEASE_S = 2.0  # a drone renews it three times as often
+
+T = TypeVar("T")
+_PLAIN = msgspec.msgpack.Decoder()
+_MOST_S = 86_400.0
+_LONGEST_UP_S = 1e10
+_PORT = re.compile(r":([1-9][0-9]{0,4})\Z")
+_MOST_PORT = 65_535
+
+NameText = Annotated[str, Meta(max_length=255)]  # it stands in logs and refusals
+Names = Annotated[list[NameText], Meta(max_length=255)]
+Reason = Annotated[str, Meta(max_length=LONGEST_TEXT)]
+Endpoint = Annotated[str, Meta(max_length=255)]
+Endpoints = Annotated[dict[NameText, Endpoint], Meta(max_length=255)]
+Seconds = Annotated[float, Meta(ge=0, le=_MOST_S)]
+Lease = Annotated[float, Meta(ge=LEAST_LEASE_S, le=_MOST_S)]
+Waiting = Annotated[int, Meta(ge=0, le=65_535)]  # drones that wait for a slot
+
+
+class AvailabilityRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Can this server serve me, and which of these services run already?"""
+
+    server: NameText
+    services: Names
+
+
+class AvailabilityReply(msgspec.Struct, frozen=True):
+    """Yes, with the endpoints of those that run and the length of the lease; or no, with the reason.
+
+    An endpoint is a port of the host that the daemon was reached at, such as ":40000" (`resolve`). `peers` are the
+    servers that it can have prepared. So many drones wait for a slot; one that is refused for want of one waits from
+    then on, if it asks again in `ask_again_s`, which is 0 for any other reason.
+    """
+
+    available: bool
+    reason: Reason = ""
+    endpoints: Endpoints = {}
+    lease_s: Lease = LEAST_LEASE_S
+    peers: Names = []
+    waiting: Waiting = 0
+    ask_again_s: Seconds = 0.0
+
+
+class StartRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Have this service running, and answer when it can be called."""
+
+    server: NameText
+    service: NameText
+
+
+class StartReply(msgspec.Struct, frozen=True):
+    """The endpoint to call; or why there is none, and when to ask for a slot where that is all it lacks."""
+
+    endpoint: Endpoint = ""
+    reason: Reason = ""
+    waiting: Waiting = 0
+    ask_again_s: Seconds = 0.0
+
+
+class LeaveRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """I need this server no more."""
+
+    server: NameText
+
+
+class LeaveReply(msgspec.Struct, frozen=True):
+    """Noted."""
+
+
+class PrepareRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """I will be at your peer by then: have it start these services, and hold a slot for me for so long after."""
+
+    server: NameText
+    peer: NameText
+    services: Names
+    arrives_in_s: Seconds
+    hold_s: Seconds
+
+
+class HoldRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A daemon to its peer: start these services for this drone, and hold a slot for it for so long."""
+
+    server: NameText
+    drone: NameText
+    certificate: NameText
+    services: Names
+    for_s: Seconds
+
+
+class HoldReply(msgspec.Struct, frozen=True):
+    """The slot is held and the services start or run; or why not."""
+
+    held: bool
+    reason: Reason = ""
+
+
+class StatusRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How are you? Answered to operators only."""
+
+
+class CertificateStatus(msgspec.Struct, frozen=True):
+    """A certificate that the daemon relies on, and until when it can."""
+
+    holder: NameText
+    expires: Annotated[datetime, Meta(tz=True)]
+
+
+class StatusReply(msgspec.Struct, frozen=True):
+    """The daemon's servers, its last refusals and its certificates; and for how long it has run."""
+
+    up_s: Annotated[float, Meta(ge=0, le=_LONGEST_UP_S)]
+    servers: list[ServerStatus]
+    refusals: list[RefusalStatus]
+    certificates: list[CertificateStatus]
+    closing: Reason = ""
+
+
+def service_path(service: str, method: str) -> str:
+    """The path of a service's method."""
+    return f"/upwash.service.{service}/{method}"
+
+
+def decode_reply(reply: bytes, expected: type[T], *, sender: str) -> T:
+    """A daemon's reply as a value, its texts escaped; raises GarbledReply naming the sender."""
+    try:
+        return _decode(reply, expected)
+    except msgspec.MsgspecError as error:
+        raise GarbledReply(
+            f"{sender} sent a reply that cannot be decoded: {printable(str(error))}"
+        ) from error
+
+
+def decode_request(request: bytes, expected: type[T]) -> T:
+    """A request to a daemon as a value, its texts escaped; raises Refused."""
+    try:
+        return _decode(request, expected)
+    except msgspec.MsgspecError as error:
+        raise Refused(f"undecodable request: {printable(str(error))}") from error
+
+
+def _decode(message: bytes, expected: type[T]) -> T:
+    try:
+        return msgspec.convert(_clean(decode(message, _PLAIN)), expected)
+    except RecursionError as error:
+        raise msgspec.DecodeError("nested too deeply") from error
+
+
+def _clean(value: object) -> object:
+    """Plain values, lists and maps included, with each text in them escaped; refuses what is no finite number."""
+    match value:
+        case str():
+            return escaped(value)
+        case float() if not math.isfinite(value):
+            raise msgspec.ValidationError("Expected a finite number")
+        case list():
+            return [_clean(each) for each in value]
+        case dict():
+            return {_clean(key): _clean(each) for key, each in value.items()}
+    return value
+
+
+def resolve(endpoint: str, daemon_address: str) -> str:
+    """The address of an endpoint that a daemon gave: a port of its own host, and no other place.
+
+    Of a daemon on a unix socket it is a socket in the same folder, or below it. Raises GarbledReply for anything
+    else: who is called, and how its name is looked up, is not for a server to choose.
+    """
+    if daemon_address.startswith("unix:"):
+        if endpoint.startswith("unix:") and _folder(daemon_address) in _path(endpoint).parents:
+            return endpoint
+    elif (port := _PORT.match(endpoint)) and int(port[1]) <= _MOST_PORT:
+        return daemon_address.rpartition(":")[0] + endpoint
+    raise GarbledReply(
+        f"the daemon at {daemon_address} gave the endpoint {printable(endpoint)}, which is not its own"
+    )
+
+
+def _folder(address: str) -> Path:
+    return _path(address).parent
+
+
+def _path(address: str) -> Path:
+    return Path(os.path.abspath(address.removeprefix("unix:")))  # noqa: PTH100 - which takes out what goes up again

@@ -1,0 +1,336 @@
+"""Declaring a service: one class gives the local object, the instance on a server, and the typed stub.
+
+    @service(profile_by="mode")
+    class Detector:
+        def __init__(self, threads: int = 2) -> None: ...                 # paid once per instance: the cold start
+        def process_photo(self, photo: bytes, mode: Mode) -> list[Detection]: ...
+
+Arguments and results travel as MessagePack, built and checked by the type hints: a request is a map from
+parameter name to value, a reply a map with either `value` or `fault`. Services keep no state between calls, and a
+call may be made twice: on a server and, where that gives no usable answer, on the drone. What must not says so:
+
+        @once
+        def drop_parcel(self) -> None: ...                                # on the drone alone, never again
+"""
+
+from __future__ import annotations
+
+import enum
+import inspect
+import sys
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType, ModuleType
+from typing import Any, ParamSpec, TypeVar, cast, overload
+
+import msgspec
+from msgspec import UNSET, UnsetType
+
+from upwash.core.estimates import Operation
+from upwash.errors import DeclarationError, GarbledReply, ServiceError, UpwashError, UsageError
+from upwash.rpc.settings import describe_settings
+from upwash.rpc.wire import decode, require_sendable
+from upwash.support.loading import load
+from upwash.support.text import printable
+
+T = TypeVar("T")
+P = ParamSpec("P")
+R = TypeVar("R")
+_PLAIN = (str, int, float, bool, type(None))
+_SPEC = "__upwash_service__"
+_ONCE = "__upwash_once__"
+_MOST_CONCURRENCY = 64  # more threads than that of one process only wait for each other
+_TOLD_LENGTH = 200  # characters of what a fault says, where it is told and not raised
+
+
+class Fault(msgspec.Struct, frozen=True):
+    """A service's own exception on its way to the caller; `type` is `module:qualified.name`."""
+
+    type: str
+    message: str
+    args: list[str | int | float | bool | None] | None = None
+
+
+@dataclass(frozen=True)
+class Method:
+    """One operation's wire form: what a stub sends and what an instance does with it.
+
+    `once` where a call must run on the drone alone, and never a second time.
+    """
+
+    name: str
+    signature: inspect.Signature
+    profile_by: str | None
+    request: msgspec.msgpack.Decoder[Any]
+    reply_type: Callable[..., Any]
+    reply: msgspec.msgpack.Decoder[Any]
+    once: bool = False
+
+    def encode(self, args: tuple[object, ...], kwargs: Mapping[str, object]) -> tuple[str, bytes]:
+        """The profile key and the request of a call with these arguments; raises TypeError as the call would."""
+        bound = self.signature.bind(*args, **kwargs)
+        bound.apply_defaults()
+        return self._key(bound.arguments), msgspec.msgpack.encode(bound.arguments)
+
+    def perform(self, target: object, request: bytes) -> tuple[str, bytes]:
+        """Runs the call on a service object; returns its profile key, and its value or exception as a reply."""
+        try:
+            arguments = self._arguments(request)
+        except msgspec.MsgspecError as error:
+            return "", _encode_fault(TypeError(f"{self.name}(): {error}"))
+        key = self._key(arguments)
+        try:
+            value = getattr(target, self.name)(**arguments)
+            return key, msgspec.msgpack.encode(self.reply_type(value=value))
+        except BaseException as error:  # noqa: BLE001 - whatever the service raises, sys.exit() too, is the caller's
+            return key, _encode_fault(error)
+
+    def key_of(self, request: bytes) -> str:
+        """The profile key of a request; raises msgspec.MsgspecError for anything else."""
+        return self._key(self._arguments(request))
+
+    def decode(self, reply: bytes) -> Any:
+        """A reply, checked against the type hints; raises GarbledReply for anything else."""
+        try:
+            decoded = decode(reply, self.reply)
+        except msgspec.MsgspecError as error:
+            raise GarbledReply(f"{self.name}(): the reply cannot be decoded: {error}") from error
+        if decoded.value is UNSET and decoded.fault is UNSET:
+            raise GarbledReply(f"{self.name}(): the reply carries neither a value nor a fault")
+        return decoded
+
+    def raised(self, decoded: Any) -> str:
+        """The exception that a decoded reply carries, in short; "" where it carries a value."""
+        if decoded.fault is UNSET:
+            return ""
+        return printable(f"{decoded.fault.type.replace(':', '.')}: {decoded.fault.message}", _TOLD_LENGTH)
+
+    def result(self, decoded: Any) -> object:
+        """What a decoded reply means to the caller: its value, or the service's exception, raised."""
+        if decoded.fault is not UNSET:
+            raise _rebuild(decoded.fault)
+        return decoded.value
+
+    def _arguments(self, request: bytes) -> dict[str, Any]:
+        decoded = decode(request, self.request)
+        return {name: getattr(decoded, name) for name in self.signature.parameters}
+
+    def _key(self, arguments: Mapping[str, object]) -> str:
+        if self.profile_by is None:
+            return ""
+        value = arguments[self.profile_by]
+        return str(value.value if isinstance(value, enum.Enum) else value)
+
+
+@dataclass(frozen=True)
+class ServiceSpec:
+    """What is known of a declared service; an instance of it computes `concurrency` calls at a time."""
+
+    name: str
+    methods: Mapping[str, Method]
+    settings: type[msgspec.Struct]  # what its constructor takes
+    concurrency: int = 1
+
+
+Invoke = Callable[[Operation, Method, bytes], Any]  # runs a request somewhere; returns its decoded reply
+
+
+@overload
+def service(declared: type[T], /) -> type[T]: ...
+
+
+@overload
+def service(
+    *, name: str | None = None, profile_by: str | None = None, concurrency: int = 1
+) -> Callable[[type[T]], type[T]]: ...
+
+
+def service(
+    declared: type[T] | None = None,
+    /,
+    *,
+    name: str | None = None,
+    profile_by: str | None = None,
+    concurrency: int = 1,
+) -> type[T] | Callable[[type[T]], type[T]]:
+    """Declares a class as a service, called `name` (by default the class's name in lower case).
+
+    Its public methods are its operations; `profile_by` names the parameter by whose value estimates are kept
+    apart. An instance computes `concurrency` calls at a time, each in a thread: with more than 1 its methods must be
+    safe for threads. Raises DeclarationError where a parameter or a result cannot be sent.
+    """
+
+    def declare(cls: type[T]) -> type[T]:
+        setattr(cls, _SPEC, _describe(cls, name or cls.__name__.lower(), profile_by, concurrency))
+        return cls
+
+    return declare if declared is None else declare(declared)
+
+
+def once(method: Callable[P, R], /) -> Callable[P, R]:
+    """Declares a method of a service as one whose calls run on the drone alone, and never a second time.
+
+    For what acts on the world: neither a server nor a repetition after a failure ever sees such a call.
+    """
+    setattr(method, _ONCE, True)
+    return method
+
+
+def spec_of(cls: type) -> ServiceSpec:
+    """What is known of a class that was declared as a service; raises UsageError for any other class."""
+    spec = vars(cls).get(_SPEC)
+    if not isinstance(spec, ServiceSpec):
+        raise UsageError(f"{cls.__name__} is not a service: put @service above the class")
+    return spec
+
+
+def load_service(program: str) -> type:
+    """The service class of that path, `package.module:Class` or `path/to/file.py:Class`; raises UsageError."""
+    found = load(program)
+    if not isinstance(found, type):
+        raise UsageError(f"service {program!r} is not a class")
+    spec_of(found)
+    return found
+
+
+def make_stub(cls: type[T], invoke: Invoke) -> T:
+    """An object with the service's methods, each of which sends its call through `invoke`."""
+    spec = spec_of(cls)
+    methods = {method.name: _stub_method(spec.name, method, invoke) for method in spec.methods.values()}
+    return cast(T, type(f"{cls.__name__}Stub", (), methods)())
+
+
+def _stub_method(service_name: str, method: Method, invoke: Invoke) -> Callable[..., object]:
+    def call(_: object, *args: object, **kwargs: object) -> object:
+        key, request = method.encode(args, kwargs)
+        return method.result(invoke(Operation(service_name, method.name, key), method, request))
+
+    call.__name__ = method.name
+    return call
+
+
+def _describe(cls: type, name: str, profile_by: str | None, concurrency: int) -> ServiceSpec:
+    if type(concurrency) is not int or not 1 <= concurrency <= _MOST_CONCURRENCY:
+        raise DeclarationError(
+            f"service {cls.__name__}: concurrency is {concurrency!r}: give how many calls an instance computes at a "
+            f"time, an integer from 1 to {_MOST_CONCURRENCY}"
+        )
+    functions = {name: function for name in dir(cls) if (function := _public_method(cls, name))}
+    if not functions:
+        raise DeclarationError(f"service {cls.__name__} has no public method to call")
+    methods = {
+        function_name: _describe_method(cls, function, profile_by)
+        for function_name, function in functions.items()
+    }
+    if profile_by is not None and all(method.profile_by is None for method in methods.values()):
+        raise DeclarationError(
+            f"service {cls.__name__}: no method has the parameter {profile_by!r} of profile_by"
+        )
+    return ServiceSpec(name, MappingProxyType(methods), describe_settings(cls), concurrency)
+
+
+def _public_method(cls: type, name: str) -> Callable[..., object] | None:
+    attribute = inspect.getattr_static(cls, name)
+    if name.startswith("_"):
+        return None
+    if isinstance(attribute, (staticmethod, classmethod)):
+        raise DeclarationError(
+            f"service {cls.__name__}, method {name}: declare it as a plain method, with self"
+        )
+    return attribute if inspect.isfunction(attribute) else None
+
+
+def _describe_method(cls: type, function: Callable[..., object], profile_by: str | None) -> Method:
+    where = f"service {cls.__name__}, method {function.__name__}"
+    if inspect.iscoroutinefunction(function):
+        raise DeclarationError(f"{where}: declare it as a plain blocking method, not async")
+    try:
+        hints = typing.get_type_hints(function, include_extras=True)
+    except NameError as error:
+        raise DeclarationError(f"{where}: a type hint cannot be resolved: {error}") from error
+    signature = inspect.signature(function)
+    parameters = list(signature.parameters.values())[1:]
+    fields: list[tuple[str, Any]] = []
+    for parameter in parameters:
+        if parameter.kind not in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
+            raise DeclarationError(f"{where}: parameter {parameter.name!r} must be passable by its name")
+        if parameter.name not in hints:
+            raise DeclarationError(f"{where}: parameter {parameter.name!r} has no type hint")
+        require_sendable(hints[parameter.name], f"{where}: parameter {parameter.name!r}")
+        fields.append((parameter.name, hints[parameter.name]))
+    if "return" not in hints:
+        raise DeclarationError(f"{where}: the result has no type hint; write -> None where there is none")
+    require_sendable(hints["return"], f"{where}: the result")
+    reply_type = msgspec.defstruct(
+        f"{cls.__name__}_{function.__name__}_reply",
+        [("value", hints["return"] | UnsetType, UNSET), ("fault", Fault | UnsetType, UNSET)],
+    )
+    request_type = msgspec.defstruct(f"{cls.__name__}_{function.__name__}_request", fields)
+    return Method(
+        name=function.__name__,
+        signature=signature.replace(parameters=parameters),
+        profile_by=profile_by if profile_by in dict(fields) else None,
+        request=msgspec.msgpack.Decoder(request_type),
+        reply_type=reply_type,
+        reply=msgspec.msgpack.Decoder(reply_type),
+        once=getattr(function, _ONCE, False),
+    )
+
+
+def _encode_fault(error: BaseException) -> bytes:
+    cls = type(error)
+    type_path = f"{cls.__module__}:{cls.__qualname__}"
+    try:
+        message = str(error)
+    except Exception:  # noqa: BLE001 - an exception that cannot say what it is
+        message = ""
+    try:
+        return msgspec.msgpack.encode({"fault": Fault(type_path, message, _plain_args(error))})
+    except (OverflowError, UnicodeEncodeError):
+        message = message.encode(errors="backslashreplace").decode()
+        return msgspec.msgpack.encode({"fault": Fault(type_path, message)})
+
+
+def _plain_args(error: BaseException) -> list[Any] | None:
+    """What the exception can be made of again, as far as that can be sent."""
+    try:
+        args = error.__reduce__()[1]
+    except Exception:  # noqa: BLE001 - it cannot be made again
+        return None
+    return list(args) if all(type(argument) in _PLAIN for argument in args) else None
+
+
+def _rebuild(fault: Fault) -> Exception:
+    """The exception again, or a ServiceError that names it.
+
+    Not by calling its class: the constructor may want other arguments than those that an exception keeps.
+    """
+    cls = _exception_class(fault.type)
+    for args in ((fault.message,) if fault.args is None else tuple(fault.args), (fault.message,)):
+        try:
+            if cls is not None:
+                error = cls.__new__(cls, *args)
+                error.args = args
+                if str(error) == fault.message:
+                    return error
+        except Exception:  # noqa: BLE001, S110 - such a class cannot be made from its arguments alone
+            pass
+    return ServiceError(fault.type.replace(":", "."), fault.message)
+
+
+def _exception_class(type_path: str) -> type[Exception] | None:
+    """The exception class of that path, if this process has it already.
+
+    Nothing is imported and no module's own code looks it up: a reply must not choose what runs here. Nor may it pass
+    for an error of upwash itself, by whatever name that is known: those say what became of the vehicle.
+    """
+    module_name, _, qualname = type_path.partition(":")
+    found: object = sys.modules.get(module_name)
+    for name in qualname.split("."):
+        if not isinstance(found, (type, ModuleType)):
+            return None
+        found = vars(found).get(name)
+    if not isinstance(found, type) or not issubclass(found, Exception) or issubclass(found, UpwashError):
+        return None
+    return found

@@ -1,0 +1,96 @@
+"""What a service's constructor takes: its parameters are the settings that a configuration may give.
+
+    class Detector:
+        def __init__(self, *, threads: int = 2, labels: Path | None = None) -> None: ...
+
+Settings are checked by the type hints wherever they come from, and travel as plain values: what JSON has. A relative
+path counts from the configuration's file, so what travels is absolute.
+"""
+
+from __future__ import annotations
+
+import inspect
+import typing
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+from msgspec import UNSET, UnsetType
+
+from upwash.errors import DeclarationError, UsageError
+from upwash.rpc.wire import require_sendable
+
+T = TypeVar("T")
+PlainSettings = Mapping[str, object]
+
+
+def describe_settings(cls: type) -> type[msgspec.Struct]:
+    """The settings of a class, a field for each; raises DeclarationError where one cannot be configured."""
+    fields: list[Any] = []
+    for parameter, hint in _parameters(cls):
+        where = f"service {cls.__name__}: __init__'s parameter {parameter.name!r}"
+        if hint is None:
+            raise DeclarationError(f"{where} has no type hint, so a configuration cannot give it")
+        if parameter.kind is parameter.POSITIONAL_ONLY:
+            raise DeclarationError(f"{where} must be passable by its name")
+        require_sendable(hint, where, besides=(Path,))
+        if parameter.default is parameter.empty:
+            fields.append((parameter.name, hint))
+        else:
+            fields.append((parameter.name, hint | UnsetType, UNSET))
+    return msgspec.defstruct(f"{cls.__name__}_settings", fields, kw_only=True, forbid_unknown_fields=True)
+
+
+def required_settings(kind: type[msgspec.Struct]) -> list[str]:
+    """The settings without which the constructor cannot be called."""
+    return [field.name for field in msgspec.structs.fields(kind) if field.required]
+
+
+def plain(settings: msgspec.Struct) -> dict[str, object]:
+    """The settings as they travel."""
+    found: dict[str, object] = msgspec.to_builtins(settings, enc_hook=str, str_keys=True)
+    return found
+
+
+def with_files(
+    kind: type[msgspec.Struct], settings: PlainSettings, carried: Callable[[Path], Path]
+) -> dict[str, object]:
+    """The same settings with every path in them replaced by the one that its file was carried to."""
+    checked = msgspec.convert(settings, kind, dec_hook=_path, str_keys=True)
+    found: dict[str, object] = msgspec.to_builtins(
+        checked, enc_hook=lambda path: str(carried(path)), str_keys=True
+    )
+    return found
+
+
+def construct(cls: type[T], kind: type[msgspec.Struct], settings: PlainSettings) -> T:
+    """An object of the class, made with settings that travelled; raises UsageError where they do not fit."""
+    try:
+        checked = msgspec.convert(settings, kind, dec_hook=_path, str_keys=True)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"{cls.__name__} cannot be made with its settings: {error}") from error
+    given = {name: value for name in kind.__struct_fields__ if (value := getattr(checked, name)) is not UNSET}
+    return cls(**given)
+
+
+def _parameters(cls: type) -> Iterator[tuple[inspect.Parameter, Any]]:
+    """The parameters of the constructor that have a name to be given by, each with its type hint or None."""
+    constructor = inspect.getattr_static(cls, "__init__")
+    if constructor is object.__init__:
+        return
+    try:
+        hints = typing.get_type_hints(constructor, include_extras=True)
+    except NameError as error:
+        raise DeclarationError(
+            f"service {cls.__name__}: a type hint of __init__ cannot be resolved: {error}"
+        ) from error
+    for parameter in inspect.signature(cls).parameters.values():
+        if parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+            yield parameter, hints.get(parameter.name)
+
+
+def _path(kind: type, value: object) -> Path:
+    if kind is not Path or not isinstance(value, str):
+        raise ValueError(f"expected a path, found {value!r}")
+    return Path(value)

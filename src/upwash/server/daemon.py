@@ -1,0 +1,403 @@
+"""PROGRAM: the edge daemon. Answers drones, starts and stops service instances, and admits what it can hold."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import NoReturn, TypeVar
+
+import msgspec
+
+from upwash.core.admission import (
+    AdmissionController,
+    Available,
+    Command,
+    Denied,
+    Pending,
+    Running,
+    ServerOffer,
+)
+from upwash.core.clients import Client, ServerStatus
+from upwash.core.instances import StartInstance, StopInstance
+from upwash.core.leases import Admit
+from upwash.errors import InstanceError, LinkError, Refused
+from upwash.ports import AnsweredCall, Dialer, Instance, InstanceSpec, Program, Runtime
+from upwash.rpc.protocol import (
+    AVAILABILITY,
+    HOLD,
+    LEAVE,
+    PREPARE,
+    START,
+    STATUS,
+    AvailabilityReply,
+    AvailabilityRequest,
+    CertificateStatus,
+    HoldReply,
+    HoldRequest,
+    LeaveReply,
+    LeaveRequest,
+    PrepareRequest,
+    StartReply,
+    StartRequest,
+    StatusReply,
+    StatusRequest,
+    decode_reply,
+    decode_request,
+)
+from upwash.support.text import printable
+
+R = TypeVar("R")
+
+_log = logging.getLogger("upwash.server")
+_LEAST_LOOK_S = 1.0  # between two looks at what has come to its end
+_PEER_S = 3.0  # a peer answers at once, over a wire, or is in trouble
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    """A service that can be started: its program, the least times of its calls and its start, and its methods.
+
+    An instance computes calls in so many `lanes` at a time.
+    """
+
+    program: Program
+    pace_s: Mapping[str, float] = field(default_factory=dict)
+    start_pace_s: float = 0.0
+    methods: frozenset[str] = frozenset()
+    lanes: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """How a daemon stands: its servers, how often each has refused somebody, and the certificates it relies on."""
+
+    servers: Sequence[ServerStatus]
+    refused: Mapping[str, int]
+    certificates: Sequence[CertificateStatus]
+
+
+def _route(
+    request: type[R], answer: Callable[[R, Client], Awaitable[msgspec.Struct]]
+) -> Callable[[bytes, Client], Awaitable[bytes]]:
+    """Decodes a request, has it answered, and encodes the reply; raises Refused for another request's body."""
+
+    async def handle(body: bytes, client: Client) -> bytes:
+        return msgspec.msgpack.encode(await answer(decode_request(body, request), client))
+
+    return handle
+
+
+class EdgeServer:
+    """One daemon: `host` decides, `runtime` runs, `images` says what each service is, `dialer` leads to its peers."""
+
+    def __init__(
+        self,
+        host: AdmissionController,
+        *,
+        images: Mapping[str, Image],
+        runtime: Runtime,
+        dialer: Dialer,
+        start_timeout_s: float,
+        drain_s: float,
+        peers: Mapping[str, str] = MappingProxyType({}),
+        certificates: Sequence[CertificateStatus] = (),
+    ) -> None:
+        self._host = host
+        self._images = images
+        self._runtime = runtime
+        self._dialer = dialer
+        self._peers = peers  # the address of each
+        self._start_timeout_s = start_timeout_s
+        self._drain_s = drain_s
+        self._certificates = certificates
+        self._began_s = self._now_s()
+        self._held = asyncio.Event()  # a slot, perhaps for less than a lease
+        self._instances: dict[StartInstance, Instance] = {}
+        self._lives: dict[int, asyncio.Task[None]] = {}  # by instance number, from start to end
+        self._endings: dict[int, asyncio.Task[None]] = {}  # of those that have to stop
+        self._settled: dict[int, asyncio.Future[str]] = {}  # why it is not ready; "" when it is
+        self._routes = {
+            AVAILABILITY: _route(AvailabilityRequest, self._availability),
+            START: _route(StartRequest, self._start),
+            LEAVE: _route(LeaveRequest, self._leave),
+            PREPARE: _route(PrepareRequest, self._prepare),
+            HOLD: _route(HoldRequest, self._hold),
+            STATUS: _route(StatusRequest, self._status),
+        }
+
+    async def handle(self, path: str, body: bytes, client: Client) -> bytes:
+        """Answers one request; raises Refused for what is not understood or not this client's to ask."""
+        if not client.name:
+            raise Refused("this request names no drone")
+        answer = self._routes.get(path)
+        if answer is None:
+            raise Refused(f"no such request: {printable(path)}")
+        return await answer(body, client)
+
+    async def reload(
+        self,
+        offers: Mapping[str, ServerOffer],
+        *,
+        images: Mapping[str, Image],
+        revoked: frozenset[str],
+        certificates: Sequence[CertificateStatus] = (),
+    ) -> None:
+        """From now on the same servers offer this, with these images, to all but the revoked certificates."""
+        self._certificates = certificates
+        replaced = frozenset(name for name, image in images.items() if self._images.get(name, image) != image)
+        self._images = images
+        await self._perform(self._host.revoke(revoked, now_s=self._now_s()))
+        await self._perform(self._host.offer(offers, replaced=replaced))
+
+    def standing(self) -> Snapshot:
+        """How it stands now."""
+        return Snapshot(
+            self._host.servers(now_s=self._now_s()), dict(self._host.refused_times), self._certificates
+        )
+
+    def seen(self, server: str, drone: str) -> None:
+        """The daemon saw for itself that the drone, known by `Client.key`, is calling: its lease is renewed."""
+        self._host.seen(server, drone, now_s=self._now_s())
+
+    async def drain(self, why: str) -> None:
+        """Refuses whatever is new for that reason; returns when the calls under way have ended, or had their time."""
+        await self._perform(self._host.close(why))
+        await asyncio.gather(*self._endings.values())
+
+    async def run(self) -> NoReturn:
+        """Ends leases and idle instances as their time comes, until cancelled."""
+        looked_s = self._now_s()
+        while True:
+            due_s = max(looked_s + _LEAST_LOOK_S, self._host.next_end_s(now_s=self._now_s()))
+            try:
+                async with asyncio.timeout_at(due_s):
+                    await self._held.wait()
+            except TimeoutError:
+                looked_s = self._now_s()
+                await self._perform(self._host.look(now_s=looked_s))
+            self._held.clear()
+
+    async def close(self) -> None:
+        """Ends every instance; returns when none is left."""
+        self._host.close("this daemon has ended")  # or a start that waits would start another
+        for ending in self._endings.values():
+            ending.cancel()
+        lives = list(self._lives.values())
+        for number in list(self._lives):
+            self._cut(number)
+        await asyncio.gather(*lives, return_exceptions=True)
+
+    async def _availability(self, request: AvailabilityRequest, drone: Client) -> AvailabilityReply:
+        answer, commands = self._host.availability(
+            request.server, request.services, drone, now_s=self._now_s()
+        )
+        await self._perform(commands)
+        match answer:
+            case Available(endpoints, waiting):
+                return AvailabilityReply(
+                    available=True,
+                    endpoints=dict(endpoints),
+                    lease_s=self._host.settings.lease_s,
+                    peers=list(self._host.peers),
+                    waiting=waiting,
+                )
+            case Denied(why, waiting, ask_again_s, is_news):
+                if is_news:
+                    _log.info("%s: no place for %s: %s", request.server, drone.name, why)
+                return AvailabilityReply(
+                    available=False, reason=printable(why), waiting=waiting, ask_again_s=ask_again_s
+                )
+
+    async def _start(self, request: StartRequest, drone: Client) -> StartReply:
+        while True:
+            answer, commands = self._host.start(request.server, request.service, drone, now_s=self._now_s())
+            await self._perform(commands)
+            match answer:
+                case Running(endpoint):
+                    return StartReply(endpoint=endpoint)
+                case Denied(why, waiting, ask_again_s):
+                    return StartReply(reason=printable(why), waiting=waiting, ask_again_s=ask_again_s)
+                case Pending(number, stopping):
+                    settled = self._settled.get(number)
+                    why = await asyncio.shield(settled) if settled else ""
+                    if why and not stopping:
+                        self._host.refused(request.server, drone.name, why, now_s=self._now_s())
+                        return StartReply(reason=printable(why))
+
+    async def _leave(self, request: LeaveRequest, drone: Client) -> LeaveReply:
+        await self._perform(self._host.leave(request.server, drone, now_s=self._now_s()))
+        return LeaveReply()
+
+    async def _prepare(self, request: PrepareRequest, drone: Client) -> HoldReply:
+        """Passes the drone's wish on to the peer; says why where it cannot, or the peer will not."""
+        for_s = request.arrives_in_s + request.hold_s
+        denied, commands = self._host.send_ahead(
+            request.server, request.peer, drone, for_s=for_s, now_s=self._now_s()
+        )
+        await self._perform(commands)
+        if denied is not None:
+            return HoldReply(held=False, reason=printable(denied.why))
+        hold = HoldRequest(request.peer, drone.name, drone.certificate, request.services, for_s)
+        try:
+            reply = await self._ask_peer(hold)
+        except LinkError as error:  # it may have heard it all the same
+            return HoldReply(held=False, reason=printable(str(error)))
+        if not reply.held:
+            self._host.not_held(request.peer, drone)
+        return reply
+
+    async def _ask_peer(self, hold: HoldRequest) -> HoldReply:
+        link = self._dialer.dial(self._peers[hold.server], server=hold.server)
+        try:
+            reply = await link.request(HOLD, msgspec.msgpack.encode(hold), timeout_s=_PEER_S)
+        finally:
+            await link.close()
+        return decode_reply(reply, HoldReply, sender=hold.server)
+
+    async def _hold(self, request: HoldRequest, peer: Client) -> HoldReply:
+        answer, commands = self._host.hold(
+            request.server,
+            request.services,
+            Client(request.drone, request.certificate),
+            peer=peer,
+            for_s=request.for_s,
+            now_s=self._now_s(),
+        )
+        await self._perform(commands)
+        if isinstance(answer, Denied):
+            _log.info("%s: nothing held for %s: %s", request.server, request.drone, answer.why)
+            return HoldReply(held=False, reason=printable(answer.why))
+        self._held.set()
+        _log.info("%s: a slot is held for %s, as %s asked", request.server, request.drone, peer.name)
+        return HoldReply(held=True)
+
+    async def _status(self, _: StatusRequest, client: Client) -> StatusReply:
+        now_s = self._now_s()
+        shown = self._host.show(client, now_s=now_s)
+        if isinstance(shown, Denied):
+            raise Refused(shown.why)
+        servers, refusals = shown
+        return StatusReply(
+            up_s=now_s - self._began_s,
+            servers=servers,
+            refusals=refusals,
+            certificates=list(self._certificates),
+            closing=self._host.closing,
+        )
+
+    async def _perform(self, commands: Sequence[Command]) -> None:
+        for command in commands:
+            match command:
+                case Admit():
+                    await self._admit(command)
+                case StartInstance(_, _, number):
+                    self._settled[number] = asyncio.get_running_loop().create_future()
+                    self._lives[number] = asyncio.create_task(self._live(command))
+                case StopInstance(_, _, number):
+                    if self._settled[number].done():
+                        self._settled[number] = asyncio.get_running_loop().create_future()
+                    self._endings[number] = asyncio.create_task(self._end(command))
+
+    async def _end(self, stop: StopInstance) -> None:
+        """Lets an instance end the calls under way, then stops it."""
+        instance = self._instances.get(StartInstance(stop.server, stop.service, stop.number))
+        try:
+            if instance is not None and stop.why:
+                async with asyncio.timeout(self._drain_s):
+                    await instance.drain(stop.why)
+        except TimeoutError:
+            _log.warning("%s@%s was stopped in a call: %s", stop.service, stop.server, stop.why)
+        except InstanceError as error:
+            _log.warning("%s", error)  # it has ended by itself
+        finally:
+            del self._endings[stop.number]
+            self._cut(stop.number)
+
+    def _cut(self, number: int) -> None:
+        """Has the life of that instance end, unless it does already: twice would cut its end short."""
+        life = self._lives.get(number)
+        if life is not None and not life.cancelling():
+            life.cancel()
+
+    async def _admit(self, command: Admit) -> None:
+        """Tells all instances at once: one that takes its time over it holds up no other."""
+        await asyncio.gather(
+            *(
+                self._tell_whom(start, instance, command)
+                for start, instance in self._instances.items()
+                if start.server == command.server
+            )
+        )
+
+    async def _tell_whom(self, start: StartInstance, instance: Instance, command: Admit) -> None:
+        try:
+            await instance.admit(command.drones, command.finishing)
+        except InstanceError as error:
+            _log.warning("stopping an instance that cannot be told whom to serve: %s", error)
+            self._cut(start.number)
+
+    async def _live(self, start: StartInstance) -> None:
+        """The life of one instance, from its start to its end."""
+        image = self._images[start.service]
+        spec = InstanceSpec(
+            start.server,
+            start.service,
+            image.program,
+            pace_s=image.pace_s,
+            start_pace_s=image.start_pace_s,
+            methods=image.methods,
+        )
+        instance: Instance | None = None
+        why = ""  # of its end; none where it was stopped, and whoever waits for it should ask again
+        try:
+            async with asyncio.timeout(self._start_timeout_s):
+                instance = await self._runtime.start(
+                    spec,
+                    called=lambda drone: self._called(start, drone),
+                    answered=lambda call: self._answered(start, call),
+                )
+            self._instances[start] = instance
+            _log.info("%s is ready at %s", spec.name, instance.endpoint)
+            await self._perform(
+                self._host.ready(
+                    start.server, start.service, start.number, instance.endpoint, now_s=self._now_s()
+                )
+            )
+            self._settled[start.number].set_result("")
+            why = await instance.exited()
+            self._host.gone(start.server, start.service, start.number)
+            _log.warning("%s is gone: %s", spec.name, why)
+        except TimeoutError:
+            why = f"{spec.name} was not ready within {self._start_timeout_s:.0f} s"
+            _log.warning("%s", why)
+        except InstanceError as error:
+            why = str(error)
+            _log.warning("%s", why)
+        finally:
+            self._instances.pop(start, None)
+            if instance is not None:
+                await instance.stop()
+            self._host.gone(start.server, start.service, start.number)
+            settled = self._settled.pop(start.number)
+            if not settled.done():
+                settled.set_result(why)
+            del self._lives[start.number]
+
+    def _called(self, start: StartInstance, drone: str) -> None:
+        self._host.called(start.server, start.service, drone, now_s=self._now_s())
+
+    def _answered(self, start: StartInstance, call: AnsweredCall) -> None:
+        self._host.answered(
+            start.server,
+            start.service,
+            call.drone,
+            took_s=call.took_s,
+            queued_s=call.queued_s,
+            now_s=self._now_s(),
+        )
+
+    def _now_s(self) -> float:
+        return asyncio.get_running_loop().time()

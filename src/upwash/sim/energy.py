@@ -1,0 +1,179 @@
+"""What a simulated drone draws from its battery: its rotors, its computer and its radios, each a small model.
+
+Rotors: the power of a rotary wing in level flight at V, of Zeng, Xu and Zhang, "Energy Minimization for Wireless
+Communication With Rotary-Wing UAV", IEEE Transactions on Wireless Communications 18(4), 2019 (arXiv:1804.02238),
+
+    blades (1 + 3 V²/U²) + induced √(√(1 + V⁴/4v⁴) - V²/2v²) + drag V³
+
+with U the speed of the blades' tips and v the induced speed in hover. The defaults are the paper's example, 20 N of
+weight on a disc of 0.503 m²: 79.86 W + 88.63 W in hover, U = 120 m/s, v = 4.03 m/s, drag 0.00924 W s³/m³. A climb at
+V multiplies the induced part in hover by V/2v + √((V/2v)² + 1), by momentum theory (Leishman, "Principles of
+Helicopter Aerodynamics"); forward and up at once, the two extras are added. It is assumed that a descent costs what
+level flight does, as momentum theory does not hold in a slow one, and that speeding up and braking cost nothing, as
+the paper has it.
+
+Computer: 2.7 W idle are a Raspberry Pi 4's in the benchmarks of the Raspberry Pi Dramble, which have 6.4 W under
+load. A call adds what heats the computer (`support.heat`), less while that is slowed down. It is counted as the call
+begins.
+
+Radios: 0.8 W each and 0.5 W more in a transfer are assumed; 802.11n cards draw about as much (Halperin and others,
+"Demystifying 802.11n Power Consumption", 2010). A transfer lasts as long as the bytes need at the goodput; of a call
+whose delay is given end to end, at the server's bandwidth.
+
+The battery gives all that it holds at every load. Nothing else draws from it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import deque
+
+from upwash.config import EnergyConfig
+from upwash.core.geo import Velocity
+from upwash.eventlog.schema import EnergyUsed
+from upwash.vehicle.kinematics import Motion, Phase
+
+_J_IN_WH = 3600.0
+_NODES = (
+    ((1 - math.sqrt(0.6)) / 2, 5 / 18),
+    (0.5, 8 / 18),
+    ((1 + math.sqrt(0.6)) / 2, 5 / 18),
+)  # Gauss-Legendre
+_DIGITS = 6
+_MOST = 4.0  # times the power of hovering: no flight takes more
+_LEAST_S = 0.5  # between two looks at the battery
+
+
+class Rotors:
+    """What the rotors draw, by how the drone moves."""
+
+    def __init__(self, config: EnergyConfig) -> None:
+        self.hover_w = config.hover_w
+        self._blades_w = config.hover_w * config.blade_share
+        self._induced_w = config.hover_w - self._blades_w
+        self._tip_m_s = config.tip_speed_m_s
+        self._induced_m_s = config.induced_speed_m_s
+        self._drag_w_s3_m3 = config.drag_at_10_m_s_w / 10.0**3
+
+    def power_w(self, velocity: Velocity) -> float:
+        """In the air, at that velocity through still air."""
+        squared = velocity.east_m_s**2 + velocity.north_m_s**2
+        blades_w = self._blades_w * (1 + 3 * squared / self._tip_m_s**2)
+        ratio = squared / (2 * self._induced_m_s**2)
+        induced = 1 / math.sqrt(math.sqrt(1 + ratio**2) + ratio)  # the paper's: no difference of like numbers
+        drag_w = self._drag_w_s3_m3 * squared * math.sqrt(squared)
+        rise = max(velocity.up_m_s, 0.0) / (2 * self._induced_m_s)
+        climb = rise + math.sqrt(rise**2 + 1) - 1
+        return blades_w + self._induced_w * (induced + climb) + drag_w
+
+    def energy_j(self, phase: Phase, elapsed_s: float) -> float:
+        """From the start of the phase on; a ramp to 20 m/s within 0.2 %, and to less within less."""
+        if not (phase.acceleration_m_s2 or phase.jerk_m_s3):
+            return elapsed_s * self.power_w(phase.velocity(0.0))
+        return elapsed_s * sum(
+            weight * self.power_w(phase.velocity(node * elapsed_s)) for node, weight in _NODES
+        )
+
+
+class EnergyMeter:
+    """Adds up what one drone draws, by part, from now on; the radios and the computer draw until it is last read.
+
+    `load_w` is what a call adds to the computer's power.
+    """
+
+    def __init__(self, config: EnergyConfig, *, load_w: float, radios: int) -> None:
+        self.load_w = load_w
+        self._config = config
+        self._radios = radios
+        self._most_w = (
+            _MOST * config.hover_w
+            + config.computer_idle_w
+            + load_w
+            + radios * (config.radio_idle_w + config.radio_transfer_w)
+        )
+        self._rotors = Rotors(config)
+        self._loop = asyncio.get_running_loop()
+        self._began_s = self._loop.time()
+        self._flight_j = self._hover_j = 0.0  # until _since_s
+        self._since_s = self._began_s
+        self._phases: deque[Phase] = deque()  # from then on,
+        self._rests_up = False  # ... and then it hovers, or stands
+        self._load_j = self._transfer_s = 0.0
+
+    def move(self, motion: Motion[Phase]) -> None:
+        """The drone moves so from now on, when the motion begins; it rests where that ends."""
+        self._flight_j, self._hover_j = self._rotors_j()
+        self._since_s = motion.begun_s
+        self._phases = deque(motion.phases)
+        self._rests_up = motion.end.altitude_m > 0
+
+    def compute(self, load_j: float) -> None:
+        """A call adds so much to what the computer draws idle."""
+        self._load_j += load_j
+
+    def transfer(self, transfer_s: float) -> None:
+        """A radio transfers, for so long."""
+        self._transfer_s += transfer_s
+
+    def used(self) -> EnergyUsed:
+        """What has been drawn until now."""
+        flight_j, hover_j, computing_j, radio_j = self._drawn_j()
+        return EnergyUsed(
+            flight_wh=_wh(flight_j),
+            hover_wh=_wh(hover_j),
+            computing_wh=_wh(computing_j),
+            radio_wh=_wh(radio_j),
+            battery_wh=self._config.battery_wh,
+        )
+
+    @property
+    def failsafe_percent(self) -> float:
+        """At which the vehicle lands by itself."""
+        return self._config.failsafe_percent
+
+    @property
+    def left_percent(self) -> float | None:
+        """Of a full battery; None for an endless one."""
+        if self._config.battery_wh is None:
+            return None
+        return 100.0 * max(0.0, 1 - sum(self._drawn_j()) / (self._config.battery_wh * _J_IN_WH))
+
+    def lasts_s(self, level_percent: float) -> float:
+        """How long the battery stays above that level at the least, and never nothing: look again after that."""
+        if self._config.battery_wh is None or self.left_percent is None:
+            return math.inf
+        above_j = (self.left_percent - level_percent) / 100 * self._config.battery_wh * _J_IN_WH
+        return max(_LEAST_S, above_j / self._most_w)
+
+    def _drawn_j(self) -> tuple[float, float, float, float]:
+        """Until now: in flight, in hover, in computing and by radio."""
+        config, on_s = self._config, self._loop.time() - self._began_s
+        computing_j = on_s * config.computer_idle_w + self._load_j
+        radio_j = on_s * self._radios * config.radio_idle_w + self._transfer_s * config.radio_transfer_w
+        return *self._rotors_j(), computing_j, radio_j
+
+    def _rotors_j(self) -> tuple[float, float]:
+        """Until now, in flight and in hover; what is over is added up once."""
+        now_s = self._loop.time()
+        while self._phases and (ended_s := self._since_s + self._phases[0].duration_s) <= now_s:
+            phase = self._phases.popleft()
+            flight_j, hover_j = self._phase_j(phase, phase.duration_s)
+            self._flight_j += flight_j
+            self._hover_j += hover_j
+            self._since_s = ended_s
+        if self._phases:
+            flight_j, hover_j = self._phase_j(self._phases[0], now_s - self._since_s)
+        else:
+            flight_j, hover_j = 0.0, self._rotors.hover_w * (now_s - self._since_s) * self._rests_up
+        return self._flight_j + flight_j, self._hover_j + hover_j
+
+    def _phase_j(self, phase: Phase, elapsed_s: float) -> tuple[float, float]:
+        """From its start on, in flight and in hover; one that stands on the ground draws nothing."""
+        if phase.speed_m_s or phase.acceleration_m_s2 or phase.jerk_m_s3:
+            return self._rotors.energy_j(phase, elapsed_s), 0.0
+        return 0.0, self._rotors.hover_w * elapsed_s * (phase.start.altitude_m > 0)
+
+
+def _wh(energy_j: float) -> float:
+    return round(energy_j / _J_IN_WH, _DIGITS)

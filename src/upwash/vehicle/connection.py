@@ -1,0 +1,264 @@
+"""What the stand-in says and hears, in MAVLink messages, whatever carries them."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.mavlink.packets import packed
+from upwash.mavlink.signing import Signing
+from upwash.vehicle.clock import Clock
+from upwash.vehicle.faults import FaultKind
+from upwash.vehicle.firmware import Firmware, Message, Reply, asked_by_number
+from upwash.vehicle.parameters import Parameter
+
+_SYSTEM = 1
+_COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
+_SHORTEST_INTERVAL_S = 0.01
+_LONGEST_INTERVAL_US = 2**31 - 1  # that MESSAGE_INTERVAL can tell
+_BEHIND_S = 1.0  # a stream so late begins anew, instead of catching up
+_ACCEPTED, _FAILED = Reply((mavlink.MAV_RESULT_ACCEPTED,)), Reply((mavlink.MAV_RESULT_FAILED,))
+
+
+class Vehicle:
+    """The vehicle and everyone it talks to, on its clock."""
+
+    def __init__(self, firmware: Firmware, clock: Clock, signing: Signing | None = None) -> None:
+        self.firmware = firmware
+        self.clock = clock
+        self.signing = signing
+        self.connections: set[Connection] = set()
+
+    def now_s(self) -> float:
+        """The vehicle's time."""
+        return self.clock.now_s()
+
+    def silent(self) -> bool:
+        """Whether its link is down."""
+        return self.firmware.copter.suffers(FaultKind.LINK, self.now_s())
+
+    async def live(self) -> None:
+        """Says what it says by itself."""
+        wakes_s = self.now_s()
+        while True:
+            now_s = self.now_s()
+            for message in self.firmware.live(now_s):
+                self.tell_everyone(message)
+            wakes_s = max(wakes_s + self.firmware.wakes_every_s, now_s)
+            await self.clock.sleep_until(wakes_s)
+
+    def tell_everyone(self, message: Message) -> None:
+        """Sends a message to everyone whom it concerns."""
+        for connection in tuple(self.connections):
+            if not (isinstance(message, mavlink.MAVLink_statustext_message) and connection.spared_texts):
+                connection.send(message)
+
+
+class Connection:
+    """One peer: what it says, and the streams of reports that it asked for."""
+
+    def __init__(
+        self, vehicle: Vehicle, *, write: Callable[[bytes], None], hang_up: Callable[[], None] = lambda: None
+    ) -> None:
+        self.heard_s = asyncio.get_running_loop().time()
+        self._vehicle = vehicle
+        self._firmware = vehicle.firmware
+        self._write = write
+        self._hang_up = hang_up
+        self._codec = mavlink.MAVLink(None, srcSystem=_SYSTEM, srcComponent=_COMPONENT)
+        self._streams: dict[float, _Stream] = {}
+        self._from_ground_station = False
+        vehicle.connections.add(self)
+        for message in asked_by_number(
+            self._firmware.reports, vehicle.now_s(), mavlink.MAVLINK_MSG_ID_HEARTBEAT
+        ):
+            self.send(message)
+        for number, interval_s in self._firmware.unasked_s.items():
+            self._set_interval(number, interval_s=interval_s)
+
+    @property
+    def spared_texts(self) -> bool:
+        """Whether STATUSTEXT is not for this peer."""
+        return self._firmware.texts_only_to_ground_stations and not self._from_ground_station
+
+    def end(self) -> None:
+        """Stops all streams and breaks the connection off, where there is one."""
+        self._vehicle.connections.discard(self)
+        for stream in self._streams.values():
+            stream.end()
+        self._streams.clear()
+        self._hang_up()
+
+    def send(self, message: Message) -> None:
+        """Sends one message, unless the link is down."""
+        data = packed(message, self._codec, self._vehicle.signing)
+        if not self._vehicle.silent():
+            self._write(data)
+
+    def hear(self, message: Message) -> None:
+        """Does what a message asks, if the vehicle knows it and it is meant for it."""
+        if self._vehicle.silent():
+            return
+        self.heard_s = asyncio.get_running_loop().time()
+        for_system = getattr(message, "target_system", _SYSTEM)
+        for_component = getattr(message, "target_component", _COMPONENT)
+        if for_system not in (0, _SYSTEM) or for_component not in (0, _COMPONENT):
+            return
+        if message.get_type() == "HEARTBEAT" and message.type == mavlink.MAV_TYPE_GCS:
+            self._from_ground_station = True
+        listener = _LISTENERS.get(message.get_type())
+        if listener is not None:
+            listener(self, message)
+        else:
+            self._say(self._firmware.hear(self._vehicle.now_s(), message))
+
+    def _say(self, reply: Reply) -> None:
+        for message in reply.to_sender:
+            self.send(message)
+        for message in reply.to_all:
+            self._vehicle.tell_everyone(message)
+
+    # --- commands -------------------------------------------------------------------------------------------
+
+    def _hear_command(self, message: Message) -> None:
+        reply = self._obey(message)
+        for result in reply.results:
+            self.send(
+                mavlink.MAVLink_command_ack_message(
+                    message.command,
+                    result,
+                    target_system=message.get_srcSystem(),
+                    target_component=message.get_srcComponent(),
+                )
+            )
+        # The reason of a refusal comes after the refusal: autopilots queue their texts.
+        self._say(reply)
+
+    def _obey(self, message: Message) -> Reply:
+        match message.command:
+            case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+                return self._set_interval(message.param1, interval_s=message.param2 / 1e6)
+            case mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
+                return self._tell_interval(message.param1)
+            case mavlink.MAV_CMD_REQUEST_MESSAGE:
+                return self._report(tuple(self._firmware.requested(self._vehicle.now_s(), message)))
+            case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
+                return self._report(self._now(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION))
+            case mavlink.MAV_CMD_GET_HOME_POSITION:
+                numbers = self._firmware.told_of_home
+                return self._report(tuple(told for number in numbers for told in self._now(number)))
+        return self._firmware.obey(self._vehicle.now_s(), message)
+
+    # --- reports --------------------------------------------------------------------------------------------
+
+    def _set_interval(self, number: float, *, interval_s: float) -> Reply:
+        if number not in self._firmware.reports:
+            return _FAILED
+        if stream := self._streams.pop(number, None):
+            stream.end()
+        if interval_s == 0:
+            interval_s = self._firmware.unasked_s.get(int(number), 0.0)  # the default, where there is one
+        if 0 < interval_s < math.inf:
+            every_s = max(interval_s, _SHORTEST_INTERVAL_S)
+            self._streams[number] = _Stream(
+                self._vehicle.clock, every_s, lambda: self._report(self._now(number))
+            )
+        return _ACCEPTED
+
+    def _tell_interval(self, number: float) -> Reply:
+        if number not in self._firmware.reports:
+            return _FAILED
+        stream = self._streams.get(number)
+        interval_us = min(round(stream.interval_s * 1e6), _LONGEST_INTERVAL_US) if stream else -1
+        self.send(mavlink.MAVLink_message_interval_message(int(number), interval_us))
+        return _ACCEPTED
+
+    def _hear_stream_request(self, message: Message) -> None:
+        wanted, known = message.req_stream_id, self._firmware.stream_groups
+        groups = known.values() if wanted == mavlink.MAV_DATA_STREAM_ALL else (known.get(wanted, ()),)
+        on = message.start_stop == 1 and message.req_message_rate > 0
+        for group in groups:
+            for number in group:
+                self._set_interval(number, interval_s=1 / message.req_message_rate if on else -1.0)
+
+    def _now(self, number: float) -> tuple[Message, ...]:
+        return asked_by_number(self._firmware.reports, self._vehicle.now_s(), number)
+
+    def _report(self, messages: tuple[Message, ...]) -> Reply:
+        for message in messages:
+            self.send(message)
+        return _ACCEPTED if messages else _FAILED
+
+    def _hear_timesync(self, message: Message) -> None:
+        if message.tc1 == 0:
+            now_ns = round(self._vehicle.now_s() * 1e9)
+            self.send(mavlink.MAVLink_timesync_message(now_ns, message.ts1))
+
+    def _hear_version_request(self, _message: Message) -> None:
+        self._report(self._now(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION))
+
+    # --- parameters -----------------------------------------------------------------------------------------
+
+    def _hear_list_request(self, _message: Message) -> None:
+        parameters = self._firmware.copter.parameters
+        for index in range(len(parameters)):
+            self._tell_parameter(parameters.at(index))
+
+    def _hear_read_request(self, message: Message) -> None:
+        parameters, index = self._firmware.copter.parameters, message.param_index
+        self._tell_parameter(parameters.named(message.param_id) if index == -1 else parameters.at(index))
+
+    def _hear_parameter(self, message: Message) -> None:
+        said = tuple(
+            self._firmware.set_parameter(self._vehicle.now_s(), message.param_id, message.param_value)
+        )
+        self._tell_parameter(self._firmware.copter.parameters.named(message.param_id))
+        for each in said:
+            self._vehicle.tell_everyone(each)
+
+    def _tell_parameter(self, parameter: Parameter | None) -> None:
+        if parameter is not None:
+            self.send(
+                mavlink.MAVLink_param_value_message(
+                    parameter.name.encode(),
+                    parameter.value,
+                    parameter.type,
+                    len(self._firmware.copter.parameters),
+                    parameter.index,
+                )
+            )
+
+
+_LISTENERS: dict[str, Callable[[Connection, Message], None]] = {
+    "COMMAND_LONG": Connection._hear_command,
+    "COMMAND_INT": Connection._hear_command,
+    "REQUEST_DATA_STREAM": Connection._hear_stream_request,
+    "TIMESYNC": Connection._hear_timesync,
+    "AUTOPILOT_VERSION_REQUEST": Connection._hear_version_request,
+    "PARAM_REQUEST_LIST": Connection._hear_list_request,
+    "PARAM_REQUEST_READ": Connection._hear_read_request,
+    "PARAM_SET": Connection._hear_parameter,
+}
+
+
+class _Stream:
+    """One report, again and again."""
+
+    def __init__(self, clock: Clock, interval_s: float, report: Callable[[], object]) -> None:
+        self.interval_s = interval_s
+        self._task = asyncio.create_task(self._repeat(clock, report))
+
+    def end(self) -> None:
+        self._task.cancel()
+
+    async def _repeat(self, clock: Clock, report: Callable[[], object]) -> None:
+        next_s = clock.now_s()
+        while True:
+            report()
+            next_s += self.interval_s
+            if next_s < clock.now_s() - _BEHIND_S:
+                next_s = clock.now_s()
+            await clock.sleep_until(next_s)

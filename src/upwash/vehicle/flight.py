@@ -1,0 +1,272 @@
+"""How a stand-in ArduCopter flies: it draws the whole motion when it is told where to, and then only reads it off."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from enum import Enum, auto
+
+from upwash.core.geo import Position, Velocity, distance_m, ground_distance_m
+from upwash.vehicle import arducopter
+from upwash.vehicle.airframe import Airframe
+from upwash.vehicle.answers import LandedState
+from upwash.vehicle.kinematics import Motion, Phase, Stretch, duration_s
+from upwash.vehicle.modes import Mode
+from upwash.vehicle.parameters import Parameters
+from upwash.vehicle.settings import FASTEST_M_S, VehicleSettings
+from upwash.vehicle.symmetric import Symmetric
+
+_FARTHEST_M = 10_000.0
+_HIGHEST_M = 1_000.0
+_SLOWEST_M_S = 0.1
+_SAME_TARGET_M = 0.02  # as fine as degrees in 1e-7 are
+_CONTACT_NOTICED_S = 1.7  # after touchdown
+_UP_BEFORE_REST_S = 0.5  # a take-off counts as done so long before it rests
+_ARMING_S = 2.2  # of the spooling up: it begins with arming, not with the command to take off
+_TURNS_ABOVE_M_S, _TURN_DEG_S = 0.5, 65.0
+_TURN_STEP_S, _LONGEST_TURN_S = 0.1, 6.0
+_GRAVITY_M_S2 = 9.8
+_GROUND = Position(0.0, 0.0)
+
+
+class _Doing(Enum):
+    """What the present motion is for."""
+
+    NOTHING = auto()
+    TAKING_OFF = auto()
+    FLYING = auto()
+    LANDING = auto()
+    FALLING = auto()
+
+
+class Flight:
+    """The flight mode, the motors, and the motion that comes of them."""
+
+    def __init__(self, settings: VehicleSettings, parameters: Parameters, *, now_s: float) -> None:
+        self.mode = Mode.STABILIZE
+        self._parameters = parameters
+        self._airframe: Airframe = (
+            arducopter
+            if settings.acceleration_m_s2 is None
+            else Symmetric(settings.acceleration_m_s2, settings.climb_m_s, settings.descent_m_s)
+        )
+        self._auto_disarm_s = settings.auto_disarm_s
+        self._motors_started = False
+        self._armed_s = now_s
+        self._doing = _Doing.NOTHING
+        self._motion: Motion[Stretch] = Motion(now_s, (), _GROUND)
+        self._lifts_off_s = now_s
+        self._descends_s = math.inf
+        self._target: Position | None = None
+        self._takeoff_target: Position | None = None
+        self._legs_m_s = settings.ground_speed_m_s
+        self._default_speed_cm_s = parameters["WPNAV_SPEED"]
+        self._speed_m_s = settings.ground_speed_m_s
+        self._heading_deg = 0.0
+        self._turned_s = now_s
+
+    def position(self, now_s: float) -> Position:
+        """Where it is, relative to its home."""
+        return self._motion.position(now_s)
+
+    def velocity(self, now_s: float) -> Velocity:
+        """How it moves."""
+        return self._motion.velocity(now_s)
+
+    def heading_deg(self, now_s: float) -> float:
+        """Where its nose points, clockwise from north: it turns to where it flies, unless it returns or lands."""
+        self._turned_s = max(self._turned_s, now_s - _LONGEST_TURN_S)
+        while self._turned_s < now_s:
+            step_s = min(_TURN_STEP_S, now_s - self._turned_s)
+            self._turned_s += step_s
+            velocity = self.velocity(self._turned_s)
+            fast = math.hypot(velocity.east_m_s, velocity.north_m_s) > _TURNS_ABOVE_M_S
+            if fast and self.mode is Mode.GUIDED:
+                course_deg = math.degrees(math.atan2(velocity.east_m_s, velocity.north_m_s))
+                left_deg = math.remainder(course_deg - self._heading_deg, 360)
+                turn_deg = math.copysign(min(abs(left_deg), _TURN_DEG_S * step_s), left_deg)
+                self._heading_deg = (self._heading_deg + turn_deg) % 360
+        return self._heading_deg
+
+    def target(self, now_s: float) -> Position | None:
+        """Where it is flying in GUIDED, if anywhere."""
+        if self.mode is not Mode.GUIDED or not self.armed(now_s):
+            return None
+        return self._takeoff_target if self._doing is _Doing.TAKING_OFF else self._target
+
+    def armed(self, now_s: float) -> bool:
+        """Whether its motors run; some time after touchdown, or without a take-off, they stop by themselves."""
+        return self._motors_started and now_s < self.motors_stop_s()
+
+    def flying(self, now_s: float) -> bool:
+        """Whether it is off the ground."""
+        match self._doing:
+            case _Doing.NOTHING:
+                return False
+            case _Doing.LANDING | _Doing.FALLING:
+                return now_s < self._motion.ends_s
+            case _:
+                return now_s >= self._lifts_off_s
+
+    def landed_state(self, now_s: float) -> LandedState:
+        """On the ground, in the air, or on the way between; a landing is noticed some time after touchdown."""
+        noticed = now_s - _CONTACT_NOTICED_S if self._doing is _Doing.LANDING else now_s
+        if not self.flying(noticed):
+            return LandedState.ON_GROUND
+        if self._doing is _Doing.LANDING and now_s >= self._descends_s:
+            return LandedState.LANDING
+        if self._doing is _Doing.TAKING_OFF and now_s < self._motion.ends_s - _UP_BEFORE_REST_S:
+            return LandedState.TAKEOFF
+        return LandedState.IN_AIR
+
+    def motors_stop_s(self) -> float:
+        """When they stop by themselves."""
+        if self._doing is _Doing.LANDING:
+            return self._motion.ends_s + self._auto_disarm_s
+        delay_s = self._parameters["DISARM_DELAY"]
+        return self._armed_s + delay_s if self._doing is _Doing.NOTHING and delay_s > 0 else math.inf
+
+    def start_motors(self, now_s: float) -> None:
+        """Stands armed, where it is."""
+        self._motors_started = True
+        self._armed_s = now_s
+        self._doing = _Doing.NOTHING
+        self._motion = Motion(now_s, (), self.position(now_s))
+
+    def stop_motors(self) -> None:
+        """Stands disarmed, or falls on."""
+        self._motors_started = False
+
+    def take_off(self, now_s: float, altitude_m: float) -> bool:
+        """Climbs straight up, if it stands armed in GUIDED; whether it does."""
+        ready = self.armed(now_s) and not self.flying(now_s) and self.mode is Mode.GUIDED
+        if not (ready and 0 < altitude_m <= _HIGHEST_M):
+            return False
+        self._doing = _Doing.TAKING_OFF
+        self._target = None
+        self._speed_m_s = self._default_speed_m_s()
+        here = self.position(now_s)
+        self._takeoff_target = replace(here, altitude_m=altitude_m)
+        begun_s = max(self._armed_s, now_s - min(_ARMING_S, self._airframe.spool_up_s))
+        self._lifts_off_s = begun_s + self._airframe.spool_up_s
+        self._move(begun_s, self._airframe.takeoff(here, altitude_m), self._takeoff_target)
+        return True
+
+    def change_speed(self, now_s: float, speed_m_s: float) -> None:
+        """Flies on to its target with that speed; without one nothing happens."""
+        if self._target is not None and self._doing is _Doing.FLYING:
+            self._speed_m_s = speed_m_s
+            self._depart(now_s, self._target)
+
+    def steer(self, now_s: float, target: Position) -> bool:
+        """Flies to the target, if it flies in GUIDED; whether it does."""
+        if self.mode is not Mode.GUIDED or not self.flying(now_s):
+            return False
+        if self._target is None or distance_m(target, self._target) > _SAME_TARGET_M:
+            self._doing = _Doing.FLYING
+            self._target = target
+            self._depart(now_s, target)
+        return True
+
+    def take_mode(self, now_s: float, mode: Mode, *, pause_s: float = 0.0) -> None:
+        """Changes the flight mode, and does in flight what the mode is for; a landing begins after a pause."""
+        if self.flying(now_s) and self.armed(now_s) and mode is not self.mode:
+            self.heading_deg(now_s)
+            self._enter(now_s, mode, pause_s=pause_s)
+        self.mode = mode
+
+    def fall(self, now_s: float) -> None:
+        """Drops to the ground, without its motors."""
+        here = self.position(now_s)
+        fall_s = math.sqrt(2 * here.altitude_m / _GRAVITY_M_S2)
+        down = Phase(here, Velocity(up_m_s=-1.0), 0.0, _GRAVITY_M_S2, fall_s)
+        self._doing = _Doing.FALLING
+        self._target = None
+        self._move(now_s, (down,), replace(here, altitude_m=0.0))
+
+    def shift(self, now_s: float, north_m: float) -> None:
+        """Its estimate of its place jumps, and it flies on to its target from where it believes to be."""
+        if north_m == 0:
+            return
+        here = self.position(now_s)
+        believed = replace(here, north_m=here.north_m + north_m)
+        if self._doing is _Doing.FLYING and self.mode is Mode.GUIDED:
+            target = self._target or here
+            self._redirect(now_s, believed, target)
+        else:
+            self._motion = Motion(now_s, (), believed)
+
+    def _enter(self, now_s: float, mode: Mode, *, pause_s: float) -> None:
+        self._target = None
+        self._speed_m_s = self._default_speed_m_s()
+        here, velocity = self.position(now_s), self.velocity(now_s)
+        if mode not in (Mode.RTL, Mode.LAND):
+            self._doing = _Doing.FLYING
+            self._stop(now_s)
+            return
+        self._doing = _Doing.LANDING
+        stretches: tuple[Stretch, ...]
+        if mode is Mode.RTL:
+            stretches = self._airframe.way_home(
+                here,
+                velocity,
+                _GROUND,
+                ground_speed_m_s=self._return_speed_m_s(),
+                altitude_m=self._return_altitude_m(),
+            )
+            here = replace(_GROUND, altitude_m=(stretches[-1].end if stretches else here).altitude_m)
+        else:
+            stretches = self._airframe.brake(here, velocity)
+            here = stretches[-1].end if stretches else here
+            if (left_s := pause_s - duration_s(stretches)) > 0:
+                stretches = *stretches, Phase(here, Velocity(), 0.0, 0.0, left_s)
+        self._descends_s = now_s + (duration_s(stretches) if mode is Mode.RTL else 0.0)
+        stretches = *stretches, *self._airframe.landing(here)
+        self._move(now_s, stretches, replace(here, altitude_m=0.0))
+
+    def _return_altitude_m(self) -> float:
+        """As high as it returns, no higher than its fence allows."""
+        altitude_m = self._parameters["RTL_ALT"] / 100
+        fenced = self._parameters["FENCE_ENABLE"] and int(self._parameters["FENCE_TYPE"]) & 1
+        return min(altitude_m, self._parameters["FENCE_ALT_MAX"]) if fenced else altitude_m
+
+    def _stop(self, now_s: float) -> None:
+        here = self.position(now_s)
+        braking = self._airframe.brake(here, self.velocity(now_s))
+        self._move(now_s, braking, braking[-1].end if braking else here)
+
+    def _depart(self, now_s: float, target: Position) -> None:
+        """Flies to the target from whatever it does."""
+        self._redirect(now_s, self.position(now_s), target)
+
+    def _redirect(self, now_s: float, here: Position, target: Position) -> None:
+        self.heading_deg(now_s)
+        velocity = self.velocity(now_s)
+        stretches: tuple[Stretch, ...]
+        if velocity.speed_m_s <= _SLOWEST_M_S:
+            stretches = self._airframe.waypoint_leg(here, target, ground_speed_m_s=self._speed_m_s)
+        else:
+            stretches = self._airframe.redirected(here, velocity, target, ground_speed_m_s=self._speed_m_s)
+        self._move(now_s, stretches, target)
+
+    def _move(self, begun_s: float, stretches: tuple[Stretch, ...], end: Position) -> None:
+        self._motion = Motion(begun_s, stretches, end)
+
+    def _default_speed_m_s(self) -> float:
+        """The legs' own speed, until somebody changes the parameter for it."""
+        told_cm_s = self._parameters["WPNAV_SPEED"]
+        if told_cm_s == self._default_speed_cm_s:
+            return self._legs_m_s
+        return _within_reason(told_cm_s / 100)
+
+    def _return_speed_m_s(self) -> float:
+        return _within_reason((self._parameters["RTL_SPEED"] or self._parameters["WPNAV_SPEED"]) / 100)
+
+
+def is_sensible(target: Position) -> bool:
+    """Whether it is a place that a copter could be sent to."""
+    return ground_distance_m(target, _GROUND) <= _FARTHEST_M and 0 <= target.altitude_m <= _HIGHEST_M
+
+
+def _within_reason(speed_m_s: float) -> float:
+    return min(max(speed_m_s, _SLOWEST_M_S), FASTEST_M_S)

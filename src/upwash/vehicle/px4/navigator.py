@@ -1,0 +1,193 @@
+"""Where a stand-in PX4 flies by itself: up at a take-off, to a place, home, and down."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum, auto
+
+from upwash.core.geo import Position, ground_distance_m
+from upwash.mavlink.px4 import Mode
+from upwash.vehicle.px4.airframe import ALTITUDE_REACHED_M, REACTION_S
+from upwash.vehicle.px4.body import CLIMB_M_S, CLIMBING_M_S2, Body, Steering, landing_sink_m_s
+from upwash.vehicle.px4.events import Tell
+from upwash.vehicle.px4.parameters import Parameters
+from upwash.vehicle.px4.steering import within_limits
+
+LEAST_LIFT_M = 0.3
+_FARTHEST_M, _HIGHEST_M, _LOWEST_M = 10_000.0, 1_000.0, -200.0
+_LANDS_WITHIN_M = 2.0
+_TURNS_BEYOND_M = 2.0
+_HOME = Position(0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Reposition:
+    """Where to, as far as it was told: without a place it holds, without an altitude at the present one."""
+
+    east_north_m: tuple[float, float] | None
+    altitude_m: float | None
+    speed_m_s: float
+    yaw_deg: float | None
+
+    def target(self, here: Position) -> Position:
+        """The place that it means, told there."""
+        target = Position(*(self.east_north_m or (here.east_m, here.north_m)), here.altitude_m)
+        return target if self.altitude_m is None else replace(target, altitude_m=self.altitude_m)
+
+
+class _Returning(Enum):
+    """How far it has come in RTL."""
+
+    CLIMBS = auto()
+    FLIES = auto()
+    LANDS = auto()
+
+
+class Navigator:
+    """The place that it flies to or holds, how fast, and how far it has come in a return."""
+
+    def __init__(
+        self, parameters: Parameters, body: Body, tell: Tell, *, home_altitude_m: float, now_s: float
+    ) -> None:
+        self.takeoff_altitude_m: float | None = None
+        self._parameters = parameters
+        self._body = body
+        self._tell = tell
+        self._home_altitude_m = home_altitude_m
+        self._place: Position | None = None
+        self._altitude_m = 0.0
+        self._heading_deg: float | None = None
+        self._moves_s = now_s
+        self._cruise_m_s = parameters["MPC_XY_CRUISE"]
+        self._returning = _Returning.CLIMBS
+
+    @property
+    def target(self) -> Position | None:
+        """Where it flies to, if anywhere."""
+        return replace(self._place, altitude_m=self._altitude_m) if self._place else None
+
+    @property
+    def lands_at_home(self) -> bool:
+        """Whether its return has come to the landing."""
+        return self._returning is _Returning.LANDS
+
+    def enter(self, mode: Mode, *, before: Mode, armed: bool) -> None:
+        """Begins a mode."""
+        if mode is Mode.LOITER and before is Mode.TAKEOFF:
+            self._cruise_m_s = self._parameters["MPC_XY_CRUISE"]
+            return
+        self._place, self._heading_deg = None, None
+        self._altitude_m = self._body.altitude_m
+        self._cruise_m_s = self._parameters["MPC_XY_CRUISE"]
+        if mode is Mode.RTL and armed:
+            self._begin_return()
+
+    def _begin_return(self) -> None:
+        self._returning = _Returning.CLIMBS
+        away_m = ground_distance_m(self._body.position, _HOME)
+        if away_m > self._parameters["RTL_MIN_DIST"]:
+            self._altitude_m = max(self._altitude_m, self._parameters["RTL_RETURN_ALT"])
+        above_sea_m = self._altitude_m + self._home_altitude_m
+        self._tell("vrtl_return_at", round(above_sea_m), round(self._altitude_m))
+
+    def take_off_to(self, altitude_m: float, *, grounded: bool) -> bool:
+        """Takes an altitude to climb to; whether it makes sense to lift for it."""
+        self.takeoff_altitude_m = None
+        if not self._body.altitude_m + LEAST_LIFT_M < altitude_m <= _HIGHEST_M:
+            if not grounded:
+                self.takeoff_altitude_m = self._body.altitude_m
+            return False
+        self.takeoff_altitude_m = altitude_m
+        return True
+
+    def lifted(self) -> None:
+        """It has left the ground."""
+        self._place, self._altitude_m = self._body.position, self.takeoff_altitude_m or 0.0
+
+    def reposition(self, wish: Reposition, now_s: float, *, was_holding: bool) -> None:
+        """Sets out for the place; the speed of before lasts only where it was holding already."""
+        target = wish.target(self._body.position)
+        if 0 < wish.speed_m_s < math.inf:
+            self._cruise_m_s = wish.speed_m_s
+        elif not was_holding:
+            self._cruise_m_s = self._parameters["MPC_XY_CRUISE"]
+        if wish.east_north_m is not None:
+            self._place = target
+        elif wish.altitude_m is None and wish.yaw_deg is None:
+            self._place = None
+        self._altitude_m = target.altitude_m
+        self._heading_deg = wish.yaw_deg
+        self._moves_s = now_s + REACTION_S
+
+    def change_speed(self, speed_m_s: float) -> None:
+        """Flies on with that speed."""
+        if 0 < speed_m_s < math.inf:
+            self._cruise_m_s = speed_m_s
+
+    def ends_climb(self) -> bool:
+        """Whether a take-off has come to its altitude, which it holds from then on."""
+        target_m = self._climbs_to_m()
+        if abs(target_m - self._body.altitude_m) > ALTITUDE_REACHED_M:
+            return False
+        self._place, self._altitude_m = self._place or self._body.position, target_m
+        return True
+
+    def climbing(self, now_s: float) -> Steering:
+        """Straight up at a take-off."""
+        return replace(
+            self._holding_at(self._climbs_to_m(), now_s),
+            climb_m_s=CLIMB_M_S,
+            climb_m_s2=CLIMBING_M_S2,
+            turns_to_deg=None,
+        )
+
+    def _climbs_to_m(self) -> float:
+        return self.takeoff_altitude_m if self.takeoff_altitude_m is not None else self._body.altitude_m
+
+    def holding(self, now_s: float) -> Steering:
+        """To its place, and there."""
+        return self._holding_at(self._altitude_m, now_s)
+
+    def _holding_at(self, altitude_m: float, now_s: float) -> Steering:
+        """At its place, or to a stop, which is its place from then on."""
+        if self._place is None and self._body.told_to_stand:
+            self._place = self._body.position
+        if now_s < self._moves_s:
+            return Steering(place=self._body.position, altitude_m=altitude_m)
+        return Steering(
+            place=self._place,
+            cap_m_s=within_limits(self._cruise_m_s, self._parameters),
+            altitude_m=altitude_m,
+            turns_to_deg=self._heading_deg if self._heading_deg is not None else self._course_deg(),
+        )
+
+    def _course_deg(self) -> float | None:
+        if self._place is None or ground_distance_m(self._place, self._body.position) <= _TURNS_BEYOND_M:
+            return None
+        east_m, north_m = self._place.east_m - self._body.east_m, self._place.north_m - self._body.north_m
+        return math.degrees(math.atan2(east_m, north_m)) % 360
+
+    def on_the_way_home(self, now_s: float) -> Steering:
+        """Up, home, and down."""
+        if self._returning is _Returning.CLIMBS:
+            if abs(self._altitude_m - self._body.altitude_m) > ALTITUDE_REACHED_M:
+                return self.holding(now_s)
+            self._returning, self._place = _Returning.FLIES, replace(_HOME, altitude_m=self._altitude_m)
+        if self._returning is _Returning.FLIES:
+            if ground_distance_m(self._body.position, _HOME) > _LANDS_WITHIN_M:
+                return self.holding(now_s)
+            self._returning = _Returning.LANDS
+            self._tell("rtl_land_at_destination")
+        return self.landing(now_s)
+
+    def landing(self, now_s: float) -> Steering:
+        """Down to the ground."""
+        sink_m_s = landing_sink_m_s(self._body.altitude_m)
+        return replace(self._holding_at(-math.inf, now_s), sink_m_s=sink_m_s, turns_to_deg=None)
+
+
+def is_sensible(target: Position) -> bool:
+    """Whether it is a place that a copter could be sent to."""
+    near = ground_distance_m(target, _HOME) <= _FARTHEST_M
+    return near and _LOWEST_M <= target.altitude_m <= _HIGHEST_M

@@ -1,0 +1,56 @@
+"""What a stand-in ArduCopter is like when it is switched on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from upwash.core.geo import GeoPosition
+from upwash.errors import UsageError
+from upwash.vehicle.boot import RECORDED_S
+from upwash.vehicle.faults import Fault
+
+FASTEST_M_S = 300.0  # a report holds 327 m/s at most
+_RATES = ("ground_speed_m_s", "climb_m_s", "descent_m_s", "return_speed_m_s", "endurance_s", "speedup")
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleSettings:
+    """A multicopter: where it stands and how it flies.
+
+    It flies as a recorded ArduCopter did, or, where an acceleration is given, speeds up and brakes with that one,
+    climbs and descends at the given rates, and neither spools up nor hovers above its home.
+    """
+
+    home: GeoPosition
+    home_altitude_m: float = 0.0  # above the sea
+    acceleration_m_s2: float | None = None
+    climb_m_s: float = 2.5
+    descent_m_s: float = 1.5
+    ground_speed_m_s: float = 5.4  # of legs whose speed it was not told
+    return_speed_m_s: float = 10.0
+    return_altitude_m: float = 15.0
+    armable_after_s: float = RECORDED_S
+    auto_disarm_s: float = 2.0
+    battery_percent: float = 100.0
+    endurance_s: float = 1_200.0  # of a full battery with the motors running
+    speedup: float = 1.0  # of its clock, against everyone else's
+    clock_offset_s: float | None = (
+        0.0  # of its receiver's time of day, against this machine's; None: it tells none
+    )
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    faults: tuple[Fault, ...] = ()
+
+    def __post_init__(self) -> None:
+        rates = {name: getattr(self, name) for name in _RATES}
+        if self.acceleration_m_s2 is not None:
+            rates["acceleration_m_s2"] = self.acceleration_m_s2
+        for name, rate in rates.items():
+            most = math.inf if name == "endurance_s" else FASTEST_M_S
+            if not 0 < rate <= most:
+                raise UsageError(f"vehicle: {name} is {rate}; give a number above 0, at most {most:g}")
+        if not self.armable_after_s >= 0:
+            raise UsageError(f"vehicle: armable_after_s is {self.armable_after_s}; give a number from 0 on")
+        if not 0 <= self.battery_percent <= 100:
+            raise UsageError(f"vehicle: battery_percent is {self.battery_percent}; give 0 to 100")

@@ -1,0 +1,39 @@
+"""The programs of bench/ that need root, with as little to do as they can be told to have."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+
+import pytest
+from tests.engines import OwnEngine
+from tests.programs import printed
+
+pytestmark = [pytest.mark.root, pytest.mark.system]
+needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="makes network namespaces: needs root")
+needs_ip = pytest.mark.skipif(not shutil.which("ip"), reason="needs iproute2")
+
+
+@pytest.mark.xdist_group("lxd")
+def test_calls_into_a_container_stand_beside_those_into_a_process(lxd: OwnEngine) -> None:
+    said = printed("bench.containers", "--quick", "--engine", f"unix:{lxd.socket}")
+    for what in "process", "container, new", "container, stopped", "container, frozen":
+        assert re.search(rf"\n{what} +[\d.]+ s \(", said)
+    assert re.search(r"\n(PASS|MISS): container / process = [\d.]+", said)
+
+
+@needs_root
+@needs_ip
+def test_calls_are_measured_over_an_emulated_link() -> None:
+    said = printed("bench.call", "--quick")
+    assert re.search(r"\n(PASS|MISS): upwash on the server / 63.7 ms of bits / rate = [\d.]+", said)
+
+
+@pytest.mark.flight
+@pytest.mark.xdist_group("emulate")
+@needs_root
+@needs_ip
+def test_a_cell_of_the_thesis_is_flown_and_compared() -> None:
+    said = printed("bench.validate", "--quick", "--only", "equal-servers-light/hitl")
+    assert re.search(r"equal-servers-light/hitl +│ +table │ +namespaces │( +[\d.]+ │){3} +\d of 2 │", said)

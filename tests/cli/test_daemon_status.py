@@ -1,0 +1,66 @@
+"""What `upwash status` prints of a daemon's reply, of this release or of an earlier one."""
+
+from __future__ import annotations
+
+import io
+import math
+from typing import Any
+
+import msgspec
+from rich.console import Console
+
+from upwash.cli.daemon_status import print_status
+from upwash.core.admission import AdmissionController, ServerOffer
+from upwash.core.clients import Client, Role
+from upwash.rpc.protocol import StatusReply, decode_reply
+
+ALICE = Client("alice", "0c", role=Role.OPERATOR)
+
+
+def printed(servers: Any) -> list[str]:
+    """The lines for the servers, as they arrive over the wire."""
+    reply = {"up_s": 1.0, "servers": servers, "refusals": [], "certificates": []}
+    sent = msgspec.msgpack.encode(msgspec.to_builtins(reply))
+    console = Console(file=io.StringIO(), width=60, markup=False)
+    print_status(decode_reply(sent, StatusReply, sender="s1"), console)
+    assert isinstance(console.file, io.StringIO)
+    return [line.rstrip() for line in console.file.getvalue().splitlines()]
+
+
+def test_drones_that_wait_follow_those_with_a_slot_in_the_order_of_their_turns() -> None:
+    host = AdmissionController({"s1": ServerOffer(frozenset(), slots=1)}, peers=["s2"])
+    host.availability("s1", [], Client("heron"), now_s=0.0)
+    host.availability("s1", [], Client("heron"), now_s=10.0)
+    for now_s in range(0, 32, 2):
+        host.availability("s1", [], Client("egret"), now_s=float(now_s))
+    for drone in ("avocet", "heron"):
+        host.availability("s1", [], Client(drone), now_s=32.0)
+    assert printed(host.servers(now_s=32.0))[2:] == [
+        "s1: 1 of 1 slots in use, 2 drones wait",
+        "  1 slot, as configured; a turn lasts 30 s, 1 has ended so far",
+        "  egret: has a slot for 2 s, counts as having had 2 s; lease ends in 28 s",
+        "  avocet: waits for 0 s, counts as having had 2 s",
+        "  heron: waits for 0 s, counts as having had 30 s",
+    ]
+
+
+def test_a_slot_that_is_held_names_the_peer_that_asked_and_turns_may_have_no_end() -> None:
+    host = AdmissionController({"s1": ServerOffer(frozenset(), "auto", math.inf)}, peers=["s2"])
+    peer = Client("s2", "02", role=Role.SERVER)
+    host.hold("s1", [], Client("tern", "03"), peer=peer, for_s=9.0, now_s=0.0)
+    assert printed(host.servers(now_s=1.0))[2:5] == [
+        "s1: 1 of 1 slots in use",
+        "  1 slot, as no service is offered; turns have no end",
+        "  tern: has a slot for 1 s, counts as having had 1 s; lease ends in 8 s, certificate 03, held as s2 asked",
+    ]
+
+
+def test_a_daemon_that_knows_no_turns_is_shown_without_them() -> None:
+    lease = {"drone": "heron", "certificate": "0a", "ends_in_s": 12.0, "held_by": ""}
+    instance = {"service": "detector", "state": "running", "endpoint": ":40000", "unused_s": 3.0}
+    assert printed([{"name": "s1", "slots": 2, "leases": [lease], "instances": [instance]}])[2:] == [
+        "s1: 1 of 2 slots in use",
+        "  heron: lease ends in 12 s, certificate 0a",
+        "  instance    state      at        unused for",
+        "  detector    running    :40000    3 s",
+    ]

@@ -1,0 +1,81 @@
+"""How many slots a server measures to be right."""
+
+from __future__ import annotations
+
+import pytest
+
+from upwash.core.slots import MeasuredSlots
+
+
+def calls(
+    slots: MeasuredSlots,
+    drone: str,
+    *,
+    every_s: float,
+    took_s: float,
+    queued_s: float = 0.0,
+    count: int = 6,
+    service: str = "detector",
+) -> None:
+    for number in range(count):
+        slots.answered(service, drone, took_s=took_s, queued_s=queued_s, now_s=number * (every_s + queued_s))
+
+
+def test_as_many_drones_fit_as_keep_the_instance_busy() -> None:
+    slots = MeasuredSlots({"detector": 1})
+    calls(slots, "d1", every_s=9.0, took_s=0.6)
+    assert slots.count == 15
+    assert slots.why == "a drone keeps detector busy for 7 % of its time"
+
+
+def test_what_a_call_waited_for_others_makes_no_room() -> None:
+    alone, crowded = MeasuredSlots({"detector": 1}), MeasuredSlots({"detector": 1})
+    calls(alone, "d1", every_s=9.0, took_s=0.6)
+    calls(crowded, "d1", every_s=9.0, took_s=0.6, queued_s=5.0)
+    assert crowded.count == alone.count
+
+
+@pytest.mark.parametrize("lanes", [1, 3])
+def test_until_it_is_measured_a_drone_is_taken_to_keep_a_lane_busy_for_a_quarter_of_its_time(
+    lanes: int,
+) -> None:
+    slots = MeasuredSlots({"detector": lanes})
+    calls(slots, "d1", every_s=9.0, took_s=0.6, count=2)  # one span from one call to the next
+    assert slots.count == 4 * lanes
+    assert slots.why == "detector is not measured yet, and taken to be busy for 25 % of a drone's time"
+
+
+def test_with_more_lanes_more_drones_fit() -> None:
+    slots = MeasuredSlots({"detector": 4})
+    calls(slots, "d1", every_s=1.0, took_s=0.5)
+    assert slots.count == 8
+
+
+def test_a_drone_that_calls_all_the_time_leaves_room_for_none_but_a_crowd_outvotes_it() -> None:
+    slots = MeasuredSlots({"detector": 1})
+    calls(slots, "hammer", every_s=0.6, took_s=0.6)
+    assert slots.count == 1
+    for number in range(3):
+        calls(slots, f"d{number}", every_s=9.0, took_s=0.6)
+    assert slots.count == 3, "of 1.2 s of four drones' time"
+
+
+def test_the_service_that_is_the_narrowest_counts() -> None:
+    slots = MeasuredSlots({"detector": 1, "counter": 1})
+    calls(slots, "d1", every_s=9.0, took_s=0.6)
+    assert slots.count == 15, "nobody calls the other one"
+    calls(slots, "d1", every_s=9.0, took_s=0.6, service="counter")
+    calls(slots, "d2", every_s=9.0, took_s=3.0, service="counter")
+    assert (slots.count, slots.why) == (5, "a drone keeps counter busy for 20 % of its time")
+    slots.offer({"detector": 1})
+    assert slots.count == 15
+    slots.offer({})
+    assert (slots.count, slots.why) == (1, "no service is offered")
+
+
+def test_time_without_a_slot_is_not_counted_as_a_drones_pace() -> None:
+    slots = MeasuredSlots({"detector": 1})
+    calls(slots, "d1", every_s=9.0, took_s=0.6)
+    slots.came("d1")
+    slots.answered("detector", "d1", took_s=0.6, queued_s=0.0, now_s=10_000.0)
+    assert slots.count == 15

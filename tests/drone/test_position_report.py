@@ -1,0 +1,58 @@
+"""What a flight tells of its drone each second."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from tests.conftest import SCENARIOS
+
+from upwash.drone.flight import Flight
+from upwash.eventlog import schema
+from upwash.lab.run import simulate
+from upwash.lab.simulation import read_scenario
+
+
+@pytest.fixture(scope="module")
+def reports() -> list[schema.PositionReport]:
+    """Those of the thesis's mission, a second apart."""
+    found: list[schema.PositionReport] = []
+    run = Flight.run
+
+    async def watched(self: Flight) -> None:
+        async def watch() -> None:
+            while True:
+                found.append(self.position_report())
+                await asyncio.sleep(1.0)
+
+        watching = asyncio.create_task(watch())
+        await run(self)
+        watching.cancel()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Flight, "run", watched)
+        assert simulate(read_scenario(SCENARIOS / "thesis.toml")).result.completed
+    return found
+
+
+def test_it_has_the_speed_over_the_ground_and_where_the_nose_points(
+    reports: list[schema.PositionReport],
+) -> None:
+    assert (reports[0].ground_speed_m_s, reports[0].heading_deg) == (0.0, None)
+    assert 4.0 in {each.ground_speed_m_s for each in reports}  # mission.ground_speed_m_s, on long legs
+    flown = {each.heading_deg for each in reports if each.ground_speed_m_s}
+    assert {90.0, 180.0, 270.0} <= flown  # east, then a row further south, then west
+
+
+def test_what_the_vehicle_does_not_say_is_absent(reports: list[schema.PositionReport]) -> None:
+    assert {each.battery_percent for each in reports} == {None}  # a scenario without an endurance
+
+
+def test_it_has_the_server_in_use_and_how_long_its_daemon_took_to_answer(
+    reports: list[schema.PositionReport],
+) -> None:
+    assert {each.server for each in reports} == {None, "s1", "s2"}
+    answered = [each for each in reports if each.round_trip_s is not None]
+    assert {each.server for each in answered} == {"s1", "s2"}
+    assert all(0.0 <= (each.round_trip_s or 0.0) < 5.0 for each in answered)
+    assert not [each for each in reports if each.server is None and each.round_trip_s is not None]

@@ -1,0 +1,99 @@
+"""Reading a run's result from its events."""
+
+from __future__ import annotations
+
+import pytest
+from tests.events import event as made
+
+from upwash.eventlog.results import CallResult, read_result
+from upwash.eventlog.schema import Event
+
+
+def event(t: float, name: str, **facts: object) -> Event:
+    return made(name, t, **facts)
+
+
+def call(
+    t: float, place: str, delay_s: float, *, wait: str = "", waited_s: float = 0.0, **more: object
+) -> Event:
+    facts = {"operation": "detector.process_photo[heavy]", "decision": "as estimated", "fell_back": False}
+    return event(t, "call", place=place, delay_s=delay_s, wait=wait, waited_s=waited_s, **(facts | more))
+
+
+RUN = [
+    event(0.0, "log_opened"),
+    event(2.0, "mission_started", policy="location-aware", waypoints=5),
+    event(10.0, "arrived", waypoint=0),
+    call(13.0, "local", 3.0),
+    event(14.0, "selected", server="s1"),
+    event(20.0, "arrived", waypoint=1),
+    call(26.0, "s2", 1.0, wait="paid off", waited_s=0.7),
+    call(27.0, "s1", 1.0),
+    event(28.0, "selected", server="s2"),
+    call(34.0, "local", 7.0, wait="failed", waited_s=2.0, fell_back=True),
+    event(40.0, "mission_completed"),
+    event(41.0, "position"),
+]
+
+
+def test_calls_are_told_with_their_waypoint_and_the_missions_time() -> None:
+    result = read_result(RUN)
+    assert (result.policy, result.completed, result.mission_time_s) == ("location-aware", True, 38.0)
+    assert [(each.waypoint, each.place, each.at_s) for each in result.calls] == [
+        (0, "local", 8.0),
+        (1, "s2", 23.0),
+        (1, "s1", 24.0),
+        (1, "local", 25.0),
+    ]
+
+
+def test_totals_are_counted_over_all_calls() -> None:
+    totals = read_result(RUN).totals
+    assert (totals.calls, totals.local, totals.remote) == (4, 2, {"s1": 1, "s2": 1})
+    assert (totals.waits, totals.waits_failed, totals.switches, totals.fallbacks) == (2, 1, 2, 1)
+    assert totals.service_delay_s == pytest.approx(12.0)
+
+
+def test_the_time_with_local_calls_alone_uses_their_measured_mean_without_waiting() -> None:
+    # local calls took 3 s and 7 - 2 s, 4 s on average: 16 s for the four calls, which took 12 s
+    assert read_result(RUN).local_only_time_s() == pytest.approx(38.0 + 16.0 - 12.0)
+
+
+def test_without_a_measured_local_call_nothing_is_claimed() -> None:
+    assert read_result([*RUN[:2], call(9.0, "s1", 1.0)]).local_only_time_s() is None
+
+
+def test_a_run_that_broke_off_lasts_to_its_last_event() -> None:
+    result = read_result(RUN[:5])
+    assert (result.completed, result.mission_time_s, len(result.calls)) == (False, 12.0, 1)
+
+
+def test_a_call_before_the_first_waypoint_belongs_to_none() -> None:
+    result = read_result([RUN[1], call(4.0, "local", 1.0)])
+    assert result.calls == [
+        CallResult(None, "detector.process_photo[heavy]", "local", "as estimated", 1.0, 0.0, 1.0)
+    ]
+
+
+def test_a_log_without_a_mission_has_no_calls() -> None:
+    for events in ([], RUN[:1]):
+        result = read_result(events)
+        assert (result.completed, result.calls, result.mission_time_s) == (False, [], 0.0)
+
+
+def test_the_waypoints_that_were_not_reached_are_left_undone() -> None:
+    result = read_result(RUN)
+    assert (result.waypoints, result.undone, result.left_hovering) == (5, [2, 3, 4], False)
+    assert read_result([*RUN[:-2], event(39.0, "left_hovering")]).left_hovering
+
+
+def test_a_log_of_two_runs_tells_of_the_last() -> None:
+    latest = [
+        event(0.0, "log_opened"),
+        event(1.0, "mission_started", policy="local-only"),
+        call(5.0, "local", 2.0),
+    ]
+    result = read_result([*RUN, *latest])
+    assert (result.policy, result.completed, result.mission_time_s) == ("local-only", False, 4.0)
+    assert [each.at_s for each in result.calls] == [2.0]
+    assert result.totals.switches == 0

@@ -1,0 +1,28 @@
+"""`upwash fly` as a process beside this one."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from upwash.launch.flight_program import INTERRUPTED, FlightProgram
+
+pytestmark = pytest.mark.system
+
+
+def test_what_it_prints_is_told_and_its_exit_code_is_returned(tmp_path: Path) -> None:
+    told: list[str] = []
+    program = FlightProgram(tmp_path / "missing.toml", tmp_path / "log.jsonl", say=told.append)
+    assert asyncio.run(program.run()) == 2
+    (said,) = told
+    assert said.startswith("upwash: ") and "missing.toml" in said
+
+
+def test_one_that_was_stopped_before_does_not_start(tmp_path: Path) -> None:
+    told: list[str] = []
+    program = FlightProgram(tmp_path / "missing.toml", tmp_path / "log.jsonl", say=told.append)
+    program.stop()
+    assert asyncio.run(program.run()) == INTERRUPTED
+    assert told == []

@@ -1,0 +1,272 @@
+"""A service's settings: what its constructor says it takes, what a configuration gives, and the way between."""
+
+from __future__ import annotations
+
+import enum
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from upwash.config import read_daemon_config, read_drone_config
+from upwash.errors import ConfigError, DeclarationError, UsageError
+from upwash.missions.bundled import LoadedService, load_services
+from upwash.rpc.service import service, spec_of
+from upwash.rpc.settings import construct, describe_settings, plain
+
+
+class Colour(enum.Enum):
+    RED = "red"
+    BLUE = "blue"
+
+
+class Files(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    cfg: Path | None = None
+    onnx: Path | None = None
+
+    def __post_init__(self) -> None:
+        if (self.cfg is None) == (self.onnx is None):
+            raise ValueError("give either cfg or onnx")
+
+
+@dataclass(frozen=True)
+class Limits:
+    least: float
+    most: float = 1.0
+
+
+class Lens:
+    """Keeps what it is made of; the defaults are no values that a configuration could give."""
+
+    def __init__(
+        self,
+        name: str,
+        threads: Annotated[int, msgspec.Meta(ge=1, description="an integer of at least 1")] = -1,
+        *,
+        colour: Colour = Colour.RED,
+        provider: Literal["cpu", "cuda"] = "cpu",
+        files: Files | None = None,
+        sizes: dict[str, int] | None = None,
+        weights: list[float] = [0.5],  # noqa: B006 - what it is here
+        limits: Limits | None = None,
+        bright: bool = False,
+    ) -> None:
+        self.made = dict(vars()) | {"self": None}
+
+
+KIND = describe_settings(Lens)
+DEFAULTS = Lens("n").made
+given_settings = st.fixed_dictionaries(
+    {"name": st.text()},
+    optional={
+        "threads": st.integers(1, 2**60),
+        "colour": st.sampled_from(["red", "blue"]),
+        "provider": st.sampled_from(["cpu", "cuda"]),
+        "files": st.fixed_dictionaries({"cfg": st.sampled_from(["/a/b.cfg", "/c d/é.cfg"])}),
+        "sizes": st.dictionaries(st.text(), st.integers(-(2**60), 2**60)),
+        "weights": st.lists(st.floats(allow_nan=False, allow_infinity=False)),
+        "limits": st.fixed_dictionaries({"least": st.floats(0, 1)}, optional={"most": st.floats(0, 1)}),
+        "bright": st.booleans(),
+    },
+)
+
+
+@given(given_settings)
+def test_settings_arrive_as_they_were_given_and_the_others_keep_their_defaults(given: dict[str, Any]) -> None:
+    travelled = json.loads(
+        json.dumps(plain(msgspec.convert(given, KIND, dec_hook=lambda kind, text: kind(text))))
+    )
+    made = construct(Lens, KIND, travelled).made
+    expected = DEFAULTS | given
+    if "colour" in given:
+        expected["colour"] = Colour(given["colour"])
+    if "files" in given:
+        expected["files"] = Files(cfg=Path(given["files"]["cfg"]))
+    if "limits" in given:
+        expected["limits"] = Limits(**given["limits"])
+    assert made == expected
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{}, {"name": 3}, {"name": "n", "threads": 0}, {"name": "n", "thread": 1}, {"name": "n", "files": {}}],
+)
+def test_settings_that_do_not_fit_are_refused_where_they_arrive_too(settings: dict[str, Any]) -> None:
+    with pytest.raises(UsageError, match="Lens cannot be made with its settings"):
+        construct(Lens, KIND, settings)
+
+
+def test_a_class_without_a_constructor_takes_nothing() -> None:
+    class Plain:
+        pass
+
+    assert isinstance(construct(Plain, describe_settings(Plain), {}), Plain)
+    with pytest.raises(UsageError, match="threads"):
+        construct(Plain, describe_settings(Plain), {"threads": 1})
+
+
+class Unhinted:
+    def __init__(self, model=None) -> None:  # type: ignore[no-untyped-def]
+        pass
+
+
+class Nameless:
+    def __init__(self, model: str = "", /) -> None:
+        pass
+
+
+class Live:
+    def __init__(self, clock: Callable[[], float] | None = None) -> None:
+        pass
+
+
+class Vague:
+    def __init__(self, model: Any = None) -> None:
+        pass
+
+
+class Unresolved:
+    def __init__(self, model: Nowhere = None) -> None:  # type: ignore[name-defined]  # noqa: F821
+        pass
+
+
+@pytest.mark.parametrize(
+    ("cls", "said"),
+    [
+        (Unhinted, "__init__'s parameter 'model' has no type hint"),
+        (Nameless, "__init__'s parameter 'model' must be passable by its name"),
+        (Live, "__init__'s parameter 'clock' cannot be sent"),
+        (Vague, "__init__'s parameter 'model' cannot be sent as"),
+        (Unresolved, "a type hint of __init__ cannot be resolved"),
+    ],
+)
+def test_a_constructor_that_no_configuration_can_call_is_refused(cls: type, said: str) -> None:
+    with pytest.raises(DeclarationError, match=f"service {cls.__name__}: {said}"):
+        describe_settings(cls)
+
+
+# --- from a configuration -----------------------------------------------------------------------------------
+
+PROGRAM = """
+from pathlib import Path
+from typing import Literal
+import msgspec
+from upwash import service
+
+class Files(msgspec.Struct):
+    cfg: Path
+    names: Path | None = None
+
+    def __post_init__(self):
+        if self.names == self.cfg:
+            raise ValueError("cfg and names are the same file: give two")
+
+@service
+class Lens:
+    def __init__(self, model: Files, *, threads: int = 1, provider: Literal["cpu", "cuda"] = "cpu",
+                 sizes: list[int] = [], shares: dict[str, float] = {}): ...
+    def look(self) -> None: ...
+"""
+DRONE = """
+[mission]
+waypoints_m = [[0, 0]]
+[[service]]
+name = "lens"
+program = "mine.py:Lens"
+local_call_s = 1.0
+"""
+DAEMON = """
+listen = "127.0.0.1:0"
+allow_without_certificates = true
+[[server]]
+name = "s1"
+[[service]]
+name = "lens"
+program = "mine.py:Lens"
+"""
+
+
+def loaded(folder: Path, text: str) -> LoadedService:
+    """The one service of the configuration of that text."""
+    (folder / "mine.py").write_text(PROGRAM)
+    file = folder / "config.toml"
+    file.write_text(text)
+    if "[mission]" in text:
+        return load_services(read_drone_config(file).services)["lens"]
+    return load_services(read_daemon_config(file).images)["lens"]
+
+
+@pytest.mark.parametrize("text", [DRONE, DAEMON])
+def test_a_configuration_gives_settings_with_paths_from_its_folder(text: str, tmp_path: Path) -> None:
+    settings = '[service.settings]\nthreads = 4\nmodel = { cfg = "a.cfg", names = "/etc/a.names" }\n'
+    service = loaded(tmp_path, text + settings)
+    assert service.program.settings == {
+        "threads": 4,
+        "model": {"cfg": f"{tmp_path}/a.cfg", "names": "/etc/a.names"},
+    }
+    assert construct(service.cls, spec_of(service.cls).settings, service.program.settings) is not None
+
+
+@pytest.mark.parametrize("text", [DRONE, DAEMON])
+@pytest.mark.parametrize(
+    ("settings", "key", "problem"),
+    [
+        ("threads = 1", "model", "missing: add a table with the keys cfg, names"),
+        ("model = 3", "model", "expected a table with the keys cfg, names, found 3"),
+        ("model = {}", "model.cfg", "missing: add a file's path, absolute or from this file's folder"),
+        (
+            'model = { cfg = "" }',
+            "model.cfg",
+            "expected a file's path, absolute or from this file's folder, found \"\"",
+        ),
+        ('model = { cfg = "a", names = "a" }', "model", "cfg and names are the same file: give two"),
+        ('model = { cfg = "a" }\nthread = 1', "thread", 'unknown key "thread"; did you mean "threads"?'),
+        ('model = { cfg = "a" }\nthreads = "2"', "threads", 'expected an integer, found "2"'),
+        ('model = { cfg = "a" }\nprovider = "tpu"', "provider", 'expected one of "cpu", "cuda", found "tpu"'),
+        ('model = { cfg = "a" }\nsizes = [1, "b"]', "sizes[1]", 'expected an integer, found "b"'),
+        ('model = { cfg = "a" }\nsizes = 1', "sizes", "expected an array, found 1"),
+        ('model = { cfg = "a" }\nshares = []', "shares", "expected a table, found []"),
+    ],
+)
+def test_a_setting_that_does_not_fit_is_refused_with_file_key_and_remedy(
+    text: str, settings: str, key: str, problem: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError) as refusal:
+        loaded(tmp_path, f"{text}\n[service.settings]\n{settings}\n")
+    assert refusal.value.file == str(tmp_path / "config.toml")
+    assert refusal.value.key == f"service[0].settings.{key}"
+    assert refusal.value.problem.startswith(problem)
+
+
+@pytest.mark.parametrize("text", [DRONE, DAEMON])
+def test_what_is_no_table_of_settings_is_refused_when_the_file_is_read(text: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"service\[0\]\.settings: expected a table of what .* found 3"):
+        loaded(tmp_path, f"{text}\nsettings = 3\n")
+
+
+@pytest.mark.parametrize("text", [DRONE, DAEMON])
+def test_a_service_that_needs_settings_says_which(text: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"service 'lens' needs model: add them in \[service\.settings\]"):
+        loaded(tmp_path, text)
+
+
+def test_what_is_wrong_within_a_map_is_shown_as_the_map(tmp_path: Path) -> None:
+    text = f'{DRONE}\n[service.settings]\nmodel = {{ cfg = "a" }}\nshares = {{ x = "b" }}\n'
+    with pytest.raises(ConfigError, match=r'shares: expected a table, found {"x": "b"}'):
+        loaded(tmp_path, text)
+
+
+def test_a_service_declared_in_the_usual_way_knows_its_settings() -> None:
+    @service
+    class Meter:
+        def __init__(self, *, gain: float = 1.0) -> None: ...
+
+        def read(self) -> None: ...
+
+    assert [field.name for field in msgspec.structs.fields(spec_of(Meter).settings)] == ["gain"]

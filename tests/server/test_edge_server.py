@@ -1,0 +1,418 @@
+"""The edge daemon's program, on virtual time, with a runtime that does what a test tells it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
+
+import msgspec
+import pytest
+
+from upwash.core.admission import AdmissionController, AdmissionSettings, ServerOffer
+from upwash.core.clients import Client, Role
+from upwash.errors import InstanceError, Refused
+from upwash.ports import Answered, InstanceSpec, Program, ignored
+from upwash.rpc.protocol import (
+    AVAILABILITY,
+    HOLD,
+    LEAVE,
+    START,
+    STATUS,
+    AvailabilityReply,
+    AvailabilityRequest,
+    HoldReply,
+    HoldRequest,
+    LeaveRequest,
+    StartReply,
+    StartRequest,
+    StatusReply,
+    StatusRequest,
+)
+from upwash.server.daemon import EdgeServer, Image
+from upwash.sim.link import ModelDialer, Switchboard
+from upwash.sim.loop import run_virtually
+from upwash.sim.world import Wire
+
+T = TypeVar("T")
+COLD_START_S = 8.0
+DRAIN_S = 10.0
+
+
+class Instance:
+    def __init__(self, endpoint: str) -> None:
+        self.endpoint = endpoint
+        self.admitted: frozenset[str] = frozenset()
+        self.ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        self.deaf = False
+        self.refuses = ""  # every further call, for this reason
+        self.call_ends_in_s = 0.0
+        self.admits_in_s = 0.0
+
+    async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
+        await asyncio.sleep(self.admits_in_s)
+        if self.deaf:
+            raise InstanceError("does not answer its runtime")
+        self.admitted = drones
+
+    async def drain(self, why: str) -> None:
+        self.refuses = why
+        await asyncio.sleep(self.call_ends_in_s)
+
+    async def exited(self) -> str:
+        return await asyncio.shield(self.ended)
+
+    async def stop(self) -> None:
+        await asyncio.sleep(1.0)  # a real one takes its time as well
+        if not self.ended.done():
+            self.ended.set_result("stopped")
+
+
+class Runtime:
+    """Starts instances after COLD_START_S, unless `broken` says why it cannot."""
+
+    def __init__(self) -> None:
+        self.instances: list[Instance] = []
+        self.called: list[Callable[[str], None]] = []
+        self.answered: list[Answered] = []
+        self.broken = ""
+
+    async def start(
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
+    ) -> Instance:
+        await asyncio.sleep(COLD_START_S)
+        if self.broken:
+            raise InstanceError(self.broken)
+        self.instances.append(Instance(f"{spec.name}#{len(self.instances)}"))
+        self.called.append(called)
+        self.answered.append(answered)
+        return self.instances[-1]
+
+    def living(self) -> list[Instance]:
+        return [instance for instance in self.instances if not instance.ended.done()]
+
+
+class Daemon:
+    """An edge server and the drones that talk to it."""
+
+    def __init__(self, *, slots: int = 1, start_timeout_s: float = 60.0) -> None:
+        self.runtime = Runtime()
+        self.edge = EdgeServer(
+            AdmissionController(
+                {"s1": ServerOffer(frozenset({"detector", "counter"}), slots)},
+                AdmissionSettings(lease_s=30, idle_stop_s=100),
+                peers=["s2"],
+            ),
+            images={
+                "detector": Image(Program("somewhere:Detector")),
+                "counter": Image(Program("somewhere:Counter")),
+            },
+            runtime=self.runtime,
+            dialer=ModelDialer("s1", Switchboard({}), Wire()),
+            start_timeout_s=start_timeout_s,
+            drain_s=DRAIN_S,
+        )
+
+    async def ask(self, drone: str = "d1") -> AvailabilityReply:
+        request = AvailabilityRequest("s1", ["detector"])
+        reply = await self.edge.handle(AVAILABILITY, msgspec.msgpack.encode(request), Client(drone))
+        return msgspec.msgpack.decode(reply, type=AvailabilityReply)
+
+    async def start(self, drone: str = "d1", service: str = "detector") -> StartReply:
+        request = StartRequest("s1", service)
+        reply = await self.edge.handle(START, msgspec.msgpack.encode(request), Client(drone))
+        return msgspec.msgpack.decode(reply, type=StartReply)
+
+    async def hold(self, drone: str, *, for_s: float) -> HoldReply:
+        request = HoldRequest("s1", drone, "", ["detector"], for_s)
+        reply = await self.edge.handle(HOLD, msgspec.msgpack.encode(request), Client("s2", role=Role.SERVER))
+        return msgspec.msgpack.decode(reply, type=HoldReply)
+
+    async def leave(self, drone: str = "d1") -> None:
+        await self.edge.handle(LEAVE, msgspec.msgpack.encode(LeaveRequest("s1")), Client(drone))
+
+
+def serve(story: Callable[[Daemon], Coroutine[Any, Any, T]], **settings: Any) -> T:
+    """Runs a story with a daemon that looks after itself, and checks that it leaves no instance."""
+
+    async def run() -> T:
+        daemon = Daemon(**settings)
+        looking = asyncio.create_task(daemon.edge.run())
+        try:
+            return await story(daemon)
+        finally:
+            looking.cancel()
+            await daemon.edge.close()
+            assert daemon.runtime.living() == [], "an instance outlived its daemon"
+
+    return run_virtually(run())
+
+
+def test_a_cold_start_is_answered_when_the_service_is_ready() -> None:
+    async def story(daemon: Daemon) -> None:
+        assert (await daemon.ask()).endpoints == {}
+        reply = await daemon.start()
+        assert asyncio.get_running_loop().time() == pytest.approx(COLD_START_S)
+        assert (await daemon.ask()).endpoints == {"detector": reply.endpoint}
+
+    serve(story)
+
+
+def test_two_starts_at_once_make_one_instance() -> None:
+    async def story(daemon: Daemon) -> None:
+        first, second = await asyncio.gather(daemon.start("d1"), daemon.start("d2"))
+        assert first.endpoint == second.endpoint != ""
+        assert len(daemon.runtime.instances) == 1
+
+    serve(story, slots=2)
+
+
+def test_an_instance_admits_exactly_those_with_a_lease() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        (instance,) = daemon.runtime.instances
+        assert instance.admitted == {"d1"}
+        await daemon.ask("d2")
+        assert instance.admitted == {"d1", "d2"}
+        await daemon.leave("d1")
+        assert instance.admitted == {"d2"}
+        await asyncio.sleep(31)
+        assert instance.admitted == frozenset(), "the lease of a silent drone ends by itself"
+
+    serve(story, slots=2)
+
+
+def test_a_slot_that_a_peer_has_held_ends_in_its_time_also_where_that_is_less_than_a_leases() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        assert (await daemon.hold("d2", for_s=5.0)).held
+        (instance,) = daemon.runtime.instances
+        assert instance.admitted == {"d1", "d2"}
+        await asyncio.sleep(5.0)
+        await asyncio.sleep(1.1)  # the least between two looks
+        assert instance.admitted == {"d1"}
+
+    serve(story, slots=2)
+
+
+def test_what_the_daemon_sees_keeps_a_lease_alive_and_what_an_instance_says_does_not() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        for _ in range(10):
+            await asyncio.sleep(20)
+            daemon.edge.seen("s1", "d1")
+        assert daemon.runtime.instances[0].admitted == {"d1"}
+        for _ in range(2):
+            await asyncio.sleep(20)
+            daemon.runtime.called[0]("d1")
+        assert daemon.runtime.instances[0].admitted == set()
+
+    serve(story)
+
+
+def test_an_instance_that_confirms_slowly_holds_up_no_other() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        await daemon.start("d1", "counter")
+        for instance in daemon.runtime.instances:
+            instance.admits_in_s = 4.0
+        began_s = asyncio.get_running_loop().time()
+        assert (await daemon.ask("d2")).available
+        assert asyncio.get_running_loop().time() - began_s == pytest.approx(4.0)
+
+    serve(story, slots=2)
+
+
+def test_without_a_free_slot_the_answer_is_no_with_the_reason() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        refused = await daemon.ask("d2")
+        assert not refused.available
+        assert "no free slot" in refused.reason
+        assert "no free slot" in (await daemon.start("d2")).reason
+        await daemon.leave("d1")
+        assert (await daemon.ask("d2")).available
+
+    serve(story)
+
+
+def test_a_start_that_fails_is_answered_with_its_reason_and_may_be_tried_again() -> None:
+    async def story(daemon: Daemon) -> None:
+        daemon.runtime.broken = "no such model"
+        assert (await daemon.start()).reason == "no such model"
+        daemon.runtime.broken = ""
+        assert (await daemon.start()).endpoint
+
+    serve(story)
+
+
+def test_a_start_that_takes_too_long_is_given_up() -> None:
+    async def story(daemon: Daemon) -> None:
+        reply = await daemon.start()
+        assert "not ready within 5 s" in reply.reason
+        assert asyncio.get_running_loop().time() == pytest.approx(5.0)
+
+    serve(story, start_timeout_s=5.0)
+
+
+def test_a_crashed_instance_is_absent_and_started_again_on_request() -> None:
+    async def story(daemon: Daemon) -> None:
+        first = await daemon.start()
+        daemon.runtime.instances[0].ended.set_result("killed by SIGKILL")
+        await asyncio.sleep(0.1)
+        assert (await daemon.ask()).endpoints == {}
+        second = await daemon.start()
+        assert second.endpoint not in ("", first.endpoint)
+
+    serve(story)
+
+
+def test_an_idle_instance_is_stopped_and_a_start_meanwhile_waits_for_a_new_one() -> None:
+    async def story(daemon: Daemon) -> None:
+        first = await daemon.start()
+        await daemon.leave()
+        await asyncio.sleep(100.5)  # idle_stop_s, and a look; it takes another second to stop
+        assert len(daemon.runtime.living()) == 1
+        second = await daemon.start()
+        assert second.endpoint not in ("", first.endpoint)
+        assert len(daemon.runtime.living()) == 1
+
+    serve(story)
+
+
+def test_an_instance_that_cannot_be_told_whom_to_admit_is_stopped() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        daemon.runtime.instances[0].deaf = True
+        await daemon.ask("d2")
+        await asyncio.sleep(2)
+        assert daemon.runtime.living() == []
+
+    serve(story, slots=2)
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "drone", "reason"),
+    [
+        (AVAILABILITY, b"\xc1garbage", "d1", "undecodable"),
+        (AVAILABILITY, msgspec.msgpack.encode({"server": "s1"}), "d1", "undecodable"),
+        (AVAILABILITY, msgspec.msgpack.encode(AvailabilityRequest("s1", [])), "", "names no drone"),
+        ("/upwash.Daemon/Reboot", b"", "d1", "no such request"),
+    ],
+)
+def test_what_is_not_understood_is_refused(path: str, body: bytes, drone: str, reason: str) -> None:
+    async def story(daemon: Daemon) -> None:
+        with pytest.raises(Refused, match=reason):
+            await daemon.edge.handle(path, body, Client(drone))
+
+    serve(story)
+
+
+def test_a_server_that_is_not_here_is_named_with_those_that_are() -> None:
+    async def story(daemon: Daemon) -> None:
+        request = msgspec.msgpack.encode(AvailabilityRequest("s9", ["detector"]))
+        reply = msgspec.msgpack.decode(
+            await daemon.edge.handle(AVAILABILITY, request, Client("d1")), type=AvailabilityReply
+        )
+        assert not reply.available
+        assert "s9" in reply.reason and "s1" in reply.reason
+
+    serve(story)
+
+
+# ---- the operator
+
+
+def test_a_drain_lets_the_call_under_way_end_and_refuses_what_is_new() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start()
+        (instance,) = daemon.runtime.instances
+        instance.call_ends_in_s = 3.0
+        draining = asyncio.create_task(daemon.edge.drain("shutting down"))
+        await asyncio.sleep(1.0)
+        assert instance.refuses == "shutting down"
+        assert (await daemon.ask()).reason == "shutting down"
+        assert (await daemon.start()).reason == "shutting down"
+        assert not instance.ended.done(), "stopped in a call"
+        await draining
+        assert asyncio.get_running_loop().time() == pytest.approx(COLD_START_S + 3.0)
+
+    serve(story)
+
+
+def test_a_drain_waits_for_no_call_longer_than_it_may() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start()
+        daemon.runtime.instances[0].call_ends_in_s = 1000.0
+        await daemon.edge.drain("shutting down")
+        assert asyncio.get_running_loop().time() == pytest.approx(COLD_START_S + DRAIN_S)
+
+    serve(story)
+
+
+def test_a_drain_gives_up_what_starts_and_says_why_to_the_drone_that_waits() -> None:
+    async def story(daemon: Daemon) -> None:
+        starting = asyncio.create_task(daemon.start())
+        await asyncio.sleep(1.0)
+        await daemon.edge.drain("shutting down")
+        assert (await starting).reason == "shutting down"
+        assert daemon.runtime.instances == []
+
+    serve(story)
+
+
+def test_a_daemon_that_is_closed_while_a_drone_waits_starts_nothing_more() -> None:
+    async def story(daemon: Daemon) -> None:
+        starting = asyncio.create_task(daemon.start())
+        await asyncio.sleep(1.0)
+        await daemon.edge.close()
+        assert (await starting).reason == "this daemon has ended"
+
+    serve(story)
+
+
+def test_another_program_of_a_service_is_used_from_the_next_start_on() -> None:
+    async def story(daemon: Daemon) -> None:
+        first = await daemon.start()
+        offers = {"s1": ServerOffer(frozenset({"detector"}), 1)}
+        images = {"detector": Image(Program("elsewhere:Detector"))}
+        await daemon.edge.reload(offers, images=images, revoked=frozenset())
+        second = await daemon.start()
+        assert second.endpoint not in ("", first.endpoint)
+        assert len(daemon.runtime.living()) == 1
+        await daemon.edge.reload(offers, images=images, revoked=frozenset())
+        assert (await daemon.start()).endpoint == second.endpoint, "nothing has changed"
+
+    serve(story)
+
+
+def test_a_certificate_that_is_revoked_is_admitted_to_no_instance_any_more() -> None:
+    async def story(daemon: Daemon) -> None:
+        request = msgspec.msgpack.encode(StartRequest("s1", "detector"))
+        await daemon.edge.handle(START, request, Client("d1", "0a"))
+        (instance,) = daemon.runtime.instances
+        assert instance.admitted == {"0a"}
+        offers = {"s1": ServerOffer(frozenset({"detector"}), 1)}
+        await daemon.edge.reload(offers, images={}, revoked=frozenset({"0a"}))
+        assert instance.admitted == frozenset()
+
+    serve(story)
+
+
+def test_its_status_is_for_operators() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        await daemon.ask("d2")
+        request = msgspec.msgpack.encode(StatusRequest())
+        with pytest.raises(Refused, match="d1 is no operator"):
+            await daemon.edge.handle(STATUS, request, Client("d1", "0a"))
+        reply = await daemon.edge.handle(STATUS, request, Client("alice", "0c", role=Role.OPERATOR))
+        status = msgspec.msgpack.decode(reply, type=StatusReply)
+        assert status.up_s == pytest.approx(COLD_START_S)
+        assert [lease.drone for lease in status.servers[0].leases] == ["d1"]
+        assert [refusal.why for refusal in status.refusals] == [
+            "d1 is no operator: show a certificate of `upwash keys --operator NAME`",
+            "s1 has no free slot: 1 of 1 in use",
+        ]
+
+    serve(story)

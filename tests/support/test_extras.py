@@ -1,0 +1,166 @@
+"""Every command says in one line which extra to install, where what it imports is not there."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from upwash.cli.main import _parser
+
+ROOT = Path(__file__).parents[2]
+THESIS = str(ROOT / "scenarios" / "thesis.toml")
+
+# Found by every Python process below, services' instances too: nothing that an extra brings can be imported.
+HIDING = """
+import sys
+
+class Hidden:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {modules}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Hidden())
+"""
+MODULES = {
+    "campaign": {"distributed"},
+    "detector": {"cv2", "numpy", "onnx", "onnxruntime"},
+    "emulation": {"tomli_w"},
+    "figures": {"matplotlib"},
+    "lxd": {"packaging", "pylxd"},
+    "mcap": {"foxglove"},
+    "metrics": {"prometheus_client"},
+    "network": {"dbus_fast"},
+    "parquet": {"pyarrow"},
+    "view": {"js_lib_leaflet", "starlette", "uvicorn"},
+}
+DRONE = """
+mission.home = { latitude_deg = 39.3666, longitude_deg = 22.9507 }
+mission.waypoints_m = [[0, 0]]
+autopilot.connection = "tcp:127.0.0.1:1"
+[[service]]
+name = "detector"
+local_call_s = { light = 1.0, heavy = 3.0 }
+"""
+DAEMON = """
+listen = "127.0.0.1:0"
+{settings}
+[[service]]
+name = "detector"
+[[server]]
+name = "s1"
+"""
+FILES = {
+    "rendered.toml": "camera.park_seed = 1" + DRONE,
+    "filmed.toml": "camera.device = 0" + DRONE,
+    "measured.toml": 'metrics = "127.0.0.1:0"\ncamera.folder = "photos"' + DRONE,
+    "networked.toml": 'network = { kind = "networkmanager", interfaces = ["wlan1"] }' + DRONE,
+    "daemon.toml": DAEMON.format(
+        settings="""
+metrics = "127.0.0.1:0"
+allow_without_certificates = true
+runtime.sandbox_as_root = true
+"""
+    ),
+    "containers.toml": DAEMON.format(
+        settings="""
+runtime.kind = "lxd"
+keys = { authority = "keys/authority.pem", certificate = "keys/s1.pem", key = "keys/s1.key" }
+"""
+    ),
+    "photos/1.jpg": "",
+}
+# Each command, and the extra that it needs so; none where it needs none at all.
+COMMANDS = [
+    ("fly --config rendered.toml", "detector"),
+    ("fly --config filmed.toml", "detector"),
+    ("fly --config measured.toml", "metrics"),
+    ("fly --config rendered.toml --live", "view"),
+    ("view with.jsonl", "view"),
+    (f"check {THESIS}", ""),
+    (f"check {THESIS} --figures figures", "figures"),
+    ("check networked.toml --networks", "network"),
+    ("serve --config daemon.toml", "metrics"),
+    ("serve --config containers.toml", "lxd"),
+    ("status 127.0.0.1:1", ""),
+    ("keys more --server s2", ""),
+    ("package detector --output images", "lxd"),
+    ("images --config containers.toml", "lxd"),
+    ("profile detector --photos photos", "detector"),
+    ("vehicle --listen nowhere", ""),
+    ("demo", "detector"),
+    ("demo --live", "detector"),
+    ("demo --drones 2", "detector"),
+    (f"simulate {THESIS}", ""),
+    (f"simulate {THESIS} --figures figures", "figures"),
+    ("simulate rendered.toml", "detector"),
+    ("report with.jsonl -o page.html", ""),
+    ("report with.jsonl --mcap with.mcap", "mcap"),
+    ("reproduce --seeds 1 --figures figures", "figures"),
+    (f"campaign {THESIS} --seeds 1 --cluster 127.0.0.1:1", "campaign"),
+    (f"campaign {THESIS} --seeds 1 --out out.parquet", "parquet"),
+    ("compare", ""),
+    ("explain with.jsonl", ""),
+    ("chaos --seed 1", ""),
+    (f"emulate {THESIS}", "emulation"),
+    ("goodput --out table.csv", ""),
+]
+
+
+def upwash(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(folder / "hiding")}
+    return subprocess.run(
+        [sys.executable, "-m", "upwash", *arguments],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("extras")
+    (folder / "hiding").mkdir()
+    hidden = sorted(set().union(*MODULES.values()))
+    (folder / "hiding" / "sitecustomize.py").write_text(HIDING.format(modules=hidden))
+    for name, text in FILES.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text)
+    for command in ("keys keys --server s1 --drone drone", f"simulate {THESIS} --log with.jsonl"):
+        done = upwash(folder, *command.split())
+        assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.parametrize(("command", "extra"), COMMANDS, ids=[command for command, _ in COMMANDS])
+def test_a_command_without_its_extra_says_which_to_install(folder: Path, command: str, extra: str) -> None:
+    done = upwash(folder, *command.split())
+    assert "Traceback" not in done.stderr
+    named = re.findall(r"pip install 'upwash\[(\w+)\]'", done.stdout + done.stderr)
+    if extra:
+        assert done.returncode == (
+            1 if command.startswith("profile") else 2
+        )  # there it is an instance that fails
+        assert set(named) == {extra}
+        assert done.stderr.count("\n") == 1, done.stderr
+        assert re.match(rf"upwash: .*\b({'|'.join(sorted(MODULES[extra]))}) is not installed: ", done.stderr)
+    else:
+        assert not named
+
+
+def test_each_command_and_each_extra_is_tried() -> None:
+    (choices,) = [
+        action.choices for action in _parser()._actions if isinstance(action, argparse._SubParsersAction)
+    ]
+    assert {command.split()[0] for command, _ in COMMANDS} == set(choices)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert set(project["optional-dependencies"]) == set(MODULES) == {extra for _, extra in COMMANDS if extra}

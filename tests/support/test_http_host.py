@@ -1,0 +1,38 @@
+"""Who asks over HTTP must mean this machine."""
+
+from __future__ import annotations
+
+import pytest
+
+from upwash.support.http_host import names_this_machine
+
+
+@pytest.mark.parametrize(
+    ("host", "listens_at", "reached_at"),
+    [
+        ("127.0.0.1:9100", "127.0.0.1", "127.0.0.1"),
+        ("127.0.0.1", "0.0.0.0", "127.0.0.1"),
+        ("localhost:9100", "127.0.0.1", "127.0.0.1"),
+        ("LocalHost.", "10.10.1.1", "10.10.1.1"),
+        ("10.10.1.1:9100", "0.0.0.0", "10.10.1.1"),
+        ("10.10.1.1:9100", "::", "::ffff:10.10.1.1"),
+        ("Heron.field.example:9100", "heron.field.example", "10.10.1.1"),
+        ("[::1]:9100", "::1", "::1"),
+        ("[fd00::7]", "::", "fd00::7"),
+        ("[fe80::1]:9100", "::", "fe80::1%eth0"),
+    ],
+)
+def test_an_address_of_this_machine_is_its_own(host: str, listens_at: str, reached_at: str) -> None:
+    assert names_this_machine(host, listens_at=listens_at, reached_at=reached_at)
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "evil.example", "evil.example:9100", "127.0.0.1.evil.example", "localhost.evil.example", "evil-localhost",
+        "10.10.1.2", "[::2]:9100", "", ":9100", "[", "]", "[]", "127.0.0.1@evil.example", "evil.example:127.0.0.1",
+        "\u0660", "127.1", "0x7f000001",
+    ],
+)  # fmt: skip
+def test_any_other_name_is_another_machines(host: str) -> None:
+    assert not names_this_machine(host, listens_at="127.0.0.1", reached_at="127.0.0.1")

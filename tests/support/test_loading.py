@@ -1,0 +1,87 @@
+"""Missions and services by their path: as a module's name, and as a file."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from upwash.errors import UsageError
+from upwash.support.loading import load
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Path:
+    file = tmp_path / "program_for_tests.py"
+    file.write_text("class Blind(Exception): ...\ndef survey(drone): ...\n")
+    return file
+
+
+def test_a_name_in_a_module_is_found() -> None:
+    assert load("upwash.errors:UsageError") is UsageError
+
+
+def test_a_name_in_a_file_is_found(program: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert callable(load(f"{program}:survey"))
+    monkeypatch.chdir(program.parent)
+    assert callable(load(f"{program.name}:survey"))
+
+
+def test_a_files_classes_can_be_found_again_by_their_module(program: Path) -> None:
+    blind = load(f"{program}:Blind")
+    assert isinstance(blind, type)
+    assert getattr(sys.modules[blind.__module__], "Blind") is blind  # noqa: B009 - not known to the types
+
+
+def test_a_mission_and_a_service_in_one_file_share_their_classes(program: Path) -> None:
+    blind = load(f"{program}:Blind")
+    survey = load(f"{program}:survey")
+    assert survey.__globals__["Blind"] is blind  # type: ignore[attr-defined]
+
+
+def test_files_of_the_same_name_in_different_folders_are_different(program: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other" / program.name
+    other.parent.mkdir()
+    other.write_text("class Blind(Exception): ...\n")
+    first, second = load(f"{program}:Blind"), load(f"{other}:Blind")
+    assert first is not second
+
+
+@pytest.mark.parametrize("path", ["survey", "upwash.errors", ":survey", "upwash.errors:", ":", ""])
+def test_a_path_without_both_parts_is_refused_with_the_form_to_use(path: str) -> None:
+    with pytest.raises(UsageError, match=r"package\.module:Name or path/to/file\.py:Name"):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [
+        ("no_such_package.at_all:Name", "cannot be loaded from no_such_package.at_all: ModuleNotFoundError"),
+        ("/no/such/file.py:Name", "cannot be loaded from /no/such/file.py: FileNotFoundError"),
+        (".relative:Name", "cannot be loaded from .relative"),
+        ("upwash.errors:NoSuchError", "there is no NoSuchError in upwash.errors"),
+    ],
+)
+def test_what_is_not_there_is_named(path: str, said: str) -> None:
+    with pytest.raises(UsageError) as refusal:
+        load(path)
+    assert said in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("def survey(:", "SyntaxError"),
+        ("import no_such_package", "No module named 'no_such_package'"),
+        ("1 / 0", "ZeroDivisionError: division by zero"),
+        ("raise SystemExit('wants to end')", "SystemExit: wants to end"),
+        ("\0", "cannot be loaded"),
+    ],
+)
+def test_a_file_that_cannot_be_run_says_why_and_leaves_nothing(program: Path, text: str, said: str) -> None:
+    program.with_name("broken_for_tests.py").write_text(text)
+    with pytest.raises(UsageError) as refusal:
+        load(f"{program.with_name('broken_for_tests.py')}:survey")
+    assert said in str(refusal.value)
+    assert not [name for name in sys.modules if "broken_for_tests" in name]
