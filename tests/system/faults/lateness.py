@@ -84,9 +84,10 @@ def _waited_ns(processes: Iterable[int]) -> dict[str, int]:
     """How long each thread has waited in the run queue so far: schedstat's second number."""
     waited_ns = {}
     for process in processes:
-        for thread in Path(f"/proc/{process}/task").glob("*"):
-            with contextlib.suppress(OSError):  # it has ended meanwhile
-                waited_ns[thread.name] = int((thread / "schedstat").read_text().split()[1])
+        with contextlib.suppress(OSError):  # the program has ended meanwhile
+            for thread in Path(f"/proc/{process}/task").iterdir():
+                with contextlib.suppress(OSError):  # this thread has
+                    waited_ns[thread.name] = int((thread / "schedstat").read_text().split()[1])
     return waited_ns
 
 
