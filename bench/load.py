@@ -74,15 +74,15 @@ Slots = int | Literal["auto"] | None  # None: the bare server
 class Pace:
     """How fast all goes."""
 
-    period_s: float  # between a drone's calls
+    fly_s: float  # from an answer to a drone's next call
     warm_up_s: float
     look_s: float  # between two looks at what the daemon holds in a soak
 
 
 FULL = Pace(
-    period_s=1.0, warm_up_s=10.0, look_s=10.0
+    fly_s=1.0, warm_up_s=10.0, look_s=10.0
 )  # ten times as often as a drone that flies from photo to photo
-QUICK = Pace(period_s=0.2, warm_up_s=0.5, look_s=0.5)
+QUICK = Pace(fly_s=0.2, warm_up_s=0.5, look_s=0.5)
 QUICK_DRONES, QUICK_S = 1, 1.0
 
 Tell = Callable[[str, bytes], Awaitable[bytes]]
@@ -147,7 +147,7 @@ class Drone:
         self.name = name
         self._dialer = GrpcDialer(name, credentials, max_message_bytes=MAX_MESSAGE_BYTES)
         self._seen = seen
-        self._period_s = pace.period_s
+        self._fly_s = pace.fly_s
         self._visit_calls = visit_calls
         self._chance = random.Random(seed)
         self._photo = self._chance.randbytes(REQUEST_BYTES)
@@ -162,7 +162,7 @@ class Drone:
                 self._seen.leases.discard(self.name)
             except LinkError as error:
                 self._note(error)
-                await asyncio.sleep(self._period_s)
+                await asyncio.sleep(self._fly_s)
 
     async def _visit(self, address: str, until_s: float) -> None:
         async with self._linked(address) as tell:
@@ -191,7 +191,7 @@ class Drone:
                     await self._timed(call, GRPC_PATH, self._photo, until_s)
 
     async def _arrive(self) -> None:
-        await asyncio.sleep(self._chance.uniform(0.0, self._period_s))
+        await asyncio.sleep(self._chance.uniform(0.0, self._fly_s))
 
     def _note(self, error: LinkError) -> None:
         if time.perf_counter() >= self._seen.from_s:
@@ -218,7 +218,7 @@ class Drone:
         else:
             assert len(reply) >= REPLY_BYTES
             self._seen.answered(self.name, began_s, time.perf_counter())
-        await asyncio.sleep(self._period_s - (time.perf_counter() - began_s))
+        await asyncio.sleep(self._fly_s)
 
 
 async def _available(tell: Tell) -> AvailabilityReply:

@@ -60,8 +60,8 @@ def test_a_holder_yields_after_a_turn_to_one_that_has_had_less_by_more_than_half
     turns.took("holder", now_s=0.0)
     for now_s in (0.0, 2.0, 4.0):
         turns.asked("waiter", now_s=now_s)
-    assert turns.who_yields("waiter", now_s=29.9) is None, "its turn is not over"
-    assert turns.who_yields("waiter", now_s=30.0) == "holder"
+    assert turns.over("waiter", now_s=29.9) == [], "its turn is not over"
+    assert turns.over("waiter", now_s=30.0) == ["holder"]
 
 
 def test_a_holder_that_has_had_hardly_more_keeps_its_slot() -> None:
@@ -72,28 +72,28 @@ def test_a_holder_that_has_had_hardly_more_keeps_its_slot() -> None:
     turns.took("second", now_s=31.0)
     for now_s in (31.0, 33.0):
         turns.asked("first", now_s=now_s)
-    assert turns.who_yields("first", now_s=61.0) is None, "30 s against 31 s"
-    assert turns.who_yields("first", now_s=77.5) == "second"
+    assert turns.over("first", now_s=61.0) == [], "30 s against 31 s"
+    assert turns.over("first", now_s=77.5) == ["second"]
 
 
-def test_of_several_the_one_that_has_had_most_yields() -> None:
+def test_of_several_the_one_that_has_had_most_yields_first() -> None:
     turns = Turns(30.0)
     turns.took("more", now_s=0.0)
     turns.asked("less", now_s=0.0)
     turns.took("less", now_s=20.0)
     for now_s in (40.0, 42.0):
         turns.asked("waiter", now_s=now_s)
-    assert turns.who_yields("waiter", now_s=80.0) == "more"
+    assert turns.over("waiter", now_s=80.0) == ["more", "less"]
 
 
 def test_nobody_yields_to_a_drone_that_has_asked_only_once() -> None:
     turns = Turns(30.0)
     turns.took("holder", now_s=0.0)
     turns.asked("passer-by", now_s=50.0)
-    assert turns.who_yields("passer-by", now_s=50.0) is None
+    assert turns.over("passer-by", now_s=50.0) == []
     turns.asked("passer-by", now_s=52.0)
-    assert turns.who_yields("passer-by", now_s=52.0) is None, "it has had as much as the holder when it came"
-    assert turns.who_yields("passer-by", now_s=66.0) == "holder"
+    assert turns.over("passer-by", now_s=52.0) == [], "it has had as much as the holder when it came"
+    assert turns.over("passer-by", now_s=66.0) == ["holder"]
 
 
 def test_who_misses_three_questions_waits_no_more_and_loses_its_place() -> None:

@@ -127,11 +127,6 @@ lies = st.lists(
 )
 
 
-def lateness_s(slots: int) -> float:
-    """A slot whose turn is over goes over when the first of those that wait asks; one after the other."""
-    return slots * ASK_AGAIN_S
-
-
 def unaware_s(turn_s: float) -> float:
     """A turn that is shorter than a drone is silent is over before it knows."""
     return RENEWED_S if turn_s < RENEWED_S else 0.0
@@ -143,7 +138,7 @@ def no_wait_is_too_long(slots: int, turn_s: float, drones: list[list[tuple[float
     moves = {f"d{number}": honest(world, f"d{number}", each) for number, each in enumerate(drones)}
     world.run(moves, until_s=600.0, look=lambda: None)
     for waited_s, others in world.ended:
-        most_s = 2 * math.ceil(others / slots) * (turn_s + lateness_s(slots))
+        most_s = 2 * math.ceil(others / slots) * (turn_s + ASK_AGAIN_S)
         assert waited_s <= most_s, f"{others} others"
 
 
@@ -157,7 +152,7 @@ def no_lie_pays(
     """
     world = Field(slots=slots, turn_s=turn_s)
     drones = {f"d{n}": honest(world, f"d{n}", [(phase_s, math.inf)]) for n, phase_s in enumerate(phases)}
-    most_s = unaware_s(turn_s) + (1.5 * turn_s if comes_s is None else 2 * (turn_s + lateness_s(slots)))
+    most_s = unaware_s(turn_s) + (1.5 * turn_s if comes_s is None else 2 * (turn_s + ASK_AGAIN_S))
     since_s = ASK_AGAIN_S if comes_s is None else comes_s
     had_before_s: dict[str, float] = {}
 
@@ -168,6 +163,19 @@ def no_lie_pays(
         assert not had_s or had_s.pop("liar") - min(had_s.values()) <= most_s
 
     world.run({**drones, "liar": liar(told, comes_s=comes_s or 0.0)}, until_s=400.0, look=look)
+
+
+def test_all_turns_that_are_over_end_at_the_next_questions_of_those_that_wait() -> None:
+    world = Field(slots=20, turn_s=10.0)
+    phases_s = [ASK_AGAIN_S * number / 40 for number in range(40)]
+    world.run(
+        {f"d{n:02}": honest(world, f"d{n:02}", [(phase_s, math.inf)]) for n, phase_s in enumerate(phases_s)},
+        until_s=10.0 + 2 * ASK_AGAIN_S,
+        look=lambda: None,
+    )
+    first, second = range(20), range(20, 40)
+    assert not any(world.holds(f"d{number:02}") for number in first)
+    assert all(world.holds(f"d{number:02}") for number in second)
 
 
 some = settings(max_examples=60)

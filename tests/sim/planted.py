@@ -275,7 +275,7 @@ def slots_over_admitted() -> contextlib.AbstractContextManager[object]:
 
 def turns_never_end() -> contextlib.AbstractContextManager[object]:
     """Whoever has a slot keeps it."""
-    return patch.object(Turns, "who_yields", lambda *_, **__: None)
+    return patch.object(Turns, "over", lambda *_, **__: [])
 
 
 def admitted_after_its_turn() -> contextlib.AbstractContextManager[object]:

@@ -147,14 +147,12 @@ class _Server:
         rank = self.turns.rank(drone, now_s=now_s)
         if rank < free:
             return None, []
-        holder = self.turns.who_yields(drone, now_s=now_s) if rank == max(0, free) else None
-        if holder is not None:
+        over, commands = self.turns.over(drone, now_s=now_s), list[Command]()
+        if rank - max(0, free) < len(over):
             self.turns_ended += 1
-            commands: list[Command] = [*self.leases.end_turn(holder, now_s=now_s)]
-            if rank < self.slots - len(self.leases):
-                return None, commands
-            return self._no_slot(now_s, is_news=is_news), commands
-        return self._no_slot(now_s, is_news=is_news), []
+            commands += self.leases.end_turn(over[0], now_s=now_s)
+        is_given = bool(commands) and len(self.leases) < self.slots
+        return None if is_given else self._no_slot(now_s, is_news=is_news), commands
 
     def has_room(self, *, now_s: float) -> bool:
         """Whether a slot is free that nobody waits for."""

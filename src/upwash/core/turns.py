@@ -5,6 +5,7 @@ Laws:
 - who comes counts as one that has had as much as the least of those present: nobody saves up by staying away;
 - a free slot is for the drone that waits and has had least, then for the one that waits longest, then by name;
 - after a turn a holder yields to a drone that has had less by more than half a turn: the one that has had most does;
+- so do as many as are wanting for those that wait before the one that asks, and for it;
 - who yields is not away while it may not know yet: until its lease would have ended;
 - that drone has asked twice, as one that asks once may be gone; who misses three questions waits no more;
 - where there is a slot for everybody nobody waits, and no turn ends.
@@ -93,11 +94,11 @@ class Turns:
         """How many of those that wait come before the drone, which waits too."""
         return [each.drone for each in self.waiting(now_s=now_s)].index(drone)
 
-    def who_yields(self, to: str, *, now_s: float) -> str | None:
-        """The holder whose turn is over for the sake of the one that waits; None where none has to yield."""
+    def over(self, to: str, *, now_s: float) -> list[str]:
+        """The holders whose turn is over for the sake of the one that waits: who has had most is first."""
         waiting = self._accounts[to]
         if waiting.asks < 2:
-            return None
+            return []
         over = [
             each
             for each in self._accounts.values()
@@ -105,7 +106,7 @@ class Turns:
             and now_s - each.holds_since_s >= self.turn_s
             and each.had_until_s(now_s) - waiting.had_s > self.turn_s / 2
         ]
-        return min(over, key=lambda each: (-each.had_until_s(now_s), each.drone)).drone if over else None
+        return [each.drone for each in sorted(over, key=lambda each: (-each.had_until_s(now_s), each.drone))]
 
     def status(self, *, now_s: float) -> list[AccountStatus]:
         """What there is to see of the drones that hold or wait, by name."""

@@ -70,4 +70,4 @@ def _bound_s(truth: ServerTruth, others: int) -> float:
     """How long a drone may wait for a slot that so many others hold or want: each may have two turns before."""
     slots = 1 if truth.slots == "auto" else truth.slots
     rounds = math.ceil(max(1, others) / slots)
-    return 2 * rounds * (truth.turn_s + ASK_AGAIN_S * slots) + 2 * ASK_AGAIN_S + SLACK_S
+    return 2 * rounds * (truth.turn_s + ASK_AGAIN_S) + 2 * ASK_AGAIN_S + SLACK_S
