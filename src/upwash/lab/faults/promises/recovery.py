@@ -12,7 +12,7 @@ from upwash.core.recovery import REST_S
 from upwash.core.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
-from upwash.lab.faults.promises.history import ANSWER_S, Breach, History
+from upwash.lab.faults.promises.history import ANSWER_S, ROUNDING_S, Breach, History
 
 _CHECK_LEAST_S, _CHECK_FACTOR = 10.0, 3.0  # of how long joining may take, by what is believed of it
 _WELL_S = 60.0  # without failures, until those before are forgotten
@@ -40,7 +40,7 @@ def spells_of(history: History) -> dict[str, list[Spell]]:
         if event.after is State.BLACKLISTED:
             count, last_s = failures.get(server, (0, -math.inf))
             if not isinstance(event, schema.NetworkLost):
-                forgotten = now_s - last_s > _WELL_S + _alone_s(count)
+                forgotten = now_s - last_s > _WELL_S + _alone_s(count) - ROUNDING_S
                 count, last_s = failures[server] = (1 if forgotten else count + 1, now_s)
             alone_s = max(last_s + _alone_s(count) - now_s, probing.first_s)
             spells.setdefault(server, []).append(Spell(now_s, now_s + alone_s))
