@@ -32,7 +32,7 @@ A number's name ends in its unit: `_s` for seconds, `_m` for metres. Positions c
 error is an `UpwashError`.
 """
 _SECTIONS = {
-    "In a mission": ("Drone", "Vehicle", "Photographer", "User", "Waypoint", "Position"),
+    "In a mission": ("Drone", "Pending", "Demand", "Vehicle", "Photographer", "User", "Waypoint", "Position"),
     "In a service": ("service", "once"),
     "In a notebook": (
         *("simulate", "Simulation", "simulate_fleet", "FleetSimulation", "compare", "ComparedPolicy"),
@@ -40,8 +40,17 @@ _SECTIONS = {
         *("Bound", "FleetBound"),
     ),
 }
-_GIVEN = ("Drone", "Vehicle", "Photographer", "User", "Event")  # users get these, and make none
+_GIVEN = (
+    "Drone",
+    "Pending",
+    "Demand",
+    "Vehicle",
+    "Photographer",
+    "User",
+    "Event",
+)  # users get these, and make none
 _LONGEST_LINE = 100
+_ALL_OTHERS = {inspect.Parameter.VAR_POSITIONAL: "*", inspect.Parameter.VAR_KEYWORD: "**"}
 
 
 def page() -> str:
@@ -128,6 +137,9 @@ def _signature(name: str, function: Callable[..., object], longest: int = _LONGE
         if kind is parameter.POSITIONAL_ONLY and parameter.kind is not kind:
             parts.append("/")
         kind = parameter.kind
+        if kind in _ALL_OTHERS:  # of another function
+            parts.append(f"{_ALL_OTHERS[kind]}{parameter.name}")
+            continue
         parts.append(f"{parameter.name}: {_written(hints[parameter.name])}{_default(parameter)}")
     parts += ["/"] if kind is inspect.Parameter.POSITIONAL_ONLY else []
     returns = "" if name == "__init__" else f" -> {_written(hints['return'])}"

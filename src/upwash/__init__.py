@@ -39,6 +39,7 @@ __all__ = [
     "ComparedPolicy",
     "ConfigError",
     "DeclarationError",
+    "Demand",
     "Drone",
     "EnergyTotals",
     "Event",
@@ -48,6 +49,7 @@ __all__ = [
     "MissionFailed",
     "MissionStopped",
     "ModelError",
+    "Pending",
     "Photographer",
     "Position",
     "RunResult",
@@ -72,6 +74,7 @@ if TYPE_CHECKING:
     from upwash.core.bound import Bound, FleetBound
     from upwash.core.geo import Position, Waypoint
     from upwash.drone.api import Drone, Photographer, User, Vehicle
+    from upwash.drone.pending import Demand, Pending
     from upwash.eventlog.log import read as read_log
     from upwash.eventlog.results import CallResult, EnergyTotals, RunResult, Totals, read_result
     from upwash.eventlog.schema import Event
@@ -83,11 +86,13 @@ else:
         "Bound": "upwash.core.bound",
         "CallResult": "upwash.eventlog.results",
         "ComparedPolicy": "upwash.lab.comparison",
+        "Demand": "upwash.drone.pending",
         "Drone": "upwash.drone.api",
         "EnergyTotals": "upwash.eventlog.results",
         "Event": "upwash.eventlog.schema",
         "FleetBound": "upwash.core.bound",
         "FleetSimulation": "upwash.lab.fleet",
+        "Pending": "upwash.drone.pending",
         "Photographer": "upwash.drone.api",
         "Position": "upwash.core.geo",
         "RunResult": "upwash.eventlog.results",

@@ -167,6 +167,7 @@ def test_the_configuration_page_shows_a_file_that_is_understood(tmp_path: Path) 
             "policy",
             "heat",
             "energy",
+            "event",
             "noise",
             "truth",
             "settings",

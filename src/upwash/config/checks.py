@@ -42,6 +42,8 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
     yield from _reserve_problems(config)
     yield from _energy_problems(config)
     yield from _camera_problems(config.camera)
+    if config.event is not None and config.camera.park_seed is not None:
+        yield "event", "the photos of camera.park_seed show what is there: leave one of the two out"
     for index, name in repeated([service.name for service in config.services]):
         yield f"service[{index}].name", f'a second service named "{name}": give each its own name'
     for index, name in repeated([server.name for server in config.servers]):

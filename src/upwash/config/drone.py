@@ -10,6 +10,7 @@ from msgspec import Meta, Struct
 from upwash.config.values import (
     Bytes,
     Count,
+    CountFromZero,
     FilePath,
     Fraction,
     GridCount,
@@ -77,6 +78,7 @@ class GridConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is flown: a program (bundled, or `/a/file.py:function`) over a grid, a list of waypoints or a plan.
 
+    What an answer demands at its waypoint takes the bundled program `action_s`.
     The drone ends the mission early below `reserve_percent` of its battery, and where the way home would leave less
     than `reserve_s` seconds of flight.
     """
@@ -89,6 +91,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     grid: GridConfig | None = None
     waypoints_m: PlacesInMetres | None = None
     plan: PlanPath | None = None
+    action_s: NotNegative = 0.0
     reserve_percent: Percent | None = None
     reserve_s: NotNegative | None = None
 
@@ -195,6 +198,7 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     retry_s: NotNegative = 300.0
     patient_first_call: bool = False
     hedge: HedgeConfig | bool | None = None
+    stay_or_go: Literal["stay", "go", "learn"] = "stay"
 
     def __post_init__(self) -> None:
         if self.blacklist_s is not None and self.probe is not None:
@@ -276,6 +280,25 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     processing_s: SecondsByService = {}
     remote_call_s: SecondsByService = {}
     truth: TruthConfig = TruthConfig()
+
+
+class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """At which waypoints of a simulation an answer demands something: regularly, or each with a probability.
+
+    Regularly these are the waypoints i with `i % every == offset`.
+    """
+
+    every: Count | None = None
+    offset: CountFromZero = 0
+    probability: Fraction | None = None
+
+    def __post_init__(self) -> None:
+        if (self.every is None) == (self.probability is None):
+            raise ValueError("give one of every (with an offset) and probability")
+        if self.every is not None and self.offset >= self.every:
+            raise ValueError(
+                f"offset is {self.offset}, and every {self.every}: give one from 0 to {self.every - 1}"
+            )
 
 
 class HeatConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -380,6 +403,7 @@ class DroneConfig(
     ] = ()
     heat: HeatConfig | None = None
     energy: EnergyConfig | None = None
+    event: EventConfig | None = None
     noise: NoiseConfig = NoiseConfig()
     faults: Annotated[tuple[FaultConfig, ...], Meta(description="tables that each begin with [[fault]]")] = ()
     drones: Annotated[

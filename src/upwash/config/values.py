@@ -79,6 +79,7 @@ Percent = Annotated[float, Meta(gt=0, lt=100, description="a number above 0 and 
 Latitude = Annotated[float, Meta(ge=-90, le=90, description="degrees from -90 to 90")]
 Longitude = Annotated[float, Meta(ge=-180, le=180, description="degrees from -180 to 180")]
 Count = Annotated[int, Meta(ge=1, description="an integer of at least 1")]
+CountFromZero = Annotated[int, Meta(ge=0, description="an integer of at least 0")]
 Slots = Annotated[
     Annotated[int, Meta(ge=1)] | Literal["auto"], Meta(description='an integer of at least 1, or "auto"')
 ]

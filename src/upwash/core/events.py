@@ -155,10 +155,14 @@ class RemoteCallCut:
 
 @dataclass(frozen=True, slots=True)
 class LegBegun:
-    """The drone leaves for a place, at that ground speed; None for the one it flew at before."""
+    """The drone leaves for a place, at that ground speed; None for the one it flew at before.
+
+    It goes `back` to a waypoint whose calls are over.
+    """
 
     target: Position
     ground_speed_m_s: float | None
+    back: bool = False
 
 
 @dataclass(frozen=True, slots=True)

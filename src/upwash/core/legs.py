@@ -40,6 +40,24 @@ class Leg:
             return self.duration_s - math.sqrt(2 * left_m / self.acceleration_m_s2)
         return self._ramp_s / 2 + travelled_m / self._top_m_s
 
+    def travelled_m(self, elapsed_s: float) -> float:
+        """How far the vehicle has come, so long after the start."""
+        ramp_s = self._ramp_s
+        left_s = max(0.0, self.duration_s - elapsed_s)
+        if elapsed_s < ramp_s:
+            return self.acceleration_m_s2 * max(0.0, elapsed_s) ** 2 / 2
+        if left_s < ramp_s:
+            return self.length_m - self.acceleration_m_s2 * left_s**2 / 2
+        return self._top_m_s * (elapsed_s - ramp_s / 2)
+
+    def back_s(self, elapsed_s: float) -> float:
+        """How long the way back to the start takes, from rest to rest, where it brakes so long after it has left."""
+        left_s = max(0.0, self.duration_s - elapsed_s)
+        speed_m_s = min(self._top_m_s, self.acceleration_m_s2 * min(elapsed_s, left_s))
+        braking_s = speed_m_s / self.acceleration_m_s2
+        way_m = self.travelled_m(elapsed_s) + speed_m_s * braking_s / 2
+        return braking_s + Leg(way_m, self.ground_speed_m_s, self.acceleration_m_s2).duration_s
+
     @property
     def _top_m_s(self) -> float:
         return min(self.ground_speed_m_s, math.sqrt(self.acceleration_m_s2 * self.length_m))
@@ -59,6 +77,14 @@ def acceleration_m_s2(length_m: float, ground_speed_m_s: float, duration_s: floa
     else:  # the vehicle brakes before it has reached its ground speed
         value_m_s2 = 4 * length_m / duration_s**2
     return value_m_s2 if _LEAST_M_S2 <= value_m_s2 <= _MOST_M_S2 else None
+
+
+def left_m(start: Position, end: Position, circle: Circle) -> float | None:
+    """How far from its start a straight way that begins in the circle leaves it; None if it ends inside."""
+    if circle.contains(end):
+        return None
+    back_m = entered_m(end, start, circle)
+    return 0.0 if back_m is None else distance_m(start, end) - back_m
 
 
 def entered_m(start: Position, end: Position, circle: Circle) -> float | None:

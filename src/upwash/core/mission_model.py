@@ -58,6 +58,15 @@ class _LegUnderWay:
 
 
 @dataclass(frozen=True, slots=True)
+class NextLeg:
+    """The way from the waypoint where the drone is to the next one."""
+
+    start: Position
+    end: Position
+    leg: Leg
+
+
+@dataclass(frozen=True, slots=True)
 class _Way:
     """A leg to come: how long it takes, and how long after its start it enters the ranges in which it ends."""
 
@@ -80,6 +89,7 @@ class MissionModel:
         self._way: _LegUnderWay | None = None
         self._last_leg_m = 0.0
         self._here: list[Step] = []
+        self._is_back = False  # at the place, or on the way there: nothing is learnt from such a stop
         self._free_s = 0.0  # since when nothing is known to go on, or until when the call under way goes on
         self._entries: dict[tuple[Position, Position], Sequence[tuple[str, float]]] = {}
         self._ways: dict[
@@ -87,12 +97,19 @@ class MissionModel:
         ] = {}  # by waypoint and ground speed, as the vehicle speeds up now
 
     def leg_begun(
-        self, start: Position, target: Position, ground_speed_m_s: float | None, *, now_s: float
+        self,
+        start: Position,
+        target: Position,
+        ground_speed_m_s: float | None,
+        *,
+        now_s: float,
+        back: bool = False,
     ) -> None:
-        """The mission leaves the place where it was for another."""
-        if self._place is not None and self._way is None:
+        """The mission leaves the place where it was for another, or `back` to one whose calls are over."""
+        if self._place is not None and self._way is None and not self._is_back:
             self._routine = tuple(self._here)
             self._leaving_s = max(0.0, now_s - self._free_s)
+        self._is_back = back
         if ground_speed_m_s is not None:
             self._ground_speed_m_s = ground_speed_m_s
         self._place, self._index, self._here = target, self._find(target), []
@@ -121,6 +138,26 @@ class MissionModel:
     def call_ends(self, ends_s: float) -> None:
         """The call under way is over then, as far as is known."""
         self._free_s = ends_s
+
+    @property
+    def photo_s(self) -> float:
+        """What passes from an arrival to the first call, by this stop or else by the last one."""
+        steps = self._here or self._routine
+        return steps[0].pause_s if steps else 0.0
+
+    def open_s(self, now_s: float) -> float:
+        """How much longer the call under way takes, as far as is known."""
+        return max(0.0, self._free_s - now_s)
+
+    def next_leg(self) -> NextLeg | None:
+        """The way to the next waypoint of the plan; None from the last one, on the way and beside the plan."""
+        if self._place is None or self._way is not None or self._index is None:
+            return None
+        if self._index + 1 == len(self._plan):
+            return None
+        waypoint = self._plan[self._index + 1]
+        leg = self._leg(distance_m(self._place, waypoint.position), waypoint.ground_speed_m_s)
+        return NextLeg(self._place, waypoint.position, leg)
 
     def coming(self, position: Position, *, now_s: float, count: int) -> list[ExpectedCall]:
         """The next calls, at most so many; none where nothing is known."""

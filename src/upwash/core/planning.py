@@ -14,6 +14,7 @@ from upwash.core.commands import Prepare
 from upwash.core.estimates import Estimates, Operation
 from upwash.core.forecast import Forecast, make_forecast
 from upwash.core.geo import Position
+from upwash.core.legs import left_m
 from upwash.core.mission_model import MissionModel
 from upwash.core.policy import (
     Choice,
@@ -31,6 +32,7 @@ from upwash.core.radios import Radios
 from upwash.core.recovery import REST_S, Recovery
 from upwash.core.server_table import ServerTable
 from upwash.core.servers import FULL_S, Server, State
+from upwash.core.stay_or_go import Outlook
 
 
 class Planning:
@@ -50,7 +52,8 @@ class Planning:
         gain_slot: float,
     ) -> None:
         self.mission = mission
-        self.under_way: Decision | None = None  # on the call that the mission waits for now
+        self.under_way: Decision | None = None  # on the call whose answer is not there yet
+        self._operation: Operation | None = None  # of that call
         self.changed = True  # whether anything has changed since the policy was last asked
         self._policy = policy
         self._table = table
@@ -64,8 +67,8 @@ class Planning:
         self._short: frozenset[tuple[str, bool, bool]] = frozenset()  # of slots, as the policy was last shown
 
     def decided(self, decision: Decision, operation: Operation, now_s: float) -> None:
-        """The mission waits for a call that runs where the decision says."""
-        self.under_way = decision
+        """The mission has made a call that runs where the decision says."""
+        self.under_way, self._operation = decision, operation
         match decision:
             case Local():
                 expected_s = self._estimates.local_s(operation)
@@ -79,6 +82,20 @@ class Planning:
         """The mission has the answer to its call."""
         self.mission.call_ends(now_s)
         self.under_way = None
+
+    def outlook(self, now_s: float) -> Outlook | None:
+        """What going on before the call under way is over would come to; None where there is none, or no next leg."""
+        way = self.mission.next_leg()
+        if way is None or self.under_way is None or self._operation is None:
+            return None
+        stay_s = go_s = self.mission.open_s(now_s)
+        if not isinstance(self.under_way, Local):
+            area = self._table.servers[self.under_way.server].area
+            leaves_m = left_m(way.start, way.end, area)
+            leaves_s = math.inf if leaves_m is None else way.leg.reached_s(leaves_m)
+            if leaves_s < stay_s:
+                go_s = leaves_s + (self._estimates.local_s(self._operation) or 0.0)
+        return Outlook(way.leg, self.mission.photo_s, stay_s, go_s)
 
     def forget_slow_calls(self, now_s: float) -> None:
         """Gives servers in range that were slow another chance, where it is time for that."""

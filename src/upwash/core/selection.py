@@ -55,6 +55,7 @@ from upwash.core.radios import Radios
 from upwash.core.recovery import Probing, Recovery
 from upwash.core.server_table import ServerTable
 from upwash.core.servers import CHECKING, SELECTED, Change, Server, State, Trigger
+from upwash.core.stay_or_go import Outlook
 
 _READY = frozenset({State.READY})
 _MOST_TURNS_LOST = 2  # in a row, each at a call: a server that gives turns and no answers has failed
@@ -187,6 +188,11 @@ class Selection:
             self._planning.under_way = decision
         return decision, again_s
 
+    def outlook(self, *, now_s: float, position: Position) -> Outlook | None:
+        """What going on before the call that is under way is over would come to; None where nothing is known."""
+        self._locate(position, now_s)
+        return self._planning.outlook(now_s)
+
     def _locate(self, position: Position, now_s: float) -> None:
         if self._table.locate(position, now_s):
             self._planning.changed = True
@@ -221,8 +227,8 @@ class Selection:
                 return self._probe_answered(event, now_s)
             case Prepared(name, by):
                 return self._prepared(self.servers[name], by, now_s)
-            case LegBegun(target, ground_speed_m_s):
-                self._planning.mission.leg_begun(position, target, ground_speed_m_s, now_s=now_s)
+            case LegBegun(target, ground_speed_m_s, back):
+                self._planning.mission.leg_begun(position, target, ground_speed_m_s, now_s=now_s, back=back)
             case Arrived():
                 self._planning.mission.arrived(now_s=now_s)
             case TargetUnknown():

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
-from typing import Any, TypeVar
+import contextlib
+from collections.abc import Callable, Coroutine, Iterator
+from typing import Any, ParamSpec, TypeVar
 
 import msgspec
 
@@ -13,6 +14,8 @@ from upwash.core.events import Arrived, Event, LegBegun, TargetUnknown
 from upwash.core.geo import Position, Waypoint
 from upwash.core.geofence import breached_by_leg, breached_by_position
 from upwash.drone.mission import MissionThread
+from upwash.drone.open_answer import Errands, OpenAnswer
+from upwash.drone.pending import Calls, Demand, Pending
 from upwash.drone.site import Site
 from upwash.errors import AutopilotRefused, UsageError
 from upwash.eventlog import schema
@@ -20,6 +23,7 @@ from upwash.plans import Ending
 from upwash.ports import Autopilot, Camera, Journal, Notifier, VehicleLimits
 from upwash.rpc.service import Method, make_stub, spec_of
 
+P = ParamSpec("P")
 T = TypeVar("T")
 Mission = Callable[["Drone"], None]
 _AtPlace = type[
@@ -50,6 +54,8 @@ class Vehicle:
         self._ground_speed_m_s: float | None = None  # as it was last set
         self._on_a_leg = False
         self._stands_at: Position | None = None  # where exactly it was sent, which is not quite where it is
+        self._place: Waypoint | Position | None = None  # where it was last sent to
+        self._open: OpenAnswer[Any] | None = None
 
     @property
     def position(self) -> Position:
@@ -75,6 +81,16 @@ class Vehicle:
     def on_a_leg(self) -> bool:
         """Whether it is on its way to where the mission sent it."""
         return self._on_a_leg
+
+    @property
+    def place(self) -> Waypoint | Position | None:
+        """Where the mission last sent it to; None before its first leg."""
+        return self._place
+
+    @property
+    def waypoint(self) -> int | None:
+        """The waypoint that the mission last sent it to; None for a place beside the plan."""
+        return self._place.index if isinstance(self._place, Waypoint) else None
 
     @property
     def ground_speed_m_s(self) -> float | None:
@@ -106,19 +122,26 @@ class Vehicle:
         """Sets the speed of the legs that follow."""
         self._thread.call(self._set_ground_speed(ground_speed_m_s))
 
-    def goto(self, place: Waypoint | Position) -> None:
-        """Flies to a waypoint or position; returns on arrival, at rest.
+    def goto(self, place: Waypoint | Position, *, unless: Demand[Any] | None = None) -> bool:
+        """Flies to a waypoint or position; returns True on arrival, at rest.
 
-        AutopilotRefused for a place that the plan's geofence keeps the vehicle from; it does not move then.
+        Where an answer that is pending demands something before that, `unless=pending.demands(...)`, it brakes and
+        returns False, at rest on the way. AutopilotRefused for a place that the plan's geofence keeps the vehicle
+        from; it does not move then.
         """
-        if isinstance(place, Waypoint):
-            verb = self._goto(place.position, waypoint=place.index, ground_speed_m_s=place.ground_speed_m_s)
-        else:
-            verb = self._goto(place)
-        self._thread.call(verb)
+        if self._open is None or unless is not None:
+            return self._fly(place, unless=unless)
+        with self._settling(self._open) as answer:
+            answer.fly_on(place)
+        return True
+
+    def hover(self, duration_s: float) -> None:
+        """Stays where it is for so long."""
+        self._thread.call(asyncio.sleep(duration_s))
 
     def hold(self) -> None:
         """Stops and hovers."""
+        self._settle()
         self._stands_at = None
         self._thread.call(self._logged(self._autopilot.hold, schema.Holding))
 
@@ -132,9 +155,54 @@ class Vehicle:
 
     def disarm(self) -> None:
         """Stops the motors."""
+        self._settle()
         self._thread.call(self._logged(self._autopilot.disarm, schema.Disarmed))
 
+    def _leave_open(self, answer: OpenAnswer[Any]) -> None:
+        """The mission goes on, and the answer is settled on the way: for `Drone.stay_or_go`, not for a mission."""
+        self._open = answer
+
+    def _settle(self) -> None:
+        """Waits for the answer that is open, if one is, and has done what it demands."""
+        if self._open is not None:
+            with self._settling(self._open) as answer:
+                answer.settle()
+
+    def _fly(
+        self, place: Waypoint | Position, *, unless: Demand[Any] | None = None, back: bool = False
+    ) -> bool:
+        """As `goto`, whatever answer is open: for what flies on behalf of an answer, not for a mission."""
+        self._place = place
+        if isinstance(place, Waypoint):
+            verb = self._goto(
+                place.position, waypoint=place.index, ground_speed_m_s=place.ground_speed_m_s, back=back
+            )
+        else:
+            verb = self._goto(place, back=back)
+        if unless is None:
+            self._thread.call(verb)
+            return True
+        leg = self._thread.call(_until_answered(verb, unless))
+        if leg is None:
+            return True
+        if unless.holds():
+            self._thread.call(self._break_off(leg))
+            return False
+        self._thread.call(_rest_of(leg))
+        return True
+
+    @contextlib.contextmanager
+    def _settling(self, answer: OpenAnswer[Any]) -> Iterator[OpenAnswer[Any]]:
+        """It is not open meanwhile, as what is done about it flies, too; it still is after an error before that."""
+        self._open = None
+        try:
+            yield answer
+        finally:
+            if not answer.is_over:
+                self._open = answer
+
     def _come_down(self, verb: Callable[[], Coroutine[Any, Any, None]], doing: _AtPlace) -> None:
+        self._settle()
         self._coming_down = True
         try:
             self._thread.call(self._logged(verb, schema.Landed, before=doing))
@@ -147,13 +215,20 @@ class Vehicle:
         self._ground_speed_m_s = ground_speed_m_s
 
     async def _goto(
-        self, position: Position, *, waypoint: int | None = None, ground_speed_m_s: float | None = None
+        self,
+        position: Position,
+        *,
+        waypoint: int | None = None,
+        ground_speed_m_s: float | None = None,
+        back: bool = False,
     ) -> None:
         self._require_allowed(position)
         if ground_speed_m_s is not None and ground_speed_m_s != self._ground_speed_m_s:
             await self._set_ground_speed(ground_speed_m_s)
-        self._journal.record(schema.Leg(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m))
-        self._tell(LegBegun(position, self._ground_speed_m_s))
+        self._journal.record(
+            schema.Leg(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m, back=back)
+        )
+        self._tell(LegBegun(position, self._ground_speed_m_s, back=back))
         self._stands_at = None
         self._on_a_leg = True
         try:
@@ -165,6 +240,12 @@ class Vehicle:
         self._journal.record(
             schema.Arrived(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m)
         )
+
+    async def _break_off(self, leg: asyncio.Task[None]) -> None:
+        leg.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await leg
+        await self._autopilot.hold()
 
     async def _arm(self) -> None:
         await self._autopilot.ready()
@@ -265,14 +346,15 @@ class User:
 
 
 class Drone:
-    """What a mission program flies with.
+    """What a mission program flies with; its verbs and calls are for the mission's own thread.
 
-    `plan` holds the waypoints that are to be visited, in flight order, and `altitude_m` is the altitude above home
-    that the configuration gives.
+    `plan` holds the waypoints that are to be visited, in flight order. `altitude_m`, above home, and `action_s`, how
+    long an action at a waypoint takes, are as the configuration says.
     """
 
     plan: tuple[Waypoint, ...]
     altitude_m: float
+    action_s: float
     autopilot: Vehicle
     camera: Photographer
     user: User
@@ -287,7 +369,9 @@ class Drone:
         camera: Photographer,
         user: User,
         services: frozenset[str],
-        invoke: Callable[[Operation, Method, bytes], Any],
+        calls: Calls,
+        errands: Errands,
+        action_s: float = 0.0,
     ) -> None:
         self.plan = plan
         self.altitude_m = altitude_m
@@ -296,7 +380,9 @@ class Drone:
         self.user = user
         self._ending = ending
         self._services = services
-        self._invoke = invoke
+        self.action_s = action_s
+        self._calls = calls
+        self._errands = errands
 
     def end_flight(self) -> None:
         """Lands where it is if the plan ends so; returns home and lands otherwise."""
@@ -316,7 +402,53 @@ class Drone:
                 f"the mission calls the service {name!r}, which the configuration does not name: add a [[service]] "
                 f'table with name = "{name}"; it names {", ".join(sorted(self._services)) or "none"}'
             )
-        return make_stub(cls, self._invoke)
+        return make_stub(cls, self._call)
+
+    def start(self, call: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
+        """Starts a call of a service's method, `drone.start(detector.process_photo, photo)`, and does not wait.
+
+        One call is pending at a time: UsageError while another one is. An answer that `stay_or_go` left open is
+        settled before.
+        """
+        self.autopilot._settle()
+        return self._calls.start(call, *args, **kwargs)
+
+    def stay_or_go(
+        self, pending: Pending[T], act: Callable[[T], object], *, demands: Callable[[T], object] = bool
+    ) -> None:
+        """Has `act(answer)` called at this waypoint if the answer demands it: `demands(answer)` is true.
+
+        As `stay_or_go` of the configuration says, the drone waits here for the answer, or the mission goes on at
+        once. It may then go on to the next waypoint; an answer that demands something has the drone come back, act,
+        and fly to where it was going. The next call, and the way down, wait for the answer. What the call raises is
+        raised by the verb that waits, at this waypoint.
+        """
+        self._errands.run(pending, demands, act)
+
+    def _call(self, operation: Operation, method: Method, request: bytes) -> Any:
+        self.autopilot._settle()
+        return self._calls.call(operation, method, request)
+
+
+async def _until_answered(verb: Coroutine[Any, Any, None], demand: Demand[Any]) -> asyncio.Task[None] | None:
+    """Begins to fly; returns the leg, which goes on, once the answer is there, or None after the arrival."""
+    leg = asyncio.create_task(verb)
+    answered = asyncio.create_task(demand.pending._answered())
+    try:
+        await asyncio.wait((leg, answered), return_when=asyncio.FIRST_COMPLETED)
+    except BaseException:
+        leg.cancel()
+        raise
+    finally:
+        answered.cancel()
+    if not leg.done():
+        return leg
+    leg.result()
+    return None
+
+
+async def _rest_of(leg: asyncio.Task[None]) -> None:
+    await leg
 
 
 def rounded(position: Position) -> Position:

@@ -15,6 +15,7 @@ from upwash.core.geo import Position
 from upwash.core.policy import Decision, Local, Remote, Wait
 from upwash.core.selection import Selection
 from upwash.core.servers import Change
+from upwash.core.stay_or_go import Outlook
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
 
@@ -54,6 +55,10 @@ class Decisions:
         """The server that calls go to once it is READY."""
         current = self._selection.current
         return current.name if current is not None else None
+
+    def outlook(self) -> Outlook | None:
+        """What going on before the call that is under way is over would come to; None where nothing is known."""
+        return self._selection.outlook(now_s=now_s(), position=self._autopilot.position)
 
     def check_of(self, server: str) -> int:
         """The number of the latest check of the server."""

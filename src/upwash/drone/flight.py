@@ -7,18 +7,19 @@ import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from upwash.config import DroneConfig, ending, geofence, server_areas, waypoints
 from upwash.core.control import Control
-from upwash.core.estimates import Operation
 from upwash.core.geo import GeoPosition, Waypoint
+from upwash.core.stay_or_go import StayOrGo
 from upwash.drone.api import Drone, Mission, Photographer, User, Vehicle, rounded
 from upwash.drone.contingency import end_safely, follow
 from upwash.drone.guard import FailSafeOffloading
 from upwash.drone.mission import MissionThread, mission_failed
 from upwash.drone.offloading import Offloading
 from upwash.drone.onboard import OnboardServices
+from upwash.drone.open_answer import Errands
+from upwash.drone.pending import Calls
 from upwash.drone.preparation import endpoints, make_hedging, make_selection
 from upwash.drone.reserve import ReserveWatch
 from upwash.drone.site import Site
@@ -46,7 +47,7 @@ from upwash.ports import (
     VehicleSetting,
     VehicleText,
 )
-from upwash.rpc.service import Method, spec_of
+from upwash.rpc.service import spec_of
 from upwash.support.heat import Surroundings
 
 _WORDS_KEPT = 8  # of the vehicle's, to say with whom it was lost to
@@ -109,6 +110,9 @@ class Flight:
                 farthest_start_m=config.autopilot.farthest_start_m,
             ),
             tell=self._offloading.tell,
+        )
+        self._calls = Calls(
+            self._thread, self._offloading.invoke, ports.journal, waypoint=lambda: self._vehicle.waypoint
         )
 
     async def run(self) -> None:
@@ -253,7 +257,7 @@ class Flight:
     async def _run_mission(self) -> None:
         watch = asyncio.create_task(self._watch_battery())
         try:
-            await self._thread.run(lambda: self._program()(self._drone()))
+            await self._thread.run(self._fly_program)
         except UpwashError:
             self._require_control()
             raise
@@ -261,9 +265,14 @@ class Flight:
             raise mission_failed(error) from error
         finally:
             watch.cancel()
+            await self._calls.close()
         self._require_control()
         if self._stopped:  # though the mission made nothing of it
             raise MissionStopped(self._stopped)
+
+    def _fly_program(self) -> None:
+        self._program()(self._drone())
+        self._vehicle._settle()
 
     def _program(self) -> Mission:
         if self._plan or self._done is None:
@@ -302,9 +311,6 @@ class Flight:
             self.stop(why)
 
     def _drone(self) -> Drone:
-        def invoke(operation: Operation, method: Method, request: bytes) -> Any:
-            return self._thread.call(self._offloading.invoke(operation, method, request))
-
         return Drone(
             plan=self._plan,
             altitude_m=self._config.mission.altitude_m,
@@ -318,7 +324,14 @@ class Flight:
             ),
             user=User(self._ports.notifier, self._thread),
             services=frozenset(service.name for service in self._config.services),
-            invoke=invoke,
+            calls=self._calls,
+            errands=Errands(
+                self._vehicle,
+                self._calls,
+                rule=StayOrGo(self._config.policy.stay_or_go),
+                outlook=self._offloading.outlook,
+            ),
+            action_s=self._config.mission.action_s,
         )
 
 

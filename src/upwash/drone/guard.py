@@ -10,6 +10,7 @@ from typing import Any
 
 from upwash.core.estimates import Operation
 from upwash.core.events import Event
+from upwash.core.stay_or_go import Outlook
 from upwash.drone.offloading import Offloading
 from upwash.errors import TransitionError, UpwashError
 from upwash.eventlog import schema
@@ -59,6 +60,15 @@ class FailSafeOffloading:
     def link(self) -> tuple[str | None, float | None]:
         """The server in use, if one is, and what the last question to its daemon took, once one was answered."""
         return (None, None) if self._failed else self._offloading.link
+
+    def outlook(self) -> Outlook | None:
+        """What going on before the call that is under way is over would come to; None where nothing is known."""
+        if not self._failed:
+            try:
+                return self._offloading.outlook()
+            except Exception as error:  # noqa: BLE001 - whatever it is, the drone flies on
+                self._fail(error)
+        return None
 
     def tell(self, event: Event) -> None:
         """Takes in what happened."""

@@ -16,11 +16,15 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
-from upwash.errors import MissionFailed, MissionStopped
+from upwash.errors import MissionFailed, MissionStopped, UsageError
 
 T = TypeVar("T")
 
 _UPWASH = Path(__file__).parents[1]
+_OTHER_THREAD = (
+    "a verb or a call came from another thread than the mission's, which alone flies the drone: to go on while a "
+    "call runs, start it with drone.start(...)"
+)
 _GRACE_S = 5.0  # for a mission's own last words, once it has been stopped
 
 
@@ -39,6 +43,7 @@ class MissionThread:
         self._grace_s = grace_s
         self._loop = asyncio.get_running_loop()
         self._ended: asyncio.Future[Exception | None] = self._loop.create_future()
+        self._thread: threading.Thread | None = None  # once it runs
         self._stopped = ""  # why, once it is
         self._verb: asyncio.Task[Any] | None = None
         self._ended_verbs: SimpleQueue[asyncio.Task[Any]] = SimpleQueue()
@@ -46,10 +51,14 @@ class MissionThread:
         self._turn_over = threading.Event()  # the mission's code has come to its next verb, or to its end
 
     def call(self, verb: Coroutine[Any, Any, T]) -> T:
-        """Runs a verb on the loop and returns its result; for the mission's thread only.
+        """Runs a verb on the loop and returns its result.
 
-        Raises MissionStopped, now and ever after, once the mission is being ended from outside.
+        Raises UsageError at once in a thread that is not the mission's, and MissionStopped, now and ever after, once
+        the mission is being ended from outside.
         """
+        if threading.current_thread() is not self._thread:
+            verb.close()
+            raise UsageError(_OTHER_THREAD)
         if self._stopped:
             verb.close()
             raise MissionStopped(self._stopped)
@@ -75,8 +84,10 @@ class MissionThread:
                 self._loop.call_soon_threadsafe(self._settle, failure)
             self._turn_over.set()
 
-        thread = threading.Thread(target=body, name="mission", daemon=True)  # it cannot hold up the exit
-        self._give_turn(thread.start)
+        self._thread = threading.Thread(
+            target=body, name="mission", daemon=True
+        )  # it cannot hold up the exit
+        self._give_turn(self._thread.start)
         try:
             failure = await self._ended
         except asyncio.CancelledError:

@@ -16,6 +16,7 @@ from upwash.core.hedging import Hedging
 from upwash.core.places import ON_DRONE, name_of
 from upwash.core.policy import Remote, Wait
 from upwash.core.selection import Selection
+from upwash.core.stay_or_go import Outlook
 from upwash.drone.background import Background
 from upwash.drone.calling import Call, Calling
 from upwash.drone.decisions import Decisions, now_s
@@ -93,6 +94,10 @@ class Offloading:
     def tell(self, event: Event) -> None:
         """Takes in what happened, and does what it calls for."""
         self._decisions.tell(event)
+
+    def outlook(self) -> Outlook | None:
+        """What going on before the call that is under way is over would come to; None where nothing is known."""
+        return self._decisions.outlook()
 
     async def invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
         """Runs one call where it is decided to run, and on the drone when that fails; returns its decoded reply.

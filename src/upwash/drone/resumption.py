@@ -18,17 +18,19 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
     """The waypoints that need no second visit; UsageError where the log is of another or a completed mission.
 
     A waypoint is done once the drone has set off from it to another, or with as many results as one that it has set
-    off from; where it has set off from none, with as many as services are configured.
+    off from; where it has set off from none, with as many as services are configured. None is done that the mission
+    still wants an answer of, or where it has not done what an answer demands.
     """
     plan = {each.index: each for each in waypoints(config.mission)}
     results: dict[int, int] = {}  # of the last visit to each waypoint
     left: set[int] = set()
+    owed: set[int | None] = set()  # waypoints with an answer that was not taken, or not acted upon
     here: int | None = None
     completed = False
     for event in events:
         match event:
             case schema.LogOpened():
-                results, left, here, completed = {}, set(), None, False
+                results, left, owed, here, completed = {}, set(), set(), None, False
             case schema.MissionCompleted():
                 completed = True
             case schema.MissionStarted():
@@ -40,12 +42,19 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
             case schema.Arrived(waypoint=int(index), east_m=east_m, north_m=north_m):
                 _require_same_place(index, east_m, north_m, plan.get(index))
                 here, results[index] = index, 0
+            case schema.CallStarted(waypoint=waypoint):
+                owed.add(waypoint)
+            case (
+                schema.AnswerTaken(waypoint=waypoint, demanded=False, failed="")
+                | schema.Acted(waypoint=waypoint)
+            ):
+                owed.discard(waypoint)
             case schema.Call() if here is not None:
                 results[here] += 1
     if completed:
         raise UsageError("the mission in this log was completed: there is nothing to take up")
     wanted = max(1, max((results[each] for each in left), default=len(config.services)))
-    return frozenset(left | {index for index, count in results.items() if count >= wanted})
+    return frozenset((left | {index for index, count in results.items() if count >= wanted}) - owed)
 
 
 def _require_same_drone(started: schema.MissionStarted, config: DroneConfig, planned: int) -> None:

@@ -11,6 +11,7 @@ from upwash.core.control import Owner
 from upwash.core.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.schema import SEVERITIES, Event
+from upwash.eventlog.whereabouts import Whereabouts
 
 _SAFE_ENDS = {
     "return": "returning to land",
@@ -105,27 +106,35 @@ class Narrator:
     def __init__(self) -> None:
         self.doing = "starting the services of the drone"
         self.where = ""
-        self.reached = 0  # waypoints
+        self._reached: set[int] = set()
+        self._whereabouts = Whereabouts()
         self.started = False  # whether the mission has begun
         self.control = ""  # who has the vehicle, since when and why; empty while the program has
 
+    @property
+    def reached(self) -> int:
+        """How many waypoints."""
+        return len(self._reached)
+
     def tell(self, event: Event) -> Said | None:
         """What the event says; None for one that is not worth a sentence."""
+        self._whereabouts.take(event)
         match event:
             case schema.PositionReport(east_m=east_m, north_m=north_m, altitude_m=altitude_m):
                 self.where = f"{east_m:.0f} m east, {north_m:.0f} m north, {altitude_m:.0f} m up"
                 return None
             case schema.Call():
-                return _call(event, self.doing)
+                return self._call(event)
             case schema.Step(server=server, before=before, after=after, why=why):
                 because = f" ({why})" if why else ""
                 return Said(f"{server}: {before} → {after}{because}", tone_of(after))
-            case schema.Leg(waypoint=waypoint):
-                self.doing = f"flying to {_name_of(waypoint)}"
+            case schema.Leg(waypoint=waypoint, back=back):
+                self.doing = f"flying {'back ' * back}to {_name_of(waypoint)}"
                 return None
             case schema.Arrived(waypoint=waypoint):
                 self.doing = f"at {_name_of(waypoint)}"
-                self.reached += waypoint is not None
+                if waypoint is not None:
+                    self._reached.add(waypoint)
                 return None
             case schema.Notified(message=message):
                 return Said(f"told the user: {in_one_line(message)}", Tone.FOUND)
@@ -140,9 +149,11 @@ class Narrator:
             case schema.MissionStarted(policy=policy, done=done):
                 self.started = True
                 self.doing = "before take-off"
-                self.reached = len(done)
+                self._reached = set(done)
                 before = f"taken up again, {len(done)} waypoints done before" if done else "started"
                 return Said(f"mission {before}, policy {policy}")
+            case schema.TurnedBack(waypoint=waypoint):
+                return Said(f"turning back to {_name_of(waypoint)}, for its answer", Tone.FOUND)
             case schema.Returning():
                 self.doing = "returning"
                 return Said("returning home to land")
@@ -156,6 +167,17 @@ class Narrator:
                 self.doing = "hovering"
                 return Said(LEFT_HOVERING, Tone.ALARM)
         return None
+
+    def _call(self, call: schema.Call) -> Said:
+        waited = f" after waiting {call.waited_s:.1f} s" if call.wait else ""
+        asked_at = self._whereabouts.of_call
+        where = (
+            self.doing if asked_at == self._whereabouts.here else f"{self.doing}, for {_name_of(asked_at)}"
+        )
+        return Said(
+            f"{where}: {call.operation} {ran_on(call.server)}, {call.delay_s:.2f} s{waited} ({call.decision})",
+            Tone.PLAIN if call.server is None else Tone.REMOTE,
+        )
 
     def _vehicle(self, event: Event) -> Said | None:
         """Who has the vehicle, and how it gets into the air and down again."""
@@ -253,14 +275,6 @@ def _failure(event: Event) -> Said | None:
         case schema.LocalEnded(service=service, how=how):
             return Said(f"{service} on the drone ended ({how}); starting it again", Tone.TROUBLE)
     return None
-
-
-def _call(call: schema.Call, doing: str) -> Said:
-    waited = f" after waiting {call.waited_s:.1f} s" if call.wait else ""
-    return Said(
-        f"{doing}: {call.operation} {ran_on(call.server)}, {call.delay_s:.2f} s{waited} ({call.decision})",
-        Tone.PLAIN if call.server is None else Tone.REMOTE,
-    )
 
 
 def _name_of(waypoint: int | None) -> str:

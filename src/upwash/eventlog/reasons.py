@@ -12,6 +12,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.narration import ran_on
 from upwash.eventlog.results import Beginning, last_run
 from upwash.eventlog.schema import Event
+from upwash.eventlog.whereabouts import Whereabouts
 
 _TOLD = (
     schema.Selected,
@@ -47,17 +48,16 @@ class Reasons:
 
     def __init__(self) -> None:
         self._began = Beginning()
-        self._waypoint: int | None = None
+        self._whereabouts = Whereabouts()
         self._decisions: list[schema.Decided] = []
         self._changes: list[schema.Step] = []
 
     def take(self, event: Event) -> ExplainedCall | None:
         """Takes in the next event; the call, where it ends one."""
         self._began.take(event)
+        self._whereabouts.take(event)
         now_s = event.t - (self._began.at_s or 0.0)
         match event:
-            case schema.Arrived():
-                self._waypoint = event.waypoint
             case schema.Decided():
                 self._decisions.append(event)
             case schema.Call():
@@ -72,7 +72,7 @@ class Reasons:
         self._decisions, self._changes = [], later
         began_s = outcome.t - outcome.delay_s
         return ExplainedCall(
-            self._waypoint, began_s, outcome, decisions, changes[: len(changes) - len(later)]
+            self._whereabouts.of_call, began_s, outcome, decisions, changes[: len(changes) - len(later)]
         )
 
 

@@ -9,12 +9,14 @@ from dataclasses import dataclass, field
 from upwash.core.places import server_of
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
+from upwash.eventlog.whereabouts import Whereabouts
 
 # Most events of a long log are positions, which these pass over at once: each case of a match takes time.
 _BEGINNING = frozenset(
     {schema.MissionStarted, schema.Armed, schema.Photo, schema.Call, schema.Leg, schema.LogResumed}
 )
 _COUNTED = _BEGINNING | {
+    schema.CallStarted,
     schema.MissionCompleted,
     schema.Arrived,
     schema.EnergyUsed,
@@ -130,7 +132,7 @@ class Tally:
         self.completed = False
         self._policy, self._ended_s = "", 0.0
         self._began = Beginning()
-        self._waypoint: int | None = None
+        self._whereabouts = Whereabouts()
         self._calls: list[CallResult] = []
         self._waypoints, self._reached, self._left_hovering = 0, set[int | None](), False
         self._waits: list[str] = []
@@ -143,15 +145,15 @@ class Tally:
         if type(event) not in _COUNTED:
             return
         self._began.take(event)
+        self._whereabouts.take(event)
         match event:
             case schema.MissionStarted():
                 self._policy, self._waypoints = event.policy, event.waypoints
-                self._waypoint, self._left_hovering = None, False
+                self._left_hovering = False
             case schema.MissionCompleted():
                 self.completed = True
             case schema.Arrived():
-                self._waypoint = event.waypoint
-                self._reached.add(self._waypoint)
+                self._reached.add(event.waypoint)
             case schema.LeftHovering():
                 self._left_hovering = True
             case schema.Selected():
@@ -159,7 +161,7 @@ class Tally:
             case schema.EnergyUsed():
                 self._energy = _energy(event)
             case schema.Call():
-                self._calls.append(_call(event, self._waypoint, self._began.at_s or 0.0))
+                self._calls.append(_call(event, self._whereabouts.of_call, self._began.at_s or 0.0))
                 self._waits += [event.wait] if event.wait else []
                 self._fallbacks += event.fell_back
 

@@ -134,12 +134,16 @@ class Stopping(Event, frozen=True, kw_only=True):
     why: str
 
 
-class Leg(Event, frozen=True, kw_only=True):
-    """The drone sets off for a place; `waypoint` is its index, null for a place beside the plan."""
+class Leg(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """The drone sets off for a place; `waypoint` is its index, null for a place beside the plan.
+
+    `back` where it comes back to a waypoint whose answer demands something, or whose call failed.
+    """
 
     waypoint: int | None
     east_m: float
     north_m: float
+    back: bool = False
 
 
 class Arrived(Event, frozen=True, kw_only=True):
@@ -158,6 +162,53 @@ class Photo(Event, frozen=True, kw_only=True, omit_defaults=True):
     age_s: float
     position: Position
     truth: Sequence[object] | None = None
+
+
+class CallStarted(Event, frozen=True, kw_only=True):
+    """The mission began a call at the waypoint, without waiting; its `call` event comes when it is over."""
+
+    operation: str
+    waypoint: int | None
+
+
+class StayOrGo(Event, frozen=True, kw_only=True):
+    """Whether the drone goes on before the answer of the waypoint is there, and why.
+
+    `chance` is how likely an answer demands something, by the last ones. Going saves `saved_s` where it demands
+    nothing, and loses `lost_s` where it does; null where nothing was reckoned.
+    """
+
+    waypoint: int | None
+    goes: bool
+    why: str
+    chance: float
+    saved_s: float | None = None
+    lost_s: float | None = None
+
+
+class TurnedBack(Event, frozen=True, kw_only=True):
+    """An answer demands something at a waypoint that the drone has left, or its call failed: it flies back."""
+
+    waypoint: int | None
+    position: Position
+
+
+class AnswerTaken(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """The mission has the answer of a waypoint, for which it `waited_s`; `failed` says why there is none.
+
+    `demanded` says whether it demands something there.
+    """
+
+    waypoint: int | None
+    waited_s: float
+    demanded: bool = False
+    failed: str = ""
+
+
+class Acted(Event, frozen=True, kw_only=True):
+    """What an answer demanded at the waypoint is done."""
+
+    waypoint: int | None
 
 
 class Notified(Event, frozen=True, kw_only=True):

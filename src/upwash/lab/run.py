@@ -11,7 +11,6 @@ from typing import NamedTuple
 import msgspec
 
 from upwash.config import (
-    CameraConfig,
     DroneConfig,
     HeatConfig,
     Presence,
@@ -38,6 +37,7 @@ from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.camera import ModelCamera, RenderedCamera
 from upwash.sim.chance import Chance
 from upwash.sim.energy import EnergyMeter
+from upwash.sim.events import eventful
 from upwash.sim.faults import Faults
 from upwash.sim.joining import JoinedSlowly, Joining
 from upwash.sim.journal import MemoryJournal
@@ -285,7 +285,7 @@ def _ports(
             onboard,
             objects=software.objects,
         ),
-        camera=_camera(config.camera),
+        camera=_camera(config, chance),
         notifier=journal,
         journal=journal,
     )
@@ -340,11 +340,13 @@ def _radios(
     return networks, ModelDialer(config.name, switchboard, radio, life=life)
 
 
-def _camera(config: CameraConfig) -> Camera:
+def _camera(config: DroneConfig, chance: Chance) -> Camera:
     """Rendered photos where they are asked for; a folder's or a device's are not there in simulation."""
-    if config.park_seed is None:
-        return ModelCamera(photo_s=config.photo_s)
-    return RenderedCamera(config.park_seed, photo_s=config.photo_s, in_thread=False)
+    camera = config.camera
+    if camera.park_seed is not None:
+        return RenderedCamera(camera.park_seed, photo_s=camera.photo_s, in_thread=False)
+    events = eventful(config.event, waypoints(config.mission), chance)
+    return ModelCamera(photo_s=camera.photo_s, events=[waypoint.position for waypoint in events])
 
 
 def _manner(vehicle: VehicleConfig) -> Manner:

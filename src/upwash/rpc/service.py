@@ -40,6 +40,7 @@ R = TypeVar("R")
 _PLAIN = (str, int, float, bool, type(None))
 _SPEC = "__upwash_service__"
 _ONCE = "__upwash_once__"
+_STUB = "__upwash_stub__"
 _MOST_CONCURRENCY = 64  # more threads than that of one process only wait for each other
 _TOLD_LENGTH = 200  # characters of what a fault says, where it is told and not raised
 
@@ -207,7 +208,26 @@ def _stub_method(service_name: str, method: Method, invoke: Invoke) -> Callable[
         return method.result(invoke(Operation(service_name, method.name, key), method, request))
 
     call.__name__ = method.name
+    setattr(call, _STUB, (service_name, method))
     return call
+
+
+def request_of(
+    call: Callable[..., object], args: tuple[object, ...], kwargs: Mapping[str, object]
+) -> tuple[Operation, Method, bytes]:
+    """What a stub's method would send if it were called with these arguments; raises TypeError as the call would.
+
+    UsageError where it is no method of a stub.
+    """
+    stub = getattr(call, _STUB, None)
+    if stub is None:
+        name = getattr(call, "__qualname__", repr(call))
+        raise UsageError(
+            f"{name} is no method of a service: give one of an object that drone.service(...) returned"
+        )
+    service_name, method = stub
+    key, request = method.encode(args, kwargs)
+    return Operation(service_name, method.name, key), method, request
 
 
 def _describe(cls: type, name: str, profile_by: str | None, concurrency: int) -> ServiceSpec:

@@ -231,9 +231,9 @@ class ModelAutopilot:
         self._waypoint = position
 
     async def hold(self) -> None:
-        """Stops where it is."""
+        """Brakes, and stops where that ends."""
         self._command("hold")
-        await self._move("hold", ())
+        await self._move("hold", self._manner.brake(self.position, self._vehicle.velocity))
 
     async def return_home_and_land(self) -> None:
         """Back to where it took off."""

@@ -5,26 +5,38 @@ from __future__ import annotations
 import asyncio
 import functools
 import itertools
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from upwash.core.geo import Position
+from upwash.core.geo import Position, ground_distance_m
 from upwash.ports import Photo
+from upwash.sim.replies import EVENT
 from upwash.support.loading import extra
 
 if TYPE_CHECKING:
     from upwash.services.solar_park import RenderedPhoto
 
 
-class ModelCamera:
-    """Returns the same few bytes after `photo_s`: how large a photo is, the radio model knows."""
+_JPEG = b"\xff\xd8\xff"
+_SAME_PLACE_M = 1.0
 
-    def __init__(self, *, photo_s: float) -> None:
+
+class ModelCamera:
+    """Returns the same few bytes after `photo_s`: how large a photo is, the radio model knows.
+
+    At the places of `events` it shows one, which services that are modelled answer with something.
+    """
+
+    def __init__(self, *, photo_s: float, events: Sequence[Position] = ()) -> None:
         self._photo_s = photo_s
+        self._events = events
 
     async def take_photo(self, at: Position) -> Photo:
         """Waits, and returns the beginning of a JPEG."""
         await asyncio.sleep(self._photo_s)
-        return Photo(b"\xff\xd8\xff", asyncio.get_running_loop().time(), source="model")
+        shows_event = any(ground_distance_m(at, place) < _SAME_PLACE_M for place in self._events)
+        photo = _JPEG + EVENT if shows_event else _JPEG
+        return Photo(photo, asyncio.get_running_loop().time(), source="model")
 
 
 class RenderedCamera:

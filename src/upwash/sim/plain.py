@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from upwash.core.energy import WayHome
-from upwash.core.geo import Position
-from upwash.vehicle.kinematics import Phase, duration_s, leg, steadily
+from upwash.core.geo import Position, Velocity
+from upwash.vehicle.kinematics import Phase, braking, duration_s, leg, steadily
 
 _AT_ONCE = 1e9  # metres a second, and more of them each second
 
@@ -42,6 +42,10 @@ class Plain:
     def waypoint_leg(self, start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
         """From rest to rest, under one acceleration."""
         return leg(start, end, cruise_m_s=ground_speed_m_s, acceleration_m_s2=self.acceleration_m_s2)
+
+    def brake(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
+        """Straight ahead, under the same acceleration."""
+        return braking(start, velocity, acceleration_m_s2=self.acceleration_m_s2)
 
     def arrival_s(self, phases: tuple[Phase, ...]) -> float:
         """At rest."""

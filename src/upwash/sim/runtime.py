@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import functools
 import itertools
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Protocol
 
 import msgspec
-from msgspec import inspect as types
 
 from upwash.core.clients import Client
 from upwash.core.estimates import Operation
@@ -19,8 +17,9 @@ from upwash.core.instance_gate import InstanceGate
 from upwash.errors import InstanceError, Refused
 from upwash.ports import Answered, AnsweredCall, InstanceSpec, ignored
 from upwash.rpc.protocol import HEALTH_CHECK, SERVING, service_path
-from upwash.rpc.service import Method, ServiceSpec
+from upwash.rpc.service import ServiceSpec
 from upwash.sim.faults import Plugboard
+from upwash.sim.replies import reply_to
 
 _FIRST_PORT = 40_000
 _NEGLIGIBLE_S = 1e-9  # by which the loop runs its timers early
@@ -109,10 +108,7 @@ class ModelInstance:
         self.endpoint = endpoint
         self._spec = spec
         self._target = target
-        self._methods = {
-            service_path(spec.service, name): (method, empty_reply(method))
-            for name, method in service.methods.items()
-        }
+        self._methods = {service_path(spec.service, name): method for name, method in service.methods.items()}
         self._called = called
         self._answered = answered
         self._computer = computer
@@ -152,9 +148,9 @@ class ModelInstance:
     async def _answer(self, path: str, body: bytes, drone: Client) -> bytes:
         if path == HEALTH_CHECK:
             return SERVING
-        if path not in self._methods:
+        method = self._methods.get(path)
+        if method is None:
             raise Refused(f"no method {path} here")
-        method, reply = self._methods[path]
         self._gate.require(drone)
         whole_s = _now_s()
         with self._counted():
@@ -169,7 +165,7 @@ class ModelInstance:
                 answered_s = await self._compute(operation, drone, whole_s)
             await _until(answered_s)
         self._require_life()
-        return reply if self._target is None else method.perform(self._target, body)[1]
+        return reply_to(method, body) if self._target is None else method.perform(self._target, body)[1]
 
     async def _compute(self, operation: Operation, drone: Client, whole_s: float) -> float:
         """Returns the time at which the call has its answer, or its end."""
@@ -207,45 +203,3 @@ async def _until(time_s: float) -> None:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout_at(time_s):
                 await asyncio.get_running_loop().create_future()
-
-
-def empty_reply(method: Method) -> bytes:
-    """A reply that carries the emptiest value of the method's result type."""
-    return _empty_reply(method.reply.type)  # type: ignore[arg-type]  # mypy doubts that classes are hashable
-
-
-@functools.cache
-def _empty_reply(reply_type: Any) -> bytes:
-    reply = types.type_info(reply_type)
-    assert isinstance(reply, types.StructType)  # noqa: S101 - made by service.py
-    value = next(field.type for field in reply.fields if field.name == "value")
-    return msgspec.msgpack.encode({"value": _empty(value)})
-
-
-def _empty(found: types.Type) -> Any:
-    match found:
-        case types.NoneType():
-            return None
-        case types.ListType() | types.VarTupleType() | types.SetType() | types.FrozenSetType():
-            return []
-        case types.DictType():
-            return {}
-        case types.BoolType():
-            return False
-        case types.IntType() | types.FloatType():
-            return 0
-        case types.StrType():
-            return ""
-        case types.BytesType() | types.ByteArrayType() | types.MemoryViewType():
-            return b""
-        case types.UnionType(options):
-            return None if any(isinstance(each, types.NoneType) for each in options) else _empty(options[0])
-        case types.EnumType(cls):
-            return next(iter(cls)).value
-        case types.LiteralType(values):
-            return values[0]
-        case types.TupleType(items):
-            return [_empty(item) for item in items]
-        case types.StructType() | types.DataclassType() | types.TypedDictType() | types.NamedTupleType():
-            return {field.encode_name: _empty(field.type) for field in found.fields if field.required}
-    raise TypeError(f"no empty value of {found}")

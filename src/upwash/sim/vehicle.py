@@ -34,6 +34,9 @@ class Manner(Protocol):
     def waypoint_leg(self, start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
         """From rest to rest."""
 
+    def brake(self, start: Position, velocity: Velocity) -> tuple[Phase, ...]:
+        """From the velocity to rest."""
+
     def arrival_s(self, phases: tuple[Phase, ...]) -> float:
         """How long after its start the vehicle counts as arrived."""
 

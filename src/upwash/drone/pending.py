@@ -1,0 +1,186 @@
+"""A mission's calls: one at a time, waited for at once or later."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Coroutine
+from typing import Any, Generic, ParamSpec, TypeVar, cast
+
+from upwash.core.estimates import Operation
+from upwash.drone.mission import MissionThread
+from upwash.errors import UsageError
+from upwash.eventlog import schema
+from upwash.eventlog.schema import Event
+from upwash.ports import Journal
+from upwash.rpc.service import Method, request_of
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+Invoke = Callable[[Operation, Method, bytes], Coroutine[Any, Any, Any]]
+
+
+class Pending(Generic[T]):
+    """A call that was started: its answer comes while the mission goes on."""
+
+    def __init__(self, calls: Calls, call: asyncio.Task[Any], method: Method, waypoint: int | None) -> None:
+        self._calls = calls
+        self._call = call
+        self._method = method
+        self._waypoint = waypoint
+        self._is_taken = False
+
+    def done(self) -> bool:
+        """Whether the answer is there, or will never be; may be asked in any thread."""
+        return self._call.done()
+
+    def result(self) -> T:
+        """The answer, once it is there; raises what the call would have raised, had the mission waited for it."""
+        waited_s = self._calls.wait(self._call)
+        try:
+            return self._answer()
+        finally:
+            self._take(waited_s)
+
+    def cancel(self) -> None:
+        """Drops the answer. The computation goes on where it is, and the mission's next call waits for its end."""
+        self._calls.drop(self._call)
+
+    def demands(self, question: Callable[[T], object] = bool) -> Demand[T]:
+        """For `Vehicle.goto`: turn back if this answer makes the question true."""
+        return Demand(self, question)
+
+    def _wait(self) -> float:
+        """Waits until the answer is there, or will never be; returns for how long, in seconds."""
+        return self._calls.wait(self._call)
+
+    def _take(self, waited_s: float, *, demanded: bool = False) -> None:
+        """Logs, once, that the mission has the answer, or knows that there is none."""
+        if not self._is_taken:
+            self._is_taken = True
+            error = None if self._call.cancelled() else self._call.exception()
+            failed = "" if error is None else str(error) or type(error).__name__
+            self._calls.note(
+                schema.AnswerTaken(
+                    waypoint=self._waypoint, waited_s=waited_s, demanded=demanded, failed=failed
+                )
+            )
+
+    async def _answered(self) -> None:
+        """Returns once the answer is there, or will never be."""
+        await asyncio.wait((self._call,))
+
+    def _answer(self) -> T:
+        return cast(T, self._method.result(self._call.result()))
+
+
+class Demand(Generic[T]):
+    """A question to an answer that is still to come. A call that fails demands something: nobody knows its answer."""
+
+    def __init__(self, pending: Pending[T], question: Callable[[T], object]) -> None:
+        self.pending = pending
+        self._question = question
+
+    def holds(self) -> bool:
+        """Whether the answer, which is there, makes the question true."""
+        try:
+            return bool(self._question(self.pending._answer()))
+        except Exception:  # noqa: BLE001 - it is raised where the mission takes the answer
+            return True
+
+
+class Calls:
+    """Makes the mission's calls, for its thread; `waypoint` says where the drone is then, if it is at one."""
+
+    def __init__(
+        self, thread: MissionThread, invoke: Invoke, journal: Journal, *, waypoint: Callable[[], int | None]
+    ) -> None:
+        self._thread = thread
+        self._invoke = invoke
+        self._journal = journal
+        self._waypoint = waypoint
+        self._under_way: asyncio.Task[Any] | None = None
+        self._dropped: asyncio.Task[Any] | None = None
+
+    def call(self, operation: Operation, method: Method, request: bytes) -> Any:
+        """Makes a call and waits for its decoded reply; UsageError while another call is pending."""
+        self._require_free(operation)
+        after, self._dropped = self._dropped, None
+        return self._thread.call(self._run(operation, method, request, after))
+
+    def start(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
+        """Makes a call of a service's method with these arguments, and does not wait.
+
+        UsageError while another call is pending, and for what is no method of `Drone.service`.
+        """
+        operation, method, request = request_of(call, args, kwargs)
+        self._require_free(operation)
+        waypoint = self._waypoint()
+        begun = self._thread.call(self._begin(operation, method, request, waypoint))
+        self._under_way, self._dropped = begun, None
+        return Pending(self, begun, method, waypoint)
+
+    def wait(self, call: asyncio.Task[Any]) -> float:
+        """Waits until the call is over; returns for how long, in seconds."""
+        return self._thread.call(_until_over(call))
+
+    def drop(self, call: asyncio.Task[Any]) -> None:
+        """Nobody wants the answer any more."""
+        if self._under_way is call:
+            self._under_way, self._dropped = None, call
+
+    def on_loop(self, do: Callable[[], T]) -> T:
+        """Does that on the loop's thread."""
+
+        async def verb() -> T:
+            return do()
+
+        return self._thread.call(verb())
+
+    def note(self, event: Event) -> None:
+        """Logs what the mission has done."""
+        self.on_loop(lambda: self._journal.record(event))
+
+    async def close(self) -> None:
+        """Ends what is still under way; for the loop, once no mission makes calls any more."""
+        for call in (self._under_way, self._dropped):
+            if call is not None:
+                call.cancel()
+                with contextlib.suppress(Exception, asyncio.CancelledError):
+                    await call
+
+    def _require_free(self, operation: Operation) -> None:
+        if self._under_way is not None and not self._under_way.done():
+            raise UsageError(
+                f"{operation} cannot be called yet: another call is pending, and a drone makes one at a time; take "
+                "its answer first, with its result(), or drop it with cancel()"
+            )
+
+    async def _begin(
+        self, operation: Operation, method: Method, request: bytes, waypoint: int | None
+    ) -> asyncio.Task[Any]:
+        self._journal.record(schema.CallStarted(operation=str(operation), waypoint=waypoint))
+        call = asyncio.create_task(self._run(operation, method, request, self._dropped))
+        call.add_done_callback(_take_note)
+        return call
+
+    async def _run(
+        self, operation: Operation, method: Method, request: bytes, after: asyncio.Task[Any] | None
+    ) -> Any:
+        if after is not None and not after.done():
+            await asyncio.wait((after,))
+        return await self._invoke(operation, method, request)
+
+
+async def _until_over(call: asyncio.Task[Any]) -> float:
+    begun_s = asyncio.get_running_loop().time()
+    if not call.done():
+        await asyncio.wait((call,))
+    return asyncio.get_running_loop().time() - begun_s
+
+
+def _take_note(call: asyncio.Task[Any]) -> None:
+    """Has asyncio not complain of a failure that no mission asks for."""
+    if not call.cancelled():
+        call.exception()
