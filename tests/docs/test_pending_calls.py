@@ -14,7 +14,7 @@ PAGE = (ROOT / "docs/pending-calls.md").read_text()
 ROWS = re.findall(
     r"^\| ([\d.]+) s \| (every tenth|none) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", PAGE, re.MULTILINE
 )
-# What a model of the question came to that shares no code with this one; it takes the next photo again after a turn back.
+# By a model of the question that shares no code with this one, and takes the next photo again after a turn back.
 MODELLED_S = {
     ("10", "every tenth"): (2497.0, 1525.0, 1525.0),
     ("10", "none"): (2437.0, 1237.0, None),
