@@ -14,10 +14,10 @@ from upwash.core.events import Arrived, Event, LegBegun, TargetUnknown
 from upwash.core.geo import Position, Waypoint
 from upwash.core.geofence import breached_by_leg, breached_by_position
 from upwash.drone.mission import MissionThread
-from upwash.drone.open_answer import Errands, OpenAnswer
+from upwash.drone.open_answer import Errand, Errands, OpenAnswer
 from upwash.drone.pending import Calls, Demand, Pending
 from upwash.drone.site import Site
-from upwash.errors import AutopilotRefused, UsageError
+from upwash.errors import AutopilotError, AutopilotRefused, UsageError
 from upwash.eventlog import schema
 from upwash.plans import Ending
 from upwash.ports import Autopilot, Camera, Journal, Notifier, VehicleLimits
@@ -56,6 +56,7 @@ class Vehicle:
         self._stands_at: Position | None = None  # where exactly it was sent, which is not quite where it is
         self._place: Waypoint | Position | None = None  # where it was last sent to
         self._open: OpenAnswer[Any] | None = None
+        self._leg: asyncio.Task[None] | None = None  # that is flown while the mission looks at an answer
 
     @property
     def position(self) -> Position:
@@ -182,14 +183,15 @@ class Vehicle:
         if unless is None:
             self._thread.call(verb)
             return True
-        leg = self._thread.call(_until_answered(verb, unless))
-        if leg is None:
+        if self._thread.call(self._until_answered(verb, unless)):
             return True
-        if unless.holds():
-            self._thread.call(self._break_off(leg))
-            return False
-        self._thread.call(_rest_of(leg))
-        return True
+        try:
+            goes_on = not unless.holds()
+        except BaseException:
+            self._thread.call(self._break_off())
+            raise
+        self._thread.call(self._rest_of_leg() if goes_on else self._break_off())
+        return goes_on
 
     @contextlib.contextmanager
     def _settling(self, answer: OpenAnswer[Any]) -> Iterator[OpenAnswer[Any]]:
@@ -241,11 +243,35 @@ class Vehicle:
             schema.Arrived(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m)
         )
 
-    async def _break_off(self, leg: asyncio.Task[None]) -> None:
-        leg.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
+    async def _until_answered(self, verb: Coroutine[Any, Any, None], demand: Demand[Any]) -> bool:
+        """Begins to fly; returns whether it has arrived, or else, flying on, once the answer is there."""
+        leg = self._leg = asyncio.create_task(verb)
+        answered = asyncio.create_task(demand.pending._answered())
+        try:
+            await asyncio.wait((leg, answered), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            answered.cancel()
+        if not leg.done():
+            return False
+        await self._rest_of_leg()
+        return True
+
+    async def _rest_of_leg(self) -> None:
+        leg, self._leg = self._leg, None
+        if leg is not None:
             await leg
+
+    async def _break_off(self) -> None:
+        await self._end_leg()
         await self._autopilot.hold()
+
+    async def _end_leg(self) -> None:
+        """Commands nothing more of a leg that is under way without a verb of the mission."""
+        leg, self._leg = self._leg, None
+        if leg is not None:
+            leg.cancel()
+            with contextlib.suppress(asyncio.CancelledError, AutopilotError):
+                await leg
 
     async def _arm(self) -> None:
         await self._autopilot.ready()
@@ -414,41 +440,26 @@ class Drone:
         return self._calls.start(call, *args, **kwargs)
 
     def stay_or_go(
-        self, pending: Pending[T], act: Callable[[T], object], *, demands: Callable[[T], object] = bool
+        self,
+        pending: Pending[T],
+        act: Callable[[T], object],
+        *,
+        demands: Callable[[T], object] = bool,
+        failed: Callable[[Exception], object] | None = None,
     ) -> None:
         """Has `act(answer)` called at this waypoint if the answer demands it: `demands(answer)` is true.
 
         As `stay_or_go` of the configuration says, the drone waits here for the answer, or the mission goes on at
         once. It may then go on to the next waypoint; an answer that demands something has the drone come back, act,
-        and fly to where it was going. The next call, and the way down, wait for the answer. What the call raises is
-        raised by the verb that waits, at this waypoint.
+        and fly to where it was going. The next call, and the way down, wait for the answer. `demands` is called once,
+        wherever the drone is. An exception of the call goes to `failed`, at this waypoint; without that the verb that
+        waits raises it there.
         """
-        self._errands.run(pending, demands, act)
+        self._errands.run(Errand(pending, act, demands, failed, self.autopilot.place))
 
     def _call(self, operation: Operation, method: Method, request: bytes) -> Any:
         self.autopilot._settle()
         return self._calls.call(operation, method, request)
-
-
-async def _until_answered(verb: Coroutine[Any, Any, None], demand: Demand[Any]) -> asyncio.Task[None] | None:
-    """Begins to fly; returns the leg, which goes on, once the answer is there, or None after the arrival."""
-    leg = asyncio.create_task(verb)
-    answered = asyncio.create_task(demand.pending._answered())
-    try:
-        await asyncio.wait((leg, answered), return_when=asyncio.FIRST_COMPLETED)
-    except BaseException:
-        leg.cancel()
-        raise
-    finally:
-        answered.cancel()
-    if not leg.done():
-        return leg
-    leg.result()
-    return None
-
-
-async def _rest_of(leg: asyncio.Task[None]) -> None:
-    await leg
 
 
 def rounded(position: Position) -> Position:

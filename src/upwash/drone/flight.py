@@ -265,6 +265,7 @@ class Flight:
             raise mission_failed(error) from error
         finally:
             watch.cancel()
+            await self._vehicle._end_leg()
             await self._calls.close()
         self._require_control()
         if self._stopped:  # though the mission made nothing of it

@@ -16,7 +16,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
-from upwash.errors import MissionFailed, MissionStopped, UsageError
+from upwash.errors import MissionFailed, MissionStopped, UpwashError, UsageError
 
 T = TypeVar("T")
 
@@ -56,18 +56,22 @@ class MissionThread:
         Raises UsageError at once in a thread that is not the mission's, and MissionStopped, now and ever after, once
         the mission is being ended from outside.
         """
-        if threading.current_thread() is not self._thread:
+        try:
+            self._require_turn()
+        except UpwashError:
             verb.close()
-            raise UsageError(_OTHER_THREAD)
-        if self._stopped:
-            verb.close()
-            raise MissionStopped(self._stopped)
+            raise
         self._loop.call_soon_threadsafe(self._begin, verb)
         self._turn_over.set()
         ended = self._ended_verbs.get()
         if ended.cancelled():
             raise MissionStopped(self._stopped or "the program is ending")
         return cast(T, ended.result())
+
+    def post(self, do: Callable[[], object]) -> None:
+        """Has the loop do something before the mission's next verb, and does not wait for it."""
+        self._require_turn()
+        self._loop.call_soon_threadsafe(do)
 
     async def run(self, program: Callable[[], None]) -> None:
         """Runs the program to its end, but not for long once it is stopped; raises what it raises."""
@@ -105,6 +109,12 @@ class MissionThread:
         self._loop.call_later(self._grace_s, self._settle, MissionStopped(self._stopped))
         if self._verb is not None:
             self._verb.cancel()
+
+    def _require_turn(self) -> None:
+        if threading.current_thread() is not self._thread:
+            raise UsageError(_OTHER_THREAD)
+        if self._stopped:
+            raise MissionStopped(self._stopped)
 
     def _settle(self, failure: Exception | None) -> None:
         if not self._ended.done():

@@ -42,11 +42,15 @@ class Wings(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Errand(Generic[T]):
-    """What is to be done about an answer: `act`, at the place, where it makes the question true."""
+    """What is to be done about an answer: `act`, at the place, where it makes `demands` true.
+
+    An exception of the call goes to `failed` there, or to the mission where there is none.
+    """
 
     pending: Pending[T]
-    demands: Callable[[T], object]
     act: Callable[[T], object]
+    demands: Callable[[T], object]
+    failed: Callable[[Exception], object] | None
     place: Place | None
 
     @property
@@ -104,10 +108,17 @@ class OpenAnswer(Generic[T]):
         demanded = self._demand.holds()
         self._rule.answered(demanded=demanded)
         errand.pending._take(waited_s, demanded=demanded)
-        answer = errand.pending.result()
-        if errand.demands(answer):
+        if not demanded:
+            return
+        try:
+            answer = errand.pending._answer()
+        except Exception as error:
+            if errand.failed is None:
+                raise
+            errand.failed(error)
+        else:
             errand.act(answer)
-            self._calls.note(schema.Acted(waypoint=errand.waypoint))
+        self._calls.note(schema.Acted(waypoint=errand.waypoint))
 
 
 class Errands:
@@ -121,9 +132,8 @@ class Errands:
         self._rule = rule
         self._outlook = outlook
 
-    def run(self, pending: Pending[T], demands: Callable[[T], object], act: Callable[[T], object]) -> None:
+    def run(self, errand: Errand[Any]) -> None:
         """Waits for the answer and does what it demands, or leaves that open and returns."""
-        errand = Errand(pending, demands, act, self._wings.place)
         answer = OpenAnswer(errand, self._wings, self._calls, self._rule)
         if self._goes(errand):
             self._wings._leave_open(answer)

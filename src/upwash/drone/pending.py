@@ -21,10 +21,42 @@ T = TypeVar("T")
 Invoke = Callable[[Operation, Method, bytes], Coroutine[Any, Any, Any]]
 
 
+class Started:
+    """A call that the mission has begun: the loop makes a task of it, before the mission's next verb."""
+
+    def __init__(self) -> None:
+        self.task: asyncio.Task[Any] | None = None
+
+    @property
+    def is_over(self) -> bool:
+        """Whether its reply is there, or will never be."""
+        return self.task is not None and self.task.done()
+
+    async def over(self) -> float:
+        """Returns once it is over, after how many seconds; for the loop."""
+        begun_s = asyncio.get_running_loop().time()
+        if self.task is not None and not self.task.done():
+            await asyncio.wait((self.task,))
+        return asyncio.get_running_loop().time() - begun_s
+
+    @property
+    def reply(self) -> Any:
+        """Its decoded reply; raises InstanceError where the drone's own service failed too."""
+        assert self.task is not None  # noqa: S101 - it is over
+        return self.task.result()
+
+    @property
+    def failure(self) -> str:
+        """Why it has no reply; "" where it has one."""
+        assert self.task is not None  # noqa: S101 - it is over
+        error = None if self.task.cancelled() else self.task.exception()
+        return "" if error is None else str(error) or type(error).__name__
+
+
 class Pending(Generic[T]):
     """A call that was started: its answer comes while the mission goes on."""
 
-    def __init__(self, calls: Calls, call: asyncio.Task[Any], method: Method, waypoint: int | None) -> None:
+    def __init__(self, calls: Calls, call: Started, method: Method, waypoint: int | None) -> None:
         self._calls = calls
         self._call = call
         self._method = method
@@ -33,7 +65,7 @@ class Pending(Generic[T]):
 
     def done(self) -> bool:
         """Whether the answer is there, or will never be; may be asked in any thread."""
-        return self._call.done()
+        return self._call.is_over
 
     def result(self) -> T:
         """The answer, once it is there; raises what the call would have raised, had the mission waited for it."""
@@ -59,20 +91,21 @@ class Pending(Generic[T]):
         """Logs, once, that the mission has the answer, or knows that there is none."""
         if not self._is_taken:
             self._is_taken = True
-            error = None if self._call.cancelled() else self._call.exception()
-            failed = "" if error is None else str(error) or type(error).__name__
             self._calls.note(
                 schema.AnswerTaken(
-                    waypoint=self._waypoint, waited_s=waited_s, demanded=demanded, failed=failed
+                    waypoint=self._waypoint,
+                    waited_s=waited_s,
+                    demanded=demanded,
+                    failed=self._call.failure,
                 )
             )
 
     async def _answered(self) -> None:
         """Returns once the answer is there, or will never be."""
-        await asyncio.wait((self._call,))
+        await self._call.over()
 
     def _answer(self) -> T:
-        return cast(T, self._method.result(self._call.result()))
+        return cast(T, self._method.result(self._call.reply))
 
 
 class Demand(Generic[T]):
@@ -81,13 +114,21 @@ class Demand(Generic[T]):
     def __init__(self, pending: Pending[T], question: Callable[[T], object]) -> None:
         self.pending = pending
         self._question = question
+        self._holds: bool | None = None  # once it was asked
 
     def holds(self) -> bool:
-        """Whether the answer, which is there, makes the question true."""
-        try:
-            return bool(self._question(self.pending._answer()))
-        except Exception:  # noqa: BLE001 - it is raised where the mission takes the answer
-            return True
+        """Whether the answer, which is there, makes the question true; the question is asked once."""
+        if self._holds is None:
+            try:
+                answer = self.pending._answer()
+            except Exception:  # noqa: BLE001 - it is raised where the mission takes the answer
+                self._holds = True
+            else:
+                self._holds = bool(self._question(answer))
+        return self._holds
+
+
+_NONE = Started()  # no call at all
 
 
 class Calls:
@@ -100,13 +141,12 @@ class Calls:
         self._invoke = invoke
         self._journal = journal
         self._waypoint = waypoint
-        self._under_way: asyncio.Task[Any] | None = None
-        self._dropped: asyncio.Task[Any] | None = None
+        self._under_way = self._dropped = _NONE
 
     def call(self, operation: Operation, method: Method, request: bytes) -> Any:
         """Makes a call and waits for its decoded reply; UsageError while another call is pending."""
         self._require_free(operation)
-        after, self._dropped = self._dropped, None
+        after, self._dropped = self._dropped, _NONE
         return self._thread.call(self._run(operation, method, request, after))
 
     def start(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> Pending[T]:
@@ -116,19 +156,27 @@ class Calls:
         """
         operation, method, request = request_of(call, args, kwargs)
         self._require_free(operation)
-        waypoint = self._waypoint()
-        begun = self._thread.call(self._begin(operation, method, request, waypoint))
-        self._under_way, self._dropped = begun, None
-        return Pending(self, begun, method, waypoint)
+        started, after, waypoint = Started(), self._dropped, self._waypoint()
 
-    def wait(self, call: asyncio.Task[Any]) -> float:
+        def begin() -> None:
+            self._journal.record(schema.CallStarted(operation=str(operation), waypoint=waypoint))
+            started.task = asyncio.get_running_loop().create_task(
+                self._run(operation, method, request, after)
+            )
+            started.task.add_done_callback(_take_note)
+
+        self._under_way, self._dropped = started, _NONE
+        self._thread.post(begin)
+        return Pending(self, started, method, waypoint)
+
+    def wait(self, call: Started) -> float:
         """Waits until the call is over; returns for how long, in seconds."""
-        return self._thread.call(_until_over(call))
+        return self._thread.call(call.over())
 
-    def drop(self, call: asyncio.Task[Any]) -> None:
+    def drop(self, call: Started) -> None:
         """Nobody wants the answer any more."""
         if self._under_way is call:
-            self._under_way, self._dropped = None, call
+            self._under_way, self._dropped = _NONE, call
 
     def on_loop(self, do: Callable[[], T]) -> T:
         """Does that on the loop's thread."""
@@ -140,44 +188,26 @@ class Calls:
 
     def note(self, event: Event) -> None:
         """Logs what the mission has done."""
-        self.on_loop(lambda: self._journal.record(event))
+        self._thread.post(lambda: self._journal.record(event))
 
     async def close(self) -> None:
         """Ends what is still under way; for the loop, once no mission makes calls any more."""
         for call in (self._under_way, self._dropped):
-            if call is not None:
-                call.cancel()
+            if call.task is not None:
+                call.task.cancel()
                 with contextlib.suppress(Exception, asyncio.CancelledError):
-                    await call
+                    await call.task
 
     def _require_free(self, operation: Operation) -> None:
-        if self._under_way is not None and not self._under_way.done():
+        if self._under_way is not _NONE and not self._under_way.is_over:
             raise UsageError(
                 f"{operation} cannot be called yet: another call is pending, and a drone makes one at a time; take "
                 "its answer first, with its result(), or drop it with cancel()"
             )
 
-    async def _begin(
-        self, operation: Operation, method: Method, request: bytes, waypoint: int | None
-    ) -> asyncio.Task[Any]:
-        self._journal.record(schema.CallStarted(operation=str(operation), waypoint=waypoint))
-        call = asyncio.create_task(self._run(operation, method, request, self._dropped))
-        call.add_done_callback(_take_note)
-        return call
-
-    async def _run(
-        self, operation: Operation, method: Method, request: bytes, after: asyncio.Task[Any] | None
-    ) -> Any:
-        if after is not None and not after.done():
-            await asyncio.wait((after,))
+    async def _run(self, operation: Operation, method: Method, request: bytes, after: Started) -> Any:
+        await after.over()
         return await self._invoke(operation, method, request)
-
-
-async def _until_over(call: asyncio.Task[Any]) -> float:
-    begun_s = asyncio.get_running_loop().time()
-    if not call.done():
-        await asyncio.wait((call,))
-    return asyncio.get_running_loop().time() - begun_s
 
 
 def _take_note(call: asyncio.Task[Any]) -> None:
