@@ -11,6 +11,7 @@ from upwash.config.values import (
     Bytes,
     Count,
     FilePath,
+    FlightOrder,
     Fraction,
     GridCount,
     ImportPath,
@@ -77,6 +78,7 @@ class GridConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is flown: a program (bundled, or `/a/file.py:function`) over a grid, a list of waypoints or a plan.
 
+    They are flown in the given `order`, in that of one of their sweeps, or in the one that is best by forecast.
     The drone ends the mission early below `reserve_percent` of its battery, and where the way home would leave less
     than `reserve_s` seconds of flight.
     """
@@ -89,6 +91,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     grid: GridConfig | None = None
     waypoints_m: PlacesInMetres | None = None
     plan: PlanPath | None = None
+    order: FlightOrder = "given"
     reserve_percent: Percent | None = None
     reserve_s: NotNegative | None = None
 

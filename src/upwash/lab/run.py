@@ -20,9 +20,8 @@ from upwash.config import (
     presences,
     server_areas,
     server_truth,
-    waypoints,
+    stands,
 )
-from upwash.core.geo import Position
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import Cell, PositionNetwork
 from upwash.errors import MissionFailed, UpwashError, UsageError
@@ -372,7 +371,7 @@ def _autopilot(
 ) -> ModelAutopilot:
     vehicle = config.vehicle
     return ModelAutopilot(
-        Position(0.0, 0.0) if config.mission.plan else waypoints(config.mission)[0].position,
+        stands(config.mission),
         ground_speed_m_s=config.mission.ground_speed_m_s,
         manner=_manner(vehicle),
         stretch=lambda: chance.factor("leg", config.noise.leg),
