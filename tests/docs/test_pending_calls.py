@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import pytest
 from tests.docs.test_docs import ROOT
@@ -25,13 +26,14 @@ MODELLED_S = {
 
 def flown_s(delay_s: str, events: str, manner: str) -> float:
     """How long the survey takes on the drone alone."""
+    tables: dict[str, Any] = {"event": {"every": 10, "offset": 5}} if events == "every tenth" else {}
     config = scenario(
         columns=11,
         rows=11,
         mission={"action_s": 5.0},
         policy={"name": "local-only", "stay_or_go": manner},
         service=[{"name": "detector", "local_call_s": {"light": 3.0, "heavy": float(delay_s)}}],
-        **({"event": {"every": 10, "offset": 5}} if events == "every tenth" else {}),
+        **tables,
     )
     run = simulate(config)
     assert run.result.completed

@@ -17,7 +17,7 @@ from upwash.config.drone_file import drone_config
 from upwash.core.geo import Position
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import NoNetwork
-from upwash.drone.resumption import waypoints_done
+from upwash.drone.resumption import order_begun, waypoints_done
 from upwash.errors import AutopilotOverruled, AutopilotRefused, InstanceError, MissionFailed, UsageError
 from upwash.eventlog.results import RunResult, read_result
 from upwash.eventlog.schema import Event
@@ -109,6 +109,7 @@ def fly(
             programs={"detector": load_services(config.services)["detector"].program},
             ports=ports,
             done=waypoints_done(earlier, config) if after else None,
+            order=order_begun(earlier, config) if after else None,
         )
         life = asyncio.create_task(flight.run())
         await asyncio.wait([life], timeout=killed_at_s)
@@ -254,3 +255,11 @@ def test_services_that_do_not_start_end_a_flight_that_was_taken_up_safely() -> N
     assert isinstance(both.error, InstanceError)
     assert both.names()[-3:] == ["safe_end", "landed", "mission_ended"]
     assert both.position is not None and both.position.altitude_m == 0.0
+
+
+def test_what_is_left_is_flown_in_the_order_that_was_begun() -> None:
+    first = fly(scenario(order=1), killed_at_s=65.0)
+    assert places(first) == [3, 2]
+    second = fly(scenario(), after=first)
+    assert second.error is None
+    assert places(second) == [3, 2, 1, 0]

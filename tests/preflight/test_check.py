@@ -130,6 +130,14 @@ def test_a_mission_that_fails_by_itself_is_said_to(file: Path, program: str, sai
         checked(file)
 
 
+def test_the_order_of_the_waypoints_is_said_and_why(file: Path) -> None:
+    assert checked(file)[0].order == ""
+    file.write_text(SCENARIO.replace("[mission]", '[mission]\norder = "best-sweep"'))
+    assert checked(file)[0].order == "as given: by forecast no sweep is quicker"
+    file.write_text(SCENARIO.replace("[mission]", "[mission]\norder = 1"))
+    assert checked(file)[0].order.startswith("sweep 1, by rows from the ")
+
+
 # --- where more servers would help --------------------------------------------------------------------------
 
 
@@ -196,7 +204,7 @@ def test_json_is_one_object_and_the_figure_is_drawn(file: Path, capsys: pytest.C
     assert main(["check", str(file), "--json", "--workers", "1", "--figures", str(figures)]) == 0
     found = json.loads(capsys.readouterr().out)
     assert list(found) == [
-        "config", "waypoints", "uncovered", "servers", "predictions", "usable_s", "usable_wh", "farthest",
+        "config", "waypoints", "order", "uncovered", "servers", "predictions", "usable_s", "usable_wh", "farthest",
         "warnings", "places",
     ]  # fmt: skip
     assert [each["case"] for each in found["predictions"]] == [LOCAL_ONLY, AS_CONFIGURED, without("s1")]

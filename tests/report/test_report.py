@@ -356,3 +356,13 @@ def test_half_a_last_line_is_left_out(tmp_path: Path, logs: tuple[Path, Path]) -
     torn.write_bytes(logs[0].read_bytes() + msgspec.json.encode(STARTED)[:20])
     (record,) = read_records([torn])
     assert record.result.completed
+
+
+def test_the_plan_is_drawn_in_the_order_of_the_flight() -> None:
+    places = [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0)]
+    as_given = schema.Planned(waypoints_m=places)
+    assert as_given.way_m == places
+    swept = msgspec.structs.replace(as_given, order=[2, 0, 1])
+    assert swept.way_m == [places[2], places[0], places[1]]
+    for foreign in ([2, 7, 1], [2, 1], [0, 0, 0]):
+        assert msgspec.structs.replace(as_given, order=foreign).way_m == places

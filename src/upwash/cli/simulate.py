@@ -93,6 +93,6 @@ def _draw(simulation: Simulation, scenario: Path, folder: Path) -> None:
     from upwash.lab.reproduction.figures import draw_call_delays, draw_map
     from upwash.lab.simulation import read_scenario
 
-    draw_map(read_scenario(scenario), folder / "map.png")
+    draw_map(read_scenario(scenario, policy=simulation.policy), folder / "map.png")
     reference = simulate(scenario, policy="local-only", seed=simulation.seed)
     draw_call_delays(simulation.events, reference=reference.events, file=folder / "call_delay.png")

@@ -38,7 +38,16 @@ from upwash.config.drone import (
 from upwash.config.drone_file import drone_config, read_drone_config
 from upwash.config.fleet import Presence, fleet_of, presences
 from upwash.config.fleet_checks import refuse_several
-from upwash.config.places import ending, geofence, server_areas, server_position, waypoints
+from upwash.config.places import (
+    ending,
+    geofence,
+    movable_waypoints,
+    server_areas,
+    server_position,
+    stands,
+    sweeps_of,
+    waypoints,
+)
 from upwash.config.problems import Document
 from upwash.config.reading import convert, impossible_values, read_document
 from upwash.config.runtime import RuntimeConfig
@@ -87,6 +96,7 @@ __all__ = [
     "impossible_values",
     "is_address",
     "is_on_this_machine",
+    "movable_waypoints",
     "presences",
     "read_daemon_config",
     "read_document",
@@ -95,6 +105,8 @@ __all__ = [
     "server_areas",
     "server_position",
     "server_truth",
+    "stands",
+    "sweeps_of",
     "unsigned_port",
     "waypoints",
 ]

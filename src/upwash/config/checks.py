@@ -19,12 +19,12 @@ from upwash.config.drone import (
     ServiceConfig,
     TruthConfig,
 )
-from upwash.config.places import geofence, planned_home, waypoints
+from upwash.config.places import geofence, planned_home, sweeps_of, waypoints
 from upwash.config.problems import Problem, listed, metrics_problems, unknown
 from upwash.config.truth import server_truth
 from upwash.config.values import is_address, repeated
 from upwash.core.geo import Position, ground_distance_m
-from upwash.core.geofence import breached_by_leg, breached_by_position
+from upwash.core.geofence import breached_by_leg, breached_by_position, breached_by_way
 from upwash.core.places import ON_DRONE
 from upwash.plans import Plan
 
@@ -158,6 +158,29 @@ def plan_problems(mission: MissionConfig, plan: Plan) -> Iterator[Problem]:
         if (fence := breached_by_leg(fences, start, end)) is not None:
             verb = "leaves" if fence.inclusion else "crosses"
             yield item, f"the straight way from {before} to {name} {verb} {fence.name} of the geofence"
+
+
+def order_problems(config: DroneConfig) -> Iterator[Problem]:
+    """Whether one drone's waypoints can be flown in the order that is asked for, as far as the file says."""
+    mission = config.mission
+    if mission.order in ("given", "by-index"):  # which is given too, of a drone that is none of several
+        return
+    sweeps = sweeps_of(mission)
+    if not sweeps:
+        yield (
+            "mission.order",
+            f"the waypoints of {config.name} form no full grid of rows and columns, so there is nothing to sweep: "
+            'leave it out, or set "given"',
+        )
+    elif isinstance(mission.order, int):
+        sweep = sweeps[mission.order]
+        places = [_HOME, *(each.position for each in sweep.waypoints)]
+        if (fence := breached_by_way(geofence(mission), places)) is not None:
+            yield (
+                "mission.order",
+                f"{sweep}, does not keep {config.name} to {fence.name} of the geofence: "
+                'choose another number, or "best-sweep", which leaves out such sweeps',
+            )
 
 
 def _server_problems(server: ServerConfig, config: DroneConfig) -> Iterator[Problem]:

@@ -12,6 +12,7 @@ from upwash.config.values import (
     Count,
     CountFromZero,
     FilePath,
+    FlightOrder,
     Fraction,
     GridCount,
     ImportPath,
@@ -79,6 +80,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """What is flown: a program (bundled, or `/a/file.py:function`) over a grid, a list of waypoints or a plan.
 
     What an answer demands at its waypoint takes the bundled program `action_s`.
+    They are flown in the given `order`, in that of one of their sweeps, or in the one that is best by forecast.
     The drone ends the mission early below `reserve_percent` of its battery, and where the way home would leave less
     than `reserve_s` seconds of flight.
     """
@@ -92,6 +94,7 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     waypoints_m: PlacesInMetres | None = None
     plan: PlanPath | None = None
     action_s: NotNegative = 0.0
+    order: FlightOrder = "given"
     reserve_percent: Percent | None = None
     reserve_s: NotNegative | None = None
 

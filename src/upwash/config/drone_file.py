@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from upwash.config.checks import plan_problems, problems
+from upwash.config.checks import order_problems, plan_problems, problems
 from upwash.config.drone import DroneConfig
 from upwash.config.fleet import fleet_of
 from upwash.config.fleet_checks import fleet_problems
@@ -41,4 +41,5 @@ def drone_config(document: Document, file: Path) -> DroneConfig:
     for each in fleet_of(config):
         if each.mission.plan is not None:
             refuse_first(each.mission.plan.file, plan_problems(each.mission, each.mission.plan.plan))
+        refuse_first(file, order_problems(each))
     return config

@@ -10,6 +10,7 @@ from msgspec import Struct
 
 from upwash.config.drone import DroneConfig, FleetDroneConfig, MissionConfig, PolicyConfig, ServiceConfig
 from upwash.config.places import as_planned
+from upwash.core.sweeps import SWEEPS
 
 _SEED_BYTES = 6  # of a seed that is derived: it fits every integer
 
@@ -28,7 +29,7 @@ def fleet_of(config: DroneConfig) -> tuple[DroneConfig, ...]:
     """
     if not config.drones:
         return (config,)
-    return tuple(_one(config, drone, first=number == 0) for number, drone in enumerate(config.drones))
+    return tuple(_one(config, drone, number) for number, drone in enumerate(config.drones))
 
 
 def presences(config: DroneConfig) -> tuple[Presence, ...]:
@@ -36,12 +37,12 @@ def presences(config: DroneConfig) -> tuple[Presence, ...]:
     return tuple(Presence(drone.departs_s, drone.vanishes_s) for drone in config.drones) or (Presence(),)
 
 
-def _one(config: DroneConfig, drone: FleetDroneConfig, *, first: bool) -> DroneConfig:
+def _one(config: DroneConfig, drone: FleetDroneConfig, number: int) -> DroneConfig:
     return msgspec.structs.replace(
         config,
         name=drone.name,
-        seed=config.seed if first else _seed(config.seed, drone.name),
-        mission=_mission(config.mission, drone),
+        seed=config.seed if number == 0 else _seed(config.seed, drone.name),
+        mission=_mission(_ordered(config.mission, number), drone),
         policy=_policy(config.policy, drone),
         services=tuple(_service(service, drone.local_call_s) for service in config.services),
         drones=(),
@@ -52,6 +53,11 @@ def _seed(seed: int, name: str) -> int:
     """Differs from drone to drone, and does not hang on how many others there are."""
     digest = hashlib.sha256(f"{seed}/{name}".encode()).digest()
     return int.from_bytes(digest[:_SEED_BYTES])
+
+
+def _ordered(mission: MissionConfig, number: int) -> MissionConfig:
+    """With the drone's own sweep where the file has them by index."""
+    return msgspec.structs.replace(mission, order=number % SWEEPS) if mission.order == "by-index" else mission
 
 
 def _mission(mission: MissionConfig, drone: FleetDroneConfig) -> MissionConfig:

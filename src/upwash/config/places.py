@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Container
+from dataclasses import replace
 
 import msgspec
 
 from upwash.config.drone import DroneConfig, GridConfig, HomeConfig, MissionConfig, ServerConfig
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.geofence import Fence
+from upwash.core.sweeps import Sweep, sweeps
 from upwash.plans import Ending, Plan
 
 
 def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
-    """The mission's waypoints in the order in which they are flown."""
+    """The mission's waypoints in the order in which they are given, which is that of their indices."""
     if mission.plan is not None:
         return _planned_waypoints(mission.plan.plan, _frame(mission.home))
     places = _grid_places(mission.grid) if mission.grid else mission.waypoints_m or ()
@@ -21,6 +23,29 @@ def waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
         Waypoint(index, Position(east_m, north_m, mission.altitude_m))
         for index, (east_m, north_m) in enumerate(places)
     )
+
+
+def stands(mission: MissionConfig) -> Position:
+    """Where the vehicle is expected to stand: at home, or at the first waypoint where that is no plan's."""
+    return Position(0.0, 0.0) if mission.plan is not None else waypoints(mission)[0].position
+
+
+def movable_waypoints(mission: MissionConfig) -> tuple[Waypoint, ...]:
+    """The mission's waypoints, to be flown in any order.
+
+    Where a plan sets speeds each has its own: what a plan sets once else holds until it sets another.
+    """
+    given = waypoints(mission)
+    if all(each.ground_speed_m_s is None for each in given):
+        return given
+    return tuple(
+        replace(each, ground_speed_m_s=each.ground_speed_m_s or mission.ground_speed_m_s) for each in given
+    )
+
+
+def sweeps_of(mission: MissionConfig) -> tuple[Sweep, ...]:
+    """The sweeps of the mission's waypoints; none where they form no grid."""
+    return sweeps(movable_waypoints(mission))
 
 
 def geofence(mission: MissionConfig) -> tuple[Fence, ...]:

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from upwash.core.sweeps import SWEEPS
 from upwash.plans import Plan, read_plan
 
 Name = Annotated[
@@ -82,6 +83,10 @@ Count = Annotated[int, Meta(ge=1, description="an integer of at least 1")]
 CountFromZero = Annotated[int, Meta(ge=0, description="an integer of at least 0")]
 Slots = Annotated[
     Annotated[int, Meta(ge=1)] | Literal["auto"], Meta(description='an integer of at least 1, or "auto"')
+]
+FlightOrder = Annotated[
+    Annotated[int, Meta(ge=0, lt=SWEEPS)] | Literal["given", "best-sweep", "by-index"],
+    Meta(description=f'"given", "best-sweep", "by-index", or a number of a sweep from 0 to {SWEEPS - 1}'),
 ]
 TurnSeconds = Annotated[
     float, Meta(ge=5, description="a number of at least 5, in seconds, or inf for turns that never end")

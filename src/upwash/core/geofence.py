@@ -99,6 +99,12 @@ def breached_by_leg(fences: Sequence[Fence], start: Position, end: Position) -> 
     return next((fence for fence in fences if not fence.allows_leg(start, end)), None)
 
 
+def breached_by_way(fences: Sequence[Fence], places: Sequence[Position]) -> Fence | None:
+    """The first of the fences that does not allow one of the straight legs from place to place."""
+    legs = itertools.pairwise(places) if fences else ()
+    return next((fence for leg in legs if (fence := breached_by_leg(fences, *leg)) is not None), None)
+
+
 def _clearly_apart(start: Position, end: Position, corner: Position, following: Position) -> bool:
     """Whether a leg and a side lie in separate rectangles: quick to say of nearly all of a large plan's."""
     return (

@@ -8,9 +8,10 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from upwash.config import DroneConfig, ending, geofence, server_areas, waypoints
+from upwash.config import DroneConfig, ending, geofence, server_areas
 from upwash.core.control import Control
 from upwash.core.geo import GeoPosition, Waypoint
+from upwash.core.order import Order
 from upwash.core.stay_or_go import StayOrGo
 from upwash.drone.api import Drone, Mission, Photographer, User, Vehicle, rounded
 from upwash.drone.contingency import end_safely, follow
@@ -19,6 +20,7 @@ from upwash.drone.mission import MissionThread, mission_failed
 from upwash.drone.offloading import Offloading
 from upwash.drone.onboard import OnboardServices
 from upwash.drone.open_answer import Errands
+from upwash.drone.order import order_of
 from upwash.drone.pending import Calls
 from upwash.drone.preparation import endpoints, make_hedging, make_selection
 from upwash.drone.reserve import ReserveWatch
@@ -47,7 +49,7 @@ from upwash.ports import (
     VehicleSetting,
     VehicleText,
 )
-from upwash.rpc.service import spec_of
+from upwash.rpc.service import ServiceSpec, spec_of
 from upwash.support.heat import Surroundings
 
 _WORDS_KEPT = 8  # of the vehicle's, to say with whom it was lost to
@@ -72,7 +74,8 @@ class Flight:
     """One mission from the first check of the services to the landed vehicle.
 
     With `done` it takes up a mission that was broken off, which has these waypoints behind it: the vehicle may be in
-    the air, and the plan holds the other waypoints. Where none is left the vehicle is brought to the ground.
+    the air, and the plan holds the other waypoints. Where none is left the vehicle is brought to the ground. The
+    `order` is decided here unless it was before.
     """
 
     def __init__(
@@ -84,21 +87,23 @@ class Flight:
         programs: Mapping[str, Program],
         ports: Ports,
         done: frozenset[int] | None = None,
+        order: Order | None = None,
     ) -> None:
         self._mission = mission
         self._config = config
         self._ports = ports
         self._thread = MissionThread()
-        self._waypoints = waypoints(config.mission)
+        specs = {name: spec_of(cls) for name, cls in services.items()}
+        self._order = order or order_of(config, specs)
         self._done = done
-        self._plan = tuple(each for each in self._waypoints if each.index not in (done or ()))
+        self._plan = tuple(each for each in self._order.waypoints if each.index not in (done or ()))
         self._stopped = ""  # why, once it is
         self.has_ended = False  # so that nothing more is to be said of it
         self._stop_following = asyncio.Event()
         self._last_words: deque[tuple[float, VehicleText]] = deque(maxlen=_WORDS_KEPT)  # with their times
         self._onboard = _onboard_services(config, programs, ports)
         self._offloading = FailSafeOffloading(
-            _offloading(config, services, self._plan, ports, self._onboard), ports.journal
+            _offloading(config, specs, self._plan, ports, self._onboard), ports.journal
         )
         self._vehicle = Vehicle(
             ports.autopilot,
@@ -127,7 +132,7 @@ class Flight:
                 schema.MissionStarted(
                     drone=config.name,
                     policy=config.policy.name,
-                    waypoints=len(self._waypoints),
+                    waypoints=len(self._order.waypoints),
                     done=sorted(self._done or ()),
                 )
             )
@@ -149,10 +154,13 @@ class Flight:
         """What a reader of the log needs to draw the flight on a map."""
         mission = self._config.mission
         home = mission.home
-        places = [each.position for each in self._waypoints]
+        order = [each.index for each in self._order.waypoints]
+        places = {each.index: each.position for each in self._order.waypoints}
         return schema.Planned(
             home=GeoPosition(home.latitude_deg, home.longitude_deg) if home else None,
-            waypoints_m=[(place.east_m, place.north_m) for place in places],
+            waypoints_m=[(places[index].east_m, places[index].north_m) for index in sorted(order)],
+            order=order if self._order.why else [],
+            order_why=self._order.why,
             ranges=server_areas(self._config),
             paced=any(service.local_pace_s for service in self._config.services),
         )
@@ -361,12 +369,12 @@ def _onboard_services(config: DroneConfig, programs: Mapping[str, Program], port
 
 def _offloading(
     config: DroneConfig,
-    services: Mapping[str, type],
+    specs: Mapping[str, ServiceSpec],
     plan: Sequence[Waypoint],
     ports: Ports,
     onboard: OnboardServices,
 ) -> Offloading:
-    selection = make_selection(config, {name: spec_of(cls) for name, cls in services.items()}, plan)
+    selection = make_selection(config, specs, plan)
     return Offloading(
         selection,
         endpoints(config, selection.estimates),

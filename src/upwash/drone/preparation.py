@@ -39,7 +39,7 @@ def make_selection(
             gain_slot=policy.gain_slot,
             probing=Probing(probe.first_s, probe.longest_s) if (probe := policy.probing) else None,
         ),
-        mission=_mission_beliefs(config, specs, estimates, plan),
+        mission=mission_beliefs(config, specs, estimates, plan),
     )
 
 
@@ -110,7 +110,7 @@ def endpoints(config: DroneConfig, estimates: Estimates) -> dict[str, ServerEndp
     }
 
 
-def _mission_beliefs(
+def mission_beliefs(
     config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates, plan: Sequence[Waypoint]
 ) -> MissionBeliefs:
     """The plan, and a first stop with a photo and a call of each operation in the mission's mode.

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from upwash.config import DroneConfig, waypoints
+from upwash.config import DroneConfig, movable_waypoints, waypoints
 from upwash.core.geo import Waypoint
+from upwash.core.order import Order
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
@@ -55,6 +56,25 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
         raise UsageError("the mission in this log was completed: there is nothing to take up")
     wanted = max(1, max((results[each] for each in left), default=len(config.services)))
     return frozenset((left | {index for index, count in results.items() if count >= wanted}) - owed)
+
+
+def order_begun(events: Iterable[Event], config: DroneConfig) -> Order | None:
+    """The order in which the waypoints were flown, whatever would be decided now; None where the log says none.
+
+    UsageError where it is that of another plan.
+    """
+    planned: schema.Planned | None = None
+    for event in events:
+        if isinstance(event, schema.LogOpened | schema.Planned):
+            planned = event if isinstance(event, schema.Planned) else None
+    if planned is None:
+        return None
+    if not planned.order:
+        return Order(waypoints(config.mission))
+    by_index = {each.index: each for each in movable_waypoints(config.mission)}
+    if sorted(planned.order) != sorted(by_index):
+        raise UsageError("this log is of another plan: its order is of other waypoints than there are now")
+    return Order(tuple(by_index[index] for index in planned.order), planned.order_why)
 
 
 def _require_same_drone(started: schema.MissionStarted, config: DroneConfig, planned: int) -> None:

@@ -146,6 +146,8 @@ class Narrator:
         match event:
             case schema.LocalReady(service=service):
                 return Said(f"{service} is ready on the drone")
+            case schema.Planned(order_why=str(why)) if why:
+                return Said(f"order of the waypoints: {why}")
             case schema.MissionStarted(policy=policy, done=done):
                 self.started = True
                 self.doing = "before take-off"

@@ -101,12 +101,24 @@ class EventsLost(Event, frozen=True, kw_only=True):
 
 
 class Planned(Event, frozen=True, kw_only=True):
-    """Home, the waypoints in metres east and north of it, the ranges of the servers, and whether calls are paced."""
+    """Home, the waypoints in metres east and north of it, the ranges of the servers, and whether calls are paced.
+
+    With `mission.order`, the indices of the waypoints in the `order` in which they are flown, and why in that one.
+    """
 
     home: GeoPosition | None = None
     waypoints_m: Sequence[tuple[float, float]] = []
     ranges: Mapping[str, Circle] = {}
     paced: bool = False
+    order: Sequence[int] = []
+    order_why: str = ""
+
+    @property
+    def way_m(self) -> Sequence[tuple[float, float]]:
+        """The waypoints in the order in which they are flown."""
+        if sorted(self.order) != list(range(len(self.waypoints_m))):  # as none was asked for
+            return self.waypoints_m
+        return [self.waypoints_m[index] for index in self.order]
 
 
 class MissionStarted(Event, frozen=True, kw_only=True):

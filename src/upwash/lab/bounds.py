@@ -15,7 +15,7 @@ from upwash.core.schedule import ComingCall, Offer
 from upwash.drone.preparation import make_estimates
 from upwash.eventlog import schema
 from upwash.lab.run import Run
-from upwash.missions.bundled import load_services
+from upwash.missions.bundled import load_services, load_specs
 from upwash.rpc.service import spec_of
 from upwash.sim.radio import goodput_of
 from upwash.sim.world import computing_s, delay_of, occupying_s
@@ -116,7 +116,7 @@ def _lanes(instance: tuple[str, str], config: DroneConfig) -> int:
 
 def _made(run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth]) -> Iterator[_Made]:
     """The calls that the run made, with all that was in range of them."""
-    specs = {name: spec_of(each.cls) for name, each in load_services(config.services).items()}
+    specs = load_specs(config.services)
     operations = {str(operation): operation for operation in make_estimates(config, specs).operations}
     services = {service.name: service for service in config.services}
     areas = server_areas(config)

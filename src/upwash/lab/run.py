@@ -19,9 +19,9 @@ from upwash.config import (
     presences,
     server_areas,
     server_truth,
+    stands,
     waypoints,
 )
-from upwash.core.geo import Position
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import Cell, PositionNetwork
 from upwash.errors import MissionFailed, UpwashError, UsageError
@@ -374,7 +374,7 @@ def _autopilot(
 ) -> ModelAutopilot:
     vehicle = config.vehicle
     return ModelAutopilot(
-        Position(0.0, 0.0) if config.mission.plan else waypoints(config.mission)[0].position,
+        stands(config.mission),
         ground_speed_m_s=config.mission.ground_speed_m_s,
         manner=_manner(vehicle),
         stretch=lambda: chance.factor("leg", config.noise.leg),

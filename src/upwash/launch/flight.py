@@ -10,7 +10,7 @@ from pathlib import Path
 
 from upwash.config import CameraConfig, DroneConfig, unsigned_port
 from upwash.drone.flight import Flight, Ports
-from upwash.drone.resumption import waypoints_done
+from upwash.drone.resumption import order_begun, waypoints_done
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.launch.drone import (
@@ -63,6 +63,7 @@ async def fly(
     mission = load_mission(program or config.mission.program, mode=config.mission.mode)
     services = load_services(config.services)
     done = waypoints_done(read_events(log), config) if resumes else None
+    order = order_begun(read_events(log), config) if resumes else None
     require_reachable(config)
     credentials = drone_credentials(config, valid_now=False)  # before the clock is known to be right
     async with contextlib.AsyncExitStack() as stack:
@@ -83,6 +84,7 @@ async def fly(
             ports=await _ports(config, autopilot, camera, credentials, journal=journal, stack=stack),
             programs={name: service.program for name, service in services.items()},
             done=done,
+            order=order,
         )
         await stack.enter_async_context(_tracking(flight, journal))
         stack.enter_context(stopping_politely(flight.stop))

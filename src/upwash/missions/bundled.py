@@ -12,7 +12,7 @@ from upwash.config import SettingsTable, convert
 from upwash.drone.api import Mission
 from upwash.errors import UsageError
 from upwash.ports import Program
-from upwash.rpc.service import load_service, spec_of
+from upwash.rpc.service import ServiceSpec, load_service, spec_of
 from upwash.rpc.settings import construct, plain, required_settings
 from upwash.support.loading import load
 
@@ -73,6 +73,11 @@ class LoadedService:
 def load_services(configured: Sequence[ConfiguredService]) -> dict[str, LoadedService]:
     """The services of a configuration, by name; raises UsageError for one that does not fit its class."""
     return {each.name: _load_service(each, f"service[{index}]") for index, each in enumerate(configured)}
+
+
+def load_specs(configured: Sequence[ConfiguredService]) -> dict[str, ServiceSpec]:
+    """What the services of a configuration offer, by name; raises UsageError as `load_services` does."""
+    return {name: spec_of(each.cls) for name, each in load_services(configured).items()}
 
 
 def load_service_alone(name: str) -> LoadedService:

@@ -5,20 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgspec
 from msgspec import Struct
 
 from upwash.config import Document, DroneConfig, drone_config, read_document, server_areas, waypoints
+from upwash.core.order import Order
+from upwash.drone.order import order_of
 from upwash.drone.preparation import make_estimates
 from upwash.errors import UpwashError
 from upwash.lab.campaign import Fly
 from upwash.lab.run import Run, simulate
-from upwash.missions.bundled import load_services
+from upwash.missions.bundled import load_specs
 from upwash.preflight.coverage import Coverage, coverage, uncovered
 from upwash.preflight.placement import Place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, cases, changed, predict
 from upwash.preflight.warnings import Belief, PreflightWarning, is_for_flight, usable_s, usable_wh, warnings
 from upwash.preflight.way_home import Farthest, farthest
-from upwash.rpc.service import spec_of
 
 
 class CheckInput(Struct, frozen=True):
@@ -34,10 +36,12 @@ class Check(Struct, frozen=True, kw_only=True):
 
     `usable_s` is how long the battery lasts above the mission's reserve, and `usable_wh` what the simulated one gives
     above it, None where the file does not say, and `farthest` the waypoint from which the way home takes longest.
+    `order` says in which order the waypoints are flown and why, "" where nothing but the given one was asked for.
     """
 
     config: str
     waypoints: int
+    order: str = ""
     uncovered: tuple[int, ...]
     servers: tuple[Coverage, ...]
     predictions: tuple[Prediction, ...]
@@ -65,7 +69,8 @@ def check(plan: CheckInput, *, seeds: int, fly: Fly, flown: Callable[[int], None
     Raises UpwashError for a mission that is not completed even with every call on the drone.
     """
     places = [waypoint.position for waypoint in waypoints(plan.config.mission)]
-    alone = _flown_alone(plan)
+    order = order_of(plan.config, load_specs(plan.config.services))
+    alone = _flown_alone(plan, order)
     covered = coverage(
         places,
         server_areas(plan.config),
@@ -78,6 +83,7 @@ def check(plan: CheckInput, *, seeds: int, fly: Fly, flown: Callable[[int], None
     return Check(
         config=str(plan.file),
         waypoints=len(places),
+        order=order.why,
         uncovered=uncovered(len(places), covered),
         servers=covered,
         predictions=tuple(predictions),
@@ -91,8 +97,11 @@ def check(plan: CheckInput, *, seeds: int, fly: Fly, flown: Callable[[int], None
     )
 
 
-def _flown_alone(plan: CheckInput) -> Run:
-    run = simulate(drone_config(changed(plan.document, policy=LOCAL_ONLY), plan.file))
+def _flown_alone(plan: CheckInput, order: Order) -> Run:
+    """As every call on the drone makes it, in the order that is really flown."""
+    config = drone_config(changed(plan.document, policy=LOCAL_ONLY), plan.file)
+    mission = msgspec.structs.replace(config.mission, order="given" if order.sweep is None else order.sweep)
+    run = simulate(msgspec.structs.replace(config, mission=mission))
     if run.failure:
         raise UpwashError(f"the mission is not completed in simulation: {run.failure}")
     return run
@@ -100,8 +109,7 @@ def _flown_alone(plan: CheckInput) -> Run:
 
 def beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:
     """What is believed of each operation that the mission called."""
-    specs = {name: spec_of(each.cls) for name, each in load_services(config.services).items()}
-    estimates = make_estimates(config, specs)
+    estimates = make_estimates(config, load_specs(config.services))
     called = {call.operation for call in run.result.calls}
     for operation in estimates.operations:
         local_s = estimates.local_s(operation)

@@ -75,6 +75,8 @@ def _print(found: Check, config: DroneConfig, servers_to_place: int, console: Co
         f"{counted(len(config.services), 'service')}, {counted(len(config.servers), 'server')}",
         soft_wrap=True,
     )
+    if found.order:
+        console.print(Text(f"order of the waypoints: {found.order}"), soft_wrap=True)
     if not is_for_flight(config):
         console.print(
             "it is a scenario, without autopilot.connection and addresses: what a flight needs was not looked at",

@@ -9,11 +9,13 @@ import msgspec
 from msgspec import Struct
 
 from upwash.config import Document, DroneConfig, drone_config, fleet_of, server_areas, waypoints
+from upwash.drone.order import order_of
 from upwash.eventlog import schema
 from upwash.lab import processes
 from upwash.lab.confidence import mean_of
 from upwash.lab.run import Run, simulate_drones
 from upwash.lab.simulation import with_policy
+from upwash.missions.bundled import load_specs
 from upwash.preflight.check import beliefs
 from upwash.preflight.coverage import coverage, uncovered
 from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, changed
@@ -21,10 +23,14 @@ from upwash.preflight.warnings import PreflightWarning, warnings
 
 
 class DroneForecast(Struct, frozen=True, kw_only=True):
-    """What is known of one drone's mission among the others; no `mission_time_s` of one that is to vanish on it."""
+    """What is known of one drone's mission among the others; no `mission_time_s` of one that is to vanish on it.
+
+    `order` is as in `Check`.
+    """
 
     drone: str
     waypoints: int
+    order: str = ""
     uncovered: tuple[int, ...]
     predictions: tuple[Prediction, ...]
     warnings: tuple[PreflightWarning, ...]
@@ -111,6 +117,7 @@ def _forecast(config: DroneConfig, flown: Sequence[_Flown]) -> DroneForecast:
     return DroneForecast(
         drone=config.name,
         waypoints=len(places),
+        order=order_of(config, load_specs(config.services)).why,
         uncovered=uncovered(len(places), covered),
         predictions=predictions,
         warnings=tuple(found),

@@ -38,6 +38,9 @@ def _print(found: FleetCheck, config: DroneConfig, console: Console) -> None:
     console.print()
     console.print(_table(found.drones))
     console.print()
+    for each in found.drones:
+        if each.order:
+            console.print(Text(f"order of {each.drone}'s waypoints: {each.order}"), soft_wrap=True)
     for server in found.servers:
         console.print(_asked_line(server, len(found.drones)), soft_wrap=True)
     for warning in found.warnings:

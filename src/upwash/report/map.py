@@ -66,7 +66,7 @@ def draw_map(record: Record, places: Places, view: View) -> Markup:
         view.width,
         view.height,
         *_ranges(record, places, view),
-        _line(record.plan.waypoints_m, view, "plan"),
+        _line(record.plan.way_m, view, "plan"),
         _line(((fix.position.east_m, fix.position.north_m) for fix in record.track), view, "track"),
         *_waypoints(record, view),
         _home(view),

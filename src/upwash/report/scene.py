@@ -78,7 +78,7 @@ def _plan(record: Record, time: Timestamp) -> SceneEntity:
     altitude_m = max(
         (fix.position.altitude_m for fix in record.track), default=0.0
     )  # the plan's own is not logged
-    places = [Position(east_m, north_m, altitude_m) for east_m, north_m in record.plan.waypoints_m]
+    places = [Position(east_m, north_m, altitude_m) for east_m, north_m in record.plan.way_m]
     return SceneEntity(
         timestamp=time,
         frame_id=FRAME,

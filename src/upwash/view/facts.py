@@ -14,7 +14,7 @@ class Fact(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_fi
 
 
 class Plan(Fact, frozen=True):
-    """What the drone set out to do; `ranges` has [east, north, radius] of each server, in metres.
+    """The waypoints in the order of the flight; `ranges` has [east, north, radius] of each server, in metres.
 
     `home` is its latitude and longitude, and `metres_per_degree` the lengths there, eastwards and northwards.
     """

@@ -129,7 +129,7 @@ class Story:
         home = plan.home
         return facts.Plan(
             at_s=self._now_s,
-            waypoints_m=plan.waypoints_m,
+            waypoints_m=plan.way_m,
             ranges={
                 name: (area.centre.east_m, area.centre.north_m, area.radius_m)
                 for name, area in sorted(plan.ranges.items())

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from upwash.config import DroneConfig, server_areas, waypoints
+from upwash.config import DroneConfig, server_areas
 from upwash.core.geo import Circle, Position
 from upwash.core.servers import CHECKING
+from upwash.drone.order import order_of
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
+from upwash.missions.bundled import load_specs
 from upwash.support.loading import extra
 from upwash.support.output_files import write_file
 
@@ -144,7 +146,7 @@ def _stretches(calls: Sequence[CallPoint], server: str) -> Iterator[tuple[int, i
 
 def draw_map(config: DroneConfig, file: Path, title: str = "") -> None:
     """Draws the waypoints by the servers that cover them, the ranges and the way of the flight, as figure 4.4."""
-    places = [waypoint.position for waypoint in waypoints(config.mission)]
+    places = [each.position for each in order_of(config, load_specs(config.services)).waypoints]
     areas = server_areas(config)
     figure = Figure(figsize=(6.6, 7.0), layout="constrained")
     axes = figure.add_subplot()
