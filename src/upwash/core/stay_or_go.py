@@ -88,9 +88,6 @@ class StayOrGo:
         if self.manner == "go":
             return Verdict(True, "it always goes", self.chance, saved_s, lost_s)
         gain_s = (1 - self.chance) * saved_s - self.chance * lost_s
-        why = (
-            f"going gains {gain_s:.2f} s on average"
-            if gain_s > 0
-            else f"going costs {-gain_s:.2f} s on average"
-        )
-        return Verdict(gain_s > 0, why, self.chance, saved_s, lost_s)
+        goes = gain_s > 0
+        why = f"going {'gains' if goes else 'costs'} {abs(gain_s):.2f} s on average"
+        return Verdict(goes, why, self.chance, saved_s, lost_s)

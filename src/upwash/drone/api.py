@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections.abc import Callable, Coroutine, Iterator
 from typing import Any, ParamSpec, TypeVar
 
@@ -11,7 +12,7 @@ import msgspec
 
 from upwash.core.estimates import Operation
 from upwash.core.events import Arrived, Event, LegBegun, TargetUnknown
-from upwash.core.geo import Position, Waypoint
+from upwash.core.geo import Position, Waypoint, distance_m
 from upwash.core.geofence import breached_by_leg, breached_by_position
 from upwash.drone.mission import MissionThread
 from upwash.drone.open_answer import Errand, Errands, OpenAnswer
@@ -23,6 +24,7 @@ from upwash.plans import Ending
 from upwash.ports import Autopilot, Camera, Journal, Notifier, VehicleLimits
 from upwash.rpc.service import Method, make_stub, spec_of
 
+_BRAKES_M_S2 = 1.0  # at least: what is flown here brakes harder
 P = ParamSpec("P")
 T = TypeVar("T")
 Mission = Callable[["Drone"], None]
@@ -127,8 +129,8 @@ class Vehicle:
         """Flies to a waypoint or position; returns True on arrival, at rest.
 
         Where an answer that is pending demands something before that, `unless=pending.demands(...)`, it brakes and
-        returns False, at rest on the way. AutopilotRefused for a place that the plan's geofence keeps the vehicle
-        from; it does not move then.
+        returns False, at rest on the way, or there if that is nearer. AutopilotRefused for a place that the plan's
+        geofence keeps the vehicle from; it does not move then.
         """
         if self._open is None or unless is not None:
             return self._fly(place, unless=unless)
@@ -188,9 +190,9 @@ class Vehicle:
         try:
             goes_on = not unless.holds()
         except BaseException:
-            self._thread.call(self._break_off())
+            self._thread.call(self._stop_short_of(position_of(place)))
             raise
-        self._thread.call(self._rest_of_leg() if goes_on else self._break_off())
+        self._thread.call(self._rest_of_leg() if goes_on else self._stop_short_of(position_of(place)))
         return goes_on
 
     @contextlib.contextmanager
@@ -261,9 +263,15 @@ class Vehicle:
         if leg is not None:
             await leg
 
-    async def _break_off(self) -> None:
-        await self._end_leg()
-        await self._autopilot.hold()
+    async def _stop_short_of(self, target: Position) -> None:
+        """Brakes, or ends the leg where that would lead beyond it: what lies there nobody has looked at."""
+        velocity = self._autopilot.velocity
+        speed_m_s = math.inf if velocity is None else velocity.speed_m_s
+        if speed_m_s**2 / (2 * _BRAKES_M_S2) > distance_m(self._autopilot.position, target):
+            await self._rest_of_leg()
+        else:
+            await self._end_leg()
+            await self._autopilot.hold()
 
     async def _end_leg(self) -> None:
         """Commands nothing more of a leg that is under way without a verb of the mission."""
@@ -367,8 +375,7 @@ class User:
 
     def notify(self, message: object, at: Waypoint | Position) -> None:
         """Tells the user about something found at a waypoint or position."""
-        position = at.position if isinstance(at, Waypoint) else at
-        self._thread.call(self._notifier.notify(message, position))
+        self._thread.call(self._notifier.notify(message, position_of(at)))
 
 
 class Drone:
@@ -460,6 +467,11 @@ class Drone:
     def _call(self, operation: Operation, method: Method, request: bytes) -> Any:
         self.autopilot._settle()
         return self._calls.call(operation, method, request)
+
+
+def position_of(place: Waypoint | Position) -> Position:
+    """Where a waypoint is, or the position itself."""
+    return place.position if isinstance(place, Waypoint) else place
 
 
 def rounded(position: Position) -> Position:

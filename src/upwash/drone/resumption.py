@@ -11,6 +11,7 @@ from upwash.core.order import Order
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
+from upwash.eventlog.whereabouts import Whereabouts
 
 _SAME_PLACE_M = 0.01
 
@@ -27,8 +28,10 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
     left: set[int] = set()
     owed: set[int | None] = set()  # waypoints with an answer that was not taken, or not acted upon
     here: int | None = None
+    whereabouts = Whereabouts()
     completed = False
     for event in events:
+        whereabouts.take(event)
         match event:
             case schema.LogOpened():
                 results, left, owed, here, completed = {}, set(), set(), None, False
@@ -37,6 +40,8 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
             case schema.MissionStarted():
                 _require_same_drone(event, config, len(plan))
                 here = None
+            case schema.Leg(back=True):
+                here = None  # its calls are still to be made, or over
             case schema.Leg(waypoint=int(index)) if here is not None and index != here:
                 left.add(here)
                 here = None
@@ -50,8 +55,8 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
                 | schema.Acted(waypoint=waypoint)
             ):
                 owed.discard(waypoint)
-            case schema.Call() if here is not None:
-                results[here] += 1
+            case schema.Call() if (waypoint := whereabouts.of_call) is not None and waypoint in results:
+                results[waypoint] += 1
     if completed:
         raise UsageError("the mission in this log was completed: there is nothing to take up")
     wanted = max(1, max((results[each] for each in left), default=len(config.services)))

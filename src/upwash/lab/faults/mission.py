@@ -41,6 +41,12 @@ class Heard(msgspec.Struct, frozen=True, kw_only=True):
     raised: str = ""
 
 
+class Done(msgspec.Struct, frozen=True, kw_only=True):
+    """What the answer of that number demanded is done, as the mission tells its user, where the drone is."""
+
+    done: int
+
+
 @service(profile_by="mode")
 class Spotter:
     """Sees the digits of a number, but for every fifth number."""
@@ -77,6 +83,52 @@ def look_and_read(drone: Drone, mode: Mode) -> None:
         return gauge.read(number) if number % 2 else spotter.look(number, mode)
 
     _survey(drone, ask, calls=2)
+
+
+def look_later(drone: Drone, mode: Mode) -> None:
+    """Has one number looked at, at each waypoint, and may fly on meanwhile; some answers demand something there."""
+    spotter = drone.service(Spotter)
+    drone.autopilot.arm()
+    drone.autopilot.takeoff(drone.altitude_m)
+    for number, waypoint in enumerate(drone.plan):
+        drone.autopilot.goto(waypoint)
+        drone.camera.take_photo()
+        visit = _Visit(drone, waypoint, number)
+        pending = drone.start(spotter.look, number, mode)
+        drone.stay_or_go(pending, visit.act, demands=visit.demands, failed=visit.fail)
+    drone.end_flight()
+    drone.autopilot.disarm()
+
+
+def demands_something(number: int) -> bool:
+    """Whether the answer about the number demands something at its waypoint, or the call raises."""
+    return number % 3 == 0 or number % 5 == 2
+
+
+@dataclass(frozen=True, slots=True)
+class _Visit:
+    """The answer of one waypoint, which comes while the drone is there or has left it."""
+
+    drone: Drone
+    waypoint: Waypoint
+    number: int
+
+    def demands(self, sighting: Sighting) -> bool:
+        """Tells the user at once, wherever the drone is."""
+        self._tell(Heard(asked=self.number, answer=msgspec.to_builtins(sighting)))
+        return demands_something(self.number)
+
+    def act(self, _: Sighting) -> None:
+        self.drone.user.notify(Done(done=self.number), at=self.drone.autopilot.position)
+
+    def fail(self, error: Exception) -> None:
+        if not isinstance(error, Blurred):
+            raise error
+        self._tell(Heard(asked=self.number, raised=repr(error)))
+        self.drone.user.notify(Done(done=self.number), at=self.drone.autopilot.position)
+
+    def _tell(self, heard: Heard) -> None:
+        self.drone.user.notify(heard, at=self.waypoint)
 
 
 def expected(program: str, mode: Mode, number: int) -> Heard:

@@ -60,6 +60,7 @@ class World:
         document = _with_busy_radios(document, self._number)
         document = _with_probing(document, self._number)
         document = _with_eager_hedges(document, self._number)
+        document = _with_pending_calls(document, self._number)
         self._documents = [_with_radios(document, self._number)]
         for number in range(2, 2 + chance.choices((0, 1, 2), (75, 19, 6))[0]):
             self._documents.append(_companion(self._documents[0], chance, number))
@@ -284,6 +285,18 @@ def _with_eager_hedges(document: Document, number: int) -> Document:
     if chance.random() < 0.93:
         return document
     return {**document, "policy": {**document["policy"], "hedge": {"after": "p50", "budget": 0.05}}}
+
+
+def _with_pending_calls(document: Document, number: int) -> Document:
+    """In some worlds of one service the drones may fly on before an answer is there."""
+    chance = random.Random(f"pending/{number}")  # noqa: S311 - not for secrets
+    if chance.random() < 0.75 or len(document["service"]) > 1:
+        return document
+    return {
+        **document,
+        "mission": {**document["mission"], "program": f"{probing.__name__}:look_later"},
+        "policy": {**document["policy"], "stay_or_go": chance.choice(("stay", "go", "learn"))},
+    }
 
 
 def _with_radios(document: Document, number: int) -> Document:

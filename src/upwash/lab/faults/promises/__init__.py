@@ -14,6 +14,7 @@ from enum import IntEnum
 import msgspec
 
 from upwash.lab.faults.promises.admission import admission
+from upwash.lab.faults.promises.answers import answers
 from upwash.lab.faults.promises.calls import bounded_calls, one_answer, truthful_errors
 from upwash.lab.faults.promises.history import Breach, History
 from upwash.lab.faults.promises.liars import unswayed
@@ -44,6 +45,7 @@ class Promise(IntEnum):
     LIARS = 15
     RECOVERY = 17
     TURNS = 18
+    ANSWERS = 19
 
     def __str__(self) -> str:
         return f"promise {self.value} ({self.name.lower().replace('_', ' ')})"
@@ -77,6 +79,7 @@ CHECKS: Mapping[Promise, Callable[[History], Iterator[Breach]]] = {
     Promise.LIARS: unswayed,
     Promise.RECOVERY: recovered,
     Promise.TURNS: turns,
+    Promise.ANSWERS: answers,
 }
 
 

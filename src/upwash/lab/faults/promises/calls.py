@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator
+from typing import TypeGuard
 
 import msgspec
 
@@ -118,8 +119,25 @@ def one_answer(history: History) -> Iterator[Breach]:
             yield event, f"this is about call {heard.asked}, but number {number} was to come"
         elif not heard.raised and heard != _expected(history.config, heard.asked):
             yield event, f"call {heard.asked} was answered by {heard.answer}, which is another call's answer"
-    if _is_probing(history.config) and len(told) != (calls := len(history.run.result.calls)):
+    if not _is_probing(history.config):
+        return
+    calls, open_ones = len(history.run.result.calls), _answers_open(history)
+    if not calls - open_ones <= len(told) <= calls:
         yield None, f"{calls} calls ended, and {len(told)} answers reached the mission"
+
+
+def _answers_open(history: History) -> int:
+    """How many answers are there that a mission which ended early may not have heard: the last one, if any."""
+    last = next(
+        (
+            event
+            for event in reversed(history.run.events)
+            if isinstance(event, (schema.CallStarted, schema.Call, schema.AnswerTaken))
+        ),
+        None,
+    )
+    pending = any(isinstance(event, schema.CallStarted) for event in history.run.events)
+    return int(pending and isinstance(last, schema.Call) and not history.run.result.completed)
 
 
 def _unbelievable(call: FlownCall) -> Iterator[Breach]:
@@ -162,7 +180,7 @@ def _raised_afar(events: Iterable[Event]) -> Iterator[Breach]:
     for event in events:
         if isinstance(event, schema.Call):
             server = event.server
-        elif isinstance(event, schema.Notified) and server is not None and _heard(event).raised:
+        elif _is_heard(event) and server is not None and _heard(event).raised:
             yield (
                 event,
                 f"the mission heard what {server} said was raised; the drone's own service was not asked",
@@ -172,7 +190,12 @@ def _raised_afar(events: Iterable[Event]) -> Iterator[Breach]:
 def _told(history: History) -> list[tuple[Event, probing.Heard]]:
     if not _is_probing(history.config):
         return []
-    return [(event, _heard(event)) for event in history.run.events if isinstance(event, schema.Notified)]
+    return [(event, _heard(event)) for event in history.run.events if _is_heard(event)]
+
+
+def _is_heard(event: Event) -> TypeGuard[schema.Notified]:
+    """Whether the mission tells what came of a call."""
+    return isinstance(event, schema.Notified) and isinstance(event.message, dict) and "asked" in event.message
 
 
 def _heard(event: schema.Notified) -> probing.Heard:

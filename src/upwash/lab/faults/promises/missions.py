@@ -25,7 +25,8 @@ def autonomy(history: History) -> Iterator[Breach]:
     for event in events:
         if isinstance(event, schema.OffloadingFailed):
             yield event, f"offloading ended for the rest of the flight: {event.why}"
-    arrived = [event.waypoint for event in events if isinstance(event, schema.Arrived)]
+    arrivals = (event.waypoint for event in events if isinstance(event, schema.Arrived))
+    arrived = list(dict.fromkeys(arrivals))  # it may come back to one
     planned = [waypoint.index for waypoint in waypoints(history.config.mission)]
     if arrived != planned[: len(arrived)]:
         yield None, f"arrived at waypoints {arrived} instead of {planned}"
@@ -46,9 +47,12 @@ def autonomy(history: History) -> Iterator[Breach]:
 def no_harm(history: History) -> Iterator[Breach]:
     """No later than the drone alone, but for the waits and deadlines that the rules allowed.
 
-    Chance and heat make two local calls differ that would be alike: each counts here as long as it took alone.
+    Chance and heat make two local calls differ that would be alike: each counts here as long as it took alone. What a
+    drone loses that flies on before it has its answer depends on when that comes.
     """
     yield from _hedged_too_much(history)
+    if history.config.policy.stay_or_go != "stay":
+        return
     if history.alone is None or history.run.failure or history.alone.failure:
         return
     calls, alone = list(calls_of(history.run.events)), list(calls_of(history.alone.events))
