@@ -16,6 +16,7 @@ from upwash.config.values import (
     ImportPath,
     InterfaceName,
     KeysConfig,
+    KeysByKey,
     Latitude,
     Longitude,
     Name,
@@ -78,7 +79,8 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """What is flown: a program (bundled, or `/a/file.py:function`) over a grid, a list of waypoints or a plan.
 
     The drone ends the mission early below `reserve_percent` of its battery, and where the way home would leave less
-    than `reserve_s` seconds of flight.
+    than `reserve_s` seconds of flight. Where it would not be over `finish_by_s` after arming, calls run under the
+    profile key that `lighter` has for theirs.
     """
 
     program: Text = "survey"
@@ -91,6 +93,8 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     plan: PlanPath | None = None
     reserve_percent: Percent | None = None
     reserve_s: NotNegative | None = None
+    finish_by_s: Positive | None = None
+    lighter: KeysByKey = {}
 
 
 class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
