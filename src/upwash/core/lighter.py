@@ -102,7 +102,10 @@ class Lighter:
         lighter = self._settings.operations.get(operation)
         if lighter is None or self._begun_s is None:
             return None
-        calls = [self._planning.made_now(operation, now_s), *self._planning.mission.rest(position, now_s=now_s)]
+        calls = [
+            self._planning.made_now(operation, now_s),
+            *self._planning.mission.rest(position, now_s=now_s),
+        ]
         outlook = self._planning.outlook(now_s)
         places = list(outlook.places(calls))
         if on_drone:

@@ -86,7 +86,9 @@ class Outlook:
             return local_s
         state = State.CHECK if place.ready_in_s > 0 else State.READY
         decision = self._policy.decide(
-            CallInputs(server, state, local_s, remote_s, check_expected_s=place.ready_in_s, check_elapsed_s=0.0)
+            CallInputs(
+                server, state, local_s, remote_s, check_expected_s=place.ready_in_s, check_elapsed_s=0.0
+            )
         )
         match decision:
             case Local():
@@ -105,7 +107,5 @@ class Outlook:
                 Option(name, self._estimates.mean_call_s(name), in_range_since_s=rank)
                 for rank, name in enumerate(usable)
             ]
-            self._choices[seen] = self._policy.choose(
-                Situation(options, seen[0], self._local_mean_s)
-            ).server
+            self._choices[seen] = self._policy.choose(Situation(options, seen[0], self._local_mean_s)).server
         return self._choices[seen]

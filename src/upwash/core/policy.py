@@ -95,8 +95,8 @@ class Inputs:
     """What a call was decided on, as it was then: enough to make the decision again.
 
     `server` is the one in use, None where there is none; its state, the number of its check and the estimates are
-    None then too. `check_s` is what its check takes, of which `check_elapsed_s` are over. `lightened` where all that is
-    of another operation than was asked for.
+    None then too. `check_s` is what its check takes, of which `check_elapsed_s` are over. `lightened` where all
+    that is of another operation than was asked for.
     """
 
     local_s: float | None = None

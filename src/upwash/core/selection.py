@@ -116,9 +116,7 @@ class Selection:
             gain_slot=settings.gain_slot,
         )
         self._lighter = (
-            Lighter(
-                settings.lighter, self._planning, plan=beliefs.plan, whole=MissionModel(beliefs, areas)
-            )
+            Lighter(settings.lighter, self._planning, plan=beliefs.plan, whole=MissionModel(beliefs, areas))
             if settings.lighter
             else None
         )
@@ -153,7 +151,9 @@ class Selection:
         """Takes in what happened by now, with the drone at the position; returns what is to be done."""
         table, radios, planning = self._table, self._radios, self._planning
         if isinstance(event, MissionBegun):
-            return [*self._lighter.begin(event.vehicle, now_s=now_s, position=position)] if self._lighter else []
+            return (
+                [*self._lighter.begin(event.vehicle, now_s=now_s, position=position)] if self._lighter else []
+            )
         self._locate(position, now_s)
         effects = self._take_in(event, now_s, position)
         effects += radios.end_probes([each for each in radios.probed if self._ended or not each.in_range])

@@ -541,7 +541,7 @@ class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
     the drone. `wait` is empty, `paid off` or `failed`. `hedged_s` is when the drone's own service started on it too,
     `queued_s` for how long that was busy with an earlier call, and `remote_fault` whether what a server said that it
     raised was `confirmed` or `denied` by the drone's own service. `at_s` is by the program's clock, not the log's.
-    `operation` is what ran. Where that is lighter than what the mission `asked` for, the mission was expected to end at
+    `operation` is what ran. Where that is lighter than what was `asked` for, the mission was expected to end at
     `forecast_s` of its time, later than `finish_by_s`.
     """
 
