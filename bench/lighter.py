@@ -1,8 +1,8 @@
 """What a mission that has to be over in time keeps of its accuracy: planned, and with heavy calls until none fits.
 
-The thesis's survey with its own policy. "Planned" is `[mission] finish_by_s` and `lighter`. "First" is the best that a
-mission can do which makes heavy calls first and light ones from then on: the largest number of heavy calls with which
-it is over in time, found by flying it.
+The thesis's survey with its own policy. "Planned" is `[mission] finish_by_s` and `lighter`. "First" is the best that
+a mission can do which makes heavy calls first and light ones from then on: the largest number of heavy calls with
+which it is over in time, found by flying it.
 """
 
 from __future__ import annotations
@@ -10,8 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import upwash
 from bench.program import command_line
+
+import upwash
 from upwash.services import Detector
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "thesis.toml"
@@ -34,6 +35,7 @@ class Flown:
 
 
 def main() -> None:
+    """Prints the rows of the page."""
     parser = command_line("lighter", __doc__)
     budgets_s = BUDGETS_S[2:3] if parser.parse_args().quick else BUDGETS_S
     print("| finish_by_s | planned: heavy | over after | AP50 | first: heavy | over after | AP50 |")
