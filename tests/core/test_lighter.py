@@ -211,3 +211,5 @@ def test_a_call_that_falls_back_is_judged_as_one_on_the_drone() -> None:
     assert decision.inputs.lightened is None
     lightened = selection.fall_back(HEAVY, now_s=at_s + 3.0, position=here)
     assert lightened is not None and lightened.operation == LIGHT
+    coming_s = 10.0 + 3 * (LEG_S + PHOTO_S) + 0.7 + 2 * 10.0 + HOME_S
+    assert lightened.forecast_s == pytest.approx(at_s + 3.0 + coming_s, abs=0.01)

@@ -13,7 +13,9 @@ from upwash.config import waypoints
 from upwash.core.selection import Selection
 from upwash.drone.preparation import make_selection
 from upwash.errors import UsageError
+from upwash.eventlog.narration import Narrator, Tone
 from upwash.eventlog.results import CallResult
+from upwash.eventlog.schema import Foreseen
 from upwash.lab.run import Run, simulate
 from upwash.rpc.service import service, spec_of
 
@@ -134,3 +136,24 @@ def test_a_service_that_has_no_such_mode_is_refused_before_anything_flies(declar
     with pytest.raises(UsageError, match=r"mission\.lighter\.heavy") as refused:
         make_selection(config, {"detector": spec_of(declared)}, waypoints(config.mission))
     assert said in str(refused.value)
+
+
+def test_what_a_server_says_was_raised_is_tested_by_the_same_call() -> None:
+    """However late it is: the drone's own service cannot say whether another call raises."""
+    lying = fault("s1", "lying", lie="faults", from_s=150.0)
+    run = fly(unhurried().result.mission_time_s - 5.0, lying)
+    tested = next(call for call in events(run, "call") if call.get("remote_fault"))
+    assert (tested["operation"], tested["remote_fault"]) == ("detector.process_photo[heavy]", "denied")
+    assert "asked" not in tested
+    after = next(call for call in events(run, "call") if call["at_s"] > tested["at_s"] and "asked" in call)
+    assert after["place"] == "local", "and what it took is saved later"
+
+
+@pytest.mark.parametrize(("finish_by_s", "tone"), [(60.0, Tone.ALARM), (5000.0, Tone.ASIDE)])
+def test_a_person_is_alarmed_only_where_the_mission_cannot_be_over_in_time(
+    finish_by_s: float, tone: Tone
+) -> None:
+    (foreseen,) = (event for event in fly(finish_by_s).events if isinstance(event, Foreseen))
+    said = Narrator().tell(foreseen)
+    assert said is not None and said.tone is tone
+    assert f"{finish_by_s:g}" in said.text

@@ -47,9 +47,7 @@ class LighterSettings:
 
 def is_lighter(saves_s: float, others_save_s: Iterable[float], late_s: float) -> bool:
     """Whether a call runs in the lighter mode, by what it and the calls to come would save so."""
-    if late_s <= 0 or saves_s <= 0:
-        return False
-    return sum(each_s for each_s in others_save_s if each_s > saves_s) < late_s
+    return saves_s > 0 and sum(each_s for each_s in others_save_s if each_s > saves_s) < late_s
 
 
 class Lighter:
