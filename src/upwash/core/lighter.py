@@ -25,7 +25,7 @@ from upwash.core.energy import UNKNOWN, EnergyFacts, descent_s, time_home_s
 from upwash.core.estimates import Operation
 from upwash.core.geo import Position, Waypoint
 from upwash.core.mission_model import ExpectedCall, MissionModel
-from upwash.core.outlook import Place
+from upwash.core.placing import Place
 from upwash.core.planning import Planning
 from upwash.core.policy import Lightened
 
@@ -104,13 +104,13 @@ class Lighter:
             self._planning.made_now(operation, now_s),
             *self._planning.mission.rest(position, now_s=now_s),
         ]
-        outlook = self._planning.outlook(now_s)
-        places = list(outlook.places(calls))
+        placing = self._planning.placing(now_s)
+        places = list(placing.places(calls))
         if on_drone:
             places[0] = Place()
-        takes_s = [outlook.delay_s(place, call.operation) for place, call in zip(places, calls, strict=True)]
+        takes_s = [placing.delay_s(place, call.operation) for place, call in zip(places, calls, strict=True)]
         lighter_s = [
-            outlook.delay_s(place, self._lighter_of(call.operation))
+            placing.delay_s(place, self._lighter_of(call.operation))
             for place, call in zip(places, calls, strict=True)
         ]
         forecast_s = now_s - self._begun_s + sum(call.gap_s for call in calls) + sum(takes_s) + self._home_s
@@ -123,9 +123,9 @@ class Lighter:
         return self._settings.operations.get(operation, operation)
 
     def _total_s(self, calls: Sequence[ExpectedCall], now_s: float) -> float:
-        outlook = self._planning.outlook(now_s)
-        places = outlook.places(calls)
+        placing = self._planning.placing(now_s)
+        places = placing.places(calls)
         return sum(
-            call.gap_s + outlook.delay_s(place, call.operation)
+            call.gap_s + placing.delay_s(place, call.operation)
             for call, place in zip(calls, places, strict=True)
         )

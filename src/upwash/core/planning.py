@@ -15,7 +15,7 @@ from upwash.core.estimates import Estimates, Operation
 from upwash.core.forecast import Forecast, make_forecast, rest_of_check_s
 from upwash.core.geo import Position
 from upwash.core.mission_model import ExpectedCall, MissionModel
-from upwash.core.outlook import Outlook, Place
+from upwash.core.placing import Place, Placing
 from upwash.core.policy import (
     Choice,
     Coming,
@@ -131,11 +131,11 @@ class Planning:
         }
         return ExpectedCall(operation, 0.0, in_range_s)
 
-    def outlook(self, now_s: float) -> Outlook:
+    def placing(self, now_s: float) -> Placing:
         """Where calls will run from now on."""
         in_use = self._radios.in_use
         running = (State.AVL_R, *SELECTED)
-        return Outlook(
+        return Placing(
             self._policy,
             self._estimates,
             here=Place(in_use.name, rest_of_check_s(in_use, self._estimates, now_s)) if in_use else Place(),

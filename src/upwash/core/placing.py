@@ -27,7 +27,7 @@ class Place:
     ready_in_s: float = 0.0
 
 
-class Outlook:
+class Placing:
     """Follows the calls to come, from what the drone uses and knows at one moment.
 
     `unusable_s` says of servers for how much longer they cannot be used, and `running` on which the services run.
