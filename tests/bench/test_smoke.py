@@ -23,6 +23,7 @@ QUICK = {  # what each prints, among others
     "first_call": r"\| look-ahead \| \+0.5 s \| thesis, .* \| [-+][\d.]+ % \|",
     "gains": r"\| thesis: equal-servers-light, hitl \| [\d.]+ ± [\d.]+ \| [\d.]+ ± [\d.]+ \| = \|",
     "hedging": r"\| no answer \| with \| ([\d.]+ \| ){4}\d+ \| \d+ of \d+ \|",
+    "lighter": r"\| 1372 \| \d+ \| [\d.]+ s \| 0\.9\d+ \|",
     "load": r"\| 1 \| upwash, 1 slot \| [\d.]+ \| (\d+|nan) \| (\d+|nan) \| 0 \|",
     "metrics": r"[\d.]+ us for each call\n",
     "sharing": r"adjacent fields, 4 servers.*\n.*bound\n +1( +[\d.]+ / [\d.]+ / [\d.]+){4} +[\d.]+\n",

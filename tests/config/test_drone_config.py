@@ -24,6 +24,8 @@ from upwash.core.geo import Position
 from upwash.errors import ConfigError
 
 FULL = (Path(__file__).parent / "full.toml").read_text()
+_RESERVE = "reserve_percent = 25.0"
+_HURRIED = 'finish_by_s = 900\nlighter = {{ {} = "{}" }}'
 SHORT = (Path(__file__).parent / "several.toml").read_text()
 
 
@@ -309,6 +311,14 @@ REFUSED = [
     ("request_bytes = 425_000", "request_bytes = -1", "service[0].request_bytes", "at least 0"),
     ("local_call_s = { light = 3.0, heavy = 10.0 }", "", "service[0].local_call_s", "missing: add seconds"),
     ("{ light = 3.0, heavy = 10.0 }", "{}", "service[0].local_call_s", "one for each profile key"),
+    (_RESERVE, "finish_by_s = 900", "mission.lighter", "finish_by_s needs it"),
+    (_RESERVE, "finish_by_s = 0", "mission.finish_by_s", "a number above 0"),
+    (_RESERVE, 'lighter = { heavy = "light" }', "mission.finish_by_s", "say by when"),
+    (_RESERVE, 'finish_by_s = 900\nlighter = "light"', "mission.lighter", "each with its lighter one"),
+    (_RESERVE, _HURRIED.format("hevy", "light"), "mission.lighter.hevy", 'did you mean "heavy"?'),
+    (_RESERVE, _HURRIED.format("heavy", "tiny"), "mission.lighter.heavy", "allowed: light"),
+    (_RESERVE, _HURRIED.format("light", "heavy"), "mission.lighter.light", "name one that is faster"),
+    (_RESERVE, _HURRIED.format("heavy", "heavy"), "mission.lighter.heavy", "has a lighter key itself"),
     ("{ light = 3.0, heavy = 10.0 }", "true", "service[0].local_call_s", "seconds of at least 0"),
     ("light = 3.0, heavy", "light = -3.0, heavy", "service[0].local_call_s", '"light": -3.0'),
     ("local_pace_s = { light", "local_pace_s = { lihgt", "service[0].local_pace_s", 'did you mean "light"?'),

@@ -43,10 +43,10 @@ def test_json_is_one_object_with_the_fields_of_the_contract(capsys: pytest.Captu
     assert (result["scenario"], result["policy"], result["seed"]) == ("thesis", "location-aware", 1)
     assert result["completed"] is True
     assert list(result["calls"][0]) == [
-        "waypoint", "operation", "place", "decision", "delay_s", "waited_s", "at_s",
+        "waypoint", "operation", "place", "decision", "delay_s", "waited_s", "at_s", "asked",
     ]  # fmt: skip
     assert list(result["totals"]) == [
-        "calls", "local", "remote", "waits", "waits_failed", "switches", "fallbacks", "service_delay_s",
+        "calls", "local", "remote", "waits", "waits_failed", "switches", "fallbacks", "service_delay_s", "lighter",
     ]  # fmt: skip
 
 

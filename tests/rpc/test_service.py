@@ -627,3 +627,21 @@ def answer_everywhere(request: bytes) -> None:
         key, reply = method.perform(Eyes(), request)
         assert method.decode(reply) is not None
         assert isinstance(key, str)
+
+
+@pytest.mark.parametrize(("method", "key"), [("look", "heavy"), ("rank", "2")])
+def test_a_request_can_be_made_again_under_another_profile_key(method: str, key: str) -> None:
+    declared = METHODS[method]
+    arguments: dict[str, Any] = (
+        {"photo": b"\xff\x00", "least": 0.25} if method == "look" else {"mode": Level.LOW}
+    )
+    _, request = declared.encode((), arguments)
+    again = declared.under(key, request)
+    assert declared.key_of(again) == key
+    if method == "look":
+        assert perform(Eyes(), declared, again) == [Detection(Box(2.0, "heavy"), 0.25)]
+
+
+def test_a_profile_key_that_is_no_argument_is_refused_with_those_that_are() -> None:
+    with pytest.raises(ValueError, match=r"look\(mode=\.\.\.\): Invalid enum value 'tiny'"):
+        METHODS["look"].argument("tiny")

@@ -82,6 +82,31 @@ def _mission_problems(mission: MissionConfig, services: tuple[ServiceConfig, ...
     keys = list(dict.fromkeys(key for service in services for key in service.local_call_s if key))
     if mission.program == "survey" and keys and mission.mode not in keys:
         yield "mission.mode", unknown("profile key", mission.mode, keys)
+    yield from _lighter_problems(mission, services)
+
+
+def _lighter_problems(mission: MissionConfig, services: tuple[ServiceConfig, ...]) -> Iterator[Problem]:
+    if mission.finish_by_s is not None and not mission.lighter:
+        yield "mission.lighter", 'missing: finish_by_s needs it, such as lighter = { heavy = "light" }'
+    if mission.finish_by_s is None and mission.lighter:
+        yield "mission.finish_by_s", "missing: say by when, in seconds from arming, or leave lighter out"
+    for asked, lighter in mission.lighter.items():
+        key = f"mission.lighter.{asked}"
+        if lighter in mission.lighter:
+            yield key, f'"{lighter}" has a lighter key itself: name the one at the end for each'
+        delays = [each.local_call_s for each in services if asked in each.local_call_s]
+        if not delays:
+            names = dict.fromkeys(name for each in services for name in each.local_call_s if name)
+            yield key, unknown("profile key", asked, names)
+        for local_call_s in delays:
+            if lighter not in local_call_s:
+                yield key, unknown("profile key", lighter, [name for name in local_call_s if name != asked])
+            elif local_call_s[lighter] >= local_call_s[asked]:
+                yield (
+                    key,
+                    f'"{lighter}" takes {local_call_s[lighter]:g} s on the drone, no less than "{asked}" '
+                    f"({local_call_s[asked]:g} s): name one that is faster",
+                )
 
 
 def _reserve_problems(config: DroneConfig) -> Iterator[Problem]:

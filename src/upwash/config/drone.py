@@ -17,6 +17,7 @@ from upwash.config.values import (
     GridCount,
     ImportPath,
     InterfaceName,
+    KeysByKey,
     KeysConfig,
     Latitude,
     Longitude,
@@ -82,7 +83,8 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     What an answer demands at its waypoint takes the bundled program `action_s`.
     They are flown in the given `order`, in that of one of their sweeps, or in the one that is best by forecast.
     The drone ends the mission early below `reserve_percent` of its battery, and where the way home would leave less
-    than `reserve_s` seconds of flight.
+    than `reserve_s` seconds of flight. Where it would not be over `finish_by_s` after arming, calls run under the
+    profile key that `lighter` has for theirs.
     """
 
     program: Text = "survey"
@@ -97,6 +99,8 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     order: FlightOrder = "given"
     reserve_percent: Percent | None = None
     reserve_s: NotNegative | None = None
+    finish_by_s: Positive | None = None
+    lighter: KeysByKey = {}
 
 
 class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

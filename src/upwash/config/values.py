@@ -99,6 +99,10 @@ VideoSource = Annotated[
 ]
 Bytes = Annotated[int, Meta(ge=0, description="an integer of at least 0, in bytes")]
 
+KeysByKey = Annotated[
+    Mapping[str, Text],
+    Meta(description='a table of profile keys, each with its lighter one, such as { heavy = "light" }'),
+]
 SecondsByKey = Annotated[
     Mapping[str, NotNegative],
     Meta(description="seconds of at least 0: one number, or one for each profile key"),

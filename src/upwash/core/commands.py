@@ -71,5 +71,14 @@ class Full:
     waiting: int
 
 
+@dataclass(frozen=True, slots=True)
+class Foreseen:
+    """To be logged: when the mission is expected to be over, as it is asked for and with every call lighter."""
+
+    finish_by_s: float
+    as_asked_s: float
+    lightest_s: float
+
+
 Command = Check | Probe | Start | Prepare | Leave
-Effect = Change | Full | Command
+Effect = Change | Full | Foreseen | Command

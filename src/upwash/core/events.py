@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from upwash.core.energy import EnergyFacts
 from upwash.core.estimates import Operation
 from upwash.core.geo import Position
 
@@ -11,6 +12,13 @@ from upwash.core.geo import Position
 @dataclass(frozen=True, slots=True)
 class Tick:
     """A period is over, or a border of a range was crossed: time to look again."""
+
+
+@dataclass(frozen=True, slots=True)
+class MissionBegun:
+    """The mission's time begins: the vehicle is armed, or was found in the air. This is what it says of itself."""
+
+    vehicle: EnergyFacts
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +190,7 @@ class MissionEnded:
 
 Event = (
     Tick
+    | MissionBegun
     | CheckAnswered
     | SlotRefused
     | LeaseRenewed

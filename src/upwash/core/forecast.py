@@ -44,7 +44,7 @@ def make_forecast(
     seen = dict.fromkeys(name for call in expected for name in call.in_range_s)
     gaining = {name: servers[name] for name in seen if estimates.mean_call_s(name) < local_s}
     banned_s = {name: banned_s.get(name, -math.inf) for name in gaining}
-    rests_s = {server.name: _rest_s(server, estimates, now_s) for server in selected}
+    rests_s = {server.name: rest_of_check_s(server, estimates, now_s) for server in selected}
     checks = {name: _check_times(server, estimates, now_s, idle_s) for name, server in gaining.items()}
     for server in selected[1:]:
         if server.name in checks:
@@ -58,7 +58,7 @@ def make_forecast(
     )
 
 
-def _rest_s(server: Server, estimates: Estimates, now_s: float) -> float:
+def rest_of_check_s(server: Server, estimates: Estimates, now_s: float) -> float:
     """What is left of the check of a selected server."""
     if server.state not in CHECKING:
         return 0.0

@@ -169,6 +169,12 @@ class MissionModel:
                     break
         return calls
 
+    def rest(self, position: Position, *, now_s: float) -> list[ExpectedCall]:
+        """The calls up to the end of the plan; none where nothing is known, or the mission has left its plan."""
+        if self._place is None or self._index is None:
+            return []
+        return list(self._calls(self._place, position, now_s))
+
     def _calls(self, place: Position, position: Position, now_s: float) -> Iterator[ExpectedCall]:
         if self._way is not None:
             steps, stop = self._routine, self._rest_of_way(self._way, position)

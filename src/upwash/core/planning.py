@@ -12,10 +12,11 @@ from typing import TypeGuard
 
 from upwash.core.commands import Prepare
 from upwash.core.estimates import Estimates, Operation
-from upwash.core.forecast import Forecast, make_forecast
+from upwash.core.forecast import Forecast, make_forecast, rest_of_check_s
 from upwash.core.geo import Position
 from upwash.core.legs import left_m
-from upwash.core.mission_model import MissionModel
+from upwash.core.mission_model import ExpectedCall, MissionModel
+from upwash.core.placing import Place, Placing
 from upwash.core.policy import (
     Choice,
     Coming,
@@ -31,7 +32,7 @@ from upwash.core.prewarm import PrewarmNotifier
 from upwash.core.radios import Radios
 from upwash.core.recovery import REST_S, Recovery
 from upwash.core.server_table import ServerTable
-from upwash.core.servers import FULL_S, Server, State
+from upwash.core.servers import FULL_S, SELECTED, Server, State
 from upwash.core.stay_or_go import Outlook
 
 
@@ -137,6 +138,27 @@ class Planning:
     def was_announced(self, server: Server) -> bool:
         """Whether another server announced the drone to this one before its last check began."""
         return self._prewarm.has_announced(server.name, at_s=server.checked_since_s)
+
+    def made_now(self, operation: Operation, now_s: float) -> ExpectedCall:
+        """A call that the mission makes now, as those that are expected."""
+        in_range_s = {
+            server.name: now_s - server.in_range_since_s
+            for server in self._table.in_range
+            if server.in_range_since_s is not None
+        }
+        return ExpectedCall(operation, 0.0, in_range_s)
+
+    def placing(self, now_s: float) -> Placing:
+        """Where calls will run from now on."""
+        in_use = self._radios.in_use
+        running = (State.AVL_R, *SELECTED)
+        return Placing(
+            self._policy,
+            self._estimates,
+            here=Place(in_use.name, rest_of_check_s(in_use, self._estimates, now_s)) if in_use else Place(),
+            running=[server.name for server in self._table.servers.values() if server.state in running],
+            unusable_s=dict(self._banned(now_s)),
+        )
 
     def _options(self, now_s: float) -> list[Option]:
         return [

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from upwash.core.estimates import Operation
 from upwash.core.forecast import Forecast
 from upwash.core.servers import CHECKING, State
 
@@ -80,11 +81,22 @@ class CallInputs:
 
 
 @dataclass(frozen=True, slots=True)
+class Lightened:
+    """A call that runs as another operation than was asked for, as the mission was expected to end too late."""
+
+    operation: Operation
+    asked: Operation
+    forecast_s: float
+    finish_by_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Inputs:
     """What a call was decided on, as it was then: enough to make the decision again.
 
     `server` is the one in use, None where there is none; its state, the number of its check and the estimates are
-    None then too. `check_s` is what its check takes, of which `check_elapsed_s` are over.
+    None then too. `check_s` is what its check takes, of which `check_elapsed_s` are over. `lightened` where all
+    that is of another operation than was asked for.
     """
 
     local_s: float | None = None
@@ -94,6 +106,7 @@ class Inputs:
     remote_s: float | None = None
     check_s: float | None = None
     check_elapsed_s: float | None = None
+    lightened: Lightened | None = None
 
 
 _UNKNOWN = Inputs()  # of a decision by itself, as policies make them

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from upwash.core.commands import Effect, Full, Start
 from upwash.core.estimates import Estimates, Operation
@@ -31,6 +31,7 @@ from upwash.core.events import (
     LeaseRenewed,
     LegBegun,
     LocalCallEnded,
+    MissionBegun,
     MissionEnded,
     NetworkLost,
     Prepared,
@@ -47,10 +48,11 @@ from upwash.core.events import (
     TurnOver,
 )
 from upwash.core.geo import Circle, Position
+from upwash.core.lighter import Lighter, LighterSettings
 from upwash.core.mission_model import MissionBeliefs, MissionModel
 from upwash.core.placement import Placement
 from upwash.core.planning import Planning
-from upwash.core.policy import Choice, Decision, Local, Policy, Remote
+from upwash.core.policy import Choice, Decision, Lightened, Local, Policy, Remote
 from upwash.core.radios import Radios
 from upwash.core.recovery import Probing, Recovery
 from upwash.core.server_table import ServerTable
@@ -75,6 +77,7 @@ class SelectionSettings:
     radios: int = 1
     probing: Probing | None = None
     gain_slot: float = 0.25
+    lighter: LighterSettings | None = None
 
 
 class Selection:
@@ -89,7 +92,7 @@ class Selection:
         settings: SelectionSettings | None = None,
         mission: MissionBeliefs | None = None,
     ) -> None:
-        settings = settings or SelectionSettings()
+        settings, beliefs = settings or SelectionSettings(), mission or MissionBeliefs()
         self.estimates = estimates
         self.policy = policy
         self._recovery = recovery = Recovery(settings.probing) if settings.probing else None
@@ -107,11 +110,16 @@ class Selection:
             table=table,
             radios=radios,
             estimates=estimates,
-            mission=MissionModel(mission or MissionBeliefs(), areas),
+            mission=MissionModel(beliefs, areas),
             recovery=recovery,
             idle_s=settings.idle_s,
             retry_s=settings.retry_s,
             gain_slot=settings.gain_slot,
+        )
+        self._lighter = (
+            Lighter(settings.lighter, self._planning, plan=beliefs.plan, whole=MissionModel(beliefs, areas))
+            if settings.lighter
+            else None
         )
         self._ended = False
 
@@ -143,6 +151,10 @@ class Selection:
     def handle(self, event: Event, *, now_s: float, position: Position) -> list[Effect]:
         """Takes in what happened by now, with the drone at the position; returns what is to be done."""
         table, radios, planning = self._table, self._radios, self._planning
+        if isinstance(event, MissionBegun):
+            return (
+                [*self._lighter.begin(event.vehicle, now_s=now_s, position=position)] if self._lighter else []
+            )
         self._locate(position, now_s)
         effects = self._take_in(event, now_s, position)
         effects += radios.end_probes([each for each in radios.probed if self._ended or not each.in_range])
@@ -159,12 +171,26 @@ class Selection:
     def decide(
         self, operation: Operation, *, now_s: float, position: Position
     ) -> tuple[Decision, list[Effect]]:
-        """Where a call that is wanted now shall run."""
+        """Where a call that is wanted now shall run; its inputs say whether as another operation."""
         self._locate(position, now_s)
-        decision, effects = self._placement.decide(operation, now_s)
         self._planning.mission.call_begun(operation, now_s=now_s)
+        lightened = self._lighter.judge(operation, now_s=now_s, position=position) if self._lighter else None
+        operation = lightened.operation if lightened else operation
+        decision, effects = self._placement.decide(operation, now_s)
         self._planning.decided(decision, operation, now_s)
+        if lightened is not None:
+            decision = replace(decision, inputs=replace(decision.inputs, lightened=lightened))
         return decision, effects
+
+    def fall_back(self, operation: Operation, *, now_s: float, position: Position) -> Lightened | None:
+        """The lighter operation as which the drone runs a call that a server has not answered, if it does."""
+        if self._lighter is None:
+            return None
+        self._planning.mission.call_ends(now_s)
+        lightened = self._lighter.judge(operation, now_s=now_s, position=position, on_drone=True)
+        if lightened is not None:
+            self._planning.decided(Local("no usable answer"), lightened.operation, now_s)
+        return lightened
 
     def decide_after_wait(
         self, operation: Operation, check: int, *, now_s: float, position: Position

@@ -11,7 +11,7 @@ from typing import Any, ParamSpec, TypeVar
 import msgspec
 
 from upwash.core.estimates import Operation
-from upwash.core.events import Arrived, Event, LegBegun, TargetUnknown
+from upwash.core.events import Arrived, Event, LegBegun, MissionBegun, TargetUnknown
 from upwash.core.geo import Position, Waypoint, distance_m
 from upwash.core.geofence import breached_by_leg, breached_by_position
 from upwash.drone.mission import MissionThread
@@ -103,6 +103,7 @@ class Vehicle:
     def _take_up(self) -> None:
         """The vehicle is in the air, where another program left it: for the flight to say, not for a mission."""
         self._in_the_air = self._found_flying = True
+        self._tell(MissionBegun(self._autopilot.energy))
 
     def arm(self) -> None:
         """Waits until the vehicle is ready to fly, then arms its motors.
@@ -288,6 +289,7 @@ class Vehicle:
         self._site.require_reachable(self._autopilot.position)
         self._site.require_within(limits)
         await self._autopilot.arm()
+        self._tell(MissionBegun(self._autopilot.energy))
 
     def _record_limits(self, limits: VehicleLimits) -> None:
         self._journal.record(

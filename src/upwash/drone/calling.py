@@ -16,6 +16,7 @@ from upwash.core.events import (
     TurnOver,
 )
 from upwash.core.hedging import Hedging
+from upwash.core.policy import Lightened
 from upwash.drone.decisions import Decisions, now_s
 from upwash.drone.onboard import OnboardServices
 from upwash.drone.radio_worker import RadioWorker
@@ -33,11 +34,19 @@ _LOCAL_FACTOR = 10.0  # times the estimate: a local call that takes longer hangs
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """What the mission asked for."""
+    """What the mission asked for, or, where it is `lightened`, less than that."""
 
     operation: Operation
     method: Method
     request: bytes
+    lightened: Lightened | None = None
+
+    def lighter(self, lightened: Lightened | None) -> Call:
+        """The same call as the lighter operation, if there is one."""
+        if lightened is None:
+            return self
+        request = self.method.under(lightened.operation.key, self.request)
+        return Call(lightened.operation, self.method, request, lightened)
 
 
 @dataclass(frozen=True, slots=True)

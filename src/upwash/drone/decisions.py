@@ -8,11 +8,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
-from upwash.core.commands import Command, Effect, Full
+from upwash.core.commands import Command, Effect, Foreseen, Full
 from upwash.core.estimates import Estimates, Operation
 from upwash.core.events import Event
 from upwash.core.geo import Position
-from upwash.core.policy import Decision, Local, Remote, Wait
+from upwash.core.policy import Decision, Lightened, Local, Remote, Wait
 from upwash.core.selection import Selection
 from upwash.core.servers import Change
 from upwash.core.stay_or_go import Outlook
@@ -72,11 +72,16 @@ class Decisions:
         self._told = asyncio.Event()
 
     def decide(self, operation: Operation) -> Decision:
-        """Where a call runs that the mission wants now."""
+        """Where a call runs that the mission wants now, and whether as a lighter operation."""
         position = self._autopilot.position
         decision, effects = self._selection.decide(operation, now_s=now_s(), position=position)
-        self._decided(operation, decision, effects, position)
+        lightened = decision.inputs.lightened
+        self._decided(lightened.operation if lightened else operation, decision, effects, position)
         return decision
+
+    def fall_back(self, operation: Operation) -> Lightened | None:
+        """The lighter operation as which the drone runs a call that a server has not answered, if it does."""
+        return self._selection.fall_back(operation, now_s=now_s(), position=self._autopilot.position)
 
     async def wait(self, operation: Operation, wait: Wait) -> Decision:
         """Waits for the server, as was decided; returns where the call runs then."""
@@ -149,6 +154,10 @@ class Decisions:
                     self._record_change(effect)
                 case Full(server, check, waiting):
                     self._journal.record(schema.NoSlot(server=server, check=check, waiting=waiting))
+                case Foreseen(finish_by_s, as_asked_s, lightest_s):
+                    self._journal.record(
+                        schema.Foreseen(finish_by_s=finish_by_s, as_asked_s=as_asked_s, lightest_s=lightest_s)
+                    )
                 case _:
                     self._send(effect)
         if effects:

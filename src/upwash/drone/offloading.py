@@ -106,21 +106,26 @@ class Offloading:
         """
         began_s = now_s()
         decision = self._decisions.decide(operation)
+        call = Call(operation, method, request).lighter(decision.inputs.lightened)
         wait: Literal["", "paid off", "failed"] = ""
         why = decision.why
         if isinstance(decision, Wait):
-            decision = await self._decisions.wait(operation, decision)
+            decision = await self._decisions.wait(call.operation, decision)
             wait = "paid off" if isinstance(decision, Remote) else "failed"
             why = f"{why}: {decision.why}"
         waited_s = now_s() - began_s
-        answer = await self._racing.answer(decision, Call(operation, method, request))
+        answer = await self._racing.answer(decision, call)
         if answer.server is None and isinstance(decision, Remote):
             why = f"{why}; {_lost(answer)} on the drone"
         elif answer.overtook:
             why = f"{why}; {answer.server} became of use, and was sooner"
+        lightened = answer.call.lightened
         self._journal.record(
             schema.Call(
-                operation=str(operation),
+                operation=str(answer.call.operation),
+                asked=str(operation) if lightened else "",
+                forecast_s=lightened.forecast_s if lightened else None,
+                finish_by_s=lightened.finish_by_s if lightened else None,
                 place=name_of(answer.server),
                 check=answer.attempt.check if answer.attempt is not None else None,
                 decision=why,

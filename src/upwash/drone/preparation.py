@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
-from upwash.config import DroneConfig, ServerConfig, ServiceConfig, server_areas
+from upwash.config import DroneConfig, ServerConfig, ServiceConfig, ending, server_areas
 from upwash.core.estimates import Beliefs, Estimates, Operation, offline_remote_s
 from upwash.core.geo import Waypoint
 from upwash.core.hedging import Hedging
+from upwash.core.lighter import LighterSettings
 from upwash.core.mission_model import MissionBeliefs, Step
 from upwash.core.policies import make_policy
 from upwash.core.recovery import Probing
@@ -38,6 +40,7 @@ def make_selection(
             radios=config.network.radios,
             gain_slot=policy.gain_slot,
             probing=Probing(probe.first_s, probe.longest_s) if (probe := policy.probing) else None,
+            lighter=_lighter(config, specs, estimates),
         ),
         mission=mission_beliefs(config, specs, estimates, plan),
     )
@@ -108,6 +111,39 @@ def endpoints(config: DroneConfig, estimates: Estimates) -> dict[str, ServerEndp
         )
         for server in config.servers
     }
+
+
+def _lighter(
+    config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates
+) -> LighterSettings | None:
+    """By when the mission is to be over, where the configuration says so, and what may run lighter for that."""
+    mission = config.mission
+    if mission.finish_by_s is None:
+        return None
+    operations = {
+        operation: replace(operation, key=mission.lighter[operation.key])
+        for operation in estimates.operations
+        if operation.key in mission.lighter and not specs[operation.service].methods[operation.method].once
+    }
+    for key in mission.lighter:
+        if not any(operation.key == key for operation in operations):
+            raise UsageError(
+                f"mission.lighter.{key}: no service has a method that is told apart by it: declare the service with "
+                "@service(profile_by=...), and name a value of that parameter"
+            )
+    for asked, lighter in operations.items():
+        try:
+            specs[asked.service].methods[asked.method].argument(lighter.key)
+        except ValueError as error:
+            raise UsageError(
+                f'mission.lighter.{asked.key}: {asked.service} has no "{lighter.key}": {error}: name another key'
+            ) from error
+    return LighterSettings(
+        mission.finish_by_s,
+        operations,
+        takeoff_s=config.vehicle.takeoff_s,
+        lands=ending(mission) == "land",
+    )
 
 
 def mission_beliefs(

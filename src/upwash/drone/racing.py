@@ -34,6 +34,7 @@ class Answer:
     """What one call came to; the fields are those of the event `schema.Call`."""
 
     reply: Any
+    call: Call
     attempt: Attempt | None = None  # that answered it; None where the drone did
     onboard_s: float = 0.0
     fell_back: bool = False
@@ -52,7 +53,7 @@ class Answer:
 class _Computing:
     """The drone's own service at a call: first it may have to be done with an earlier one."""
 
-    operation: Operation
+    call: Call
     asked_s: float
     began_s: float | None = None
     task: asyncio.Task[Any] = field(init=False)
@@ -92,8 +93,8 @@ class Racing:
         attempt = self._calling.attempt(call, decision.server, decision.deadline_s)
         reply = await self._calling.at_server(attempt)
         if reply is not None:
-            return Answer(reply, attempt)
-        return await self._answer_onboard(call, instead_of=attempt)
+            return Answer(reply, call, attempt)
+        return await self._fall_back(call, attempt)
 
     async def queue(self, service: str) -> float:
         """Waits until the drone's own service is done with calls that servers answered; returns for how long."""
@@ -128,8 +129,8 @@ class Racing:
             raise
         if remote.done():
             if (reply := remote.result()) is not None:
-                return Answer(reply, attempt)
-            return await self._answer_onboard(call, instead_of=attempt)
+                return Answer(reply, call, attempt)
+            return await self._fall_back(call, attempt)
         self._journal.record(
             schema.Hedged(
                 server=decision.server,
@@ -145,6 +146,15 @@ class Racing:
         return replace(answer, hedged_s=hedge.after_s)
 
     # --- the race -------------------------------------------------------------------------------------------
+
+    async def _fall_back(self, call: Call, attempt: Attempt) -> Answer:
+        """Has the drone compute a call that the server has not answered.
+
+        What the server says that the service raised is tested by the same call, which is not made lighter.
+        """
+        if attempt.said is None and call.lightened is None:
+            call = call.lighter(self._decisions.fall_back(call.operation))
+        return await self._answer_onboard(call, instead_of=attempt)
 
     async def _answer_onboard(self, call: Call, *, instead_of: Attempt | None = None) -> Answer:
         """Has the drone compute the call, and each server that is of use before the drone is done."""
@@ -181,7 +191,7 @@ class Racing:
         return attempt
 
     def _begin_onboard(self, call: Call) -> _Computing:
-        computing = _Computing(call.operation, now_s())
+        computing = _Computing(call, now_s())
 
         async def compute() -> Any:
             await self.queue(call.operation.service)
@@ -197,7 +207,7 @@ class Racing:
             return None
         while not computing.task.done():
             began_s = now_s() if computing.began_s is None else computing.began_s
-            decision, again_s = self._decisions.overtake(computing.operation, began_s=began_s)
+            decision, again_s = self._decisions.overtake(computing.call.operation, began_s=began_s)
             if decision is not None:
                 return decision
             await self._decisions.until_told(computing.task, until_s=again_s)
@@ -212,9 +222,10 @@ class Racing:
             self._calling.test(attempt, reply)
             if late and attempt.reply is not None:
                 self._keep(_Loser(attempt.reply))
-        self._decisions.tell(LocalCallEnded(computing.operation, delay_s))
+        self._decisions.tell(LocalCallEnded(computing.call.operation, delay_s))
         return Answer(
             reply,
+            computing.call,
             onboard_s=delay_s,
             fell_back=attempt is not None and not late,
             queued_s=began_s - computing.asked_s,
@@ -224,15 +235,15 @@ class Racing:
     def _won(self, attempt: Attempt, computing: _Computing) -> Answer:
         """The server's answer, which was first."""
         assert attempt.reply is not None  # noqa: S101 - it has answered
-        ended_s, operation = now_s(), computing.operation
+        ended_s, call = now_s(), computing.call
         began_s = ended_s if computing.began_s is None else computing.began_s
         if computing.began_s is None:
             computing.task.cancel()  # it was still in line
         else:
-            drop = asyncio.create_task(self._drop(operation, computing.task))
-            self._keep(_Loser(drop, operation.service))
+            drop = asyncio.create_task(self._drop(call.operation, computing.task))
+            self._keep(_Loser(drop, call.operation.service))
         return Answer(
-            attempt.reply.result(), attempt, ended_s - began_s, queued_s=began_s - computing.asked_s
+            attempt.reply.result(), call, attempt, ended_s - began_s, queued_s=began_s - computing.asked_s
         )
 
     async def _drop(self, operation: Operation, local: asyncio.Task[Any]) -> None:

@@ -156,6 +156,8 @@ class Narrator:
                 return Said(f"mission {before}, policy {policy}")
             case schema.TurnedBack(waypoint=waypoint):
                 return Said(f"turning back to {_name_of(waypoint)}, for its answer", Tone.FOUND)
+            case schema.Foreseen():
+                return _foreseen(event)
             case schema.Returning():
                 self.doing = "returning"
                 return Said("returning home to land")
@@ -277,6 +279,16 @@ def _failure(event: Event) -> Said | None:
         case schema.LocalEnded(service=service, how=how):
             return Said(f"{service} on the drone ended ({how}); starting it again", Tone.TROUBLE)
     return None
+
+
+def _foreseen(event: schema.Foreseen) -> Said:
+    expected = (
+        f"expected to be over after {event.as_asked_s:.0f} s, and with every call lighter after "
+        f"{event.lightest_s:.0f} s"
+    )
+    if not event.fits:
+        return Said(f"{expected}: too late for finish_by_s = {event.finish_by_s:g}", Tone.ALARM)
+    return Said(f"{expected}; to be over by {event.finish_by_s:g} s", Tone.ASIDE)
 
 
 def _name_of(waypoint: int | None) -> str:

@@ -93,6 +93,11 @@ def told(call: ExplainedCall) -> Iterator[str]:
         yield f"at {change.t:.1f} s {change.server} was {change.kind.replace('_', ' ')}: {change.why}"
     for decision in call.decisions:
         yield from told_decision(decision)
+    if outcome.asked and outcome.forecast_s is not None and outcome.finish_by_s is not None:
+        yield (
+            f"{outcome.asked} was asked for: so the mission would have ended at {outcome.forecast_s:.0f} s, "
+            f"{outcome.forecast_s - outcome.finish_by_s:.1f} s later than it was to"
+        )
     if outcome.hedged_s is not None:
         yield f"    no answer had come after {outcome.hedged_s:.2f} s, so the drone began on it too"
     if outcome.queued_s:

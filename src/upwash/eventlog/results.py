@@ -31,7 +31,7 @@ class CallResult:
 
     `place` is where it ran in the end, "local" for the drone or a server's name. `delay_s` is how long the mission
     waited for its answer, and `waited_s` the part of it that was spent on waiting for a server. `at_s` is when it
-    made the call, in the mission's time.
+    made the call, in the mission's time. `asked` is the operation that it asked for where a lighter one ran.
     """
 
     waypoint: int | None
@@ -41,6 +41,12 @@ class CallResult:
     delay_s: float
     waited_s: float
     at_s: float
+    asked: str = ""
+
+    @property
+    def key(self) -> str:
+        """The profile key under which it ran; "" for an operation without any."""
+        return self.operation.partition("[")[2].removesuffix("]")
 
     @property
     def server(self) -> str | None:
@@ -53,7 +59,7 @@ class Totals:
     """Sums over all calls; `remote` counts by server, `fallbacks` remote calls that ended on the drone.
 
     `waits` counts the calls that waited for a server, `waits_failed` those of them that did in vain, and `switches`
-    how often a server was selected.
+    how often a server was selected. `lighter` counts the calls that ran lighter than the mission asked for.
     """
 
     calls: int
@@ -64,6 +70,7 @@ class Totals:
     switches: int
     fallbacks: int
     service_delay_s: float
+    lighter: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +189,7 @@ class Tally:
                 switches=self._switches,
                 fallbacks=self._fallbacks,
                 service_delay_s=sum(call.delay_s for call in self._calls),
+                lighter=sum(bool(call.asked) for call in self._calls),
             ),
             waypoints=self._waypoints,
             undone=[index for index in range(self._waypoints) if index not in self._reached],
@@ -236,6 +244,7 @@ def _call(event: schema.Call, waypoint: int | None, began_s: float) -> CallResul
         delay_s=event.delay_s,
         waited_s=event.waited_s,
         at_s=event.t - event.delay_s - began_s,
+        asked=event.asked,
     )
 
 

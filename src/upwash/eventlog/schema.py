@@ -130,6 +130,19 @@ class MissionStarted(Event, frozen=True, kw_only=True):
     done: Sequence[int] = []
 
 
+class Foreseen(Event, frozen=True, kw_only=True):
+    """When the mission was expected to be over before it took off: as asked for, and at least, all calls lighter."""
+
+    finish_by_s: float
+    as_asked_s: float
+    lightest_s: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether it can be over in time."""
+        return self.lightest_s <= self.finish_by_s
+
+
 class MissionCompleted(Event, frozen=True, kw_only=True):
     """The mission was flown to its end, and every server left."""
 
@@ -591,9 +604,14 @@ class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
     the drone. `wait` is empty, `paid off` or `failed`. `hedged_s` is when the drone's own service started on it too,
     `queued_s` for how long that was busy with an earlier call, and `remote_fault` whether what a server said that it
     raised was `confirmed` or `denied` by the drone's own service. `at_s` is by the program's clock, not the log's.
+    `operation` is what ran. Where that is lighter than what was `asked` for, the mission was expected to end at
+    `forecast_s` of its time, later than `finish_by_s`.
     """
 
     operation: str
+    asked: str = ""
+    forecast_s: float | None = None
+    finish_by_s: float | None = None
     place: str
     check: int | None = None
     decision: str

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable
 from types import TracebackType
 from typing import Self
@@ -115,10 +115,18 @@ def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
         f"{totals.fallbacks} fell back to the drone; {totals.service_delay_s:.1f} s spent in calls",
         soft_wrap=True,
     )
+    if totals.lighter:
+        console.print(_lighter_line(result), soft_wrap=True)
     _print_times(result, console, paced=paced)
     if result.energy is not None:
         console.print(_energy_line(result.energy), soft_wrap=True)
     _print_waypoints(result, console)
+
+
+def _lighter_line(result: RunResult) -> str:
+    keys = Counter(call.key for call in result.calls if call.key)
+    counts = ", ".join(f"{count} {key}" for key, count in sorted(keys.items()))
+    return f"{counted(result.totals.lighter, 'call')} lighter than asked for, to be over in time: {counts}"
 
 
 def _energy_line(energy: EnergyTotals) -> str:

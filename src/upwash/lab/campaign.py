@@ -45,6 +45,7 @@ class CombinationSummary:
     energy_wh: Mean | None  # likewise, where it was metered
     worst_s: Mean | None  # likewise, where several drones flew
     jain: Mean | None
+    lighter: Mean | None  # calls, likewise, where a mission is to be over in time
     failures: dict[int, str]  # reason by seed
 
 
@@ -150,6 +151,7 @@ def _fly(chunk: Chunk, seed: int) -> Row:
         worst_s=fleet.worst_s if fleet else None,
         jain=fleet.jain if fleet else None,
         bound_shared_s=fleet.bound_shared_s if fleet else None,
+        lighter=totals.lighter if config.mission.lighter else None,
     )
 
 
@@ -181,6 +183,7 @@ def _summary(combination: Combination, rows: Iterable[Row]) -> CombinationSummar
         _mean(row.energy_wh for row in completed),
         _mean(row.worst_s for row in completed),
         _mean(row.jain for row in completed),
+        _mean(row.lighter for row in completed),
         {row.seed: row.failure for row in own if not row.completed},
     )
 

@@ -47,11 +47,13 @@ class Row(msgspec.Struct, frozen=True):
     worst_s: float | None = None
     jain: float | None = None
     bound_shared_s: float | None = None
+    lighter: int | None = None  # calls, where a mission is to be over in time
 
 
 _ENERGY = ("energy_wh", "flight_wh", "hover_wh", "computing_wh", "radio_wh")
 _FLEET = ("completed_drones", "worst_s", "jain", "bound_shared_s")
-_COLUMNS = tuple(name for name in Row.__struct_fields__[1:] if name not in (*_ENERGY, *_FLEET))
+_LIGHTER = ("lighter",)
+_COLUMNS = tuple(name for name in Row.__struct_fields__[1:] if name not in (*_ENERGY, *_FLEET, *_LIGHTER))
 
 
 class Note(msgspec.Struct, frozen=True):
@@ -73,7 +75,8 @@ class CampaignFile:
         documents = [each.document for each in sweep.combinations]
         metered = _ENERGY if any("energy" in each for each in documents) else ()
         together = _FLEET if any("drone" in each for each in documents) else ()
-        self._columns = (*_COLUMNS, *metered, *together)
+        timed = _LIGHTER if any("lighter" in each["mission"] for each in documents) else ()
+        self._columns = (*_COLUMNS, *metered, *together, *timed)
 
     @classmethod
     def open(cls, out: Path, sweep: Sweep) -> CampaignFile:

@@ -125,6 +125,7 @@ def _prediction_table(found: Check) -> Table:
     for title in (
         "mission time",
         "against local-only",
+        *(["lighter calls"] if _are_lighter(found) else []),
         *(["battery left"] if found.usable_s or found.usable_wh else []),
     ):
         table.add_column(title, justify="right", no_wrap=True)
@@ -140,6 +141,8 @@ def _prediction_cells(prediction: Prediction, local_only_s: float | None, found:
     margin = f" ± {prediction.margin_s / 60:.2f}" if prediction.margin_s is not None else ""
     cells = [Text(prediction.case), Text(f"{time_s / 60:.2f}{margin} min")]
     cells.append(Text(f"{100 * (time_s / local_only_s - 1):+.0f} %" if local_only_s else "-"))
+    if _are_lighter(found):
+        cells.append(Text(f"{prediction.lighter or 0:.0f}"))
     if found.usable_wh and prediction.energy_wh is not None:
         left_wh = found.usable_wh - prediction.energy_wh
         cells.append(Text(f"{left_wh:.1f} Wh", style="red" if left_wh < 0 else ""))
@@ -147,6 +150,11 @@ def _prediction_cells(prediction: Prediction, local_only_s: float | None, found:
         left_s = found.usable_s - time_s
         cells.append(Text(f"{left_s / 60:.1f} min", style="red" if left_s < 0 else ""))
     return cells
+
+
+def _are_lighter(found: Check) -> bool:
+    """Whether calls may be, so that it is worth a column."""
+    return any(each.lighter is not None for each in found.predictions)
 
 
 def _how_sure(found: Check, config: DroneConfig) -> str:

@@ -112,7 +112,7 @@ def _forecast(config: DroneConfig, flown: Sequence[_Flown]) -> DroneForecast:
     alone = runs[LOCAL_ONLY][0]
     places = [waypoint.position for waypoint in waypoints(config.mission)]
     covered = coverage(places, server_areas(config), alone.range_intervals, ended_s=alone.events[-1].t)
-    predictions = tuple(_prediction(case, its_runs) for case, its_runs in runs.items())
+    predictions = tuple(_prediction(config, case, its_runs) for case, its_runs in runs.items())
     found = warnings(config, covered, list(beliefs(config, alone)), predictions)
     return DroneForecast(
         drone=config.name,
@@ -124,9 +124,10 @@ def _forecast(config: DroneConfig, flown: Sequence[_Flown]) -> DroneForecast:
     )
 
 
-def _prediction(case: str, runs: Sequence[Run]) -> Prediction:
+def _prediction(config: DroneConfig, case: str, runs: Sequence[Run]) -> Prediction:
     times_s = [run.result.mission_time_s for run in runs if run.result.completed]
     drawn_wh = [run.result.energy.total_wh for run in runs if run.result.completed and run.result.energy]
+    lighter = [run.result.totals.lighter for run in runs if run.result.completed]
     time_s, energy_wh = (mean_of(values) if values else None for values in (times_s, drawn_wh))
     return Prediction(
         case=case,
@@ -136,6 +137,7 @@ def _prediction(case: str, runs: Sequence[Run]) -> Prediction:
         failures=tuple(run.failure for run in runs if run.failure and not run.vanished),
         energy_wh=energy_wh.value if energy_wh else None,
         energy_margin_wh=energy_wh.margin if energy_wh and energy_wh.count > 1 else None,
+        lighter=mean_of(lighter).value if config.mission.lighter and lighter else None,
     )
 
 

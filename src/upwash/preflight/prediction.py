@@ -20,8 +20,9 @@ class Prediction(Struct, frozen=True, kw_only=True):
 
     `mission_time_s` is the mean of the completed ones, None where there are none; the true mean lies within
     `margin_s` of it with a probability of 95 %. The margin is None where a single mission says all, or little.
-    `energy_wh` is what they draw from the battery, likewise, where the file has `[energy]`. `failures` are the
-    reasons of those that were not completed.
+    `energy_wh` is what they draw from the battery, likewise, where the file has `[energy]`, and `lighter` how
+    many of their calls are lighter, where it has `mission.lighter`. `failures` are the reasons of those that were not
+    completed.
     """
 
     case: str
@@ -31,6 +32,7 @@ class Prediction(Struct, frozen=True, kw_only=True):
     failures: tuple[str, ...] = ()
     energy_wh: float | None = None
     energy_margin_wh: float | None = None
+    lighter: float | None = None
 
     @property
     def certain_margin_s(self) -> float:
@@ -68,6 +70,7 @@ def predict(
             failures=tuple(summary.failures.values()),
             energy_wh=drawn.value if (drawn := summary.energy_wh) else None,
             energy_margin_wh=drawn.margin if drawn and drawn.count > 1 else None,
+            lighter=summary.lighter.value if summary.lighter else None,
         )
         for summary in summaries
     ]

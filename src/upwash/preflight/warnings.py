@@ -19,6 +19,7 @@ from upwash.preflight.coverage import Coverage
 from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, without
 from upwash.preflight.way_home import PX4_LOW_PERCENT, farthest, reserve_percent
 
+_LATE_S = 1.0  # less is what the forecast of the last calls was off
 _WORTH_SAYING = 0.01  # of a mission time: less is the luck of when a check happened to begin
 
 
@@ -67,8 +68,10 @@ def warnings(
     if config.policy.name != LOCAL_ONLY:
         found += _range_concerns(config.servers, covered)
         found += _operation_concerns(config, beliefs)
-        found += _gain_concerns(config, predictions)
+        if not config.mission.lighter:  # else each case takes the time that it may
+            found += _gain_concerns(config, predictions)
     found += _failure_concerns(predictions)
+    found += _time_concerns(config, predictions)
     found += _battery_concerns(config, predictions)
     found += _energy_concerns(config, predictions)
     found += _way_home_concerns(config)
@@ -191,6 +194,23 @@ def _failure_concerns(predictions: Sequence[Prediction]) -> Iterator[PreflightWa
     for reason, failed in cases.items():
         yield PreflightWarning(
             "not-completed", f"simulated missions were not completed, {', '.join(failed)}: {reason}"
+        )
+
+
+def _time_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> Iterator[PreflightWarning]:
+    finish_by_s = config.mission.finish_by_s
+    if finish_by_s is None:
+        return
+    late = [
+        f"{each.case} ({each.mission_time_s:.0f} s)"
+        for each in predictions
+        if each.mission_time_s is not None and each.mission_time_s > finish_by_s + _LATE_S
+    ]
+    if late:
+        yield PreflightWarning(
+            "late",
+            f"mission.finish_by_s = {finish_by_s:g} is not kept, as lighter calls do not save enough: "
+            f"{', '.join(late)}",
         )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from upwash.core.servers import State
-from upwash.eventlog.results import mean_local_delay_s
+from upwash.eventlog.results import CallResult, mean_local_delay_s
 from upwash.report.charts import state_seconds
 from upwash.report.markup import Markup, element
 from upwash.report.places import name_of
@@ -57,6 +57,10 @@ def totals(records: Sequence[Record]) -> Markup:
         ["with every call on the drone", *(_local_only(record) for record in records)],
         ["saved by offloading", *(_saved(record) for record in records)],
     ]
+    if any(record.result.totals.lighter for record in records):
+        rows.append(
+            ["calls lighter than asked for", *(str(record.result.totals.lighter) for record in records)]
+        )
     if any(record.result.energy for record in records):
         rows.append(["drawn from the battery", *(_drawn(record) for record in records)])
     return table("Totals", ["", *(record.name for record in records)], rows)
@@ -116,7 +120,7 @@ def calls(record: Record) -> Markup:
         [
             "start" if call.result.waypoint is None else str(call.result.waypoint),
             f"{call.result.at_s:.1f} s",
-            call.result.operation,
+            _ran_as(call.result),
             name_of(call.result.server),
             f"{call.result.delay_s:.2f} s",
             f"{call.result.waited_s:.2f} s, {call.wait}" if call.wait else "",
@@ -126,6 +130,10 @@ def calls(record: Record) -> Markup:
     ]
     heads = ["waypoint", "at", "operation", "place", "delay", "waited", "decision"]
     return table("Calls by waypoint", heads, rows)
+
+
+def _ran_as(call: CallResult) -> str:
+    return f"{call.operation} instead of {call.asked}" if call.asked else call.operation
 
 
 def map_places(record: Record) -> Markup:

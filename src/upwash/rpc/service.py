@@ -67,6 +67,7 @@ class Method:
     reply_type: Callable[..., Any]
     reply: msgspec.msgpack.Decoder[Any]
     once: bool = False
+    key_type: Any = None  # the type hint of the parameter that `profile_by` names
 
     def encode(self, args: tuple[object, ...], kwargs: Mapping[str, object]) -> tuple[str, bytes]:
         """The profile key and the request of a call with these arguments; raises TypeError as the call would."""
@@ -90,6 +91,20 @@ class Method:
     def key_of(self, request: bytes) -> str:
         """The profile key of a request; raises msgspec.MsgspecError for anything else."""
         return self._key(self._arguments(request))
+
+    def under(self, key: str, request: bytes) -> bytes:
+        """The same request under another profile key; raises ValueError where there is no such argument."""
+        arguments = decode(request, self.request)
+        return msgspec.msgpack.encode(
+            msgspec.structs.replace(arguments, **{str(self.profile_by): self.argument(key)})
+        )
+
+    def argument(self, key: str) -> object:
+        """The argument that has that profile key; raises ValueError where its type hint has none."""
+        try:
+            return msgspec.convert(key, self.key_type, strict=False)
+        except msgspec.ValidationError as error:
+            raise ValueError(f"{self.name}({self.profile_by}=...): {error}") from error
 
     def decode(self, reply: bytes) -> Any:
         """A reply, checked against the type hints; raises GarbledReply for anything else."""
@@ -287,14 +302,16 @@ def _describe_method(cls: type, function: Callable[..., object], profile_by: str
         [("value", hints["return"] | UnsetType, UNSET), ("fault", Fault | UnsetType, UNSET)],
     )
     request_type = msgspec.defstruct(f"{cls.__name__}_{function.__name__}_request", fields)
+    types = dict(fields)
     return Method(
         name=function.__name__,
         signature=signature.replace(parameters=parameters),
-        profile_by=profile_by if profile_by in dict(fields) else None,
+        profile_by=profile_by if profile_by in types else None,
         request=msgspec.msgpack.Decoder(request_type),
         reply_type=reply_type,
         reply=msgspec.msgpack.Decoder(reply_type),
         once=getattr(function, _ONCE, False),
+        key_type=types.get(profile_by or ""),
     )
 
 
