@@ -111,6 +111,10 @@ class Autopilot(Protocol):
         """How it moves over the ground, as last reported; None where the vehicle does not say."""
 
     @property
+    def stopping_place(self) -> Position:
+        """Where it would come to rest if it braked now."""
+
+    @property
     def heading_deg(self) -> float | None:
         """Where its nose points, clockwise from north, as last reported; None where the vehicle does not say."""
 

@@ -7,8 +7,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from upwash.core.geo import Circle, Position, ground_distance_m
-from upwash.core.legs import Leg, acceleration_m_s2, entered_m
-from upwash.vehicle.kinematics import duration_s, leg
+from upwash.core.legs import Leg, acceleration_m_s2, entered_m, left_m
+from upwash.vehicle.kinematics import Motion, braking, duration_s, leg
 
 lengths_m = st.floats(0.5, 500.0)
 speeds_m_s = st.floats(0.5, 20.0)
@@ -80,3 +80,34 @@ def between(start: Position, end: Position, share: float) -> Position:
         start.east_m + share * (end.east_m - start.east_m),
         start.north_m + share * (end.north_m - start.north_m),
     )
+
+
+@given(length_m=lengths_m, speed_m_s=speeds_m_s, acceleration=accelerations_m_s2, share=st.floats(0.001, 1.0))
+def test_the_way_back_is_what_the_simulated_vehicle_brakes_and_flies(
+    length_m: float, speed_m_s: float, acceleration: float, share: float
+) -> None:
+    outward = Leg(length_m, speed_m_s, acceleration)
+    start, end = Position(0, 0), Position(length_m, 0)
+    motion = Motion(0.0, leg(start, end, cruise_m_s=speed_m_s, acceleration_m_s2=acceleration), end)
+    elapsed_s = share * outward.duration_s
+    here, velocity = motion.position(elapsed_s), motion.velocity(elapsed_s)
+    assert outward.travelled_m(elapsed_s) == pytest.approx(here.east_m, abs=1e-6)
+    stopping = braking(here, velocity, acceleration_m_s2=acceleration)
+    stop = stopping[-1].end if stopping else here
+    back = leg(stop, start, cruise_m_s=speed_m_s, acceleration_m_s2=acceleration)
+    assert outward.back_s(elapsed_s) == pytest.approx(duration_s(stopping) + duration_s(back), abs=1e-4)
+
+
+@given(start=positions, end=positions, centre=positions, radius_m=st.floats(1.0, 150.0))
+def test_a_range_is_left_where_it_would_be_entered_on_the_way_back(
+    start: Position, end: Position, centre: Position, radius_m: float
+) -> None:
+    circle = Circle(centre, radius_m)
+    way_m = left_m(start, end, circle)
+    assert (way_m is None) == circle.contains(end)
+    if way_m is not None and not circle.contains(start):
+        assert way_m == 0.0
+    elif way_m is not None:
+        assert ground_distance_m(between(start, end, way_m / ground_distance_m(start, end)), centre) == (
+            pytest.approx(radius_m, abs=1e-6)
+        )

@@ -19,6 +19,7 @@ from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import NoNetwork
 from upwash.drone.resumption import order_begun, waypoints_done
 from upwash.errors import AutopilotOverruled, AutopilotRefused, InstanceError, MissionFailed, UsageError
+from upwash.eventlog import schema
 from upwash.eventlog.results import RunResult, read_result
 from upwash.eventlog.schema import Event
 from upwash.missions.bundled import load_services
@@ -74,8 +75,12 @@ def fly(
     mission: Callable[[Drone], None] = survey,
     autopilot: type[ModelAutopilot] = ModelAutopilot,
     runtime: type[ModelRuntime] = ModelRuntime,
+    shows: Sequence[Position] = (),
 ) -> Part:
-    """Flies from the beginning, or on from where an earlier part was killed, until it ends or is killed."""
+    """Flies from the beginning, or on from where an earlier part was killed, until it ends or is killed.
+
+    The photos of the places that it `shows` have something to see.
+    """
     earlier = after.events if after else []
     part = Part(earlier, after.position if after else None)
     opened = event("log_resumed" if after else "log_opened", part.result.mission_time_s)
@@ -98,7 +103,7 @@ def fly(
             dialer=dialer,
             onboard_dialer=dialer,
             onboard_runtime=runtime({"detector": spec_of(Detector)}, computer, onboard),
-            camera=ModelCamera(photo_s=1.0),
+            camera=ModelCamera(photo_s=1.0, events=shows),
             notifier=journal,
             journal=journal,
         )
@@ -144,6 +149,24 @@ def test_killed_at_any_moment_it_takes_up_the_plan_after_the_last_result(killed_
     assert both.result.completed
     assert (both.result.waypoints, both.result.undone) == (4, [])
     assert both.position is not None and both.position.altitude_m == 0.0
+
+
+@pytest.mark.parametrize("killed_at_s", [float(each) for each in range(10, 106, 3)])
+@pytest.mark.parametrize("stay_or_go", ["stay", "go"])
+def test_killed_at_any_moment_no_answer_and_nothing_that_it_demands_is_lost(
+    killed_at_s: float, stay_or_go: str
+) -> None:
+    config = scenario(action_s=5.0)
+    policy = msgspec.structs.replace(config.policy, stay_or_go=stay_or_go)
+    config = msgspec.structs.replace(config, policy=policy)
+    shows = [Position(east_m, north_m) for east_m, north_m in PLACES[1:3]]
+    both = fly(config, after=fly(config, killed_at_s=killed_at_s, shows=shows), shows=shows)
+    assert both.error is None
+    assert both.result.completed
+    acted = [each.waypoint for each in both.events if isinstance(each, schema.Acted)]
+    assert acted == [1, 2], "once each in the log"
+    answered = {each.waypoint for each in both.events if isinstance(each, schema.AnswerTaken)}
+    assert answered == {0, 1, 2, 3}
 
 
 @pytest.mark.parametrize(("killed_at_s", "takeoffs"), [(0.0, 1), (5.0, 0), (33.0, 1), (90.0, 1)])

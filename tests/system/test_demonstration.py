@@ -182,6 +182,24 @@ def test_who_looks_ahead_finds_the_second_server_warm_on_arrival(tmp_path: Path)
     assert set(result.totals.remote) == {"s1", "s2"}
 
 
+def test_who_learns_when_to_go_on_finds_all_the_same_and_tells_it_at_its_waypoint(tmp_path: Path) -> None:
+    with started(tmp_path, "--stay-or-go", "learn") as demonstration:
+        demonstration.finish()
+    events = demonstration.events()
+    decided = [event for event in events if event["event"] == "stay_or_go"]
+    assert [event["waypoint"] for event in decided] == list(range(WAYPOINTS))
+    assert decided[0]["goes"], "3 s on the drone, and nothing known of what answers demand"
+    assert not decided[-1]["goes"], "the last waypoint waits"
+    demanding = [
+        event["waypoint"] for event in events if event["event"] == "answer_taken" and event.get("demanded")
+    ]
+    assert demanding
+    assert [event["waypoint"] for event in events if event["event"] == "acted"] == demanding
+    went = {event["waypoint"] for event in decided if event["goes"]}
+    turned_back = {event["waypoint"] for event in events if event["event"] == "turned_back"}
+    assert turned_back == went & set(demanding)
+
+
 def test_the_mission_survives_the_kill_of_both_daemons(demonstration: Demonstration) -> None:
     demonstration.wait_for(lambda event: event["event"] == "arrived" and event["waypoint"] == 7)
     daemons = demonstration.daemons()

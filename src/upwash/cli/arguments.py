@@ -56,6 +56,15 @@ def add_policy(parser: argparse.ArgumentParser, *, instead_of: str) -> None:
     )
 
 
+def add_stay_or_go(parser: argparse.ArgumentParser) -> None:
+    """Adds the option that flies on before answers are there, or does not."""
+    parser.add_argument(
+        "--stay-or-go",
+        choices=("stay", "go", "learn"),
+        help="whether to fly on before an answer is there, instead of policy.stay_or_go",
+    )
+
+
 def add_live(parser: argparse.ArgumentParser) -> None:
     """Adds the option that shows a flight on a page while it lasts."""
     parser.add_argument(

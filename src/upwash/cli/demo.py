@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import add_live, add_policy, count, new_run_folder
+from upwash.cli.arguments import add_live, add_policy, add_stay_or_go, count, new_run_folder
 
 if TYPE_CHECKING:
     from upwash.cli.arguments import Commands
@@ -31,6 +31,7 @@ def add(commands: Commands) -> None:
         "--runtime", type=Path, metavar="FILE", help="a table [runtime] for both daemons, such as containers"
     )
     add_policy(demo, instead_of="the demonstration's")
+    add_stay_or_go(demo)
     add_live(demo)
     demo.set_defaults(run=run)
 
@@ -41,15 +42,17 @@ def run(options: argparse.Namespace) -> bool:
     from upwash.support.loading import extra
 
     with extra("detector"):
+        from upwash.cli.demonstration.configuration import read_demonstration
         from upwash.cli.demonstration.flight import fly_demonstration
+    config = read_demonstration(policy=options.policy, stay_or_go=options.stay_or_go)
     folder = options.folder or new_run_folder()
     runtime = _read(options.runtime) if options.runtime else ""
     if options.drones == 1:
-        fly_demonstration(folder, runtime=runtime, policy=options.policy, live_port=options.live)
+        fly_demonstration(folder, config, runtime=runtime, live_port=options.live)
         return True
     with extra("emulation"):
         from upwash.cli.demonstration.fleet import fly_fleet
-    return fly_fleet(folder, options.drones, runtime=runtime, policy=options.policy, live_port=options.live)
+    return fly_fleet(folder, config, options.drones, runtime=runtime, live_port=options.live)
 
 
 def _drones(text: str) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 from collections.abc import Callable, Coroutine, Iterator
 from typing import Any, ParamSpec, TypeVar
 
@@ -24,7 +23,6 @@ from upwash.plans import Ending
 from upwash.ports import Autopilot, Camera, Journal, Notifier, VehicleLimits
 from upwash.rpc.service import Method, make_stub, spec_of
 
-_BRAKES_M_S2 = 1.0  # at least: what is flown here brakes harder
 P = ParamSpec("P")
 T = TypeVar("T")
 Mission = Callable[["Drone"], None]
@@ -199,6 +197,7 @@ class Vehicle:
     @contextlib.contextmanager
     def _settling(self, answer: OpenAnswer[Any]) -> Iterator[OpenAnswer[Any]]:
         """It is not open meanwhile, as what is done about it flies, too; it still is after an error before that."""
+        self._thread.require_turn()
         self._open = None
         try:
             yield answer
@@ -266,9 +265,8 @@ class Vehicle:
 
     async def _stop_short_of(self, target: Position) -> None:
         """Brakes, or ends the leg where that would lead beyond it: what lies there nobody has looked at."""
-        velocity = self._autopilot.velocity
-        speed_m_s = math.inf if velocity is None else velocity.speed_m_s
-        if speed_m_s**2 / (2 * _BRAKES_M_S2) > distance_m(self._autopilot.position, target):
+        here, stopping_place = self._autopilot.position, self._autopilot.stopping_place
+        if distance_m(here, stopping_place) > distance_m(here, target):
             await self._rest_of_leg()
         else:
             await self._end_leg()

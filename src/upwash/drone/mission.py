@@ -57,7 +57,7 @@ class MissionThread:
         the mission is being ended from outside.
         """
         try:
-            self._require_turn()
+            self.require_turn()
         except UpwashError:
             verb.close()
             raise
@@ -70,7 +70,7 @@ class MissionThread:
 
     def post(self, do: Callable[[], object]) -> None:
         """Has the loop do something before the mission's next verb, and does not wait for it."""
-        self._require_turn()
+        self.require_turn()
         self._loop.call_soon_threadsafe(do)
 
     async def run(self, program: Callable[[], None]) -> None:
@@ -110,7 +110,8 @@ class MissionThread:
         if self._verb is not None:
             self._verb.cancel()
 
-    def _require_turn(self) -> None:
+    def require_turn(self) -> None:
+        """Raises UsageError in a thread that is not the mission's, and MissionStopped once that is being ended."""
         if threading.current_thread() is not self._thread:
             raise UsageError(_OTHER_THREAD)
         if self._stopped:

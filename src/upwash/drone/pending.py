@@ -199,6 +199,7 @@ class Calls:
                     await call.task
 
     def _require_free(self, operation: Operation) -> None:
+        self._thread.require_turn()
         if self._under_way is not _NONE and not self._under_way.is_over:
             raise UsageError(
                 f"{operation} cannot be called yet: another call is pending, and a drone makes one at a time; take "

@@ -115,6 +115,12 @@ class ModelAutopilot:
         return self._vehicle.velocity
 
     @property
+    def stopping_place(self) -> Position:
+        """In its manner."""
+        phases = self._braking()
+        return phases[-1].end if phases else self.position
+
+    @property
     def heading_deg(self) -> float | None:
         """It flies nose first; None where it stands or hovers."""
         now = self._vehicle.velocity
@@ -233,7 +239,7 @@ class ModelAutopilot:
     async def hold(self) -> None:
         """Brakes, and stops where that ends."""
         self._command("hold")
-        await self._move("hold", self._manner.brake(self.position, self._vehicle.velocity))
+        await self._move("hold", self._braking())
 
     async def return_home_and_land(self) -> None:
         """Back to where it took off."""
@@ -361,6 +367,9 @@ class ModelAutopilot:
             return from_here
         planned_s, real_s = takes_s(way(self._waypoint)), takes_s(from_here)
         return stretched(from_here, planned_s / real_s) if planned_s > 0 and real_s > 0 else from_here
+
+    def _braking(self) -> tuple[Phase, ...]:
+        return self._manner.brake(self.position, self._vehicle.velocity)
 
     async def _move(
         self,

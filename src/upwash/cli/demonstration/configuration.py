@@ -18,16 +18,16 @@ _FIELD_M = (
 )
 
 
-def read_demonstration(policy: str | None = None) -> DroneConfig:
+def read_demonstration(*, policy: str | None = None, stay_or_go: str | None = None) -> DroneConfig:
     """The demonstration's configuration, as it is simulated; a flight fills in what only exists while it runs.
 
-    `policy` is another than the configured one.
+    `policy` and `stay_or_go` are others than the configured ones.
     """
     with as_file(files("upwash.cli.demonstration") / "drone.toml") as file:
         config = read_drone_config(file)
-    if policy is None:
-        return config
-    return msgspec.structs.replace(config, policy=msgspec.structs.replace(config.policy, name=policy))
+    others = {"name": policy, "stay_or_go": stay_or_go}
+    changes = {key: value for key, value in others.items() if value is not None}
+    return msgspec.structs.replace(config, policy=msgspec.structs.replace(config.policy, **changes))
 
 
 def fleet_of(config: DroneConfig, drones: int) -> list[DroneConfig]:

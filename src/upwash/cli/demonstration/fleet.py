@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from upwash.cli.demonstration.configuration import filled_in, fleet_of, read_demonstration, start_of
+from upwash.cli.demonstration.configuration import filled_in, fleet_of, start_of
 from upwash.cli.demonstration.daemons import ready_daemons
 from upwash.cli.demonstration.following import followed
 from upwash.cli.demonstration.outcome import Outcome, outcome_of, print_outcomes
@@ -29,10 +29,10 @@ _DEPARTURE_S = 3.0  # after the one before
 
 def fly_fleet(
     folder: Path,
+    config: DroneConfig,
     drones: int,
     *,
     runtime: str = "",
-    policy: str | None = None,
     live_port: int | None = None,
 ) -> bool:
     """Flies it with so many drones and everything below `folder`; returns whether every flight was completed.
@@ -40,7 +40,6 @@ def fly_fleet(
     Whatever it started is gone when it returns or raises. The other arguments are those of `fly_demonstration`.
     """
     console = Console(markup=False)
-    config = read_demonstration(policy)
     names = [server.name for server in config.servers]
     fleet = fleet_of(config, drones)
     logs = {drone.name: folder / f"{drone.name}.jsonl" for drone in fleet}

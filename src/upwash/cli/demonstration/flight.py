@@ -6,24 +6,24 @@ from pathlib import Path
 
 from rich.console import Console
 
-from upwash.cli.demonstration.configuration import filled_in, read_demonstration
+from upwash.cli.demonstration.configuration import filled_in
 from upwash.cli.demonstration.daemons import ready_daemons
 from upwash.cli.demonstration.score import score_photos
 from upwash.cli.flying import fly_with_progress
+from upwash.config import DroneConfig
 from upwash.launch.processes import ready_vehicle
 from upwash.real.authority import make_keys
 
 
 def fly_demonstration(
-    folder: Path, *, runtime: str = "", policy: str | None = None, live_port: int | None = None
+    folder: Path, config: DroneConfig, *, runtime: str = "", live_port: int | None = None
 ) -> None:
     """Flies it with everything below `folder`; whatever it started is gone when it returns or raises.
 
-    `runtime` is what the daemons' configuration is to say besides, in TOML: a table [runtime]. `policy` is another
-    than the configured one. With `live_port` it is shown on a page meanwhile.
+    `runtime` is what the daemons' configuration is to say besides, in TOML: a table [runtime]. With `live_port` it is
+    shown on a page meanwhile.
     """
     console = Console(markup=False)
-    config = read_demonstration(policy)
     names = [server.name for server in config.servers]
     make_keys(folder / "keys", servers=[[name] for name in names], drones=[config.name])
     with (

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
 
+from upwash.core.geo import Position, ground_distance_m
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
 from upwash.eventlog.narration import counted
@@ -42,22 +43,30 @@ class Score:
 NOTHING = Score(photos=0, true=0, found=0, false=0)
 
 
+@dataclass(slots=True)
+class _Photo:
+    """A photo: where it was taken, what it truly shows, and what the user was told of it."""
+
+    position: Position
+    truth: list[TrueBox]
+    told: list[Detection] = field(default_factory=list)
+
+
 def score_photos(log: Path) -> Score:
     """What the flight of that event log told its user, held against what its photos truly show."""
-    truths: list[list[TrueBox]] = []
-    told: list[list[Detection]] = []
+    photos: list[_Photo] = []
     for event in event_log.read(log):
         match event:
-            case schema.Photo(truth=truth) if truth is not None:
-                truths.append(msgspec.convert(truth, list[TrueBox]))
-                told.append([])
-            case schema.Notified(message=message):
-                told[-1] = msgspec.convert(message, list[Detection])
+            case schema.Photo(truth=truth, position=position) if truth is not None:
+                photos.append(_Photo(position, msgspec.convert(truth, list[TrueBox])))
+            case schema.Notified(message=message, at=at):  # perhaps after a photo of the next waypoint
+                its_own = min(photos, key=lambda photo: ground_distance_m(photo.position, at))
+                its_own.told = msgspec.convert(message, list[Detection])
     found = false = 0
-    for truth, detections in zip(truths, told, strict=True):
-        found += sum(any(_is_hit(fault, each) for each in detections) for fault in truth)
-        false += sum(not any(_is_hit(fault, each) for fault in truth) for each in detections)
-    return Score(photos=len(truths), true=sum(map(len, truths)), found=found, false=false)
+    for photo in photos:
+        found += sum(any(_is_hit(fault, each) for each in photo.told) for fault in photo.truth)
+        false += sum(not any(_is_hit(fault, each) for fault in photo.truth) for each in photo.told)
+    return Score(photos=len(photos), true=sum(len(photo.truth) for photo in photos), found=found, false=false)
 
 
 def _is_hit(fault: TrueBox, detection: Detection) -> bool:

@@ -41,8 +41,6 @@ _USUAL_LOITER_MS = 5_000.0
 _SETTLES_S = ARDUCOPTER_WAY_HOME.hover_s - _USUAL_LOITER_MS / 1e3
 _FENCE_ALTITUDE, _FENCE_CIRCLE, _FENCE_AREAS = 1, 2, 4  # of FENCE_TYPE
 _LIFT_REPORT_S = 1.0  # for a report that it has left the ground, while some get lost
-_BRAKES_M_S2 = 1.83  # as recorded flights do (SITL 4.7, default parameters)
-_REACTS_S = 0.1
 
 
 def _mode_name(number: int) -> str:
@@ -120,6 +118,11 @@ class ArduCopter(MavlinkAutopilot):
         self._told_speed_s = -math.inf
         self._energy = EnergyFacts(way_home=ARDUCOPTER_WAY_HOME)
         self._dead_man = LuaDeadMan(self._vehicle)
+
+    @property
+    def brakes_m_s2(self) -> float:
+        """As recorded flights do (SITL 4.7, default parameters)."""
+        return 1.83
 
     @property
     def dead_man(self) -> DeadMan:
@@ -202,7 +205,7 @@ class ArduCopter(MavlinkAutopilot):
     async def hold(self) -> None:
         """Aims at where it can stop, so that it does not fly back."""
         async with self._vehicle.limited("hold", self._settings.margin_s):
-            stop = self._stopping_place()
+            stop = self.stopping_place
             await self._send_target("hold", stop)
             await self._arrival("hold", stop)
 
@@ -230,18 +233,6 @@ class ArduCopter(MavlinkAutopilot):
             elif not self._obeys_speed or self._is_too_fast():
                 await self._tell_speed(step)
                 self._obeys_speed = True
-
-    def _stopping_place(self) -> Position:
-        """Where it comes to rest when it brakes now."""
-        here, velocity = self.position, self._telemetry.velocity
-        if velocity is None:
-            return here
-        ahead_s = _REACTS_S + velocity.speed_m_s / (2 * _BRAKES_M_S2)
-        return Position(
-            here.east_m + velocity.east_m_s * ahead_s,
-            here.north_m + velocity.north_m_s * ahead_s,
-            max(0.0, here.altitude_m + velocity.up_m_s * ahead_s),
-        )
 
     async def _send_target(self, step: str, position: Position) -> None:
         place: GeoPosition = self._frame.geo(position)

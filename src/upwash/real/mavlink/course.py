@@ -17,7 +17,7 @@ _CLOSES_IN_PER_S = 0.7  # of what is left, at the end: so that what held the veh
 _AT_REST_M_S = 0.05
 _LAG_ALLOWED_M = 3.0  # behind the point, beyond which it waits for the vehicle
 _CATCHES_UP = 2.0  # times the acceleration, so that the point keeps to its own braking curve
-_USED = 0.4  # of the acceleration: the vehicle is to follow in wind, too
+_USED = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +29,11 @@ class Abilities:
     descent_m_s: float = 1.5
     acceleration_m_s2: float = 3.0
 
+    @property
+    def used_m_s2(self) -> float:
+        """What is used of its acceleration, so that it can follow in wind, too."""
+        return self.acceleration_m_s2 * _USED
+
 
 class Course:
     """A point with a velocity that goes to its target, or brakes where it has none."""
@@ -39,7 +44,7 @@ class Course:
         self.setpoint_velocity = Velocity()  # none while it waits: the vehicle would fly past it
         self.setpoint_acceleration = Velocity()  # the change of that in a second
         self._abilities = abilities
-        self._acceleration_m_s2 = abilities.acceleration_m_s2 * _USED
+        self._acceleration_m_s2 = abilities.used_m_s2
         self._target: Position | None = None
         self._ground_speed_m_s = 0.0
 

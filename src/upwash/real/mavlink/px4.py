@@ -177,6 +177,11 @@ class Px4(MavlinkAutopilot):
             course.aim(position, ground_speed_m_s=self._ground_speed_m_s)
             await self._while_ours(step, lambda: course.ended and self._arrived(position))
 
+    @property
+    def brakes_m_s2(self) -> float:
+        """As its course does."""
+        return self._stream.abilities.used_m_s2
+
     async def hold(self) -> None:
         """Brakes, and stays where that ends."""
         self._require_flying("hold")

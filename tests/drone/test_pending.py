@@ -1,0 +1,193 @@
+"""Calls that a mission starts and does not wait for, on virtual time."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from tests.drone.test_resume import fly, scenario
+
+from upwash import Drone, Position
+from upwash.errors import MissionFailed, UsageError
+from upwash.eventlog import schema
+from upwash.services import Detector
+
+# A call on the drone takes 10 s, a leg of 20 m 9 s, a photo 1 s.
+Program = Callable[[Drone, Detector], None]
+
+
+def flown(program: Program, **mission: Any) -> list[Any]:
+    """The events of a flight whose mission does that in the air."""
+    part = fly(scenario(**mission), mission=in_the_air(program))
+    assert part.error is None, part.error
+    return part.events
+
+
+def in_the_air(program: Program) -> Callable[[Drone], None]:
+    def mission(drone: Drone) -> None:
+        drone.autopilot.arm()
+        drone.autopilot.takeoff(drone.altitude_m)
+        program(drone, drone.service(Detector))
+        drone.end_flight()
+        drone.autopilot.disarm()
+
+    return mission
+
+
+def of(events: list[Any], kind: type[schema.Event]) -> list[Any]:
+    return [event for event in events if isinstance(event, kind)]
+
+
+def test_the_mission_flies_on_while_the_call_runs() -> None:
+    done: list[bool] = []
+
+    def program(drone: Drone, detector: Detector) -> None:
+        drone.autopilot.goto(drone.plan[0])
+        pending = drone.start(detector.process_photo, b"photo", mode="heavy")
+        done.append(pending.done())
+        drone.autopilot.goto(drone.plan[1])
+        done.append(pending.done())
+        assert pending.result() == []
+        done.append(pending.done())
+
+    events = flown(program)
+    assert done == [False, False, True]
+    (call,), (taken,) = of(events, schema.Call), of(events, schema.AnswerTaken)
+    assert (call.delay_s, taken.waited_s) == (10.0, pytest.approx(1.0)), "9 s of it were flown"
+    assert taken.waypoint == 0
+
+
+def test_a_second_call_is_refused_until_the_first_is_over_or_dropped() -> None:
+    def program(drone: Drone, detector: Detector) -> None:
+        pending = drone.start(detector.process_photo, b"photo", mode="heavy")
+        with pytest.raises(UsageError, match="another call is pending"):
+            detector.process_photo(b"photo", mode="light")
+        with pytest.raises(UsageError, match=r"result\(\).*cancel\(\)"):
+            drone.start(detector.process_photo, b"photo", mode="light")
+        pending.result()
+        detector.process_photo(b"photo", mode="light")
+
+    assert len(of(flown(program), schema.Call)) == 2
+
+
+def test_a_dropped_call_computes_on_and_the_next_waits_for_its_end() -> None:
+    def program(drone: Drone, detector: Detector) -> None:
+        drone.start(detector.process_photo, b"photo", mode="heavy").cancel()
+        detector.process_photo(b"photo", mode="light")
+
+    first, second = of(flown(program), schema.Call)
+    assert second.t - first.t == pytest.approx(3.0), "and it is not slowed down by it"
+
+
+def test_what_is_no_method_of_a_service_cannot_be_started() -> None:
+    def program(drone: Drone, _: Detector) -> None:
+        with pytest.raises(UsageError, match=r"print is no method of a service"):
+            drone.start(print, "photo")
+
+    flown(program)
+
+
+def test_another_thread_than_the_missions_is_refused_at_once() -> None:
+    refused: list[BaseException] = []
+
+    def elsewhere(verb: Callable[[], object]) -> None:
+        def run() -> None:
+            try:
+                verb()
+            except UsageError as error:
+                refused.append(error)
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        thread.join()
+
+    def program(drone: Drone, detector: Detector) -> None:
+        pending = drone.start(detector.process_photo, b"photo", mode="heavy")
+        elsewhere(lambda: detector.process_photo(b"photo", mode="heavy"))
+        elsewhere(lambda: drone.autopilot.goto(drone.plan[1]))
+        elsewhere(pending.result)
+        elsewhere(drone.camera.take_photo)
+        elsewhere(pending.done)  # which is allowed
+        pending.result()
+
+    flown(program)
+    assert len(refused) == 4
+    assert all("drone.start" in str(error) for error in refused)
+
+
+def test_a_mission_that_forgets_its_call_ends_all_the_same() -> None:
+    def program(drone: Drone, detector: Detector) -> None:
+        drone.start(detector.process_photo, b"photo", mode="heavy")
+
+    events = flown(program)
+    assert of(events, schema.MissionCompleted)
+
+
+def test_what_the_mission_raises_ends_the_flight_and_the_call() -> None:
+    def program(drone: Drone, detector: Detector) -> None:
+        drone.start(detector.process_photo, b"photo", mode="heavy")
+        drone.autopilot.goto(drone.plan[1])
+        raise KeyError("lost")
+
+    part = fly(scenario(), mission=in_the_air(program))
+    assert isinstance(part.error, MissionFailed)
+    assert part.position is not None and part.position.altitude_m == 0.0
+
+
+@pytest.mark.parametrize("demanding", [True, False])
+def test_it_turns_back_by_itself_where_the_mission_says_so(demanding: bool) -> None:
+    seen: list[Any] = []
+
+    def program(drone: Drone, detector: Detector) -> None:
+        drone.autopilot.goto(drone.plan[0])
+        pending = drone.start(detector.process_photo, b"photo", mode="light")
+        seen.append(drone.autopilot.goto(drone.plan[1], unless=pending.demands(lambda _: demanding)))
+        seen.append(drone.autopilot.position.east_m)
+
+    flown(program)
+    arrived, east_m = seen
+    assert arrived is not demanding
+    assert east_m == pytest.approx(9.0 if demanding else 20.0), "3 s at 1 m/s², and as far to brake"
+
+
+def test_a_question_that_fails_stops_the_drone_and_is_raised() -> None:
+    seen: list[float] = []
+
+    def program(drone: Drone, detector: Detector) -> None:
+        drone.autopilot.goto(drone.plan[0])
+        pending = drone.start(detector.process_photo, b"photo", mode="light")
+        with pytest.raises(ZeroDivisionError):
+            drone.autopilot.goto(drone.plan[1], unless=pending.demands(lambda _: 1 / 0))
+        seen.append(drone.autopilot.position.east_m)
+        drone.autopilot.hover(5.0)
+        seen.append(drone.autopilot.position.east_m)
+
+    flown(program)
+    assert seen == [pytest.approx(9.0)] * 2
+
+
+def test_so_near_its_target_that_braking_would_lead_beyond_it_arrives() -> None:
+    seen: list[Any] = []
+
+    def program(drone: Drone, detector: Detector) -> None:
+        drone.autopilot.goto(Position(0.0, 0.0, 20.0))
+        pending = drone.start(detector.process_photo, b"photo", mode="light")
+        near = Position(3.0, 0.0, 20.0)
+        seen.append(drone.autopilot.goto(near, unless=pending.demands(lambda _: True)))
+        seen.append(drone.autopilot.position.east_m)
+
+    flown(program)
+    assert seen[1] == pytest.approx(3.0)
+
+
+def test_the_mission_stands_still_for_a_call_as_long_as_ever() -> None:
+    def waits(drone: Drone, detector: Detector) -> None:
+        detector.process_photo(b"photo", mode="heavy")
+
+    def starts(drone: Drone, detector: Detector) -> None:
+        drone.start(detector.process_photo, b"photo", mode="heavy").result()
+
+    one, other = (of(flown(each), schema.MissionCompleted)[0].t for each in (waits, starts))
+    assert one == other

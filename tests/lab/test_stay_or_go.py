@@ -1,0 +1,77 @@
+"""Surveys that go on before their answers are there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from tests.scenarios import scenario, server
+
+from upwash.config import DroneConfig
+from upwash.eventlog import schema
+from upwash.lab.run import Run, simulate
+
+
+def survey(*servers: dict[str, Any], manner: str, **tables: Any) -> DroneConfig:
+    return scenario(
+        *servers,
+        mission={"action_s": 5.0},
+        policy={"name": "location-aware", "stay_or_go": manner},
+        **tables,
+    )
+
+
+def of(run: Run, kind: type[schema.Event]) -> list[Any]:
+    return [event for event in run.events if isinstance(event, kind)]
+
+
+@pytest.mark.parametrize("manner", ["stay", "go", "learn"])
+def test_what_is_demanded_is_done_at_its_waypoint_once(manner: str) -> None:
+    run = simulate(survey(manner=manner, event={"every": 4, "offset": 1}))
+    eventful = [1, 5, 9, 13, 17]
+    assert run.result.completed
+    assert [event.waypoint for event in of(run, schema.Acted)] == eventful
+    at = [(event.at.east_m, event.at.north_m) for event in of(run, schema.Notified)]
+    places = of(run, schema.Planned)[0].waypoints_m
+    assert at == [tuple(places[number]) for number in eventful]
+    assert [call.waypoint for call in run.result.calls] == list(range(18)), "each call at its own waypoint"
+
+
+def test_the_last_waypoint_waits() -> None:
+    run = simulate(survey(manner="go"))
+    assert [event.goes for event in of(run, schema.StayOrGo)] == [True] * 17 + [False]
+
+
+def test_going_hides_calls_on_the_drone_and_turning_back_costs_a_leg_at_most() -> None:
+    stay, go = (simulate(survey(manner=manner)).result.mission_time_s for manner in ("stay", "go"))
+    assert go == pytest.approx(stay - 17 * 10.0), "but for the last"
+    for event in of(simulate(survey(manner="go", event={"probability": 0.5})), schema.TurnedBack):
+        assert event.waypoint is not None
+
+
+def test_a_call_that_would_lose_its_server_stays() -> None:
+    near = server("s1", 0.0, 40.0, range_m=3.0)  # about the first waypoint alone
+    run = simulate(survey(near, manner="learn", event={"probability": 0.0}))
+    first = of(run, schema.StayOrGo)[0]
+    call = run.result.calls[0]
+    assert call.server is None or not first.goes
+
+
+def test_events_of_a_probability_hang_on_the_seed_and_the_waypoint_alone() -> None:
+    one, other = (
+        [
+            event.waypoint
+            for event in of(simulate(survey(manner=manner, event={"probability": 0.3})), schema.Acted)
+        ]
+        for manner in ("stay", "go")
+    )
+    assert one == other and one
+
+
+def test_a_survey_that_stays_takes_no_longer_than_one_that_calls_and_waits() -> None:
+    run = simulate(survey(server("s1", 40.0, 20.0), manner="stay"))
+    assert not of(run, schema.StayOrGo)
+    assert all(
+        event.waited_s == pytest.approx(call.delay_s)
+        for event, call in zip(of(run, schema.AnswerTaken), run.result.calls, strict=True)
+    )
