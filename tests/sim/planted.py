@@ -13,19 +13,21 @@ import itertools
 import logging
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import Any
 from unittest.mock import patch
 
 import msgspec
 
+from upwash.config import DroneConfig
 from upwash.core.admission import AdmissionController
 from upwash.core.admission import Command as AdmissionCommand
 from upwash.core.clients import Client
 from upwash.core.control import Control, Latch, Owner, Report
 from upwash.core.estimates import Estimates
-from upwash.core.geo import Position
+from upwash.core.geo import Position, Waypoint
 from upwash.core.hedging import Hedging
 from upwash.core.instances import StartInstance
 from upwash.core.leases import Admit, Leases
@@ -35,13 +37,17 @@ from upwash.core.radios import Radios
 from upwash.core.recovery import Failures, Probing, Recovery
 from upwash.core.server_table import ServerTable
 from upwash.core.servers import Server, State, Trigger
+from upwash.core.stay_or_go import Outlook, StayOrGo, Verdict
 from upwash.core.turns import Turns
 from upwash.drone import contingency as safety
 from upwash.drone import flight as drone
+from upwash.drone.api import position_of
 from upwash.drone.background import Background
 from upwash.drone.calling import Calling
 from upwash.drone.decisions import Decisions
+from upwash.drone.open_answer import OpenAnswer
 from upwash.drone.racing import Racing
+from upwash.drone.resumption import waypoints_done
 from upwash.drone.server_session import ServerSession
 from upwash.errors import GarbledReply, LinkError, NoSlot, Refused
 from upwash.eventlog import schema
@@ -306,6 +312,71 @@ def asks_without_pause() -> contextlib.AbstractContextManager[object]:
             raise
 
     return patch.object(ServerSession, "_raise_if_full", eager)
+
+
+def acts_on_the_spot() -> contextlib.AbstractContextManager[object]:
+    """The drone does not come back for an answer that demands something."""
+
+    def stay_away(self: OpenAnswer[Any], waited_s: float) -> None:
+        self._finish(waited_s)
+
+    return patch.object(OpenAnswer, "_come_back", stay_away)
+
+
+def forgets_what_is_late() -> contextlib.AbstractContextManager[object]:
+    """An answer that comes when the drone has left its waypoint counts as one that demands nothing."""
+    finish = OpenAnswer._finish
+
+    def forgetful(self: OpenAnswer[Any], waited_s: float) -> None:
+        if self.is_away:
+            self._demand._holds = False
+        finish(self, waited_s)
+
+    return patch.object(OpenAnswer, "_finish", forgetful)
+
+
+def acts_twice() -> contextlib.AbstractContextManager[object]:
+    finish = OpenAnswer._finish
+
+    def eager(self: OpenAnswer[Any], waited_s: float) -> None:
+        finish(self, waited_s)
+        if self.is_away and self._demand.holds():
+            finish(self, waited_s)
+
+    return patch.object(OpenAnswer, "_finish", eager)
+
+
+def last_waypoint_goes() -> contextlib.AbstractContextManager[object]:
+    decide = StayOrGo.decide
+
+    def hasty(self: StayOrGo, outlook: Outlook | None) -> Verdict:
+        verdict = decide(self, outlook)
+        return replace(verdict, goes=True) if self.manner == "go" else verdict
+
+    return patch.object(StayOrGo, "decide", hasty)
+
+
+def leaves_two_waypoints() -> contextlib.AbstractContextManager[object]:
+    """The photo and the leg after the next waypoint do not wait for the answer that is open."""
+    fly_on = OpenAnswer.fly_on
+
+    def further(self: OpenAnswer[Any], place: Waypoint | Position) -> None:
+        fly_on(self, place)
+        if not self.is_over:
+            self._wings._fly(Position(position_of(place).east_m + 30.0, 0.0, position_of(place).altitude_m))
+
+    return patch.object(OpenAnswer, "fly_on", further)
+
+
+def done_before_its_answer() -> contextlib.AbstractContextManager[object]:
+    """A flight that is taken up goes on behind the last waypoint that was left."""
+
+    def hasty(events: Iterable[Event], config: DroneConfig) -> frozenset[int]:
+        kept = (each for each in events if not isinstance(each, schema.CallStarted))
+        return waypoints_done(kept, config)
+
+    judging = import_module("upwash.lab.faults.promises.answers")  # whose name is its function's, too
+    return patch.object(judging, "waypoints_done", hasty)
 
 
 def held_for_ever() -> contextlib.AbstractContextManager[object]:
@@ -591,6 +662,12 @@ DEFECTS = (
     Defect("a drone is served after its turn", admitted_after_its_turn),
     Defect("a server without a free slot counts as failed", full_is_failed),
     Defect("a drone without a slot asks without pause", asks_without_pause),
+    Defect("what an answer demands is done wherever the drone is", acts_on_the_spot),
+    Defect("an answer that comes after the waypoint is not acted upon", forgets_what_is_late),
+    Defect("what an answer demands is done again on arrival", acts_twice),
+    Defect("the last waypoint does not wait", last_waypoint_goes),
+    Defect("two waypoints may be left before the answer is there", leaves_two_waypoints),
+    Defect("a waypoint counts as done before its answer is there", done_before_its_answer),
     Defect("a slot is held until the drone comes", held_for_ever),
     Defect("a drone has several slots held at a time", held_everywhere),
     Defect("a slot is held for a server that is no peer", held_for_strangers),
