@@ -117,6 +117,15 @@ def ground_distance_m(a: Position, b: Position) -> float:
     return math.hypot(a.east_m - b.east_m, a.north_m - b.north_m)
 
 
+def ahead(place: Position, velocity: Velocity, time_s: float) -> Position:
+    """Where that velocity leads in that time, but never below the ground."""
+    return Position(
+        place.east_m + velocity.east_m_s * time_s,
+        place.north_m + velocity.north_m_s * time_s,
+        max(0.0, place.altitude_m + velocity.up_m_s * time_s),
+    )
+
+
 def distance_m(a: Position, b: Position) -> float:
     """Straight distance, altitude included."""
     return math.hypot(a.east_m - b.east_m, a.north_m - b.north_m, a.altitude_m - b.altitude_m)

@@ -151,9 +151,11 @@ def test_a_leg_can_be_broken_off_and_held(fly: Fly) -> None:
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(1.5):
                 await autopilot.goto(Position(500.0, 0.0, 5.0))
+        left, stop = autopilot.position, autopilot.stopping_place
         await autopilot.hold()
         here = autopilot.position
         assert 0.5 < here.east_m < 100.0
+        assert left.east_m < here.east_m <= stop.east_m + 1.5, "it stops where it said, or before"
         await asyncio.sleep(0.3)
         assert distance_m(autopilot.position, here) <= 1.0
         await autopilot.goto(Position(here.east_m + 3.0, 0.0, 5.0))

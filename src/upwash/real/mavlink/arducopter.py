@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.energy import ARDUCOPTER as ARDUCOPTER_WAY_HOME
 from upwash.core.energy import EnergyFacts, WayHome
-from upwash.core.geo import GeoPosition, Position, distance_m
+from upwash.core.geo import GeoPosition, Position, ahead, distance_m
 from upwash.core.geofence import Fence
 from upwash.errors import AutopilotRefused
 from upwash.ports import DeadMan, VehicleLimits
@@ -40,6 +40,8 @@ _READ_BEFORE_ARMING = (
 _USUAL_LOITER_MS = 5_000.0
 _SETTLES_S = ARDUCOPTER_WAY_HOME.hover_s - _USUAL_LOITER_MS / 1e3
 _FENCE_ALTITUDE, _FENCE_CIRCLE, _FENCE_AREAS = 1, 2, 4  # of FENCE_TYPE
+_BRAKES_M_S2 = 1.83  # as recorded flights do (SITL 4.7, default parameters)
+_REACTS_S = 0.1
 _LIFT_REPORT_S = 1.0  # for a report that it has left the ground, while some get lost
 
 
@@ -120,9 +122,12 @@ class ArduCopter(MavlinkAutopilot):
         self._dead_man = LuaDeadMan(self._vehicle)
 
     @property
-    def brakes_m_s2(self) -> float:
-        """As recorded flights do (SITL 4.7, default parameters)."""
-        return 1.83
+    def stopping_place(self) -> Position:
+        """Straight ahead, by how recorded flights brake."""
+        velocity = self._telemetry.velocity
+        if velocity is None:
+            return self.position
+        return ahead(self.position, velocity, _REACTS_S + velocity.speed_m_s / (2 * _BRAKES_M_S2))
 
     @property
     def dead_man(self) -> DeadMan:

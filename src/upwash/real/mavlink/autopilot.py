@@ -23,7 +23,6 @@ from upwash.real.mavlink.settings import FlightSettings
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
 _HOME = Position(0.0, 0.0)
-_REACTS_S = 0.1
 _HOME_POSITION, _EXTENDED_SYS_STATE = (
     mavlink.MAVLINK_MSG_ID_HOME_POSITION,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
@@ -75,21 +74,8 @@ class MavlinkAutopilot(ABC):
 
     @property
     @abstractmethod
-    def brakes_m_s2(self) -> float:
-        """How hard it brakes when it is told to hold."""
-
-    @property
     def stopping_place(self) -> Position:
-        """By how hard it brakes."""
-        here, velocity = self.position, self._telemetry.velocity
-        if velocity is None:
-            return here
-        ahead_s = _REACTS_S + velocity.speed_m_s / (2 * self.brakes_m_s2)
-        return Position(
-            here.east_m + velocity.east_m_s * ahead_s,
-            here.north_m + velocity.north_m_s * ahead_s,
-            max(0.0, here.altitude_m + velocity.up_m_s * ahead_s),
-        )
+        """Where it would come to rest if it braked now."""
 
     @property
     def heading_deg(self) -> float | None:

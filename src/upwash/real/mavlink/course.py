@@ -10,14 +10,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from upwash.core.geo import Position, Velocity, distance_m
+from upwash.core.geo import Position, Velocity, ahead, distance_m
 
 _AT_TARGET_M = 0.1
 _CLOSES_IN_PER_S = 0.7  # of what is left, at the end: so that what held the vehicle against the air can fade
 _AT_REST_M_S = 0.05
 _LAG_ALLOWED_M = 3.0  # behind the point, beyond which it waits for the vehicle
 _CATCHES_UP = 2.0  # times the acceleration, so that the point keeps to its own braking curve
-_USED = 0.4
+_USED = 0.4  # of the acceleration: the vehicle is to follow in wind, too
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +29,6 @@ class Abilities:
     descent_m_s: float = 1.5
     acceleration_m_s2: float = 3.0
 
-    @property
-    def used_m_s2(self) -> float:
-        """What is used of its acceleration, so that it can follow in wind, too."""
-        return self.acceleration_m_s2 * _USED
-
 
 class Course:
     """A point with a velocity that goes to its target, or brakes where it has none."""
@@ -44,7 +39,7 @@ class Course:
         self.setpoint_velocity = Velocity()  # none while it waits: the vehicle would fly past it
         self.setpoint_acceleration = Velocity()  # the change of that in a second
         self._abilities = abilities
-        self._acceleration_m_s2 = abilities.used_m_s2
+        self._acceleration_m_s2 = abilities.acceleration_m_s2 * _USED
         self._target: Position | None = None
         self._ground_speed_m_s = 0.0
 
@@ -56,6 +51,11 @@ class Course:
     def stop(self) -> None:
         """It brakes from now on, and stays where it comes to rest."""
         self._target = None
+
+    @property
+    def stopping_place(self) -> Position:
+        """Where it would come to rest if it braked now."""
+        return ahead(self.position, self.velocity, self.velocity.speed_m_s / (2 * self._acceleration_m_s2))
 
     @property
     def ended(self) -> bool:

@@ -178,9 +178,10 @@ class Px4(MavlinkAutopilot):
             await self._while_ours(step, lambda: course.ended and self._arrived(position))
 
     @property
-    def brakes_m_s2(self) -> float:
-        """As its course does."""
-        return self._stream.abilities.used_m_s2
+    def stopping_place(self) -> Position:
+        """Where its course would, which is ahead of it."""
+        course = self._stream.course
+        return self.position if course is None else course.stopping_place
 
     async def hold(self) -> None:
         """Brakes, and stays where that ends."""
