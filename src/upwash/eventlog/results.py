@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+import msgspec
+
 from upwash.core.places import server_of
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
@@ -13,25 +15,35 @@ from upwash.eventlog.whereabouts import Whereabouts
 
 # Most events of a long log are positions, which these pass over at once: each case of a match takes time.
 _BEGINNING = frozenset(
-    {schema.MissionStarted, schema.Armed, schema.Photo, schema.Call, schema.Leg, schema.LogResumed}
+    {
+        schema.MissionStarted,
+        schema.Armed,
+        schema.Photo,
+        schema.CallStarted,
+        schema.Call,
+        schema.Leg,
+        schema.LogResumed,
+    }
 )
 _COUNTED = _BEGINNING | {
-    schema.CallStarted,
+    schema.StayOrGo,
+    schema.TurnedBack,
+    schema.AnswerTaken,
     schema.MissionCompleted,
     schema.Arrived,
     schema.EnergyUsed,
     schema.LeftHovering,
     schema.Selected,
 }
+_LEAST_HIDDEN_S = 0.01  # what is less is the time between a call's end and the mission's next step
 
 
-@dataclass(frozen=True, slots=True)
-class CallResult:
+class CallResult(msgspec.Struct, frozen=True, omit_defaults=True):
     """One service call, as the mission experienced it; `waypoint` is None before the first arrival.
 
-    `place` is where it ran in the end, "local" for the drone or a server's name. `delay_s` is how long the mission
-    waited for its answer, and `waited_s` the part of it that was spent on waiting for a server. `at_s` is when it
-    made the call, in the mission's time.
+    `place` is where it ran in the end, "local" for the drone or a server's name. `delay_s` is how long its answer
+    took, and `waited_s` the part of it that was spent on waiting for a server. `at_s` is when the mission made the
+    call, in the mission's time. `hidden_s` is the part of the delay in which the mission did something else.
     """
 
     waypoint: int | None
@@ -41,6 +53,7 @@ class CallResult:
     delay_s: float
     waited_s: float
     at_s: float
+    hidden_s: float = 0.0
 
     @property
     def server(self) -> str | None:
@@ -48,12 +61,12 @@ class CallResult:
         return server_of(self.place)
 
 
-@dataclass(frozen=True, slots=True)
-class Totals:
+class Totals(msgspec.Struct, frozen=True, omit_defaults=True):
     """Sums over all calls; `remote` counts by server, `fallbacks` remote calls that ended on the drone.
 
     `waits` counts the calls that waited for a server, `waits_failed` those of them that did in vain, and `switches`
-    how often a server was selected.
+    how often a server was selected. The drone `went_on` before so many answers were there, and `turned_back` for so
+    many; `hidden_s` of the delays the mission did something else. In JSON these three are left out where they are 0.
     """
 
     calls: int
@@ -64,6 +77,9 @@ class Totals:
     switches: int
     fallbacks: int
     service_delay_s: float
+    went_on: int = 0
+    turned_back: int = 0
+    hidden_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +119,11 @@ class RunResult:
     def local_only_time_s(self) -> float | None:
         """How long the mission would have taken with every call at the mean measured local delay.
 
-        None where an operation was never run on the drone, so that nothing measured says.
+        None where an operation was never run on the drone, or the mission went on before answers were there: nothing
+        measured says then.
         """
+        if self.totals.went_on or self.totals.hidden_s:
+            return None
         local = mean_local_delay_s(self.calls)
         if any(call.operation not in local for call in self.calls):
             return None
@@ -136,7 +155,7 @@ class Tally:
         self._calls: list[CallResult] = []
         self._waypoints, self._reached, self._left_hovering = 0, set[int | None](), False
         self._waits: list[str] = []
-        self._switches = self._fallbacks = 0
+        self._switches = self._fallbacks = self._went_on = self._turned_back = 0
         self._energy: EnergyTotals | None = None
 
     def take(self, event: Event) -> None:
@@ -164,6 +183,12 @@ class Tally:
                 self._calls.append(_call(event, self._whereabouts.of_call, self._began.at_s or 0.0))
                 self._waits += [event.wait] if event.wait else []
                 self._fallbacks += event.fell_back
+            case schema.AnswerTaken() if (number := self._whereabouts.answered) is not None:
+                self._calls[number] = _waited_for(self._calls[number], event.waited_s)
+            case schema.StayOrGo():
+                self._went_on += event.goes
+            case schema.TurnedBack():
+                self._turned_back += 1
 
     def result(self) -> RunResult:
         """What it came to."""
@@ -182,6 +207,9 @@ class Tally:
                 switches=self._switches,
                 fallbacks=self._fallbacks,
                 service_delay_s=sum(call.delay_s for call in self._calls),
+                went_on=self._went_on,
+                turned_back=self._turned_back,
+                hidden_s=sum((call.hidden_s for call in self._calls), 0.0),
             ),
             waypoints=self._waypoints,
             undone=[index for index in range(self._waypoints) if index not in self._reached],
@@ -213,7 +241,9 @@ class Beginning:
             case schema.Armed() if self.at_s is not None and not self._settled:
                 self.arming_s = event.t - self.at_s
                 self.at_s, self._settled = event.t, True
-            case schema.Photo() | schema.Call() | schema.Leg() | schema.LogResumed() if self.at_s is not None:
+            case (
+                schema.Photo() | schema.CallStarted() | schema.Call() | schema.Leg() | schema.LogResumed()
+            ) if self.at_s is not None:
                 self._settled = True
 
 
@@ -237,6 +267,12 @@ def _call(event: schema.Call, waypoint: int | None, began_s: float) -> CallResul
         waited_s=event.waited_s,
         at_s=event.t - event.delay_s - began_s,
     )
+
+
+def _waited_for(call: CallResult, waited_s: float) -> CallResult:
+    """The call, for whose answer the mission stood waiting for so long."""
+    hidden_s = call.delay_s - waited_s
+    return msgspec.structs.replace(call, hidden_s=hidden_s if hidden_s >= _LEAST_HIDDEN_S else 0.0)
 
 
 def _energy(event: schema.EnergyUsed) -> EnergyTotals:
