@@ -10,6 +10,7 @@ from upwash.core.geo import Waypoint
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
+from upwash.eventlog.whereabouts import Whereabouts
 
 _SAME_PLACE_M = 0.01
 
@@ -26,8 +27,10 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
     left: set[int] = set()
     owed: set[int | None] = set()  # waypoints with an answer that was not taken, or not acted upon
     here: int | None = None
+    whereabouts = Whereabouts()
     completed = False
     for event in events:
+        whereabouts.take(event)
         match event:
             case schema.LogOpened():
                 results, left, owed, here, completed = {}, set(), set(), None, False
@@ -49,8 +52,10 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
                 | schema.Acted(waypoint=waypoint)
             ):
                 owed.discard(waypoint)
-            case schema.Call() if here is not None:
-                results[here] += 1
+            case schema.Call():
+                made_at = here if whereabouts.of_call is None else whereabouts.of_call
+                if made_at in results:
+                    results[made_at] += 1
     if completed:
         raise UsageError("the mission in this log was completed: there is nothing to take up")
     wanted = max(1, max((results[each] for each in left), default=len(config.services)))

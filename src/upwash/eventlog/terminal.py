@@ -14,7 +14,7 @@ from rich.text import Text
 
 from upwash.eventlog import schema
 from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Tone, counted, spans
-from upwash.eventlog.results import EnergyTotals, RunResult
+from upwash.eventlog.results import EnergyTotals, RunResult, Totals
 from upwash.eventlog.schema import Event
 from upwash.support.text import printable
 
@@ -115,10 +115,19 @@ def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
         f"{totals.fallbacks} fell back to the drone; {totals.service_delay_s:.1f} s spent in calls",
         soft_wrap=True,
     )
+    if totals.went_on or totals.hidden_s:
+        console.print(_going_line(totals), soft_wrap=True)
     _print_times(result, console, paced=paced)
     if result.energy is not None:
         console.print(_energy_line(result.energy), soft_wrap=True)
     _print_waypoints(result, console)
+
+
+def _going_line(totals: Totals) -> str:
+    return (
+        f"went on before the answer {counted(totals.went_on, 'time')}, turned back "
+        f"{counted(totals.turned_back, 'time')}; {totals.hidden_s:.1f} s of the calls were hidden by something else"
+    )
 
 
 def _energy_line(energy: EnergyTotals) -> str:
