@@ -127,7 +127,6 @@ def test_a_waypoint_that_the_drone_turns_back_to_is_reached_once() -> None:
     assert total(metrics.registry, "upwash_waypoints_reached") == 3
 
 
-
 # --- a daemon's -----------------------------------------------------------------------------------------------
 
 

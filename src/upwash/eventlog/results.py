@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import msgspec
 
@@ -35,10 +36,12 @@ _COUNTED = _BEGINNING | {
     schema.LeftHovering,
     schema.Selected,
 }
+_OF_GOING = ("hidden_s", "went_on", "turned_back")
 _LEAST_HIDDEN_S = 0.01  # what is less is the time between a call's end and the mission's next step
 
 
-class CallResult(msgspec.Struct, frozen=True, omit_defaults=True):
+@dataclass(frozen=True, slots=True)
+class CallResult:
     """One service call, as the mission experienced it; `waypoint` is None before the first arrival.
 
     `place` is where it ran in the end, "local" for the drone or a server's name. `delay_s` is how long its answer
@@ -61,12 +64,13 @@ class CallResult(msgspec.Struct, frozen=True, omit_defaults=True):
         return server_of(self.place)
 
 
-class Totals(msgspec.Struct, frozen=True, omit_defaults=True):
+@dataclass(frozen=True, slots=True)
+class Totals:
     """Sums over all calls; `remote` counts by server, `fallbacks` remote calls that ended on the drone.
 
     `waits` counts the calls that waited for a server, `waits_failed` those of them that did in vain, and `switches`
     how often a server was selected. The drone `went_on` before so many answers were there, and `turned_back` for so
-    many; `hidden_s` of the delays the mission did something else. In JSON these three are left out where they are 0.
+    many; in `hidden_s` of the delays the mission did something else.
     """
 
     calls: int
@@ -247,6 +251,18 @@ class Beginning:
                 self._settled = True
 
 
+def as_json(value: object) -> Any:
+    """A result, or anything made of results, as JSON has it: without what is 0 for a drone that waits for answers."""
+    match msgspec.to_builtins(value):
+        case dict() as members:
+            told = {name: as_json(each) for name, each in members.items()}
+            return {name: each for name, each in told.items() if each or name not in _OF_GOING}
+        case list() as items:
+            return [as_json(each) for each in items]
+        case plain:
+            return plain
+
+
 def last_run(events: Iterable[Event]) -> list[Event]:
     """The events of the last of the runs that a log holds."""
     run: list[Event] = []
@@ -272,7 +288,7 @@ def _call(event: schema.Call, waypoint: int | None, began_s: float) -> CallResul
 def _waited_for(call: CallResult, waited_s: float) -> CallResult:
     """The call, for whose answer the mission stood waiting for so long."""
     hidden_s = call.delay_s - waited_s
-    return msgspec.structs.replace(call, hidden_s=hidden_s if hidden_s >= _LEAST_HIDDEN_S else 0.0)
+    return replace(call, hidden_s=hidden_s) if hidden_s >= _LEAST_HIDDEN_S else call
 
 
 def _energy(event: schema.EnergyUsed) -> EnergyTotals:

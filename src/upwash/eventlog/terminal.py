@@ -126,7 +126,7 @@ def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
 def _going_line(totals: Totals) -> str:
     return (
         f"went on before the answer {counted(totals.went_on, 'time')}, turned back "
-        f"{counted(totals.turned_back, 'time')}; {totals.hidden_s:.1f} s of the calls were hidden by something else"
+        f"{counted(totals.turned_back, 'time')}; did other things during {totals.hidden_s:.1f} s of the calls"
     )
 
 

@@ -1,4 +1,7 @@
-"""What each of several drones saved against flying alone with every call on the drone, and how evenly."""
+"""What each of several drones saved against flying alone with every call on the drone, and how evenly.
+
+A drone that may go on before answers are there may do so alone, too: what it saves is what servers save it.
+"""
 
 from __future__ import annotations
 
@@ -65,14 +68,18 @@ def _by_itself(config: DroneConfig) -> DroneConfig:
     return replace(
         config,
         name="alone",
-        seed=0 if config.noise == NoiseConfig() else config.seed,
-        policy=PolicyConfig(name="local-only", period_s=_NEVER_S),
+        seed=config.seed if _is_by_chance(config) else 0,
+        policy=PolicyConfig(name="local-only", period_s=_NEVER_S, stay_or_go=config.policy.stay_or_go),
         servers=(),
         faults=tuple(fault for fault in config.faults if fault.target == "autopilot"),
         energy=None,
         mission=replace(config.mission, reserve_percent=None, reserve_s=None),
         vehicle=replace(config.vehicle, endurance_s=None),
     )
+
+
+def _is_by_chance(config: DroneConfig) -> bool:
+    return config.noise != NoiseConfig() or (config.event is not None and config.event.probability is not None)
 
 
 def _counted(config: DroneConfig, presence: Presence) -> Presence:

@@ -105,9 +105,9 @@ def _sums(totals: Sequence[Totals]) -> Totals:
         for server, count in each.remote.items():
             remote[server] = remote.get(server, 0) + count
     counts = {
-        name: sum(getattr(each, name) for each in totals)
-        for name in Totals.__struct_fields__
-        if name != "remote"
+        field.name: sum(getattr(each, field.name) for each in totals)
+        for field in dataclasses.fields(Totals)
+        if field.name != "remote"
     }
     return Totals(remote=dict(sorted(remote.items())), **counts)
 

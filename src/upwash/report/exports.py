@@ -11,7 +11,7 @@ import msgspec
 
 from upwash.core.geo import Circle, LocalFrame, Position
 from upwash.errors import UsageError
-from upwash.eventlog.results import RunResult
+from upwash.eventlog.results import RunResult, as_json
 from upwash.report.record import Record
 
 _SIDES = 64  # of the polygon that stands for a range
@@ -29,12 +29,12 @@ class Exported(msgspec.Struct, frozen=True):
 
 def write_json(records: Sequence[Record]) -> str:
     """The results as one JSON array, an object a run."""
-    return msgspec.json.encode(list(map(_exported, records))).decode()
+    return msgspec.json.encode(as_json(list(map(_exported, records)))).decode()
 
 
 def write_result(record: Record) -> str:
     """The result of one run, as `write_json` has it."""
-    return msgspec.json.encode(_exported(record)).decode()
+    return msgspec.json.encode(as_json(_exported(record))).decode()
 
 
 def _exported(record: Record) -> Exported:
@@ -92,7 +92,7 @@ def _features(record: Record) -> Iterator[dict[str, Any]]:
         yield feature("waypoint", "Point", _degrees(frame, Position(east_m, north_m)), waypoint=index)
     for call in record.calls:
         if call.position is not None:
-            facts = msgspec.to_builtins(call.result)
+            facts = as_json(call.result)
             yield feature("call", "Point", _degrees(frame, call.position), **facts)
 
 

@@ -14,7 +14,7 @@ from upwash.core.servers import State
 from upwash.errors import UsageError
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
-from upwash.eventlog.reasons import Reasons, told
+from upwash.eventlog.reasons import ExplainedCall, Reasons, Told
 from upwash.eventlog.results import Beginning, CallResult, RunResult, Tally
 from upwash.eventlog.schema import Event
 
@@ -176,19 +176,23 @@ class _Calls:
 
     def __init__(self) -> None:
         self._reasons = Reasons()
-        self._told: list[tuple[list[str], Position | None, str, bool]] = []
+        self._told = Told()
+        self._facts: list[tuple[Position | None, str, bool]] = []
 
     def take(self, event: Event) -> None:
         """Takes in the next event."""
-        if (call := self._reasons.take(event)) is None:
-            return
-        at = call.decisions[0].position if call.decisions else None
-        reasons, outcome = list(told(call))[1:], call.outcome
-        self._told.append((reasons, at, outcome.wait, outcome.fell_back))
+        explained = self._reasons.take(event)
+        self._told.take(explained)
+        if isinstance(explained, ExplainedCall):
+            outcome = explained.outcome
+            self._facts.append((explained.position, outcome.wait, outcome.fell_back))
 
     def with_results(self, results: Sequence[CallResult]) -> list[ReportedCall]:
         """The calls, with their results in the same order."""
-        return [ReportedCall(result, *facts) for result, facts in zip(results, self._told, strict=True)]
+        return [
+            ReportedCall(result, reasons, *facts)
+            for result, (_, *reasons), facts in zip(results, self._told.lines, self._facts, strict=True)
+        ]
 
 
 class _Track:

@@ -51,7 +51,7 @@ class Story:
         """What the next event tells."""
         self._now_s = max(self._now_s, event.t)
         said = self._narrator.tell(event)
-        call = self._reasons.take(event)
+        explained = self._reasons.take(event)
         yield from self._whereabouts(event)
         yield from self._progress(event)
         yield from self._photos(event)
@@ -62,8 +62,8 @@ class Story:
                 waypoint=self._waypoint,
                 words=list(told_decision(event)),
             )
-        if call is not None:
-            yield self._call(call)
+        if isinstance(explained, ExplainedCall):
+            yield self._call(explained)
         if isinstance(event, schema.Step):
             yield self._step(event.server, event.after, event.why)
         if said is not None:
