@@ -189,7 +189,7 @@ def test_it_says_why_the_drone_went_on_and_how_far_it_turned_back(
     assert of_waypoint(lines, 0)[3:5] == [
         "    the drone went on before the answer: it always goes; to go saves 3.00 s where the answer demands nothing, "
         "and costs 9.00 s where it does, by the last ones with a chance of 25 %",
-        "    the answer was taken at 23.0 s, and demanded nothing",
+        "    the answer was taken at 20.0 s, and demanded nothing",
     ]
     assert "    the answer demanded something: the drone turned back, and flew 9.0 m" in of_waypoint(lines, 1)
     assert "    the drone stayed for the answer: no waypoint is known to follow" in of_waypoint(lines, 3)

@@ -15,6 +15,7 @@ import upwash
 from upwash.cli.main import main
 from upwash.eventlog import schema
 from upwash.eventlog.results import as_json
+from upwash.eventlog.results import as_json
 from upwash.lab.fairness import jain
 
 SCENARIO = """
@@ -224,4 +225,6 @@ def test_what_a_drone_saves_that_goes_on_before_answers_is_what_servers_save_it(
     fleet = upwash.simulate_fleet(goes)
     alone = upwash.simulate(goes, policy="local-only")
     assert alone.totals.turned_back > 0
-    assert fleet.saved_s["drone"] == pytest.approx(alone.mission_time_s - fleet.drones["drone"].mission_time_s)
+    assert fleet.saved_s["drone"] == pytest.approx(
+        alone.mission_time_s - fleet.drones["drone"].mission_time_s
+    )

@@ -65,7 +65,9 @@ EVENTS = st.one_of(
     st.fixed_dictionaries({"every": st.integers(1, 4), "offset": st.just(0)}),
     st.fixed_dictionaries({"probability": st.floats(0.0, 1.0)}),
 )
-SERVERS = st.lists(st.tuples(st.floats(-40.0, 80.0), st.floats(-40.0, 80.0), st.floats(5.0, 60.0)), max_size=2)
+SERVERS = st.lists(
+    st.tuples(st.floats(-40.0, 80.0), st.floats(-40.0, 80.0), st.floats(5.0, 60.0)), max_size=2
+)
 
 
 @settings(max_examples=40, deadline=None)

@@ -20,7 +20,9 @@ class Whereabouts:
         self.answered: int | None = None
         self._calls = 0  # that are over
         self._under_way: deque[int | None] = deque()  # calls that were started, by waypoint, in their order
-        self._untaken: list[tuple[int | None, int]] = []  # started calls that are over, by waypoint and number
+        self._untaken: list[
+            tuple[int | None, int]
+        ] = []  # started calls that are over, by waypoint and number
 
     @property
     def of_call_under_way(self) -> int | None:

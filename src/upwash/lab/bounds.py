@@ -210,9 +210,7 @@ def _made(
                 ended_s, decided, number = now_s, False, number + 1
 
 
-def _met(
-    stays: Sequence[RangeInterval], passage: Passage | None
-) -> Iterator[tuple[RangeInterval, float]]:
+def _met(stays: Sequence[RangeInterval], passage: Passage | None) -> Iterator[tuple[RangeInterval, float]]:
     """The servers in whose range the drone is on its way, and how long after its departure, at the least."""
     if passage is None or passage.departed_s is None:
         return

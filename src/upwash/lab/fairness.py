@@ -79,7 +79,9 @@ def _by_itself(config: DroneConfig) -> DroneConfig:
 
 
 def _is_by_chance(config: DroneConfig) -> bool:
-    return config.noise != NoiseConfig() or (config.event is not None and config.event.probability is not None)
+    return config.noise != NoiseConfig() or (
+        config.event is not None and config.event.probability is not None
+    )
 
 
 def _counted(config: DroneConfig, presence: Presence) -> Presence:
