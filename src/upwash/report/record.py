@@ -17,6 +17,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.reasons import ExplainedCall, Reasons, Told
 from upwash.eventlog.results import Beginning, CallResult, RunResult, Tally
 from upwash.eventlog.schema import Event
+from upwash.report.going import OpenAnswer, OpenAnswers
 
 _UNPLANNED = schema.Planned()  # by its identity: what the drone set out to do is not in the log
 
@@ -88,7 +89,7 @@ class Record:
     """One run; `servers` are those of the plan and of the calls, in the order of their names.
 
     `opened` is the time of day at second 0 of the event log, None for a simulated one; `began_s` is the second of the
-    log at which the mission began.
+    log at which the mission began. `answers` are those that the drone went on before.
     """
 
     name: str
@@ -99,6 +100,12 @@ class Record:
     plan: schema.Planned
     calls: Sequence[ReportedCall]
     stretches: Mapping[str, Sequence[Stretch]]
+    answers: Sequence[OpenAnswer] = ()
+
+    @property
+    def turns(self) -> Iterator[tuple[int | None, Position]]:
+        """The waypoints that the drone turned back to, and where it did."""
+        return ((each.waypoint, each.turned_at) for each in self.answers if each.turned_at is not None)
 
     @property
     def track(self) -> Iterator[Fix]:
@@ -146,11 +153,13 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
     try:
         plan = events.planned
         tally, calls, track = Tally(), _Calls(), _Track(events.began_s)
+        answers = OpenAnswers(events.began_s)
         states = _States(plan.ranges, began_s=events.began_s)
         for event in events:
             tally.take(event)
             calls.take(event)
             states.take(event)
+            answers.take(event)
             track.take(event)  # whether it can be read is known from here on
         result = tally.result()
         return Record(
@@ -162,6 +171,7 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
             plan=plan,
             calls=calls.with_results(result.calls),
             stretches=states.stretches(),
+            answers=answers.found,
         )
     except (KeyError, TypeError, ValueError) as error:  # msgspec's ValidationError is a ValueError
         raise UsageError(f"{log} is not an event log that this version reads: {error!r}") from error
