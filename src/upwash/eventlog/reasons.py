@@ -55,11 +55,13 @@ class ExplainedCall:
 class ExplainedAnswer:
     """What came of going on before the answer of a call, the `number`th of the run, counted from 0.
 
-    `back_m` is how far the drone flew back for it, None where it did not.
+    `hidden_s` of the call the mission did something else, and `back_m` is how far the drone flew back for the answer,
+    None where it did not.
     """
 
     number: int
     taken: schema.AnswerTaken
+    hidden_s: float
     back_m: float | None
 
 
@@ -71,6 +73,7 @@ class Reasons:
         self._whereabouts = Whereabouts()
         self._decisions: list[schema.Decided] = []
         self._changes: list[schema.Step] = []
+        self._delays_s: list[float] = []
         self._going: dict[int | None, schema.StayOrGo] = {}  # by waypoint, until its answer is taken
         self._turned: dict[int | None, Position] = {}
         self._back_m: dict[int | None, float] = {}
@@ -104,7 +107,7 @@ class Reasons:
         number = self._whereabouts.answered
         if number is None or going is None or not going.goes:
             return None
-        return ExplainedAnswer(number, taken, back_m)
+        return ExplainedAnswer(number, taken, max(0.0, self._delays_s[number] - taken.waited_s), back_m)
 
     def _explain(self, outcome: schema.Call) -> ExplainedCall:
         decisions, changes = self._decisions, self._changes
@@ -112,6 +115,7 @@ class Reasons:
         self._decisions, self._changes = [], later
         began_s = outcome.t - outcome.delay_s
         waypoint = self._whereabouts.of_call
+        self._delays_s.append(outcome.delay_s)
         return ExplainedCall(
             waypoint,
             began_s,
