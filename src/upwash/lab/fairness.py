@@ -9,8 +9,9 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import msgspec
 
-from upwash.config import DroneConfig, NoiseConfig, PolicyConfig, Presence
+from upwash.config import DroneConfig, PolicyConfig, Presence
 from upwash.lab.run import Run, simulate_fleet
+from upwash.sim.chance import plays_a_part
 
 _NEVER_S = 1e6  # for which a drone without servers does not look around
 _LEAST_S = 1e-3  # what is less is the rounding of times
@@ -68,19 +69,13 @@ def _by_itself(config: DroneConfig) -> DroneConfig:
     return replace(
         config,
         name="alone",
-        seed=config.seed if _is_by_chance(config) else 0,
+        seed=config.seed if plays_a_part(config) else 0,
         policy=PolicyConfig(name="local-only", period_s=_NEVER_S, stay_or_go=config.policy.stay_or_go),
         servers=(),
         faults=tuple(fault for fault in config.faults if fault.target == "autopilot"),
         energy=None,
         mission=replace(config.mission, reserve_percent=None, reserve_s=None),
         vehicle=replace(config.vehicle, endurance_s=None),
-    )
-
-
-def _is_by_chance(config: DroneConfig) -> bool:
-    return config.noise != NoiseConfig() or (
-        config.event is not None and config.event.probability is not None
     )
 
 
