@@ -15,7 +15,6 @@ import upwash
 from upwash.cli.main import main
 from upwash.eventlog import schema
 from upwash.eventlog.results import as_json
-from upwash.eventlog.results import as_json
 from upwash.lab.fairness import jain
 
 SCENARIO = """
@@ -218,10 +217,9 @@ def test_no_fleet_beats_its_bounds(data: st.DataObject) -> None:
 
 def test_what_a_drone_saves_that_goes_on_before_answers_is_what_servers_save_it() -> None:
     # it draws its events by its seed, flown alone too
-    goes = tables(
-        [], {}, policy={"stay_or_go": "go"}, mission={"grid": {"columns": 3, "rows": 3, "spacing_m": 20.0}, "action_s": 9.0},
-        event={"probability": 0.4}, seed=3,
-    )  # fmt: skip
+    mission = {"grid": {"columns": 3, "rows": 3, "spacing_m": 20.0}, "action_s": 9.0}
+    events = {"probability": 0.4}
+    goes = tables([], {}, policy={"stay_or_go": "go"}, mission=mission, event=events, seed=3)
     fleet = upwash.simulate_fleet(goes)
     alone = upwash.simulate(goes, policy="local-only")
     assert alone.totals.turned_back > 0

@@ -398,7 +398,9 @@ def test_turns_back_are_marked_where_they_were_and_open_answers_drawn(going: Rec
 
 def test_each_call_stands_where_it_was_made_though_it_was_answered_elsewhere(going: Record) -> None:
     planned = going.plan.waypoints_m
-    assert [call.position and (call.position.east_m, call.position.north_m) for call in going.calls] == planned
+    assert [
+        call.position and (call.position.east_m, call.position.north_m) for call in going.calls
+    ] == planned
     assert [call.result.waypoint for call in going.calls] == list(range(18))
 
 
@@ -410,4 +412,6 @@ def test_other_tools_are_told_of_turns_and_hidden_time(going: Record) -> None:
 
 
 def test_of_a_drone_that_stays_nothing_is_told_of_going(records: list[Record]) -> None:
-    assert not re.search("gone on|went on|urned back|hidden_s|Hooked", write_page(records) + write_csv(records))
+    assert not re.search(
+        "gone on|went on|urned back|hidden_s|Hooked", write_page(records) + write_csv(records)
+    )

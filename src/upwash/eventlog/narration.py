@@ -171,9 +171,7 @@ class Narrator:
     def _call(self, call: schema.Call) -> Said:
         waited = f" after waiting {call.waited_s:.1f} s" if call.wait else ""
         asked_at = self._whereabouts.of_call
-        where = (
-            self.doing if asked_at == self._whereabouts.here else f"{self.doing}, for {named(asked_at)}"
-        )
+        where = self.doing if asked_at == self._whereabouts.here else f"{self.doing}, for {named(asked_at)}"
         return Said(
             f"{where}: {call.operation} {ran_on(call.server)}, {call.delay_s:.2f} s{waited} ({call.decision})",
             Tone.PLAIN if call.server is None else Tone.REMOTE,

@@ -34,8 +34,8 @@ _FELL_BACK = {
 class ExplainedCall:
     """One call, the decisions made for it, and what happened to the selection since the call before.
 
-    All times are seconds of the mission; the call began at `at_s`. `going` says whether the drone went on before it was
-    over, where that was asked.
+    All times are seconds of the mission; the call began at `at_s`. `going` says whether the drone went on before it
+    was over, where that was asked.
     """
 
     waypoint: int | None
@@ -182,8 +182,8 @@ def _told_going(going: schema.StayOrGo) -> str:
     if going.saved_s is None or going.lost_s is None:
         return f"the drone {did}: {going.why}"
     return (
-        f"the drone {did}: {going.why}; to go saves {going.saved_s:.2f} s where the answer demands nothing, and costs "
-        f"{going.lost_s:.2f} s where it does, by the last ones with a chance of {100 * going.chance:.0f} %"
+        f"the drone {did}: {going.why}; to go saves {going.saved_s:.2f} s where the answer demands nothing, and "
+        f"costs {going.lost_s:.2f} s where it does, by the last ones with a chance of {100 * going.chance:.0f} %"
     )
 
 

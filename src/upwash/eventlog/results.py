@@ -123,8 +123,7 @@ class RunResult:
     def local_only_time_s(self) -> float | None:
         """How long the mission would have taken with every call at the mean measured local delay.
 
-        None where an operation was never run on the drone, or the mission went on before answers were there: nothing
-        measured says then.
+        None where nothing measured says: an operation was never run on the drone, or the mission went on before answers.
         """
         if self.totals.went_on or self.totals.hidden_s:
             return None

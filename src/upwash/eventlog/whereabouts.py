@@ -11,7 +11,7 @@ from upwash.eventlog.schema import Event
 class Whereabouts:
     """Follows the events of a flight: `here` is where it last arrived, `of_call` where the last call was made.
 
-    `answered` is the number, from 0 on, of the call whose answer the mission has just taken; None for any other event.
+    `answered` is the number, from 0 on, of the call whose answer the mission just took; None at any other event.
     """
 
     def __init__(self) -> None:

@@ -95,8 +95,8 @@ class ComparedPolicy:
     the drones, the bound is `FleetBound.shared_s`, and `worst_s` and `jain` are the means of the slowest drone's time
     and of Jain's index; in any other they are None.
 
-    `turned_back` is how often a drone turned back for an answer, and `hidden_s` how long it did something else than wait
-    for its calls, both as means; None where no drone went on before an answer.
+    `turned_back` is how often a drone turned back for an answer, and `hidden_s` during how much of its calls it did
+    something else, both as means; None where no drone went on before an answer.
     """
 
     scenario: str

@@ -92,7 +92,7 @@ def read_setting(text: str) -> Setting:
 
 
 def read_overrides(texts: Sequence[str]) -> dict[str, object]:
-    """The values by their keys that settings `KEY=VALUE` say; UsageError for one with several values, or set twice."""
+    """The values by their keys that settings `KEY=VALUE` say; UsageError for several values of a key."""
     overrides: dict[str, object] = {}
     for text in texts:
         setting = read_setting(text)

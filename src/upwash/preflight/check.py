@@ -34,7 +34,7 @@ class Check(Struct, frozen=True, kw_only=True):
 
     `usable_s` is how long the battery lasts above the mission's reserve, and `usable_wh` what the simulated one gives
     above it, None where the file does not say, and `farthest` the waypoint from which the way home takes longest.
-    `demanding_share` is that of the answers that demand something, where the drone may go on before answers are there.
+    `demanding_share` is that of the answers that demand something, where the drone may go on before they are there.
     """
 
     config: str

@@ -106,7 +106,7 @@ def _timeline(records: Sequence[Record], places: Places) -> Markup:
         )
 
     gone_on = (
-        " In the row \"gone on\" the drone was away with an answer open; it turned back in the high parts."
+        ' In the row "gone on" the drone was away with an answer open; it turned back in the high parts.'
     )
     note = _note(f"Strokes beneath a row are calls that ran on the server.{_where_it_goes(records, gone_on)}")
     return _section(records, "Servers over time", draw, _states_legend(), note)

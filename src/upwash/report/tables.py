@@ -162,7 +162,9 @@ def answers(record: Record) -> Markup:
             _at(each.waypoint),
             f"{each.from_s:.1f} s",
             f"{each.to_s:.1f} s",
-            f"{each.turned_at.east_m:.1f} m east, {each.turned_at.north_m:.1f} m north" if each.turned_at else "",
+            f"{each.turned_at.east_m:.1f} m east, {each.turned_at.north_m:.1f} m north"
+            if each.turned_at
+            else "",
         ]
         for each in record.answers
     ]
