@@ -1,8 +1,9 @@
 """What going on before answers gains on the thesis's heavy mission: `python -m bench.stay_or_go --keep`.
 
 Each mission is flown with the same seed by a drone that stays, one that always goes, and one that learns; an answer
-demands 5 s at its waypoint with some probability. The gain is of the mission's time, in pairs of the same seed. What
-comes out is kept in bench/results/stay_or_go.json, and `python -m bench.promises` brings it into docs/pending-calls.md.
+demands 5 s at its waypoint with some probability. The gain is of the mission's time, in pairs of the same seed.
+What comes out is kept in bench/results/stay_or_go.json, and `python -m bench.promises` brings it into
+docs/pending-calls.md.
 """
 
 from __future__ import annotations

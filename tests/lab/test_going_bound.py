@@ -103,7 +103,7 @@ def test_nobody_is_faster(world: dict[str, Any]) -> None:
         assert bound is not None
         times_s.append(run.result.mission_time_s)
         bounds_s.append(bound.free_s if manner != "stay" else -math.inf)
-    assert max(bounds_s) <= min(times_s) + 1e-6
+    assert max(bounds_s) <= min(times_s) + 1e-4  # a log rounds its times
 
 
 def test_several_drones_that_go_share_servers_no_faster_than_they_can_compute() -> None:

@@ -70,7 +70,7 @@ class Totals:
 
     `waits` counts the calls that waited for a server, `waits_failed` those of them that did in vain, and `switches`
     how often a server was selected. The drone `went_on` before so many answers were there, and `turned_back` for so
-    many; in `hidden_s` of the delays the mission did something else.
+    many; during `hidden_s` of the `service_delay_s`, the delays of all calls, the mission did something else.
     """
 
     calls: int
@@ -123,7 +123,7 @@ class RunResult:
     def local_only_time_s(self) -> float | None:
         """How long the mission would have taken with every call at the mean measured local delay.
 
-        None where nothing measured says: an operation was never run on the drone, or the mission went on before answers.
+        None where nothing measured says: an operation never ran on the drone, or the mission went on before answers.
         """
         if self.totals.went_on or self.totals.hidden_s:
             return None

@@ -35,8 +35,8 @@ class Passage:
 class Ways:
     """Follows a mission event by event. Calls have their numbers in the log, from 0 on.
 
-    `waited_s` is how long the mission waited for each of the answers that it did not wait for at once, and `in_vain_s`
-    how long it flew back, with the legs that it flew twice or in vain for that.
+    `waited_s` is how long the mission waited for each answer that it had not waited for at once, and `in_vain_s` how
+    long it flew back, with the legs that it flew twice or in vain for that.
     """
 
     def __init__(self) -> None:

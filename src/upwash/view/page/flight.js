@@ -121,8 +121,8 @@ export class Flight {
     const calls = `${count} calls${parts.length ? `: ${parts.join(", ")}` : ""}${waited ? `, ${waited} waited` : ""}`;
     const gone = moment.count("going");
     if (!gone) return calls;
-    const turned = `${moment.count("turn")} times turned back`;
-    return `${calls} · ${gone} times gone on, ${turned}, ${moment.hiddenS.toFixed(0)} s hidden`;
+    const turned = `turned back for ${moment.count("turn")}`;
+    return `${calls} · gone on before ${gone} answers, ${turned}, ${moment.hiddenS.toFixed(0)} s hidden`;
   }
 
   #showDecision(moment) {
