@@ -26,6 +26,9 @@ from bench.results import FOLDER, Result, leave, read
 from bench.sharing import HEAD as SHARED
 from bench.sharing import Shared
 from bench.sharing import table as shared_rows
+from bench.stay_or_go import HEAD as GOING
+from bench.stay_or_go import Gained
+from bench.stay_or_go import rows as gained_by_going
 from bench.validate import COLUMNS, kept, row_of
 from bench.weight import Line
 from tests.fuzz.campaign import Fuzzed
@@ -44,6 +47,7 @@ PAGES = (
     "science.md",
     "validation.md",
     "fleets.md",
+    "pending-calls.md",
     "../README.md",
 )
 T = TypeVar("T")
@@ -211,6 +215,11 @@ def _sharing(result: Result) -> str:
     return "\n\n".join((f"`{result.command}` {_measured(result)}.", *tables))
 
 
+def _stay_or_go(result: Result) -> str:
+    rows = gained_by_going(_figures(result, list[Gained]))
+    return f"`{result.command}` {_measured(result)}, 30 missions each:\n\n{_table(GOING, rows)}"
+
+
 PARTS: Mapping[str, Callable[[Result], str]] = {
     "chaos": _chaos,
     "faults": _faults,
@@ -227,6 +236,7 @@ PARTS: Mapping[str, Callable[[Result], str]] = {
     "reproduction_disagreements": _disagreements,
     "gains": _gains,
     "sharing": _sharing,
+    "stay_or_go": _stay_or_go,
 }
 COLLECTED = {"validation": _validation}  # each from several results
 
@@ -247,7 +257,7 @@ def with_results(page: str) -> str:
 def _text_of(part: str) -> str:
     if part in COLLECTED:
         return COLLECTED[part]()
-    result = read(part.partition("_")[0])
+    result = read(part) or read(part.partition("_")[0])
     return _NOT_YET if result is None else PARTS[part](result)
 
 

@@ -28,6 +28,7 @@ QUICK = {  # what each prints, among others
     "metrics": r"[\d.]+ us for each call\n",
     "sharing": r"adjacent fields, 4 servers.*\n.*bound\n +1( +[\d.]+ / [\d.]+ / [\d.]+){4} +[\d.]+\n",
     "simulate": r"- servers, all near\n( +[\d.]+)+\n",
+    "stay_or_go": r" 50 % +[\d.]+( +-?[\d.]+ ± [\d.]+ %){2} +[\d.]+ / [\d.]+\n",
     "vehicle": r"\| total \| [\d.]+ \| [\d.]+ \|",
 }
 BELOW = {"flights", "promises", "px4_events", "px4_figures", "sandbox", "view", "weight"}

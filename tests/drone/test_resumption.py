@@ -75,6 +75,12 @@ def test_a_waypoint_is_done_only_with_as_many_results_as_those_before() -> None:
     assert done(*BEGUN, *at(0, "look", "look"), *at(1, "look")) == [0], "one service, called twice"
 
 
+def test_an_answer_that_comes_at_the_next_waypoint_does_not_make_that_one_done() -> None:
+    asked = [*at(0), event("call_started", waypoint=0), *at(1), event("call", operation="look")]
+    assert done(*BEGUN, *asked) == []
+    assert done(*BEGUN, *asked, event("answer_taken", waypoint=0)) == [0]
+
+
 def test_a_mission_that_calls_nothing_sees_its_last_waypoint_again() -> None:
     assert done(*BEGUN, *at(0), *at(1)) == [0]
 

@@ -97,3 +97,83 @@ def test_a_log_of_two_runs_tells_of_the_last() -> None:
     assert (result.policy, result.completed, result.mission_time_s) == ("local-only", False, 4.0)
     assert [each.at_s for each in result.calls] == [2.0]
     assert result.totals.switches == 0
+
+
+# --- answers that come later ----------------------------------------------------------------------------------
+
+STARTED = event(0.0, "mission_started", policy="look-ahead", waypoints=3)
+
+
+def started(t: float, waypoint: int) -> Event:
+    return event(t, "call_started", operation="detector.process_photo[heavy]", waypoint=waypoint)
+
+
+def taken(t: float, waypoint: int, waited_s: float, **more: object) -> Event:
+    return event(t, "answer_taken", waypoint=waypoint, waited_s=waited_s, **more)
+
+
+def test_a_call_that_ends_elsewhere_belongs_to_the_waypoint_where_it_was_made() -> None:
+    result = read_result(
+        [
+            STARTED,
+            event(1.0, "arrived", waypoint=0),
+            started(2.0, 0),
+            event(2.0, "stay_or_go", waypoint=0, goes=True, why="it always goes", chance=0.25),
+            event(11.0, "arrived", waypoint=1),
+            call(12.0, "local", 10.0),
+            event(12.0, "turned_back", waypoint=0),
+            event(21.0, "arrived", waypoint=0),
+            taken(21.0, 0, 0.5, demanded=True),
+            event(30.0, "arrived", waypoint=1),
+            started(31.0, 1),
+            call(34.0, "local", 3.0),
+            taken(34.0, 1, 3.0),
+        ]
+    )
+    assert [(each.waypoint, each.hidden_s) for each in result.calls] == [(0, 9.5), (1, 0.0)]
+    assert (result.totals.went_on, result.totals.turned_back, result.totals.hidden_s) == (1, 1, 9.5)
+    assert result.local_only_time_s() is None  # what going lost and saved is not measured
+
+
+def test_a_call_that_was_dropped_does_not_take_the_place_of_the_next_one() -> None:
+    result = read_result(
+        [
+            STARTED,
+            event(1.0, "arrived", waypoint=0),
+            started(2.0, 0),
+            event(5.0, "arrived", waypoint=1),
+            started(6.0, 1),  # begins once the first is over, which nobody waits for
+            call(12.0, "local", 10.0),
+            call(15.0, "s1", 3.0),
+            taken(15.0, 1, 2.0),
+        ]
+    )
+    assert [(each.waypoint, each.place, each.hidden_s) for each in result.calls] == [
+        (0, "local", 0.0),
+        (1, "s1", 1.0),
+    ]
+
+
+def test_a_call_that_failed_does_not_give_its_waypoint_to_the_next_one() -> None:
+    result = read_result(
+        [
+            STARTED,
+            event(1.0, "arrived", waypoint=0),
+            started(2.0, 0),
+            taken(8.0, 0, 6.0, failed="no memory"),
+            event(9.0, "arrived", waypoint=1),
+            call(12.0, "local", 3.0),
+        ]
+    )
+    assert [each.waypoint for each in result.calls] == [1]
+    assert result.local_only_time_s() == 12.0
+
+
+def test_what_is_rounded_away_was_not_hidden() -> None:
+    result = read_result([STARTED, started(1.0, 0), call(4.0, "local", 3.0), taken(4.0, 0, 2.999)])
+    assert result.totals.hidden_s == 0.0
+
+
+def test_a_mission_begins_with_a_call_that_it_starts_before_it_is_armed() -> None:
+    armed = [STARTED, started(1.0, 0), event(3.0, "armed"), event(10.0, "mission_completed")]
+    assert read_result(armed).mission_time_s == 10.0

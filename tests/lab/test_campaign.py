@@ -497,3 +497,26 @@ def test_an_interval_holds_the_true_mean_in_95_of_100_cases() -> None:
 
 def test_a_single_observation_leaves_everything_possible() -> None:
     assert mean_of([3.0]).margin == math.inf
+
+
+def test_what_a_drone_that_goes_came_to_has_columns_of_its_own(tmp_path: Path) -> None:
+    file, out = tmp_path / "survey.toml", tmp_path / "out.csv"
+    file.write_text(
+        """
+        [mission]
+        waypoints_m = [[0, 0], [20, 0], [40, 0]]
+        mode = "heavy"
+        [[service]]
+        name = "detector"
+        local_call_s = { light = 3.0, heavy = 10.0 }
+        [event]
+        every = 2
+        """
+    )
+    run_here(read_sweep(file, ["policy.stay_or_go=stay,go"], seeds=1), out)
+    told = [(row["went_on"], row["turned_back"], float(row["hidden_s"])) for row in cells(out)]
+    assert told == [("0", "0", 0.0), ("2", "1", 20.0)]
+    out.unlink()
+    out.with_suffix(".campaign.json").unlink()
+    run_here(read_sweep(file, ["policy.stay_or_go=stay"], seeds=1), out)
+    assert "turned_back" not in cells(out)[0]

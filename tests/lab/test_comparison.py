@@ -84,3 +84,27 @@ def test_the_command_prints_a_table_that_can_be_put_on_a_page(capsys: pytest.Cap
 def test_nothing_to_compare_in_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare"]) == 2
     assert "--thesis" in capsys.readouterr().err
+
+
+def test_a_comparison_of_drones_that_go_says_how_often_they_turned_back(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    scenario = tmp_path / "line.toml"
+    scenario.write_text(LINE.read_text() + "\n[event]\nevery = 9\n")
+    options = ["--seeds", "1", "--workers", "1"]
+    assert main(["compare", str(scenario), "--set", "policy.stay_or_go=go", *options]) == 0
+    head, rule, row = capsys.readouterr().out.splitlines()[-3:]
+    assert head.startswith("| turned back, hidden minutes | local-only | ")
+    assert row.count("|") == rule.count("|") == 2 + len(ENTRANTS)
+    rows = upwash.compare([scenario], seeds=1, workers=1, overrides={"policy.stay_or_go": "go"})
+    assert all(each.turned_back and each.hidden_s for each in rows)
+    assert f"| {rows[0].turned_back:.1f}, {(rows[0].hidden_s or 0) / 60:.2f} |" in row
+
+
+@pytest.mark.parametrize("settings", [["policy.stay_or_go=go,stay"], ["seed=1"], ["mission.mode=light"] * 2])
+def test_a_comparison_takes_one_value_of_a_key(
+    capsys: pytest.CaptureFixture[str], settings: list[str]
+) -> None:
+    given = [word for setting in settings for word in ("--set", setting)]
+    assert main(["compare", str(LINE), *given]) == 2
+    assert settings[0].partition("=")[0] in capsys.readouterr().err

@@ -150,3 +150,53 @@ def test_the_drone_that_is_explained_is_one_of_the_scenarios(
     assert "other calls" in "".join(explanation(capsys, log, "--scenario", str(scenario), "--drone", "d2"))
     assert main(["explain", str(log), "--drone", "d2"]) == 2
     assert "has no [[drone]] tables: leave it out" in capsys.readouterr().err
+
+
+# --- answers that come later ----------------------------------------------------------------------------------
+
+
+def flown(tmp_path: Path, manner: str) -> Path:
+    scenario, file = tmp_path / "survey.toml", tmp_path / f"{manner}.jsonl"
+    scenario.write_text(
+        f"""
+        [mission]
+        mode = "heavy"
+        waypoints_m = [[0, 0], [20, 0], [40, 0], [60, 0]]
+        [policy]
+        name = "local-only"
+        stay_or_go = "{manner}"
+        [[service]]
+        name = "detector"
+        local_call_s = {{ light = 3.0, heavy = 3.0 }}
+        [event]
+        every = 4
+        offset = 1
+        """
+    )
+    assert main(["simulate", str(scenario), "--json", "--log", str(file)]) == 0
+    return file
+
+
+def of_waypoint(lines: list[str], waypoint: int) -> list[str]:
+    (first,) = (number for number, line in enumerate(lines) if line.startswith(f"waypoint {waypoint}, "))
+    return lines[first : lines.index("", first)]
+
+
+def test_it_says_why_the_drone_went_on_and_how_far_it_turned_back(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    lines = explanation(capsys, flown(tmp_path, "go"))
+    assert of_waypoint(lines, 0)[3:5] == [
+        "    the drone went on before the answer: it always goes; to go saves 3.00 s where the answer demands "
+        "nothing, and costs 9.00 s where it does, by the last ones with a chance of 25 %",
+        "    the answer was taken at 20.0 s, and demanded nothing",
+    ]
+    assert "    the answer demanded something: the drone turned back, and flew 9.0 m" in of_waypoint(lines, 1)
+    assert "    the drone stayed for the answer: no waypoint is known to follow" in of_waypoint(lines, 3)
+
+
+def test_of_a_drone_that_always_stays_it_says_nothing_of_going(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    lines = explanation(capsys, flown(tmp_path, "stay"))
+    assert not [line for line in lines if "went on" in line or "stayed" in line or "demanded" in line]

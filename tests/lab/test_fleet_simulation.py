@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 import upwash
 from upwash.cli.main import main
 from upwash.eventlog import schema
+from upwash.eventlog.results import as_json
 from upwash.lab.fairness import jain
 
 SCENARIO = """
@@ -132,7 +133,7 @@ def test_the_command_prints_a_result_for_each_drone(
         assert printed[name] == msgspec.to_builtins(getattr(fleet, name))
     assert printed["drones"]["d3"]["vanished"] is True
     first = printed["drones"]["d1"]
-    assert first == {name: msgspec.to_builtins(getattr(fleet.drones["d1"], name)) for name in first}
+    assert first == {name: as_json(getattr(fleet.drones["d1"], name)) for name in first}
 
 
 def test_the_command_prints_a_row_for_each_drone_and_keeps_a_log_of_each(
@@ -212,3 +213,16 @@ def test_no_fleet_beats_its_bounds(data: st.DataObject) -> None:
     assert fleet.bound is not None and fleet.mean_s is not None
     assert fleet.bound.free_s <= min(fleet.bound.with_joins_s, fleet.bound.shared_s) + 1e-6
     assert max(fleet.bound.with_joins_s, fleet.bound.shared_s) <= fleet.mean_s + 1e-6
+
+
+def test_what_a_drone_saves_that_goes_on_before_answers_is_what_servers_save_it() -> None:
+    # it draws its events by its seed, flown alone too
+    mission = {"grid": {"columns": 3, "rows": 3, "spacing_m": 20.0}, "action_s": 9.0}
+    events = {"probability": 0.4}
+    goes = tables([], {}, policy={"stay_or_go": "go"}, mission=mission, event=events, seed=3)
+    fleet = upwash.simulate_fleet(goes)
+    alone = upwash.simulate(goes, policy="local-only")
+    assert alone.totals.turned_back > 0
+    assert fleet.saved_s["drone"] == pytest.approx(
+        alone.mission_time_s - fleet.drones["drone"].mission_time_s
+    )

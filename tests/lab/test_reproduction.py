@@ -11,6 +11,7 @@ import pytest
 from bench.reproduction import FIRST, Kept
 from bench.results import read
 from rich.console import Console
+from tests.scenarios import scenario as survey
 
 from upwash.config import NoiseConfig, read_drone_config, server_areas, waypoints
 from upwash.core.geo import ground_distance_m
@@ -215,3 +216,13 @@ def test_the_dots_of_a_figure_are_the_decisions_about_servers_that_were_not_read
     declined = [point for point in points if point.wait is Wait.DECLINED]
     assert declined
     assert all(point.server is None for point in declined)
+
+
+def test_the_dot_of_a_call_stands_at_the_waypoint_where_it_was_made() -> None:
+    pytest.importorskip("matplotlib")
+    from upwash.lab.reproduction.figures import read_call_points
+
+    goes = {"name": "local-only", "stay_or_go": "go"}
+    run = simulate(survey(policy=goes, event={"every": 5, "offset": 2}))
+    assert run.result.totals.turned_back > 0
+    assert [point.waypoint for point in read_call_points(run.events)] == list(range(18))

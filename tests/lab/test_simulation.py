@@ -9,13 +9,13 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
 import upwash
 from upwash.cli.main import main
 from upwash.eventlog import schema
+from upwash.eventlog.results import as_json
 
 ROOT = Path(__file__).parents[2]
 PATROL = ROOT / "examples" / "patrol.toml"
@@ -35,7 +35,7 @@ def test_the_command_prints_what_a_notebook_gets(capsys: pytest.CaptureFixture[s
     assert main(["simulate", str(PATROL), "--policy", "local-only", "--seed", "7", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     simulation = upwash.simulate(str(PATROL), policy="local-only", seed=7)
-    assert printed == {name: msgspec.to_builtins(getattr(simulation, name)) for name in printed}
+    assert printed == {name: as_json(getattr(simulation, name)) for name in printed}
     assert (simulation.policy, simulation.seed, simulation.failure) == ("local-only", 7, "")
     assert simulation.totals.local == len(simulation.calls) == 5
     assert simulation.bound is not None

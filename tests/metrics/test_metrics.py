@@ -17,6 +17,7 @@ import msgspec
 import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.parser import text_string_to_metric_families
+from tests.events import event as made
 from tests.server.test_edge_server import COLD_START_S, Runtime
 
 from upwash.core.admission import AdmissionController, ServerOffer
@@ -116,6 +117,14 @@ def test_the_mission_is_followed_from_its_start_to_its_end(run: Run) -> None:
     assert total(metrics.registry, "upwash_mission_under_way") == 0.0
     assert total(metrics.registry, "upwash_waypoints_reached") == run.result.waypoints > 0
     assert total(metrics.registry, "upwash_photos_total") == run.result.totals.calls
+
+
+def test_a_waypoint_that_the_drone_turns_back_to_is_reached_once() -> None:
+    metrics = DroneMetrics(())
+    metrics.follow(made("mission_started", waypoints=4, done=[0]))
+    for waypoint in (0, 1, 2, 1, 2, None):
+        metrics.follow(made("arrived", waypoint=waypoint))
+    assert total(metrics.registry, "upwash_waypoints_reached") == 3
 
 
 # --- a daemon's -----------------------------------------------------------------------------------------------

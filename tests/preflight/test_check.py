@@ -209,3 +209,33 @@ def test_json_is_one_object_and_the_figure_is_drawn(file: Path, capsys: pytest.C
     ]  # fmt: skip
     assert [each["case"] for each in found["predictions"]] == [LOCAL_ONLY, AS_CONFIGURED, without("s1")]
     assert (figures / "coverage.png").is_file()
+
+
+GOES = """
+[policy]
+stay_or_go = "learn"
+"""
+
+
+@pytest.mark.parametrize(
+    ("event", "share", "said"),
+    [
+        ("", 0.0, "no answer demands anything, as there is no [event]"),
+        ("[event]\nevery = 4", 0.25, "25 % of the answers demand something, as [event] says"),
+        ("[event]\nprobability = 0.05", 0.05, "5 % of the answers demand something, as [event] says"),
+    ],
+)
+def test_a_forecast_says_what_share_of_answers_demands_something(
+    file: Path, capsys: pytest.CaptureFixture[str], event: str, share: float, said: str
+) -> None:
+    file.write_text(f"{SCENARIO}{GOES}{event}\n")
+    main(["check", str(file), "--workers", "1"])
+    assert said in capsys.readouterr().out
+    main(["check", str(file), "--workers", "1", "--json"])
+    assert json.loads(capsys.readouterr().out)["demanding_share"] == share
+
+
+def test_a_forecast_is_of_a_drone_that_goes_as_configured(file: Path) -> None:
+    stays = checked(file)[1][AS_CONFIGURED]
+    file.write_text(SCENARIO + GOES)
+    assert checked(file)[1][AS_CONFIGURED] < stays

@@ -14,14 +14,17 @@ from xml.etree import ElementTree
 import geojson
 import msgspec
 import pytest
+from tests.scenarios import scenario as survey
 
 from upwash.cli.main import main
 from upwash.config import read_drone_config, server_areas, waypoints
-from upwash.core.geo import GeoPosition, LocalFrame, ground_distance_m
+from upwash.core.geo import GeoPosition, LocalFrame, Position, ground_distance_m
 from upwash.core.servers import State
 from upwash.errors import UsageError
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
+from upwash.lab.run import simulate
+from upwash.report.exports import write_csv, write_geojson
 from upwash.report.page import write_page
 from upwash.report.record import Record, read_records
 
@@ -366,3 +369,59 @@ def test_the_plan_is_drawn_in_the_order_of_the_flight() -> None:
     assert swept.way_m == [places[2], places[0], places[1]]
     for foreign in ([2, 7, 1], [2, 1], [0, 0, 0]):
         assert msgspec.structs.replace(as_given, order=foreign).way_m == places
+
+
+# --- a drone that goes on before answers are there --------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def going(tmp_path_factory: pytest.TempPathFactory) -> Record:
+    goes = survey(
+        mission={"home": {"latitude_deg": 39.0, "longitude_deg": 22.0}},
+        policy={"name": "local-only", "stay_or_go": "go"},
+        event={"every": 6, "offset": 2},
+    )
+    file = tmp_path_factory.mktemp("going") / "going.jsonl"
+    file.write_bytes(simulate(goes).log())
+    (record,) = read_records([file])
+    return record
+
+
+def test_turns_back_are_marked_where_they_were_and_open_answers_drawn(going: Record) -> None:
+    page = parsed(write_page([going]))
+    titles = [element.text for element in page.iter(f"{SVG}title")]
+    assert [title for title in titles if title and title.startswith("turned back")] == [
+        f"turned back to waypoint {waypoint}" for waypoint in (2, 8, 14)
+    ]
+    assert [waypoint for waypoint, _ in going.turns] == [2, 8, 14]
+    assert [place for _, place in going.turns] == [
+        Position(60.0, 40.0, 20.0), Position(40.0, 20.0, 20.0), Position(60.0, 0.0, 20.0),
+    ]  # fmt: skip
+    (table,) = tables_named(page, "Gone on before the answer")
+    assert [row[0] for row in table[1:]] == [str(waypoint) for waypoint in range(17)]
+    assert len([title for title in titles if title and ": gone on from " in title]) == 17
+    (totals,) = tables_named(page, "Totals")
+    told = {row[0]: row[1] for row in totals}
+    assert told["turned back for the answer"] == "3"
+    assert told["of the calls' time hidden"] == f"{going.result.totals.hidden_s:.1f} s"
+
+
+def test_each_call_stands_where_it_was_made_though_it_was_answered_elsewhere(going: Record) -> None:
+    planned = going.plan.waypoints_m
+    assert [
+        call.position and (call.position.east_m, call.position.north_m) for call in going.calls
+    ] == planned
+    assert [call.result.waypoint for call in going.calls] == list(range(18))
+
+
+def test_other_tools_are_told_of_turns_and_hidden_time(going: Record) -> None:
+    rows = list(csv.DictReader(write_csv([going]).splitlines()))
+    assert sum(float(row["hidden_s"]) for row in rows) == pytest.approx(going.result.totals.hidden_s)
+    kinds = [each["properties"]["kind"] for each in json.loads(write_geojson([going]))["features"]]
+    assert kinds.count("turn") == 3
+
+
+def test_of_a_drone_that_stays_nothing_is_told_of_going(records: list[Record]) -> None:
+    assert not re.search(
+        "gone on|went on|urned back|hidden_s|Hooked", write_page(records) + write_csv(records)
+    )

@@ -15,9 +15,11 @@ from pathlib import Path
 
 import pytest
 from selenium.webdriver.common.keys import Keys
+from tests.scenarios import scenario
 from tests.system.browser import Browser, browser, why_not
 
 from upwash.cli.flying import read_log
+from upwash.lab.run import simulate
 from upwash.launch.processes import ready_program
 from upwash.report.record import Record, read_records
 
@@ -114,6 +116,25 @@ def test_any_moment_of_a_flight_is_shown_as_the_log_has_it(
             assert state.split()[0] == now
     assert page.errors() == []
     assert page.elsewhere(one) == []
+
+
+def test_a_drone_that_turns_back_for_an_answer_is_shown_to(page: Browser, tmp_path: Path) -> None:
+    goes = scenario(policy={"name": "local-only", "stay_or_go": "go"}, event={"every": 6, "offset": 2})
+    run = simulate(goes)
+    turned_s = next(event.t for event in run.events if event.kind == "turned_back")
+    log = tmp_path / "going.jsonl"
+    log.write_bytes(run.log())
+    with ready_program("going", tmp_path, "view", str(log), "--port", "0") as address:
+        opened(page, address)
+        page.click(".delays summary")
+        seek(page, round(turned_s + 1.0, 1))
+        assert page.text(".doing") == "flying back to waypoint 2"
+        assert "gone on before 3 answers, turned back for 1, " in page.text(".totals")
+        assert page.text(".now h3").endswith("at waypoint 2")
+        assert [row[0] for row in rows(page, ".delays")] == ["0", "1", "2"]
+        seek(page, round(turned_s + 11.0, 1))
+        assert "at waypoint 2," in page.text(".side")  # the photo that the user is told of
+        assert page.errors() == []
 
 
 def test_a_flight_plays_on_its_own_from_the_beginning_to_the_end(

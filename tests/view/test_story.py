@@ -9,11 +9,13 @@ from typing import TypeVar
 import msgspec
 import pytest
 from tests.events import event
+from tests.scenarios import scenario as survey
 
 from upwash.cli.main import main
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
+from upwash.lab.run import simulate
 from upwash.report.record import Record, read_records
 from upwash.view import facts
 from upwash.view.facts import Fact
@@ -156,3 +158,36 @@ def test_reasons_are_told_in_seconds_of_the_mission() -> None:
     call = event("call", 9.0, operation="detector.count", place="local", delay_s=2.0)
     (told,) = those(facts.Call, tell([STARTED, step, call]))
     assert told.words == ["at 3.0 s s1 was selected: fastest"]
+
+
+# --- a drone that goes on before answers are there --------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def going() -> list[Fact]:
+    run = simulate(survey(policy={"name": "local-only", "stay_or_go": "go"}, event={"every": 6, "offset": 2}))
+    return tell(run.events)
+
+
+def test_a_call_that_is_answered_on_the_way_is_told_at_its_waypoint(going: list[Fact]) -> None:
+    (plan,) = those(facts.Plan, going)
+    calls = those(facts.Call, going)
+    assert [call.waypoint for call in calls] == list(range(18))
+    assert [(call.east_m, call.north_m) for call in calls] == plan.waypoints_m
+    assert [each.waypoint for each in those(facts.Decision, going)] == list(range(18))
+
+
+def test_the_way_back_is_told_and_that_answers_were_open(going: list[Fact]) -> None:
+    assert [turn.waypoint for turn in those(facts.Turn, going)] == [2, 8, 14]
+    back = [doing.words for doing in those(facts.Doing, going) if "back" in doing.words]
+    assert back == [f"flying back to waypoint {waypoint}" for waypoint in (2, 8, 14)]
+    assert [each.waypoint for each in those(facts.Going, going)] == list(range(17))
+    hidden_s = [each.hidden_s for each in those(facts.Answer, going)]
+    assert len(hidden_s) == 17
+    assert hidden_s == pytest.approx([10.0] * 17)
+
+
+def test_what_the_user_is_told_late_is_of_the_photo_of_that_waypoint(going: list[Fact]) -> None:
+    numbers = [told.number for told in those(facts.Told, going)]
+    waypoints = [those(facts.Shot, going)[number].waypoint for number in numbers if number is not None]
+    assert waypoints == [2, 8, 14]

@@ -27,6 +27,10 @@ def add(commands: Commands) -> None:
     compare.add_argument(
         "--seeds", type=count, default=30, metavar="N", help="missions per scenario and policy (default: 30)"
     )
+    compare.add_argument(
+        "--set", action="append", default=[], dest="settings", metavar="KEY=VALUE",
+        help="fly the files with that value of a key, such as policy.stay_or_go=go",
+    )  # fmt: skip
     compare.add_argument("--workers", type=count, metavar="N", help="processes (default: one per core)")
     compare.set_defaults(run=run)
 
@@ -37,13 +41,16 @@ def run(options: argparse.Namespace) -> bool:
     from rich.progress import Progress
 
     from upwash import compare
+    from upwash.lab.sweep import read_overrides
 
     if not options.scenarios and not options.thesis:
         raise UsageError("nothing to compare in: name scenario files, or give --thesis")
+    overrides = read_overrides(options.settings)
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("missions", total=None)
         rows = compare(
             options.scenarios,
+            overrides=overrides,
             seeds=options.seeds,
             workers=options.workers,
             thesis=options.thesis,
@@ -67,6 +74,12 @@ def _lines(rows: Sequence[ComparedPolicy]) -> Iterator[str]:
         yield f"|---|{'---|' * len(policies)}"
         for scenario, own in itertools.groupby(fleets, key=lambda row: row.scenario):
             yield f"| {scenario} | {' | '.join(_fleet_cell(row) for row in own)} |"
+    if going := [row for row in rows if row.hidden_s is not None]:
+        yield ""
+        yield f"| turned back, hidden minutes | {' | '.join(policies)} |"
+        yield f"|---|{'---|' * len(policies)}"
+        for scenario, own in itertools.groupby(going, key=lambda row: row.scenario):
+            yield f"| {scenario} | {' | '.join(map(_going_cell, own))} |"
     if metered := [row for row in rows if row.energy_wh is not None]:
         yield ""
         yield f"| Wh | {' | '.join(policies)} |"
@@ -87,6 +100,10 @@ def _fleet_cell(row: ComparedPolicy) -> str:
     if row.worst_s is None or row.jain is None:
         return "-"
     return f"{_minutes(row.worst_s)}, {row.jain:.3f}"
+
+
+def _going_cell(row: ComparedPolicy) -> str:
+    return "-" if row.turned_back is None else f"{row.turned_back:.1f}, {_minutes(row.hidden_s or 0.0)}"
 
 
 def _energy_cell(row: ComparedPolicy) -> str:

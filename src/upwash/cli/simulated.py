@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.eventlog import schema
+from upwash.eventlog.results import as_json
 from upwash.eventlog.terminal import print_result
 from upwash.support.output_files import write_file
 
@@ -48,7 +49,7 @@ def print_simulation(simulation: Simulation) -> None:
     console = Console(markup=False)
     print_result(simulation, console, paced=False)
     if simulation.bound is not None:
-        console.print(_beside(simulation.mission_time_s, simulation.bound), soft_wrap=True)
+        console.print(_beside(simulation, simulation.bound), soft_wrap=True)
 
 
 def print_fleet(fleet: FleetSimulation) -> None:
@@ -66,7 +67,7 @@ def write_log(file: Path, events: Sequence[Event], scenario: Path, *, seed: int)
 
 
 def _print_line(printed: dict[str, Any]) -> None:
-    sys.stdout.write(msgspec.json.encode(printed).decode() + "\n")
+    sys.stdout.write(msgspec.json.encode(as_json(printed)).decode() + "\n")
 
 
 def _as_object(simulation: Simulation) -> dict[str, Any]:
@@ -80,11 +81,17 @@ def _as_object(simulation: Simulation) -> dict[str, Any]:
     return printed
 
 
-def _beside(mission_time_s: float, bound: Bound) -> str:
-    return (
+def _beside(simulation: Simulation, bound: Bound) -> str:
+    time_s = simulation.mission_time_s
+    free = (
         f"an all-knowing drone needs at least {bound.free_s:.1f} s with every server ready at once: this is "
-        f"{_more(mission_time_s, bound.free_s)}; joining one network after the other it needs "
-        f"{bound.with_joins_s:.1f} s: {_more(mission_time_s, bound.with_joins_s)}"
+        f"{_more(time_s, bound.free_s)}"
+    )
+    if simulation.totals.went_on:
+        return f"{free}; it knows which answers demand something, and goes on before the others"
+    return (
+        f"{free}; joining one network after the other it needs {bound.with_joins_s:.1f} s: "
+        f"{_more(time_s, bound.with_joins_s)}"
     )
 
 

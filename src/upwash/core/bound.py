@@ -1,6 +1,7 @@
 """How fast a mission can be at best, whoever decides: what is left to gain.
 
-The bounds know every true delay and never pay for the start of a service.
+The bounds know every true delay and never pay for the start of a service. For a drone that may go on before an answer
+is there (core/stay_or_go.py) they also know which answers demand something: it goes where they demand nothing.
 """
 
 from __future__ import annotations
@@ -17,10 +18,35 @@ class Bound:
     """The least time of a mission, or of its calls alone, whatever decides; in seconds.
 
     `free_s` is with every server joined for nothing and at once, `with_joins_s` paying for each join, one at a time.
+    Both are the same for a drone that may go on before answers are there: what joins cost it is left out.
     """
 
     free_s: float
     with_joins_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Onward:
+    """What follows a call whose answer the drone need not wait for, and whether that demands something there.
+
+    The way to the next call takes `way_s`, with the photo there and without what an answer demands; `leg_s` of it is
+    the leg, which takes as long back.
+    """
+
+    way_s: float
+    leg_s: float
+    demanded: bool
+
+    def least_wait_s(self, stay_s: float, go_s: float) -> float:
+        """How much longer than its way the mission takes, at least, for a call that takes so long.
+
+        It takes `stay_s` where the drone stays, and at least `go_s` where it goes. Who goes and has to come back does
+        so once the answer is there, from within the leg, or else for a whole leg and again over it.
+        """
+        hidden_s = max(0.0, go_s - self.way_s)
+        if not self.demanded:
+            return min(stay_s, hidden_s)
+        return min(stay_s, go_s if go_s <= self.leg_s else hidden_s + 2 * self.leg_s)
 
 
 @dataclass(frozen=True, slots=True)

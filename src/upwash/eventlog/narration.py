@@ -129,10 +129,10 @@ class Narrator:
                 because = f" ({why})" if why else ""
                 return Said(f"{server}: {before} → {after}{because}", tone_of(after))
             case schema.Leg(waypoint=waypoint, back=back):
-                self.doing = f"flying {'back ' * back}to {_name_of(waypoint)}"
+                self.doing = f"flying {'back ' * back}to {named(waypoint)}"
                 return None
             case schema.Arrived(waypoint=waypoint):
-                self.doing = f"at {_name_of(waypoint)}"
+                self.doing = f"at {named(waypoint)}"
                 if waypoint is not None:
                     self._reached.add(waypoint)
                 return None
@@ -155,7 +155,7 @@ class Narrator:
                 before = f"taken up again, {len(done)} waypoints done before" if done else "started"
                 return Said(f"mission {before}, policy {policy}")
             case schema.TurnedBack(waypoint=waypoint):
-                return Said(f"turning back to {_name_of(waypoint)}, for its answer", Tone.FOUND)
+                return Said(f"turning back to {named(waypoint)}, for its answer", Tone.FOUND)
             case schema.Foreseen():
                 return _foreseen(event)
             case schema.Returning():
@@ -175,9 +175,7 @@ class Narrator:
     def _call(self, call: schema.Call) -> Said:
         waited = f" after waiting {call.waited_s:.1f} s" if call.wait else ""
         asked_at = self._whereabouts.of_call
-        where = (
-            self.doing if asked_at == self._whereabouts.here else f"{self.doing}, for {_name_of(asked_at)}"
-        )
+        where = self.doing if asked_at == self._whereabouts.here else f"{self.doing}, for {named(asked_at)}"
         return Said(
             f"{where}: {call.operation} {ran_on(call.server)}, {call.delay_s:.2f} s{waited} ({call.decision})",
             Tone.PLAIN if call.server is None else Tone.REMOTE,
@@ -291,7 +289,8 @@ def _foreseen(event: schema.Foreseen) -> Said:
     return Said(f"{expected}; to be over by {event.finish_by_s:g} s", Tone.ASIDE)
 
 
-def _name_of(waypoint: int | None) -> str:
+def named(waypoint: int | None) -> str:
+    """A waypoint, as a sentence names it."""
     return "a place beside the plan" if waypoint is None else f"waypoint {waypoint}"
 
 

@@ -1,16 +1,17 @@
-"""Why each call of a flight ran where it ran, read from its events, in words."""
+"""Why each call of a flight ran where it ran, and whether the drone waited for it, read from its events, in words."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import msgspec
 
+from upwash.core.geo import Position, ground_distance_m
 from upwash.core.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.narration import ran_on
-from upwash.eventlog.results import Beginning, last_run
+from upwash.eventlog.results import Beginning
 from upwash.eventlog.schema import Event
 from upwash.eventlog.whereabouts import Whereabouts
 
@@ -33,7 +34,8 @@ _FELL_BACK = {
 class ExplainedCall:
     """One call, the decisions made for it, and what happened to the selection since the call before.
 
-    All times are seconds of the mission; the call began at `at_s`.
+    All times are seconds of the mission; the call began at `at_s`. `going` says whether the drone went on before it
+    was over, where that was asked.
     """
 
     waypoint: int | None
@@ -41,6 +43,26 @@ class ExplainedCall:
     outcome: schema.Call
     decisions: Sequence[schema.Decided]
     changes: Sequence[schema.Step]
+    going: schema.StayOrGo | None = None
+
+    @property
+    def position(self) -> Position | None:
+        """Where the drone was as the call began; None where nothing was decided."""
+        return self.decisions[0].position if self.decisions else None
+
+
+@dataclass(frozen=True, slots=True)
+class ExplainedAnswer:
+    """What came of going on before the answer of a call, the `number`th of the run, counted from 0.
+
+    `hidden_s` of the call the mission did something else, and `back_m` is how far the drone flew back for the answer,
+    None where it did not.
+    """
+
+    number: int
+    taken: schema.AnswerTaken
+    hidden_s: float
+    back_m: float | None
 
 
 class Reasons:
@@ -51,9 +73,13 @@ class Reasons:
         self._whereabouts = Whereabouts()
         self._decisions: list[schema.Decided] = []
         self._changes: list[schema.Step] = []
+        self._delays_s: list[float] = []
+        self._going: dict[int | None, schema.StayOrGo] = {}  # by waypoint, until its answer is taken
+        self._turned: dict[int | None, Position] = {}
+        self._back_m: dict[int | None, float] = {}
 
-    def take(self, event: Event) -> ExplainedCall | None:
-        """Takes in the next event; the call, where it ends one."""
+    def take(self, event: Event) -> ExplainedCall | ExplainedAnswer | None:
+        """Takes in the next event; the call, where it ends one, or what came of going on before its answer."""
         self._began.take(event)
         self._whereabouts.take(event)
         now_s = event.t - (self._began.at_s or 0.0)
@@ -64,24 +90,63 @@ class Reasons:
                 return self._explain(msgspec.structs.replace(event, t=now_s))
             case schema.Step() if isinstance(event, _TOLD):
                 self._changes.append(msgspec.structs.replace(event, t=now_s))
+            case schema.StayOrGo(waypoint=waypoint):
+                self._going[waypoint] = event
+            case schema.TurnedBack(waypoint=waypoint, position=position):
+                self._turned[waypoint] = position
+            case schema.Arrived(waypoint=waypoint) if waypoint in self._turned:
+                there = Position(event.east_m, event.north_m)
+                self._back_m[waypoint] = ground_distance_m(self._turned.pop(waypoint), there)
+            case schema.AnswerTaken():
+                return self._explain_answer(msgspec.structs.replace(event, t=now_s))
         return None
+
+    def _explain_answer(self, taken: schema.AnswerTaken) -> ExplainedAnswer | None:
+        """None where the drone stayed, or the call has failed and is none of those that are explained."""
+        going, back_m = self._going.pop(taken.waypoint, None), self._back_m.pop(taken.waypoint, None)
+        number = self._whereabouts.answered
+        if number is None or going is None or not going.goes:
+            return None
+        return ExplainedAnswer(number, taken, max(0.0, self._delays_s[number] - taken.waited_s), back_m)
 
     def _explain(self, outcome: schema.Call) -> ExplainedCall:
         decisions, changes = self._decisions, self._changes
         later = [change for change in changes if change.t >= outcome.t]
         self._decisions, self._changes = [], later
         began_s = outcome.t - outcome.delay_s
+        waypoint = self._whereabouts.of_call
+        self._delays_s.append(outcome.delay_s)
         return ExplainedCall(
-            self._whereabouts.of_call, began_s, outcome, decisions, changes[: len(changes) - len(later)]
+            waypoint,
+            began_s,
+            outcome,
+            decisions,
+            changes[: len(changes) - len(later)],
+            self._going.get(waypoint),
         )
 
 
-def explained_calls(events: Sequence[Event]) -> Iterator[ExplainedCall]:
-    """The calls of a log in their order."""
-    reasons = Reasons()
-    for event in last_run(events):
-        if (call := reasons.take(event)) is not None:
-            yield call
+def told_calls(events: Iterable[Event]) -> list[list[str]]:
+    """The calls of a run in their order, each a heading and its reasons."""
+    reasons, calls = Reasons(), Told()
+    for event in events:
+        calls.take(reasons.take(event))
+    return calls.lines
+
+
+class Told:
+    """The calls of a run in words, a list of lines each."""
+
+    def __init__(self) -> None:
+        self.lines: list[list[str]] = []
+
+    def take(self, explained: ExplainedCall | ExplainedAnswer | None) -> None:
+        """Takes in what an event explains."""
+        match explained:
+            case ExplainedCall():
+                self.lines.append(list(told(explained)))
+            case ExplainedAnswer(number=number):
+                self.lines[number].append(told_answer(explained))
 
 
 def told(call: ExplainedCall) -> Iterator[str]:
@@ -104,6 +169,27 @@ def told(call: ExplainedCall) -> Iterator[str]:
         yield f"    the drone was busy with an earlier call for {outcome.queued_s:.2f} s"
     if outcome.fell_back:
         yield _FELL_BACK[outcome.remote_fault]
+    if call.going is not None:
+        yield _told_going(call.going)
+
+
+def told_answer(answer: ExplainedAnswer) -> str:
+    """What came of going on before it."""
+    taken = answer.taken
+    waited = f" after a wait of {taken.waited_s:.2f} s" if taken.waited_s else ""
+    if answer.back_m is None:
+        return f"the answer was taken at {taken.t:.1f} s{waited}, and demanded nothing"
+    return f"the answer demanded something{waited}: the drone turned back, and flew {answer.back_m:.1f} m"
+
+
+def _told_going(going: schema.StayOrGo) -> str:
+    did = "went on before the answer" if going.goes else "stayed for the answer"
+    if going.saved_s is None or going.lost_s is None:
+        return f"the drone {did}: {going.why}"
+    return (
+        f"the drone {did}: {going.why}; to go saves {going.saved_s:.2f} s where the answer demands nothing, and "
+        f"costs {going.lost_s:.2f} s where it does, by the last ones with a chance of {100 * going.chance:.0f} %"
+    )
 
 
 def told_decision(decision: schema.Decided) -> Iterator[str]:

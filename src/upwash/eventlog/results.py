@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import msgspec
 
 from upwash.core.places import server_of
 from upwash.eventlog import schema
@@ -13,25 +16,38 @@ from upwash.eventlog.whereabouts import Whereabouts
 
 # Most events of a long log are positions, which these pass over at once: each case of a match takes time.
 _BEGINNING = frozenset(
-    {schema.MissionStarted, schema.Armed, schema.Photo, schema.Call, schema.Leg, schema.LogResumed}
+    {
+        schema.MissionStarted,
+        schema.Armed,
+        schema.Photo,
+        schema.CallStarted,
+        schema.Call,
+        schema.Leg,
+        schema.LogResumed,
+    }
 )
 _COUNTED = _BEGINNING | {
-    schema.CallStarted,
+    schema.StayOrGo,
+    schema.TurnedBack,
+    schema.AnswerTaken,
     schema.MissionCompleted,
     schema.Arrived,
     schema.EnergyUsed,
     schema.LeftHovering,
     schema.Selected,
 }
+_OF_GOING = ("hidden_s", "went_on", "turned_back")
+_LEAST_HIDDEN_S = 0.01  # what is less is the time between a call's end and the mission's next step
 
 
 @dataclass(frozen=True, slots=True)
 class CallResult:
     """One service call, as the mission experienced it; `waypoint` is None before the first arrival.
 
-    `place` is where it ran in the end, "local" for the drone or a server's name. `delay_s` is how long the mission
-    waited for its answer, and `waited_s` the part of it that was spent on waiting for a server. `at_s` is when it
-    made the call, in the mission's time. `asked` is the operation that it asked for where a lighter one ran.
+    `place` is where it ran in the end, "local" for the drone or a server's name. `delay_s` is how long its answer
+    took, and `waited_s` the part of it that was spent on waiting for a server. `at_s` is when the mission made the
+    call, in the mission's time. `asked` is the operation that it asked for where a lighter one ran, and `hidden_s`
+    the part of the delay in which the mission did something else.
     """
 
     waypoint: int | None
@@ -42,6 +58,7 @@ class CallResult:
     waited_s: float
     at_s: float
     asked: str = ""
+    hidden_s: float = 0.0
 
     @property
     def key(self) -> str:
@@ -59,7 +76,9 @@ class Totals:
     """Sums over all calls; `remote` counts by server, `fallbacks` remote calls that ended on the drone.
 
     `waits` counts the calls that waited for a server, `waits_failed` those of them that did in vain, and `switches`
-    how often a server was selected. `lighter` counts the calls that ran lighter than the mission asked for.
+    how often a server was selected. `lighter` counts the calls that ran lighter than the mission asked for. The drone
+    `went_on` before so many answers were there, and `turned_back` for so many; during `hidden_s` of the
+    `service_delay_s`, the delays of all calls, the mission did something else.
     """
 
     calls: int
@@ -71,6 +90,9 @@ class Totals:
     fallbacks: int
     service_delay_s: float
     lighter: int = 0
+    went_on: int = 0
+    turned_back: int = 0
+    hidden_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +132,10 @@ class RunResult:
     def local_only_time_s(self) -> float | None:
         """How long the mission would have taken with every call at the mean measured local delay.
 
-        None where an operation was never run on the drone, so that nothing measured says.
+        None where nothing measured says: an operation never ran on the drone, or the mission went on before answers.
         """
+        if self.totals.went_on or self.totals.hidden_s:
+            return None
         local = mean_local_delay_s(self.calls)
         if any(call.operation not in local for call in self.calls):
             return None
@@ -143,7 +167,7 @@ class Tally:
         self._calls: list[CallResult] = []
         self._waypoints, self._reached, self._left_hovering = 0, set[int | None](), False
         self._waits: list[str] = []
-        self._switches = self._fallbacks = 0
+        self._switches = self._fallbacks = self._went_on = self._turned_back = 0
         self._energy: EnergyTotals | None = None
 
     def take(self, event: Event) -> None:
@@ -171,6 +195,12 @@ class Tally:
                 self._calls.append(_call(event, self._whereabouts.of_call, self._began.at_s or 0.0))
                 self._waits += [event.wait] if event.wait else []
                 self._fallbacks += event.fell_back
+            case schema.AnswerTaken() if (number := self._whereabouts.answered) is not None:
+                self._calls[number] = _waited_for(self._calls[number], event.waited_s)
+            case schema.StayOrGo():
+                self._went_on += event.goes
+            case schema.TurnedBack():
+                self._turned_back += 1
 
     def result(self) -> RunResult:
         """What it came to."""
@@ -190,6 +220,9 @@ class Tally:
                 fallbacks=self._fallbacks,
                 service_delay_s=sum(call.delay_s for call in self._calls),
                 lighter=sum(bool(call.asked) for call in self._calls),
+                went_on=self._went_on,
+                turned_back=self._turned_back,
+                hidden_s=sum((call.hidden_s for call in self._calls), 0.0),
             ),
             waypoints=self._waypoints,
             undone=[index for index in range(self._waypoints) if index not in self._reached],
@@ -221,8 +254,22 @@ class Beginning:
             case schema.Armed() if self.at_s is not None and not self._settled:
                 self.arming_s = event.t - self.at_s
                 self.at_s, self._settled = event.t, True
-            case schema.Photo() | schema.Call() | schema.Leg() | schema.LogResumed() if self.at_s is not None:
+            case (
+                schema.Photo() | schema.CallStarted() | schema.Call() | schema.Leg() | schema.LogResumed()
+            ) if self.at_s is not None:
                 self._settled = True
+
+
+def as_json(value: object) -> Any:
+    """A result, or anything made of results, as JSON has it: without what is 0 for a drone that waits for answers."""
+    match msgspec.to_builtins(value):
+        case dict() as members:
+            told = {name: as_json(each) for name, each in members.items()}
+            return {name: each for name, each in told.items() if each or name not in _OF_GOING}
+        case list() as items:
+            return [as_json(each) for each in items]
+        case plain:
+            return plain
 
 
 def last_run(events: Iterable[Event]) -> list[Event]:
@@ -246,6 +293,12 @@ def _call(event: schema.Call, waypoint: int | None, began_s: float) -> CallResul
         at_s=event.t - event.delay_s - began_s,
         asked=event.asked,
     )
+
+
+def _waited_for(call: CallResult, waited_s: float) -> CallResult:
+    """The call, for whose answer the mission stood waiting for so long."""
+    hidden_s = call.delay_s - waited_s
+    return replace(call, hidden_s=hidden_s) if hidden_s >= _LEAST_HIDDEN_S else call
 
 
 def _energy(event: schema.EnergyUsed) -> EnergyTotals:

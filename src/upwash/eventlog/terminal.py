@@ -14,7 +14,7 @@ from rich.text import Text
 
 from upwash.eventlog import schema
 from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Tone, counted, spans
-from upwash.eventlog.results import EnergyTotals, RunResult
+from upwash.eventlog.results import EnergyTotals, RunResult, Totals
 from upwash.eventlog.schema import Event
 from upwash.support.text import printable
 
@@ -117,6 +117,8 @@ def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
     )
     if totals.lighter:
         console.print(_lighter_line(result), soft_wrap=True)
+    if totals.went_on or totals.hidden_s:
+        console.print(_going_line(totals), soft_wrap=True)
     _print_times(result, console, paced=paced)
     if result.energy is not None:
         console.print(_energy_line(result.energy), soft_wrap=True)
@@ -127,6 +129,13 @@ def _lighter_line(result: RunResult) -> str:
     keys = Counter(call.key for call in result.calls if call.key)
     counts = ", ".join(f"{count} {key}" for key, count in sorted(keys.items()))
     return f"{counted(result.totals.lighter, 'call')} lighter than asked for, to be over in time: {counts}"
+
+
+def _going_line(totals: Totals) -> str:
+    return (
+        f"went on before the answer {counted(totals.went_on, 'time')}, turned back "
+        f"{counted(totals.turned_back, 'time')}; did other things during {totals.hidden_s:.1f} s of the calls"
+    )
 
 
 def _energy_line(energy: EnergyTotals) -> str:

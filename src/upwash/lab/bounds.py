@@ -14,7 +14,9 @@ from upwash.core.geo import Position, ground_distance_m
 from upwash.core.schedule import ComingCall, Offer
 from upwash.drone.preparation import make_estimates
 from upwash.eventlog import schema
+from upwash.lab.range_intervals import RangeInterval
 from upwash.lab.run import Run
+from upwash.lab.ways import Passage, Ways
 from upwash.missions.bundled import load_services, load_specs
 from upwash.rpc.service import spec_of
 from upwash.sim.radio import goodput_of
@@ -23,10 +25,57 @@ from upwash.sim.world import computing_s, delay_of, occupying_s
 
 @dataclass(frozen=True, slots=True)
 class _Made:
-    """A call that a run made."""
+    """A call that a run made, for which the mission waited `waited_s` in the end.
+
+    `passage` is what follows it where the drone need not wait for it, and `on_the_way` the servers in range there.
+    """
 
     operation: Operation
     call: ComingCall
+    waited_s: float
+    hidden_s: float = 0.0
+    passage: Passage | None = None
+    on_the_way: Sequence[Offer] = ()
+
+    @property
+    def offers(self) -> Sequence[Offer]:
+        """All servers that could answer it."""
+        return (*self.call.offers, *self.on_the_way)
+
+    @property
+    def least_wait_s(self) -> float:
+        """How long the mission has to wait for it at least, with every server joined."""
+        stay_s = min([self.call.local_s, *(offer.call_s for offer in self.call.offers)])
+        if self.passage is None:
+            return max(0.0, stay_s - self.hidden_s)
+        go_s = min([stay_s, *(offer.call_s for offer in self.on_the_way)])
+        return self.passage.onward.least_wait_s(stay_s, go_s)
+
+    @property
+    def least_local_wait_s(self) -> float:
+        """The same with no server at all."""
+        local_s = self.call.local_s
+        if self.passage is None:
+            return max(0.0, local_s - self.hidden_s)
+        return self.passage.onward.least_wait_s(local_s, local_s)
+
+
+@dataclass(frozen=True, slots=True)
+class _Mission:
+    """A completed mission: its calls, and what it spent on other things than waiting for them."""
+
+    calls: Sequence[_Made]
+    other_s: float
+    may_go: bool
+
+    def bound(self, truths: Mapping[str, ServerTruth]) -> Bound:
+        """The least times of it."""
+        if self.may_go:
+            least_s = self.other_s + sum(made.least_wait_s for made in self.calls)
+            return Bound(least_s, least_s)
+        joins_s = {name: truth.join_s for name, truth in truths.items()}
+        calls = bound([made.call for made in self.calls], joins_s)
+        return Bound(self.other_s + calls.free_s, self.other_s + calls.with_joins_s)
 
 
 def bound_of(run: Run, config: DroneConfig) -> Bound | None:
@@ -34,11 +83,12 @@ def bound_of(run: Run, config: DroneConfig) -> Bound | None:
 
     It flies and takes photos for as long as this run did, and makes the same calls at the same places. Computers are
     never hot and nothing fails; calls take their mean time, so with noise the bounds hold for the mean of many runs.
+    Where the configuration lets the drone go on before answers are there, it turns back no more often than it has to.
     """
     if not run.result.completed:
         return None
     truths = _truths(config)
-    return _bound(run, list(_made(run, config, truths)), truths)
+    return _mission(run, config, truths).bound(truths)
 
 
 def bounds_of(
@@ -54,14 +104,15 @@ def bounds_of(
         tuple[str, str], float
     ] = {}  # by server and service: the most that is saved in a second of a lane
     for run, config in zip(runs, fleet, strict=True):
-        truths = _truths(config)
-        made = list(_made(run, config, truths)) if run.result.completed else []
-        own.append(_bound(run, made, truths) if run.result.completed else None)
-        if (found := own[-1]) is None:
+        if not run.result.completed:
+            own.append(None)
             continue
-        local_s = _other_s(run) + sum(each.call.local_s for each in made)
+        truths = _truths(config)
+        mission = _mission(run, config, truths)
+        own.append(found := mission.bound(truths))
+        local_s = mission.other_s + sum(each.least_local_wait_s for each in mission.calls)
         missions.append(SharedMission(_begun_s(run), local_s, found.free_s))
-        for instance, rate in _rates(made, truths):
+        for instance, rate in _rates(mission.calls, truths):
             rates[instance] = max(rates.get(instance, 0.0), rate)
     if not missions:
         return own, None
@@ -78,15 +129,17 @@ def _truths(config: DroneConfig) -> dict[str, ServerTruth]:
     return {server.name: server_truth(server, config.services) for server in config.servers}
 
 
-def _bound(run: Run, made: Sequence[_Made], truths: Mapping[str, ServerTruth]) -> Bound:
-    other_s = _other_s(run)
-    calls = bound([each.call for each in made], {name: truth.join_s for name, truth in truths.items()})
-    return Bound(other_s + calls.free_s, other_s + calls.with_joins_s)
-
-
-def _other_s(run: Run) -> float:
-    """What the mission spent on other things than calls."""
-    return run.result.mission_time_s - run.result.totals.service_delay_s
+def _mission(run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth]) -> _Mission:
+    mission_s = run.result.mission_time_s
+    if config.policy.stay_or_go == "stay":
+        other_s = mission_s - run.result.totals.service_delay_s
+        return _Mission(list(_made(run, config, truths)), other_s, may_go=False)
+    ways = Ways()
+    for event in run.events:
+        ways.take(event)
+    calls = list(_made(run, config, truths, ways))
+    other_s = mission_s - ways.in_vain_s - sum(made.waited_s for made in calls)
+    return _Mission(calls, other_s, may_go=True)
 
 
 def _begun_s(run: Run) -> float:
@@ -100,7 +153,7 @@ def _rates(
 ) -> Iterator[tuple[tuple[str, str], float]]:
     """How much each call saves on each server that is in range of it, for each second that it keeps a lane busy."""
     for each in made:
-        for offer in each.call.offers:
+        for offer in each.offers:
             gain_s = each.call.local_s - offer.call_s
             if gain_s > 0:
                 busy_s = occupying_s(each.operation, truths[offer.server])
@@ -114,20 +167,24 @@ def _lanes(instance: tuple[str, str], config: DroneConfig) -> int:
     return truth.lanes or spec_of(load_services(config.services)[service].cls).concurrency
 
 
-def _made(run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth]) -> Iterator[_Made]:
-    """The calls that the run made, with all that was in range of them."""
+def _made(
+    run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth], ways: Ways | None = None
+) -> Iterator[_Made]:
+    """The calls that the run made, with all that was in range of them, and on the `ways` that followed them."""
     specs = load_specs(config.services)
     operations = {str(operation): operation for operation in make_estimates(config, specs).operations}
     services = {service.name: service for service in config.services}
     areas = server_areas(config)
-    ended_s, position = 0.0, Position(0.0, 0.0)
+    ended_s, position, decided = 0.0, Position(0.0, 0.0), False
+    number = 0
     for event in run.events:
         match event:
-            case schema.Decided():
-                position = event.position
-            case schema.Call(at_s=begun_s, operation=name, t=now_s):
+            case schema.Decided() if not decided:  # a second time where the drone may be by then
+                position, decided = event.position, True
+            case schema.Call(at_s=begun_s, operation=name, t=now_s, delay_s=delay_s):
                 operation = operations[name]
                 service = services[operation.service]
+                passage = ways.after(number) if ways else None
                 offers = [
                     Offer(
                         stay.server,
@@ -142,9 +199,24 @@ def _made(run: Run, config: DroneConfig, truths: Mapping[str, ServerTruth]) -> I
                     for stay in run.range_intervals
                     if stay.from_s <= begun_s < stay.to_s
                 ]
+                on_the_way = [
+                    Offer(stay.server, later_s + _remote_s(operation, service, truths[stay.server], 0.0), 0.0)
+                    for stay, later_s in _met(run.range_intervals, passage)
+                ]
+                waited_s = ways.waited_s.get(number, delay_s) if ways else delay_s
                 local_s = delay_of(operation, service.local_call_s)
-                yield _Made(operation, ComingCall(local_s, begun_s - ended_s, offers))
-                ended_s = now_s
+                call = ComingCall(local_s, begun_s - ended_s, offers)
+                yield _Made(operation, call, waited_s, max(0.0, delay_s - waited_s), passage, on_the_way)
+                ended_s, decided, number = now_s, False, number + 1
+
+
+def _met(stays: Sequence[RangeInterval], passage: Passage | None) -> Iterator[tuple[RangeInterval, float]]:
+    """The servers in whose range the drone is on its way, and how long after its departure, at the least."""
+    if passage is None or passage.departed_s is None:
+        return
+    for stay in stays:
+        if stay.from_s < passage.ended_s and stay.to_s > passage.departed_s:
+            yield stay, max(0.0, stay.from_s - passage.departed_s)
 
 
 def _remote_s(operation: Operation, service: ServiceConfig, truth: ServerTruth, distance_m: float) -> float:

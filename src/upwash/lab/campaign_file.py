@@ -13,6 +13,7 @@ from pathlib import Path
 
 import msgspec
 
+from upwash.config import Document
 from upwash.errors import NotWritten, UsageError
 from upwash.lab.sweep import Sweep
 from upwash.support.loading import extra
@@ -36,6 +37,9 @@ class Row(msgspec.Struct, frozen=True):
     switches: int | None = None
     fallbacks: int | None = None
     service_delay_s: float | None = None
+    went_on: int | None = None  # where a drone may go on before answers are there
+    turned_back: int | None = None
+    hidden_s: float | None = None
     bound_s: float | None = None
     bound_with_joins_s: float | None = None
     energy_wh: float | None = None
@@ -53,7 +57,10 @@ class Row(msgspec.Struct, frozen=True):
 _ENERGY = ("energy_wh", "flight_wh", "hover_wh", "computing_wh", "radio_wh")
 _FLEET = ("completed_drones", "worst_s", "jain", "bound_shared_s")
 _LIGHTER = ("lighter",)
-_COLUMNS = tuple(name for name in Row.__struct_fields__[1:] if name not in (*_ENERGY, *_FLEET, *_LIGHTER))
+_GOING = ("went_on", "turned_back", "hidden_s")
+_COLUMNS = tuple(
+    name for name in Row.__struct_fields__[1:] if name not in (*_ENERGY, *_FLEET, *_LIGHTER, *_GOING)
+)
 
 
 class Note(msgspec.Struct, frozen=True):
@@ -76,7 +83,8 @@ class CampaignFile:
         metered = _ENERGY if any("energy" in each for each in documents) else ()
         together = _FLEET if any("drone" in each for each in documents) else ()
         timed = _LIGHTER if any("lighter" in each["mission"] for each in documents) else ()
-        self._columns = (*_COLUMNS, *metered, *together, *timed)
+        goes = _GOING if any(_may_go(each) for each in documents) else ()
+        self._columns = (*_COLUMNS, *metered, *together, *timed, *goes)
 
     @classmethod
     def open(cls, out: Path, sweep: Sweep) -> CampaignFile:
@@ -144,6 +152,12 @@ class CampaignFile:
                     f"{self._csv_file} is of {_described(found)}: name another file with --out, or remove it"
                 )
         write_file(note_file, msgspec.json.format(msgspec.json.encode(note)) + b"\n")
+
+
+def _may_go(document: Document) -> bool:
+    """Whether a drone may go on before answers are there."""
+    policy = document.get("policy")
+    return isinstance(policy, dict) and policy.get("stay_or_go", "stay") != "stay"
 
 
 def _described(note: Note | None) -> str:

@@ -94,6 +94,9 @@ class ComparedPolicy:
     In a scenario of several drones a mission stands for those of all of them: their times and energy are means over
     the drones, the bound is `FleetBound.shared_s`, and `worst_s` and `jain` are the means of the slowest drone's time
     and of Jain's index; in any other they are None.
+
+    `turned_back` is how often a drone turned back for an answer, and `hidden_s` during how much of its calls it did
+    something else, both as means; None where no drone went on before an answer.
     """
 
     scenario: str
@@ -107,6 +110,8 @@ class ComparedPolicy:
     energy_half_width_wh: float | None
     worst_s: float | None = None
     jain: float | None = None
+    turned_back: float | None = None
+    hidden_s: float | None = None
 
 
 def compare(
@@ -231,6 +236,7 @@ def _rows(scenario: str, entrants: Sequence[Entrant], missions: Sequence[Flown])
         metered = any(outcome.energy is not None for outcome in flown)
         energy_wh = _mean(drawn_wh) if metered else None
         fleets = [outcome.fleet for outcome in completed if outcome.fleet is not None]
+        went_on = any(outcome.totals.went_on for outcome in completed)
         yield ComparedPolicy(
             scenario=scenario,
             policy=entrant.name,
@@ -243,6 +249,8 @@ def _rows(scenario: str, entrants: Sequence[Entrant], missions: Sequence[Flown])
             energy_half_width_wh=energy_wh.margin if energy_wh else None,
             worst_s=fmean(fleet.worst_s for fleet in fleets) if fleets else None,
             jain=fmean(fleet.jain for fleet in fleets) if fleets else None,
+            turned_back=fmean(each.totals.turned_back for each in completed) if went_on else None,
+            hidden_s=fmean(each.totals.hidden_s for each in completed) if went_on else None,
         )
 
 

@@ -13,8 +13,8 @@ from upwash.errors import UsageError
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
 from upwash.eventlog.narration import ran_on
-from upwash.eventlog.reasons import explained_calls, told
-from upwash.eventlog.results import CallResult, read_result
+from upwash.eventlog.reasons import told_calls
+from upwash.eventlog.results import CallResult, last_run, read_result
 from upwash.eventlog.schema import Event
 from upwash.lab.fleet import simulate_fleet
 from upwash.lab.simulation import Simulation, read_scenario, simulate
@@ -93,8 +93,7 @@ def _among_others(scenario: Path, drone: str, policy: str, seed: int | None) -> 
 def explain(events: Sequence[Event], replayed: Replay) -> Iterator[str]:
     """The explanation, line by line."""
     result = read_result(events)
-    for number, call in enumerate(explained_calls(events)):
-        heading, *reasons = told(call)
+    for number, (heading, *reasons) in enumerate(told_calls(last_run(events))):
         yield heading
         yield from (f"    {reason}" for reason in reasons)
         if replayed.runs:

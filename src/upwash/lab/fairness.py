@@ -1,4 +1,7 @@
-"""What each of several drones saved against flying alone with every call on the drone, and how evenly."""
+"""What each of several drones saved against flying alone with every call on the drone, and how evenly.
+
+A drone that may go on before answers are there may do so alone, too: what it saves is what servers save it.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,9 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import msgspec
 
-from upwash.config import DroneConfig, NoiseConfig, PolicyConfig, Presence
+from upwash.config import DroneConfig, PolicyConfig, Presence
 from upwash.lab.run import Run, simulate_fleet
+from upwash.sim.chance import plays_a_part
 
 _NEVER_S = 1e6  # for which a drone without servers does not look around
 _LEAST_S = 1e-3  # what is less is the rounding of times
@@ -65,8 +69,8 @@ def _by_itself(config: DroneConfig) -> DroneConfig:
     return replace(
         config,
         name="alone",
-        seed=0 if config.noise == NoiseConfig() else config.seed,
-        policy=PolicyConfig(name="local-only", period_s=_NEVER_S),
+        seed=config.seed if plays_a_part(config) else 0,
+        policy=PolicyConfig(name="local-only", period_s=_NEVER_S, stay_or_go=config.policy.stay_or_go),
         servers=(),
         faults=tuple(fault for fault in config.faults if fault.target == "autopilot"),
         energy=None,

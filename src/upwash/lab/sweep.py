@@ -91,6 +91,17 @@ def read_setting(text: str) -> Setting:
     return Setting(key, values)
 
 
+def read_overrides(texts: Sequence[str]) -> dict[str, object]:
+    """The values by their keys that settings `KEY=VALUE` say; UsageError for several values of a key."""
+    overrides: dict[str, object] = {}
+    for text in texts:
+        setting = read_setting(text)
+        if len(setting.values) > 1 or setting.key in overrides:
+            raise UsageError(f"{setting.key} has several values, and is to have one: {setting.key}=VALUE")
+        overrides[setting.key] = setting.values[0]
+    return overrides
+
+
 def with_value(document: Document, file: Path, key: str, value: object) -> Document:
     """The document with one value changed or added.
 

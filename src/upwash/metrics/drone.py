@@ -60,6 +60,7 @@ class DroneMetrics:
             "upwash_waypoints_reached", "Waypoints that the mission has reached", registry=registry
         )
         self._under_way = Gauge("upwash_mission_under_way", "1 while the mission is flown", registry=registry)
+        self._waypoints: set[int] = set()  # reached
         for server in servers:
             self._be_in(server, State.AVL)
 
@@ -79,10 +80,12 @@ class DroneMetrics:
                 self._photos.inc()
             case schema.MissionStarted(waypoints=waypoints, done=done):
                 self._planned.set(waypoints)
+                self._waypoints = set(done)
                 self._reached.set(len(done))
                 self._under_way.set(1)
-            case schema.Arrived(waypoint=int()):
-                self._reached.inc()
+            case schema.Arrived(waypoint=int(waypoint)):
+                self._waypoints.add(waypoint)  # the drone may come back to it
+                self._reached.set(len(self._waypoints))
             case schema.MissionCompleted() | schema.MissionEnded():
                 self._under_way.set(0)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
-from msgspec import Struct
+from msgspec import UNSET, Struct, UnsetType
 
 from upwash.config import Document, DroneConfig, drone_config, read_document, server_areas, waypoints
 from upwash.core.order import Order
@@ -18,7 +18,7 @@ from upwash.lab.run import Run, simulate
 from upwash.missions.bundled import load_specs
 from upwash.preflight.coverage import Coverage, coverage, uncovered
 from upwash.preflight.placement import Place
-from upwash.preflight.prediction import LOCAL_ONLY, Prediction, cases, changed, predict
+from upwash.preflight.prediction import LOCAL_ONLY, Prediction, cases, changed, demanding_share, predict
 from upwash.preflight.warnings import Belief, PreflightWarning, is_for_flight, usable_s, usable_wh, warnings
 from upwash.preflight.way_home import Farthest, farthest
 
@@ -37,6 +37,7 @@ class Check(Struct, frozen=True, kw_only=True):
     `usable_s` is how long the battery lasts above the mission's reserve, and `usable_wh` what the simulated one gives
     above it, None where the file does not say, and `farthest` the waypoint from which the way home takes longest.
     `order` says in which order the waypoints are flown and why, "" where nothing but the given one was asked for.
+    `demanding_share` is that of the answers that demand something, where the drone may go on before they are there.
     """
 
     config: str
@@ -50,6 +51,7 @@ class Check(Struct, frozen=True, kw_only=True):
     farthest: Farthest
     warnings: tuple[PreflightWarning, ...]
     places: tuple[Place, ...] = ()
+    demanding_share: float | UnsetType = UNSET
 
 
 def read_plan(file: Path) -> CheckInput:
@@ -94,6 +96,7 @@ def check(plan: CheckInput, *, seeds: int, fly: Fly, flown: Callable[[int], None
             *warnings(plan.config, covered, list(beliefs(plan.config, alone)), predictions),
             *_certificate_concerns(plan.config),
         ),
+        demanding_share=UNSET if (share := demanding_share(plan.config)) is None else share,
     )
 
 

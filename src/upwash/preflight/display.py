@@ -19,9 +19,10 @@ from upwash.lab.campaign import Fly
 from upwash.preflight.check import Check, CheckInput, check, missions_to_fly
 from upwash.preflight.coverage import Coverage
 from upwash.preflight.placement import Place, missions_to_place, place
-from upwash.preflight.prediction import LOCAL_ONLY, Prediction, is_noisy
+from upwash.preflight.prediction import LOCAL_ONLY, Prediction, told_share
 from upwash.preflight.warnings import is_for_flight
 from upwash.preflight.way_home import Farthest
+from upwash.sim.chance import plays_a_part
 
 
 def show_check(
@@ -34,7 +35,7 @@ def show_check(
     fly: Fly,
 ) -> bool:
     """Checks the file and prints what was found; returns whether nothing will hurt."""
-    seeds = seeds if is_noisy(plan.config) else 1
+    seeds = seeds if plays_a_part(plan.config) else 1
     with _progress("flying it in simulation", missions_to_fly(plan, seeds)) as flown:
         found = check(plan, seeds=seeds, fly=fly, flown=flown)
     drawn = plan.config
@@ -89,6 +90,8 @@ def _print(found: Check, config: DroneConfig, servers_to_place: int, console: Co
         console.print()
     console.print(_prediction_table(found))
     console.print(_how_sure(found, config), soft_wrap=True)
+    if share := told_share(config):
+        console.print(share, soft_wrap=True)
     if config.mission.reserve_s is not None:
         console.print(_farthest_line(found.farthest, config), soft_wrap=True)
     for each in found.places:
@@ -159,7 +162,7 @@ def _are_lighter(found: Check) -> bool:
 
 def _how_sure(found: Check, config: DroneConfig) -> str:
     missions = found.predictions[0].missions
-    if is_noisy(config):
+    if plays_a_part(config):
         sure = f"means of {missions} simulated missions each, ± 95 % confidence"
     else:
         sure = "one simulated mission each: without [noise] all are alike"

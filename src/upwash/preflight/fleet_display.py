@@ -13,16 +13,19 @@ from upwash.config import DroneConfig
 from upwash.eventlog.narration import counted, spans
 from upwash.preflight.check import CheckInput
 from upwash.preflight.fleet import AskedServer, DroneForecast, FleetCheck, check_fleet
-from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, is_noisy
+from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, demanding_share, told_share
+from upwash.sim.chance import plays_a_part
 
 
 def show_fleet_check(plan: CheckInput, *, seeds: int, as_json: bool, workers: int | None) -> bool:
     """Checks the file and prints what was found; returns whether nothing will hurt."""
     found = check_fleet(
-        plan.document, plan.file, seeds=seeds if is_noisy(plan.config) else 1, workers=workers
+        plan.document, plan.file, seeds=seeds if plays_a_part(plan.config) else 1, workers=workers
     )
     if as_json:
-        printed = msgspec.to_builtins(found) | {"warnings": found.warnings}
+        share = demanding_share(plan.config)
+        of_going = {} if share is None else {"demanding_share": share}
+        printed = msgspec.to_builtins(found) | {"warnings": found.warnings} | of_going
         sys.stdout.write(msgspec.json.encode(printed).decode() + "\n")
     else:
         _print(found, plan.config, Console(markup=False))
@@ -37,6 +40,8 @@ def _print(found: FleetCheck, config: DroneConfig, console: Console) -> None:
     )
     console.print()
     console.print(_table(found.drones))
+    if share := told_share(config):
+        console.print(share, soft_wrap=True)
     console.print()
     for each in found.drones:
         if each.order:

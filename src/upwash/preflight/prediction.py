@@ -8,7 +8,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from upwash.config import Document, DroneConfig, NoiseConfig
+from upwash.config import Document, DroneConfig
 from upwash.lab.campaign import Fly, fly_sweep
 from upwash.lab.sweep import Combination, Sweep
 
@@ -45,9 +45,23 @@ def without(server: str) -> str:
     return f"without {server}"
 
 
-def is_noisy(config: DroneConfig) -> bool:
-    """Whether chance plays a part, so that one simulated mission is not like another."""
-    return config.noise != NoiseConfig()
+def demanding_share(config: DroneConfig) -> float | None:
+    """The share of answers that demand something at their waypoint in what is flown; None where the drone stays."""
+    if config.policy.stay_or_go == "stay":
+        return None
+    if config.event is None:
+        return 0.0
+    return config.event.probability if config.event.every is None else 1 / config.event.every
+
+
+def told_share(config: DroneConfig) -> str:
+    """The same in a sentence; empty where the drone stays."""
+    share = demanding_share(config)
+    if share is None:
+        return ""
+    said = f"{100 * share:.3g} % of the answers demand something" if share else "no answer demands anything"
+    why = "as [event] says" if config.event else "as there is no [event]"
+    return f"the drone may go on before answers are there (policy.stay_or_go); here {said}, {why}"
 
 
 def predict(

@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 
 from upwash.core import places as place_names
 from upwash.core.servers import CHECKING, State
-from upwash.eventlog.narration import ran_on
+from upwash.eventlog.narration import counted, named, ran_on
 from upwash.eventlog.results import mean_local_delay_s
+from upwash.report.going import OpenAnswer
 from upwash.report.markup import Markup, element, joined
 from upwash.report.places import Places, name_of
 from upwash.report.record import Record, ReportedCall, Stretch
@@ -147,7 +148,7 @@ def draw_timeline(record: Record, places: Places, *, longest_s: float) -> Markup
     """The states of each server over the mission, a row each, with the calls that ran there beneath."""
     left = _LEFT + 40
     x = Axis(0, longest_s, left, _WIDTH - _RIGHT)
-    bottom = _TOP + _ROW * len(record.servers)
+    bottom = _TOP + _ROW * (len(record.servers) + bool(record.answers))
     rows: list[Markup] = []
     for row, server in enumerate(record.servers):
         top = _TOP + row * _ROW
@@ -162,6 +163,8 @@ def draw_timeline(record: Record, places: Places, *, longest_s: float) -> Markup
             for call in record.result.calls
             if call.server == server
         ]  # fmt: skip
+    if record.answers:
+        rows += _draw_answers(record.answers, x, bottom - _ROW, left)
     along = [
         joined(
             element("line", x1=x(value), x2=x(value), y1=_TOP, y2=bottom, class_="grid"),
@@ -178,6 +181,21 @@ def draw_timeline(record: Record, places: Places, *, longest_s: float) -> Markup
         *rows,
         label("seconds of the mission", (left + _WIDTH - _RIGHT) / 2, bottom + 34, style="axis"),
     )
+
+
+def _draw_answers(
+    answers: Sequence[OpenAnswer], x: Callable[[float], float], top: float, left: float
+) -> Iterator[Markup]:
+    """The times in which the drone had gone on, thin where it did not have to turn back."""
+    yield label("gone on", left - 8, top + 15, anchor="end", style="row")
+    for each in answers:
+        height = 8.0 if each.turned_at is None else _BAR
+        back = "" if each.turned_at is None else ", turned back"
+        about = f"{named(each.waypoint)}: gone on from {each.from_s:.1f} to {each.to_s:.1f} s{back}"
+        yield element(
+            "rect", element("title", about), x=x(each.from_s), y=top + (_BAR - height) / 2,
+            width=max(_NARROWEST, x(each.to_s) - x(each.from_s)), height=height, class_="state gone-on",
+        )  # fmt: skip
 
 
 def _draw_stretch(stretch: Stretch, x: Callable[[float], float], top: float) -> Markup:
@@ -214,4 +232,6 @@ def _states_in_words(record: Record) -> str:
             f"{state} {seconds_s:.0f} s" for state, seconds_s in state_seconds(stretches).items() if seconds_s
         )
         told.append(f"{name_of(server)}: {spent}")
+    if record.answers:
+        told.append(f"gone on before {counted(len(record.answers), 'answer')}")
     return "; ".join(told) + "."

@@ -11,7 +11,7 @@ import msgspec
 
 from upwash.core.geo import Circle, LocalFrame, Position
 from upwash.errors import UsageError
-from upwash.eventlog.results import RunResult
+from upwash.eventlog.results import RunResult, as_json
 from upwash.report.record import Record
 
 _SIDES = 64  # of the polygon that stands for a range
@@ -29,12 +29,12 @@ class Exported(msgspec.Struct, frozen=True):
 
 def write_json(records: Sequence[Record]) -> str:
     """The results as one JSON array, an object a run."""
-    return msgspec.json.encode(list(map(_exported, records))).decode()
+    return msgspec.json.encode(as_json(list(map(_exported, records)))).decode()
 
 
 def write_result(record: Record) -> str:
     """The result of one run, as `write_json` has it."""
-    return msgspec.json.encode(_exported(record)).decode()
+    return msgspec.json.encode(as_json(_exported(record))).decode()
 
 
 def _exported(record: Record) -> Exported:
@@ -45,9 +45,10 @@ def write_csv(records: Sequence[Record]) -> str:
     """A row a call; numbers in full precision."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
+    hidden = ["hidden_s"] if any(record.answers for record in records) else []
     rows.writerow(
         ["log", "waypoint", "at_s", "operation", "place", "delay_s", "waited_s", "wait", "fell_back",
-         "east_m", "north_m", "decision"]
+         "east_m", "north_m", "decision", *hidden]
     )  # fmt: skip
     for record in records:
         for call in record.calls:
@@ -55,7 +56,7 @@ def write_csv(records: Sequence[Record]) -> str:
             rows.writerow(
                 [record.name, result.waypoint, result.at_s, result.operation, result.place, result.delay_s,
                  result.waited_s, call.wait, int(call.fell_back), place.east_m if place else None,
-                 place.north_m if place else None, result.decision]
+                 place.north_m if place else None, result.decision, *(getattr(result, each) for each in hidden)]
             )  # fmt: skip
     return text.getvalue()
 
@@ -90,9 +91,11 @@ def _features(record: Record) -> Iterator[dict[str, Any]]:
         yield feature("range", "Polygon", [_ring(frame, area)], server=name, range_m=area.radius_m)
     for index, (east_m, north_m) in enumerate(record.plan.waypoints_m):
         yield feature("waypoint", "Point", _degrees(frame, Position(east_m, north_m)), waypoint=index)
+    for waypoint, place in record.turns:
+        yield feature("turn", "Point", _degrees(frame, place), waypoint=waypoint)
     for call in record.calls:
         if call.position is not None:
-            facts = msgspec.to_builtins(call.result)
+            facts = as_json(call.result)
             yield feature("call", "Point", _degrees(frame, call.position), **facts)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from upwash.core.geo import Position
+from upwash.eventlog.narration import named
 from upwash.report.charts import figure, in_short, label, round_step
 from upwash.report.markup import Markup, element, joined
 from upwash.report.places import Places
@@ -71,6 +72,7 @@ def draw_map(record: Record, places: Places, view: View) -> Markup:
         *_waypoints(record, view),
         _home(view),
         *_calls(record, places, view),
+        *_turns(record, view),
         *_names(record, view),
         _scale(view),
     )
@@ -119,6 +121,13 @@ def _calls(record: Record, places: Places, view: View) -> Iterator[Markup]:
         here = call.position
         x, y = view.point(here.east_m, here.north_m)
         yield places.mark(call.result.server, x + 8 * stacked, y, 4, element("title", in_short(call)))
+
+
+def _turns(record: Record, view: View) -> Iterator[Markup]:
+    for waypoint, place in record.turns:
+        x, y = view.point(place.east_m, place.north_m)
+        hook = f"M{x - 4:.1f} {y - 5:.1f}v-7a4 4 0 0 1 8 0v7m-3 -3l3 3l3 -3"
+        yield element("path", element("title", f"turned back to {named(waypoint)}"), d=hook, class_="turn")
 
 
 def _scale(view: View) -> Markup:

@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from importlib.resources import files
 
 from upwash.core.servers import CHECKING
-from upwash.eventlog.narration import MEANINGS
+from upwash.eventlog.narration import MEANINGS, counted
+from upwash.eventlog.results import Totals
 from upwash.report import tables
 from upwash.report.charts import IDLE_HEIGHTS, draw_call_delays, draw_timeline, in_short, state_style
 from upwash.report.map import draw_map, view_of
@@ -80,9 +81,11 @@ def _map(records: Sequence[Record], places: Places) -> Markup:
             tables.folded("The map as tables", tables.map_places(record), tables.waypoints(record)),
         )
 
+    turns = " Hooked arrows: where the drone turned back for an answer."
     note = _note(
         "Marks: where each call was made, by the place where it ran. Dotted: the plan. Solid: the way "
         "flown. Dashed circles: the ranges of the servers, as configured. North is up."
+        + _where_it_goes(records, turns)
     )
     return _section(records, "Map", draw, places.legend(), note)
 
@@ -95,9 +98,17 @@ def _timeline(records: Sequence[Record], places: Places) -> Markup:
         return joined(
             tables.scrolled(chart, f"Servers over time, {record.name}"),
             tables.folded("The states as tables", tables.states(record), tables.steps(record)),
+            *(
+                [tables.folded("The answers that it went on before", tables.answers(record))]
+                if record.answers
+                else []
+            ),
         )
 
-    note = _note("Strokes beneath a row are calls that ran on the server.")
+    gone_on = (
+        ' In the row "gone on" the drone was away with an answer open; it turned back in the high parts.'
+    )
+    note = _note(f"Strokes beneath a row are calls that ran on the server.{_where_it_goes(records, gone_on)}")
     return _section(records, "Servers over time", draw, _states_legend(), note)
 
 
@@ -114,6 +125,11 @@ def _section(
     return element("section", element("h2", heading), *before, element("div", *runs, class_="runs"))
 
 
+def _where_it_goes(records: Sequence[Record], words: str) -> str:
+    """The words, where a drone went on before an answer."""
+    return words if any(record.answers for record in records) else ""
+
+
 def _note(text: str) -> Markup:
     return element("p", text, class_="note")
 
@@ -123,6 +139,7 @@ def what_it_came_to(record: Record, records: Sequence[Record]) -> str:
     result = record.result
     ended = "" if result.completed else " and was not completed"
     took = f"{record.name}: the mission took {result.mission_time_s:.1f} s under the policy {result.policy}{ended}."
+    took += _going(result.totals)
     if not result.totals.remote:
         return f"{took} All {result.totals.calls} calls ran on the drone."
     paced = (
@@ -131,7 +148,18 @@ def what_it_came_to(record: Record, records: Sequence[Record]) -> str:
     return f"{took} {_saving(record)}{_against_reference(record, records)}{paced}"
 
 
+def _going(totals: Totals) -> str:
+    if not totals.went_on:
+        return ""
+    return (
+        f" The drone went on before {counted(totals.went_on, 'answer')} and turned back for {totals.turned_back}: "
+        f"during {totals.hidden_s:.1f} s of the calls it did something else."
+    )
+
+
 def _saving(record: Record) -> str:
+    if record.answers and record.result.completed:
+        return "What offloading saved is not known: the drone went on before answers were there."
     local_only_s, saved_s = record.result.local_only_time_s(), record.saved_s
     if local_only_s is None or saved_s is None:
         return "What offloading saved is not known: that takes a completed mission with calls on the drone."

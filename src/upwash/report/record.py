@@ -14,9 +14,10 @@ from upwash.core.servers import State
 from upwash.errors import UsageError
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
-from upwash.eventlog.reasons import Reasons, told
+from upwash.eventlog.reasons import ExplainedCall, Reasons, Told
 from upwash.eventlog.results import Beginning, CallResult, RunResult, Tally
 from upwash.eventlog.schema import Event
+from upwash.report.going import OpenAnswer, OpenAnswers
 
 _UNPLANNED = schema.Planned()  # by its identity: what the drone set out to do is not in the log
 
@@ -88,7 +89,7 @@ class Record:
     """One run; `servers` are those of the plan and of the calls, in the order of their names.
 
     `opened` is the time of day at second 0 of the event log, None for a simulated one; `began_s` is the second of the
-    log at which the mission began.
+    log at which the mission began. `answers` are those that the drone went on before.
     """
 
     name: str
@@ -99,6 +100,12 @@ class Record:
     plan: schema.Planned
     calls: Sequence[ReportedCall]
     stretches: Mapping[str, Sequence[Stretch]]
+    answers: Sequence[OpenAnswer] = ()
+
+    @property
+    def turns(self) -> Iterator[tuple[int | None, Position]]:
+        """The waypoints that the drone turned back to, and where it did."""
+        return ((each.waypoint, each.turned_at) for each in self.answers if each.turned_at is not None)
 
     @property
     def track(self) -> Iterator[Fix]:
@@ -146,11 +153,13 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
     try:
         plan = events.planned
         tally, calls, track = Tally(), _Calls(), _Track(events.began_s)
+        answers = OpenAnswers(events.began_s)
         states = _States(plan.ranges, began_s=events.began_s)
         for event in events:
             tally.take(event)
             calls.take(event)
             states.take(event)
+            answers.take(event)
             track.take(event)  # whether it can be read is known from here on
         result = tally.result()
         return Record(
@@ -162,6 +171,7 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
             plan=plan,
             calls=calls.with_results(result.calls),
             stretches=states.stretches(),
+            answers=answers.found,
         )
     except (KeyError, TypeError, ValueError) as error:  # msgspec's ValidationError is a ValueError
         raise UsageError(f"{log} is not an event log that this version reads: {error!r}") from error
@@ -176,19 +186,23 @@ class _Calls:
 
     def __init__(self) -> None:
         self._reasons = Reasons()
-        self._told: list[tuple[list[str], Position | None, str, bool]] = []
+        self._told = Told()
+        self._facts: list[tuple[Position | None, str, bool]] = []
 
     def take(self, event: Event) -> None:
         """Takes in the next event."""
-        if (call := self._reasons.take(event)) is None:
-            return
-        at = call.decisions[0].position if call.decisions else None
-        reasons, outcome = list(told(call))[1:], call.outcome
-        self._told.append((reasons, at, outcome.wait, outcome.fell_back))
+        explained = self._reasons.take(event)
+        self._told.take(explained)
+        if isinstance(explained, ExplainedCall):
+            outcome = explained.outcome
+            self._facts.append((explained.position, outcome.wait, outcome.fell_back))
 
     def with_results(self, results: Sequence[CallResult]) -> list[ReportedCall]:
         """The calls, with their results in the same order."""
-        return [ReportedCall(result, *facts) for result, facts in zip(results, self._told, strict=True)]
+        return [
+            ReportedCall(result, reasons, *facts)
+            for result, (_, *reasons), facts in zip(results, self._told.lines, self._facts, strict=True)
+        ]
 
 
 class _Track:

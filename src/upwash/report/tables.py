@@ -61,6 +61,12 @@ def totals(records: Sequence[Record]) -> Markup:
         rows.append(
             ["calls lighter than asked for", *(str(record.result.totals.lighter) for record in records)]
         )
+    if any(record.answers for record in records):
+        rows += [
+            ["went on before the answer", *(str(record.result.totals.went_on) for record in records)],
+            ["turned back for the answer", *(str(record.result.totals.turned_back) for record in records)],
+            ["of the calls' time hidden", *(f"{record.result.totals.hidden_s:.1f} s" for record in records)],
+        ]
     if any(record.result.energy for record in records):
         rows.append(["drawn from the battery", *(_drawn(record) for record in records)])
     return table("Totals", ["", *(record.name for record in records)], rows)
@@ -116,19 +122,22 @@ def by_operation(record: Record) -> Markup:
 
 def calls(record: Record) -> Markup:
     """Every call, by waypoint."""
+    goes = bool(record.result.totals.hidden_s)
     rows = [
         [
-            "start" if call.result.waypoint is None else str(call.result.waypoint),
+            _at(call.result.waypoint),
             f"{call.result.at_s:.1f} s",
             _ran_as(call.result),
             name_of(call.result.server),
             f"{call.result.delay_s:.2f} s",
             f"{call.result.waited_s:.2f} s, {call.wait}" if call.wait else "",
+            *([f"{call.result.hidden_s:.2f} s" if call.result.hidden_s else ""] if goes else []),
             call.result.decision,
         ]
         for call in record.calls
     ]
-    heads = ["waypoint", "at", "operation", "place", "delay", "waited", "decision"]
+    hidden = ["hidden"] if goes else []
+    heads = ["waypoint", "at", "operation", "place", "delay", "waited", *hidden, "decision"]
     return table("Calls by waypoint", heads, rows)
 
 
@@ -152,6 +161,26 @@ def waypoints(record: Record) -> Markup:
         for index, (east_m, north_m) in enumerate(record.plan.waypoints_m)
     ]
     return table("Waypoints, from home", ["waypoint", "east", "north"], rows)
+
+
+def answers(record: Record) -> Markup:
+    """Every answer that the drone went on before."""
+    rows = [
+        [
+            _at(each.waypoint),
+            f"{each.from_s:.1f} s",
+            f"{each.to_s:.1f} s",
+            f"{each.turned_at.east_m:.1f} m east, {each.turned_at.north_m:.1f} m north"
+            if each.turned_at
+            else "",
+        ]
+        for each in record.answers
+    ]
+    return table("Gone on before the answer", ["waypoint", "from", "to", "turned back"], rows)
+
+
+def _at(waypoint: int | None) -> str:
+    return "start" if waypoint is None else str(waypoint)
 
 
 def states(record: Record) -> Markup:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import random
 
+from upwash.config import DroneConfig, NoiseConfig
+
 
 class Chance:
     """Random numbers by name: one more consumer does not change what the others draw."""
@@ -25,3 +27,9 @@ class Chance:
             return 1.0
         sigma = math.sqrt(math.log1p(deviation**2))
         return self.stream(name).lognormvariate(-(sigma**2) / 2, sigma)
+
+
+def plays_a_part(config: DroneConfig) -> bool:
+    """Whether one simulated mission of the scenario is unlike another with another seed."""
+    drawn = config.event is not None and config.event.probability is not None
+    return drawn or config.noise != NoiseConfig()

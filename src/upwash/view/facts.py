@@ -80,7 +80,7 @@ class Decision(Fact, frozen=True):
 
 
 class Call(Fact, frozen=True):
-    """A call ended; `words` say why it ran where it ran, and `east_m`, `north_m` where the drone was."""
+    """A call ended; `words` say why it ran where it ran, and `east_m`, `north_m` where the drone made it."""
 
     operation: str
     waypoint: int | None
@@ -91,6 +91,28 @@ class Call(Fact, frozen=True):
     words: Sequence[str]
     east_m: float | None
     north_m: float | None
+
+
+class Going(Fact, frozen=True):
+    """The drone goes on before the answer of the waypoint is there; `words` say why."""
+
+    waypoint: int | None
+    words: str
+
+
+class Turn(Fact, frozen=True):
+    """The drone turns back from here to the waypoint, for its answer."""
+
+    waypoint: int | None
+    east_m: float
+    north_m: float
+
+
+class Answer(Fact, frozen=True):
+    """The mission has the answer of a waypoint that the drone had left; so much of the call's delay was hidden."""
+
+    waypoint: int | None
+    hidden_s: float
 
 
 class Outline(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -115,10 +137,11 @@ class Shot(Fact, frozen=True):
 
 
 class Told(Fact, frozen=True):
-    """The drone's user was told something, of the last photo if it has boxes."""
+    """The drone's user was told something; its boxes, if it has any, are on the photo of that `number`."""
 
     words: str
     boxes: Sequence[Outline]
+    number: int | None
 
 
 class Said(Fact, frozen=True):

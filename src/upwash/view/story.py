@@ -11,9 +11,10 @@ from upwash.core.geo import LocalFrame, Position
 from upwash.core.servers import CHECKING, State
 from upwash.eventlog import schema
 from upwash.eventlog.narration import MEANINGS, Narrator, in_one_line, tone_of, who_has_it
-from upwash.eventlog.reasons import ExplainedCall, Reasons, told, told_decision
+from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, told, told_decision
 from upwash.eventlog.results import Beginning
 from upwash.eventlog.schema import Event
+from upwash.eventlog.whereabouts import Whereabouts
 from upwash.report.photos import Shot
 from upwash.report.record import place_of
 from upwash.view import facts
@@ -40,7 +41,9 @@ class Story:
         self._now_s = 0.0
         self._beginning = Beginning()
         self._policy = ""
-        self._waypoint: int | None = None
+        self._calls_at = Whereabouts()
+        self._shot_at: dict[int | None, int] = {}  # the photo that the call of each waypoint was made with
+        self._told_of: int | None = None  # the photo that the user is told of
         self._place: Position | None = None
         self._placed_s = 0.0
         self._doing = ("", 0)
@@ -51,7 +54,8 @@ class Story:
         """What the next event tells."""
         self._now_s = max(self._now_s, event.t)
         said = self._narrator.tell(event)
-        call = self._reasons.take(event)
+        explained = self._reasons.take(event)
+        self._calls_at.take(event)
         yield from self._whereabouts(event)
         yield from self._progress(event)
         yield from self._photos(event)
@@ -59,11 +63,12 @@ class Story:
             yield facts.Decision(
                 at_s=self._now_s,
                 operation=event.operation,
-                waypoint=self._waypoint,
+                waypoint=self._calls_at.of_call_under_way,
                 words=list(told_decision(event)),
             )
-        if call is not None:
-            yield self._call(call)
+        if isinstance(explained, ExplainedCall):
+            yield self._call(explained)
+        yield from self._going(event, explained)
         if isinstance(event, schema.Step):
             yield self._step(event.server, event.after, event.why)
         if said is not None:
@@ -107,8 +112,6 @@ class Story:
                     yield self._step(server, State.AVL, "taken up again")
             case schema.MissionStarted(drone=drone, policy=policy):
                 self.drone, self._policy = drone, policy
-            case schema.Arrived(waypoint=waypoint):
-                self._waypoint = waypoint
             case schema.Control(owner=owner, why=why):
                 who = who_has_it(owner)
                 yield facts.Control(at_s=self._now_s, is_ours=owner == Owner.PROGRAM, who=who, why=why)
@@ -148,8 +151,7 @@ class Story:
         )
 
     def _call(self, call: ExplainedCall) -> facts.Call:
-        outcome = call.outcome
-        place = self._place
+        outcome, place = call.outcome, call.position or self._place
         return facts.Call(
             at_s=self._now_s,
             operation=outcome.operation,
@@ -163,6 +165,17 @@ class Story:
             north_m=place.north_m if place else None,
         )
 
+    def _going(self, event: Event, explained: ExplainedCall | ExplainedAnswer | None) -> Iterator[Fact]:
+        match event:
+            case schema.StayOrGo(goes=True, waypoint=waypoint, why=why):
+                yield facts.Going(at_s=self._now_s, waypoint=waypoint, words=why)
+            case schema.TurnedBack(waypoint=waypoint, position=place):
+                yield facts.Turn(
+                    at_s=self._now_s, waypoint=waypoint, east_m=place.east_m, north_m=place.north_m
+                )
+            case schema.AnswerTaken(waypoint=waypoint) if isinstance(explained, ExplainedAnswer):
+                yield facts.Answer(at_s=self._now_s, waypoint=waypoint, hidden_s=explained.hidden_s)
+
     # --- photos -----------------------------------------------------------------------------------------------
 
     def _photos(self, event: Event) -> Iterator[Fact]:
@@ -171,16 +184,26 @@ class Story:
                 position = place_of(event, self._place)
                 self.shots.append(Shot(source, position, self._shots_since_start))
                 self._shots_since_start += 1
+                self._told_of = len(self.shots) - 1
                 yield facts.Shot(
                     at_s=self._now_s,
-                    number=len(self.shots) - 1,
-                    waypoint=self._waypoint,
+                    number=self._told_of,
+                    waypoint=self._calls_at.here,
                     source=source,
                     kept=self._keeps(source),
                     truth=_outlines(truth),
                 )
+            case schema.CallStarted(waypoint=waypoint) if self.shots:
+                self._shot_at[waypoint] = len(self.shots) - 1
+            case schema.AnswerTaken(waypoint=waypoint):
+                self._told_of = self._shot_at.get(waypoint, self._told_of)
             case schema.Notified(message=message):
-                yield facts.Told(at_s=self._now_s, words=in_one_line(message), boxes=_outlines(message) or ())
+                yield facts.Told(
+                    at_s=self._now_s,
+                    words=in_one_line(message),
+                    boxes=_outlines(message) or (),
+                    number=self._told_of,
+                )
 
 
 def _outlines(message: object) -> list[Outline] | None:

@@ -16,6 +16,7 @@ from upwash.core.servers import CHECKING
 from upwash.drone.order import order_of
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
+from upwash.eventlog.whereabouts import Whereabouts
 from upwash.missions.bundled import load_specs
 from upwash.support.loading import extra
 from upwash.support.output_files import write_file
@@ -53,17 +54,16 @@ class CallPoint:
 
 def read_call_points(events: Iterable[Event]) -> Iterator[CallPoint]:
     """The calls at waypoints, in the order of the events."""
-    waypoint: int | None = None
+    whereabouts = Whereabouts()
     decided: schema.Decided | None = None  # the first decision of the call; another follows a wait
     for event in events:
+        whereabouts.take(event)
         match event:
-            case schema.Arrived():
-                waypoint = event.waypoint
             case schema.Decided():
                 decided = decided or event
             case schema.Call():
-                if waypoint is not None and decided is not None:
-                    yield CallPoint(waypoint, event.delay_s, event.server, _wait(decided))
+                if whereabouts.of_call is not None and decided is not None:
+                    yield CallPoint(whereabouts.of_call, event.delay_s, event.server, _wait(decided))
                 decided = None
 
 

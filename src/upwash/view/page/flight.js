@@ -118,7 +118,11 @@ export class Flight {
   #calls(moment) {
     const { count, places, waited } = moment.calls;
     const parts = [...places].sort().map(([place, number]) => `${number} on ${theNameOf(place)}`);
-    return `${count} calls${parts.length ? `: ${parts.join(", ")}` : ""}${waited ? `, ${waited} waited` : ""}`;
+    const calls = `${count} calls${parts.length ? `: ${parts.join(", ")}` : ""}${waited ? `, ${waited} waited` : ""}`;
+    const gone = moment.count("going");
+    if (!gone) return calls;
+    const turned = `turned back for ${moment.count("turn")}`;
+    return `${calls} · gone on before ${gone} answers, ${turned}, ${moment.hiddenS.toFixed(0)} s hidden`;
   }
 
   #showDecision(moment) {
@@ -134,7 +138,9 @@ export class Flight {
     write(this.decision, `${over ? "Last call" : "Call under way"}: ${about.operation} ${where}`);
     const waited = over && call.wait ? `, ${call.waited_s.toFixed(2)} s of it waited` : "";
     const ran = over ? [`It ran on ${theNameOf(call.place)}: ${call.delay_s.toFixed(2)} s${waited}.`] : [];
-    const words = [...ran, ...about.words];
+    const going = moment.last("going");
+    const gone = !over && going && going.at_s >= about.at_s && going.waypoint === about.waypoint;
+    const words = [...ran, ...about.words, ...(gone ? [`The drone goes on before the answer: ${going.words}.`] : [])];
     if (words.join("\n") === [...this.reasons.children].map((item) => item.textContent).join("\n")) return;
     this.reasons.replaceChildren(...words.map((each) => element("li", {}, each)));
   }

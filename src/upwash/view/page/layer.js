@@ -20,8 +20,26 @@ const Mark = L.CircleMarker.extend({
   },
 });
 
+// Where the drone turned back: a hooked arrow above the place.
+const Turn = L.CircleMarker.extend({
+  _updatePath() {
+    const renderer = this._renderer;
+    if (!renderer._drawing || this._empty()) return;
+    const [context, { x, y }] = [renderer._ctx, this._point];
+    context.beginPath();
+    context.moveTo(x - 4, y - 6);
+    context.lineTo(x - 4, y - 13);
+    context.arc(x, y - 13, 4, Math.PI, 0);
+    context.lineTo(x + 4, y - 6);
+    context.moveTo(x + 1, y - 9);
+    context.lineTo(x + 4, y - 6);
+    context.lineTo(x + 7, y - 9);
+    renderer._fillStroke(context, this);
+  },
+});
+
 export class FlightLayer {
-  #marks = [];
+  #marks = { call: [], turn: [] };
 
   // Of the drone of that `number`; the only one there is has none.
   constructor(map, ground, places, { number = null, chosen = null } = {}) {
@@ -32,7 +50,7 @@ export class FlightLayer {
     this.plan = null;
     this.plans = L.layerGroup().addTo(map);
     this.track = new Track(map, { latLng: (east, north) => this.latLng(east, north) }, () => this.#lineStyle());
-    this.calls = L.layerGroup().addTo(map);
+    this.calls = L.layerGroup().addTo(map); // and turns back
     const still = chosen ? { keyboard: false } : STILL;
     this.drone = L.marker([0, 0], { ...still, icon: droneIcon(number), zIndexOffset: ABOVE });
     if (chosen) this.drone.on("click", chosen);
@@ -49,7 +67,7 @@ export class FlightLayer {
     this.track.clear();
     this.calls.clearLayers();
     this.plans.clearLayers();
-    this.#marks = [];
+    this.#marks = { call: [], turn: [] };
     this.link?.remove();
     this.link = null;
     if (plan) this.#drawPlan();
@@ -64,7 +82,8 @@ export class FlightLayer {
   show(moment) {
     const { position } = moment;
     this.track.show(moment.story.fix, moment.count("fix"), position);
-    this.#showCalls(moment);
+    this.#showMarks(moment, "call", (calls, index) => this.#callMark(calls, index));
+    this.#showMarks(moment, "turn", (turns, index) => this.#turnMark(turns[index]));
     if (this.number !== null) this.#showLink(moment, position);
     if (!position) {
       this.drone.remove();
@@ -107,14 +126,20 @@ export class FlightLayer {
     this.link.setLatLngs([this.latLng(position.east_m, position.north_m), this.latLng(range[0], range[1])]);
   }
 
-  #showCalls(moment) {
-    const count = moment.count("call");
-    while (this.#marks.length > count) this.calls.removeLayer(this.#marks.pop());
-    while (this.#marks.length < count) {
-      const mark = this.#callMark(moment.story.call, this.#marks.length);
-      this.#marks.push(mark);
+  #showMarks(moment, kind, made) {
+    const marks = this.#marks[kind];
+    const count = moment.count(kind);
+    while (marks.length > count) this.calls.removeLayer(marks.pop());
+    while (marks.length < count) {
+      const mark = made(moment.story[kind], marks.length);
+      marks.push(mark);
       this.calls.addLayer(mark);
     }
+  }
+
+  #turnMark({ east_m, north_m }) {
+    const style = { radius: 9, color: this.#colour, weight: 1.6, fill: false };
+    return new Turn(this.latLng(east_m, north_m), { ...style, ...STILL });
   }
 
   #callMark(calls, index) {

@@ -1,4 +1,4 @@
-// The last photo, with what was found on it in boxes; and, where it was rendered, what is truly there.
+// The last photo, or an earlier one that the user was told of since, with what was found on it in boxes; and, where it was rendered, what is truly there.
 
 import { card, drawn, element, write } from "./element.js";
 
@@ -24,9 +24,10 @@ export class PhotoCard {
   }
 
   show(moment) {
-    const shot = moment.last("shot");
+    const last = moment.last("shot");
     const told = moment.last("told");
-    const found = shot && told && told.at_s >= shot.at_s ? told : null;
+    const found = last && told && told.at_s >= last.at_s ? told : null;
+    const shot = found ? (moment.story.shot[found.number] ?? last) : last; // the drone may have taken one since
     this.element.hidden = !shot || !(shot.kept || moment.story.told.length);
     if (shot !== this.#shot) this.#ask(shot, moment.story.run);
     this.found = found;

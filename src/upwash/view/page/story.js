@@ -1,6 +1,6 @@
 // What a log has told so far. Any moment of it is found by a search in lists that only grow.
 
-const SERIES = ["fix", "battery", "doing", "control", "decision", "call", "shot", "told", "said"];
+const SERIES = ["fix", "battery", "doing", "control", "decision", "call", "going", "turn", "answer", "shot", "told", "said"];
 
 export class Story {
   constructor(name) {
@@ -149,8 +149,15 @@ export class Moment {
     return { count, places, waited };
   }
 
-  // What offloading saved so far, at the mean local delays so far; null where an operation has not run on the drone.
+  // How much of the calls so far the mission did something else.
+  get hiddenS() {
+    return this.story.answer.slice(0, this.count("answer")).reduce((sum, { hidden_s }) => sum + hidden_s, 0);
+  }
+
+  // What offloading saved so far, at the mean local delays so far; null where an operation has not run on the drone, or
+  // the drone has gone on before an answer was there.
   get savedS() {
+    if (this.count("going")) return null;
     const calls = this.story.call.slice(0, this.count("call"));
     const local = new Map();
     for (const { operation, place, delay_s, waited_s } of calls) {
