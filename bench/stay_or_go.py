@@ -88,7 +88,12 @@ def gained(flown: dict[Flight, Flown], seeds: Sequence[int]) -> Iterator[Gained]
         )
 
 
-HEAD = ("an answer demands something", "stay, min", *(f"{manner} gains" for manner in GOING), "turned back")
+HEAD = (
+    "an answer demands something",
+    "stay, min",
+    *(f"{manner} gains" for manner in GOING),
+    "turned back, go / learn",
+)
 
 
 def rows(found: Sequence[Gained]) -> Iterator[tuple[str, ...]]:
