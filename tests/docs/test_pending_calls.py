@@ -7,14 +7,14 @@ from typing import Any
 
 import pytest
 from tests.docs.test_docs import ROOT
-from tests.scenarios import scenario
+from tests.scenarios import scenario, server
 
 from upwash.lab.bounds import bound_of
 from upwash.lab.run import simulate
 
 PAGE = (ROOT / "docs/pending-calls.md").read_text()
 ROWS = re.findall(
-    r"^\| ([\d.]+) s \| (every tenth|none) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$",
+    r"^\| ([\d.or ]+) s \| (every tenth|none) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$",
     PAGE,
     re.MULTILINE,
 )
@@ -24,18 +24,25 @@ MODELLED_S = {
     ("10", "none"): (2437.0, 1237.0, None, 1237.0),
     ("3", "every tenth"): (1650.0, 1434.0, 1437.0, 1326.0),
     ("3", "none"): (1590.0, 1230.0, None, 1230.0),
+    ("0.7 or 10", "every tenth"): (1501.9, 1330.6, 1330.6, 1305.4),
+    ("0.7 or 10", "none"): (1441.9, 1237.0, None, 1237.0),
 }
+AT_ONCE = {"range_m": 105.0, "check_s": 0.0, "check_running_s": 0.0, "truth": {"join_s": 0.0, "start_s": 0.0}}
+SERVERS = [server("s1", 80.0, 80.0, **AT_ONCE), server("s2", 120.0, 120.0, **AT_ONCE)]
 
 
 def flown_s(delay_s: str, events: str, manner: str) -> tuple[float, float]:
-    """How long the survey takes on the drone alone, and the bound of that."""
+    """How long the survey takes, and the bound of that."""
+    servers, policy = (SERVERS, "location-aware") if "or" in delay_s else ([], "local-only")
+    local_s = float(delay_s.rpartition("or")[2])
     event: dict[str, Any] = {"event": {"every": 10, "offset": 5}} if events == "every tenth" else {}
     config = scenario(
+        *servers,
         columns=11,
         rows=11,
         mission={"action_s": 5.0},
-        policy={"name": "local-only", "stay_or_go": manner},
-        service=[{"name": "detector", "local_call_s": {"light": 3.0, "heavy": float(delay_s)}}],
+        policy={"name": policy, "stay_or_go": manner},
+        service=[{"name": "detector", "local_call_s": {"light": 3.0, "heavy": local_s}}],
         **event,
     )
     run = simulate(config)
