@@ -251,6 +251,9 @@ class Vehicle:
         answered = asyncio.create_task(demand.pending._answered())
         try:
             await asyncio.wait((leg, answered), return_when=asyncio.FIRST_COMPLETED)
+        except asyncio.CancelledError:
+            await self._end_leg()
+            raise
         finally:
             answered.cancel()
         if not leg.done():

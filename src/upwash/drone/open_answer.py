@@ -91,7 +91,7 @@ class OpenAnswer(Generic[T]):
         if not self._wings._fly(place, unless=self._demand):
             self._come_back(0.0)
             self._wings._fly(place)
-        elif self._errand.pending.done():
+        elif self._errand.pending.done():  # in the moment of the arrival, or demanding nothing
             self.settle()
 
     def _come_back(self, waited_s: float) -> None:
