@@ -314,6 +314,12 @@ REFUSED = [
     (_RESERVE, "finish_by_s = 900", "mission.lighter", "finish_by_s needs it"),
     (_RESERVE, "finish_by_s = 0", "mission.finish_by_s", "a number above 0"),
     (_RESERVE, 'lighter = { heavy = "light" }', "mission.finish_by_s", "say by when"),
+    (
+        _RESERVE,
+        'lighter = { heavy = "light" }',
+        "mission.finish_by_s",
+        "vehicle.endurance_s and mission.reserve_s",
+    ),
     (_RESERVE, 'finish_by_s = 900\nlighter = "light"', "mission.lighter", "each with its lighter one"),
     (_RESERVE, _HURRIED.format("hevy", "light"), "mission.lighter.hevy", 'did you mean "heavy"?'),
     (_RESERVE, _HURRIED.format("heavy", "tiny"), "mission.lighter.heavy", "allowed: light"),

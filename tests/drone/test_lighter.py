@@ -76,6 +76,20 @@ def test_a_mission_is_over_in_time_with_calls_on_the_drone_lighter_first(policy:
         assert (call.place, call.key, call.asked) == ("local", "light", "detector.process_photo[heavy]")
 
 
+@pytest.mark.parametrize("reserve", [{"reserve_percent": 20.0}, {"reserve_s": 60.0}])
+def test_without_a_time_the_battery_says_by_when_and_the_reserve_ends_nothing(
+    reserve: dict[str, float],
+) -> None:
+    asked_s = unhurried().result.mission_time_s
+    kept = 1 - reserve["reserve_percent"] / 100 if "reserve_percent" in reserve else 1 - 60.0 / asked_s
+    battery = {"endurance_s": (asked_s - 20.0) / kept}
+    heavy = simulate(scenario(NEAR, mission=reserve, vehicle=battery, **THESIS))
+    assert not heavy.result.completed, "too much is asked for"
+    run = simulate(scenario(NEAR, mission={**reserve, **LIGHTER}, vehicle=battery, **THESIS))
+    assert run.failure == "" and run.result.completed
+    assert 0 < len(lighter(run)) < 12
+
+
 def test_the_log_has_what_ran_and_why_it_was_lighter() -> None:
     run = fly(unhurried().result.mission_time_s - 20.0)
     calls = events(run, "call")

@@ -8,10 +8,10 @@ from typing import Any
 import msgspec
 import pytest
 
-from upwash.config import DroneConfig, drone_config
+from upwash.config import DroneConfig, drone_config, usable_s
 from upwash.preflight.coverage import Coverage
 from upwash.preflight.prediction import ALONE, AS_CONFIGURED, LOCAL_ONLY, Prediction, without
-from upwash.preflight.warnings import Belief, usable_s, warnings
+from upwash.preflight.warnings import Belief, warnings
 from upwash.preflight.way_home import farthest
 
 OPERATION = "detector.process_photo[heavy]"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from upwash.config.battery import finish_by_s, reserve_percent, usable_s
 from upwash.config.daemon import (
     DaemonConfig,
     DaemonKeysConfig,
@@ -91,6 +92,7 @@ __all__ = [
     "convert",
     "drone_config",
     "ending",
+    "finish_by_s",
     "fleet_of",
     "geofence",
     "impossible_values",
@@ -102,11 +104,13 @@ __all__ = [
     "read_document",
     "read_drone_config",
     "refuse_several",
+    "reserve_percent",
     "server_areas",
     "server_position",
     "server_truth",
     "stands",
     "sweeps_of",
     "unsigned_port",
+    "usable_s",
     "waypoints",
 ]

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from upwash.config.battery import finish_by_s
 from upwash.config.drone import (
     RADIOS,
     AutopilotConfig,
@@ -39,6 +40,7 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
         yield from way_problems("mission", config.mission)
     yield from _mission_problems(config.mission, config.services)
     yield from _autopilot_problems(config.autopilot)
+    yield from _lighter_problems(config)
     yield from _reserve_problems(config)
     yield from _energy_problems(config)
     yield from _camera_problems(config.camera)
@@ -82,14 +84,18 @@ def _mission_problems(mission: MissionConfig, services: tuple[ServiceConfig, ...
     keys = list(dict.fromkeys(key for service in services for key in service.local_call_s if key))
     if mission.program == "survey" and keys and mission.mode not in keys:
         yield "mission.mode", unknown("profile key", mission.mode, keys)
-    yield from _lighter_problems(mission, services)
 
 
-def _lighter_problems(mission: MissionConfig, services: tuple[ServiceConfig, ...]) -> Iterator[Problem]:
+def _lighter_problems(config: DroneConfig) -> Iterator[Problem]:
+    mission, services = config.mission, config.services
     if mission.finish_by_s is not None and not mission.lighter:
         yield "mission.lighter", 'missing: finish_by_s needs it, such as lighter = { heavy = "light" }'
-    if mission.finish_by_s is None and mission.lighter:
-        yield "mission.finish_by_s", "missing: say by when, in seconds from arming, or leave lighter out"
+    if mission.lighter and finish_by_s(config) is None:
+        yield (
+            "mission.finish_by_s",
+            "missing: say by when, in seconds from arming; or what the battery allows, with vehicle.endurance_s and "
+            "mission.reserve_s or reserve_percent; or leave lighter out",
+        )
     for asked, lighter in mission.lighter.items():
         key = f"mission.lighter.{asked}"
         if lighter in mission.lighter:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from upwash.config import DroneConfig, ServerConfig, ServiceConfig, ending, server_areas
+from upwash.config import DroneConfig, ServerConfig, ServiceConfig, ending, finish_by_s, server_areas
 from upwash.core.estimates import Beliefs, Estimates, Operation, offline_remote_s
 from upwash.core.geo import Waypoint
 from upwash.core.hedging import Hedging
@@ -117,8 +117,8 @@ def _lighter(
     config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates
 ) -> LighterSettings | None:
     """By when the mission is to be over, where the configuration says so, and what may run lighter for that."""
-    mission = config.mission
-    if mission.finish_by_s is None:
+    mission, by_s = config.mission, finish_by_s(config)
+    if by_s is None:
         return None
     operations = {
         operation: replace(operation, key=mission.lighter[operation.key])
@@ -139,7 +139,7 @@ def _lighter(
                 f'mission.lighter.{asked.key}: {asked.service} has no "{lighter.key}": {error}: name another key'
             ) from error
     return LighterSettings(
-        mission.finish_by_s,
+        by_s,
         operations,
         takeoff_s=config.vehicle.takeoff_s,
         lands=ending(mission) == "land",

@@ -8,7 +8,15 @@ from pathlib import Path
 import msgspec
 from msgspec import UNSET, Struct, UnsetType
 
-from upwash.config import Document, DroneConfig, drone_config, read_document, server_areas, waypoints
+from upwash.config import (
+    Document,
+    DroneConfig,
+    drone_config,
+    read_document,
+    server_areas,
+    usable_s,
+    waypoints,
+)
 from upwash.core.order import Order
 from upwash.drone.order import order_of
 from upwash.drone.preparation import make_estimates
@@ -19,7 +27,7 @@ from upwash.missions.bundled import load_specs
 from upwash.preflight.coverage import Coverage, coverage, uncovered
 from upwash.preflight.placement import Place
 from upwash.preflight.prediction import LOCAL_ONLY, Prediction, cases, changed, demanding_share, predict
-from upwash.preflight.warnings import Belief, PreflightWarning, is_for_flight, usable_s, usable_wh, warnings
+from upwash.preflight.warnings import Belief, PreflightWarning, is_for_flight, usable_wh, warnings
 from upwash.preflight.way_home import Farthest, farthest
 
 

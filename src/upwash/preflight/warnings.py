@@ -11,13 +11,16 @@ from upwash.config import (
     EnergyConfig,
     PolicyConfig,
     ServerConfig,
+    finish_by_s,
     is_on_this_machine,
+    reserve_percent,
     unsigned_port,
+    usable_s,
 )
 from upwash.core.policy import WaitRule
 from upwash.preflight.coverage import Coverage
 from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, without
-from upwash.preflight.way_home import PX4_LOW_PERCENT, farthest, reserve_percent
+from upwash.preflight.way_home import PX4_LOW_PERCENT, farthest
 
 _LATE_S = 1.0  # less is what the forecast of the last calls was off
 _WORTH_SAYING = 0.01  # of a mission time: less is the luck of when a check happened to begin
@@ -36,13 +39,6 @@ class Belief(Struct, frozen=True, kw_only=True):
     operation: str
     local_s: float
     remote_s: Mapping[str, float]
-
-
-def usable_s(config: DroneConfig) -> float | None:
-    """How long the battery lasts above the mission's reserve; None where the configuration does not say."""
-    if config.vehicle.endurance_s is None:
-        return None
-    return config.vehicle.endurance_s * (1 - (reserve_percent(config) or 0.0) / 100)
 
 
 def usable_wh(config: DroneConfig) -> float | None:
@@ -198,20 +194,24 @@ def _failure_concerns(predictions: Sequence[Prediction]) -> Iterator[PreflightWa
 
 
 def _time_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> Iterator[PreflightWarning]:
-    finish_by_s = config.mission.finish_by_s
-    if finish_by_s is None:
+    by_s = finish_by_s(config)
+    if by_s is None:
         return
     late = [
         f"{each.case} ({each.mission_time_s:.0f} s)"
         for each in predictions
-        if each.mission_time_s is not None and each.mission_time_s > finish_by_s + _LATE_S
+        if each.mission_time_s is not None and each.mission_time_s > by_s + _LATE_S
     ]
     if late:
         yield PreflightWarning(
             "late",
-            f"mission.finish_by_s = {finish_by_s:g} is not kept, as lighter calls do not save enough: "
+            f"{_by_when(config)} {by_s:.0f} s is not kept, as lighter calls do not save enough: "
             f"{', '.join(late)}",
         )
+
+
+def _by_when(config: DroneConfig) -> str:
+    return "what the battery allows," if config.mission.finish_by_s is None else "mission.finish_by_s ="
 
 
 def _battery_concerns(config: DroneConfig, predictions: Sequence[Prediction]) -> Iterator[PreflightWarning]:

@@ -50,15 +50,6 @@ def believed_way_home(config: DroneConfig) -> WayHome:
     return ARDUCOPTER if config.vehicle.profile == "arducopter" else UNKNOWN
 
 
-def reserve_percent(config: DroneConfig) -> float | None:
-    """What has to be left of the battery at touchdown; None where nothing has to, or nothing tells how much it is."""
-    mission, endurance_s = config.mission, config.vehicle.endurance_s
-    reserves = [mission.reserve_percent]
-    if mission.reserve_s is not None and endurance_s is not None:
-        reserves.append(100 * mission.reserve_s / endurance_s)
-    return max((each for each in reserves if each is not None), default=None)
-
-
 def _down_s(place: Position, config: DroneConfig, way: WayHome) -> float:
     if config.autopilot.on_failure == "land":
         return way.hover_s + descent_s(place.altitude_m, way)
