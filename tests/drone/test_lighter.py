@@ -83,9 +83,9 @@ def test_without_a_time_the_battery_says_by_when_and_the_reserve_ends_nothing(
     asked_s = unhurried().result.mission_time_s
     kept = 1 - reserve["reserve_percent"] / 100 if "reserve_percent" in reserve else 1 - 60.0 / asked_s
     battery = {"endurance_s": (asked_s - 20.0) / kept}
-    heavy = simulate(scenario(NEAR, mission=reserve, vehicle=battery, **THESIS))
+    heavy = simulate(scenario(NEAR, mission=reserve, vehicle=battery, policy=THESIS["policy"]))
     assert not heavy.result.completed, "too much is asked for"
-    run = simulate(scenario(NEAR, mission={**reserve, **LIGHTER}, vehicle=battery, **THESIS))
+    run = simulate(scenario(NEAR, mission={**reserve, **LIGHTER}, vehicle=battery, policy=THESIS["policy"]))
     assert run.failure == "" and run.result.completed
     assert 0 < len(lighter(run)) < 12
 

@@ -46,6 +46,31 @@ def test_every_call_is_explained_by_what_was_believed(capsys: pytest.CaptureFixt
     assert fifth[4].endswith("so it was to wait for pole2, for at most 6.8 s: READY expected in 2.38 s")
 
 
+def test_the_calls_of_one_waypoint_or_the_longest_alone_are_explained(
+    capsys: pytest.CaptureFixture[str], log: Path
+) -> None:
+    everything = explanation(capsys, log)
+    one = explanation(capsys, log, "--waypoint", "5")
+    assert [line for line in one if line.startswith("waypoint ")] == [
+        line for line in everything if line.startswith("waypoint 5,")
+    ]
+    assert one[-5:] == everything[-5:], "the missions are compared all the same"
+    worst = [
+        float(line.split()[-2])
+        for line in explanation(capsys, log, "--worst", "3")
+        if line.startswith("waypoint ")
+    ]
+    all_s = sorted(
+        (float(line.split()[-2]) for line in everything if line.startswith("waypoint ")), reverse=True
+    )
+    assert worst == all_s[:3]
+
+
+def test_a_waypoint_without_a_call_is_refused(capsys: pytest.CaptureFixture[str], log: Path) -> None:
+    assert main(["explain", str(log), "--waypoint", "999"]) == 2
+    assert "--waypoint 999: no call was made there" in capsys.readouterr().err
+
+
 def test_other_policies_are_flown_in_the_world_that_the_log_names(
     capsys: pytest.CaptureFixture[str], log: Path
 ) -> None:

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from upwash.cli.arguments import count
+
 if TYPE_CHECKING:
     from upwash.cli.arguments import Commands
 
@@ -22,12 +24,16 @@ def add(commands: Commands) -> None:
         "--drone", metavar="NAME",
         help="of several drones in that world, the one that flies by other policies (default: the log's)",
     )  # fmt: skip
+    calls = explain.add_mutually_exclusive_group()
+    calls.add_argument("--waypoint", type=int, metavar="N", help="the calls of that waypoint alone")
+    calls.add_argument("--worst", type=count, metavar="N", help="the calls that took longest alone, so many")
     explain.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> bool:
     """Explains them."""
-    from upwash.lab.explanation import show_explanation
+    from upwash.lab.explanation import Wanted, show_explanation
 
-    show_explanation(options.log, scenario=options.scenario, drone=options.drone)
+    wanted = Wanted(options.waypoint, options.worst)
+    show_explanation(options.log, scenario=options.scenario, drone=options.drone, wanted=wanted)
     return True

@@ -23,6 +23,7 @@ _TOLD = (
     schema.Deselected,
     schema.DeselectedAfterStart,
 )
+_WORTH_SAYING_S = 0.005  # less is printed as 0.00 s
 _FELL_BACK = {
     "": "no usable answer came, so the drone did it itself",
     "confirmed": "the server said that it raised, so the drone did it itself, and it raised there too",
@@ -165,7 +166,7 @@ def told(call: ExplainedCall) -> Iterator[str]:
         )
     if outcome.hedged_s is not None:
         yield f"    no answer had come after {outcome.hedged_s:.2f} s, so the drone began on it too"
-    if outcome.queued_s:
+    if outcome.queued_s and outcome.queued_s >= _WORTH_SAYING_S:
         yield f"    the drone was busy with an earlier call for {outcome.queued_s:.2f} s"
     if outcome.fell_back:
         yield _FELL_BACK[outcome.remote_fault]

@@ -30,8 +30,31 @@ class Replay:
     others: bool = False
 
 
-def show_explanation(log: Path, *, scenario: Path | None = None, drone: str | None = None) -> None:
-    """Prints why each call of the log ran where it ran, and what other policies would have done.
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Which calls are explained: all, those of a waypoint, or so many that took longest, the longest first."""
+
+    waypoint: int | None = None
+    worst: int | None = None
+
+    def of(self, calls: Sequence[CallResult]) -> list[int]:
+        """The numbers of the wanted calls; UsageError where there is none."""
+        numbers = [
+            number
+            for number, call in enumerate(calls)
+            if self.waypoint is None or call.waypoint == self.waypoint
+        ]
+        if not numbers:
+            raise UsageError(f"--waypoint {self.waypoint}: no call was made there")
+        if self.worst is None:
+            return numbers
+        return sorted(numbers, key=lambda number: -calls[number].delay_s)[: self.worst]
+
+
+def show_explanation(
+    log: Path, *, scenario: Path | None = None, drone: str | None = None, wanted: Wanted | None = None
+) -> None:
+    """Prints why each call of the log, or each wanted one, ran where it ran, and what other policies would have done.
 
     These are flown in the scenario that is given, or else in the one that the log names, if it does. Where that has
     several drones they are flown by the one that is named, or else by the one that the log names.
@@ -40,7 +63,9 @@ def show_explanation(log: Path, *, scenario: Path | None = None, drone: str | No
 
     events = _with_calls(log)
     console = Console(markup=False, highlight=False)
-    for line in explain(events, replay(events, scenario, drone)):
+    wanted = wanted or Wanted()
+    wanted.of(read_result(events).calls)  # before other policies are flown for none
+    for line in explain(events, replay(events, scenario, drone), wanted):
         console.print(escaped_lines(line), soft_wrap=True)
 
 
@@ -90,10 +115,12 @@ def _among_others(scenario: Path, drone: str, policy: str, seed: int | None) -> 
     return fleet.drones[drone]
 
 
-def explain(events: Sequence[Event], replayed: Replay) -> Iterator[str]:
-    """The explanation, line by line."""
+def explain(events: Sequence[Event], replayed: Replay, wanted: Wanted) -> Iterator[str]:
+    """The explanation of the wanted calls, line by line."""
     result = read_result(events)
-    for number, (heading, *reasons) in enumerate(told_calls(last_run(events))):
+    calls = told_calls(last_run(events))
+    for number in wanted.of(result.calls):
+        heading, *reasons = calls[number]
         yield heading
         yield from (f"    {reason}" for reason in reasons)
         if replayed.runs:
