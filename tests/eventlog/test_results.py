@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import pytest
 from tests.events import event as made
+from tests.scenarios import fault, scenario, server
 
-from upwash.eventlog.results import CallResult, read_result
+from upwash.eventlog.results import CallResult, as_json, read_result
 from upwash.eventlog.schema import Event
+from upwash.lab.run import simulate
 
 
 def event(t: float, name: str, **facts: object) -> Event:
@@ -177,3 +179,18 @@ def test_what_is_rounded_away_was_not_hidden() -> None:
 def test_a_mission_begins_with_a_call_that_it_starts_before_it_is_armed() -> None:
     armed = [STARTED, started(1.0, 0), event(3.0, "armed"), event(10.0, "mission_completed")]
     assert read_result(armed).mission_time_s == 10.0
+
+
+def test_servers_that_failed_and_were_never_of_use_are_named_with_the_last_reason() -> None:
+    down = fault("s1", "off", to_s=1e6)
+    late = fault("s2", "off", to_s=60.0)
+    run = simulate(
+        scenario(
+            server("s1", 40.0, 20.0),
+            server("s2", 60.0, 20.0),
+            faults=[down, late],
+            policy={"name": "location-aware", "blacklist_s": 10.0},
+        )
+    )
+    assert run.result.never_ready == {"s1": "nobody answers"}, "s2 came back"
+    assert "never_ready" not in as_json(simulate(scenario()).result)

@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 
 from upwash.core.places import server_of
+from upwash.core.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.eventlog.whereabouts import Whereabouts
@@ -34,9 +35,9 @@ _COUNTED = _BEGINNING | {
     schema.Arrived,
     schema.EnergyUsed,
     schema.LeftHovering,
-    schema.Selected,
+    *schema.STEPS.values(),
 }
-_OF_GOING = ("hidden_s", "went_on", "turned_back")
+_RARE = ("hidden_s", "went_on", "turned_back", "never_ready")
 _LEAST_HIDDEN_S = 0.01  # what is less is the time between a call's end and the mission's next step
 
 
@@ -115,7 +116,8 @@ class RunResult:
     """One run; `undone` are the waypoints that were not reached, `left_hovering` whether the pilot has to land.
 
     The mission's time is counted from arming; `arming_s` is how long it had waited for that. `energy` is None where
-    nobody metered it: it is in simulations alone.
+    nobody metered it: it is in simulations alone. `never_ready` says of servers that failed, and never were of use,
+    why they did at last.
     """
 
     policy: str
@@ -128,6 +130,7 @@ class RunResult:
     left_hovering: bool
     arming_s: float = 0.0
     energy: EnergyTotals | None = None
+    never_ready: dict[str, str] = field(default_factory=dict)
 
     def local_only_time_s(self) -> float | None:
         """How long the mission would have taken with every call at the mean measured local delay.
@@ -169,6 +172,7 @@ class Tally:
         self._waits: list[str] = []
         self._switches = self._fallbacks = self._went_on = self._turned_back = 0
         self._energy: EnergyTotals | None = None
+        self._ready, self._failed = set[str](), dict[str, str]()  # servers; why each failed last
 
     def take(self, event: Event) -> None:
         """Takes in the next event."""
@@ -187,8 +191,8 @@ class Tally:
                 self._reached.add(event.waypoint)
             case schema.LeftHovering():
                 self._left_hovering = True
-            case schema.Selected():
-                self._switches += 1
+            case schema.Step():
+                self._take_step(event)
             case schema.EnergyUsed():
                 self._energy = _energy(event)
             case schema.Call():
@@ -201,6 +205,13 @@ class Tally:
                 self._went_on += event.goes
             case schema.TurnedBack():
                 self._turned_back += 1
+
+    def _take_step(self, step: schema.Step) -> None:
+        self._switches += isinstance(step, schema.Selected)
+        if step.after is State.READY:
+            self._ready.add(step.server)
+        elif step.after is State.BLACKLISTED:
+            self._failed[step.server] = step.why.removeprefix(f"{step.server}: ")
 
     def result(self) -> RunResult:
         """What it came to."""
@@ -229,6 +240,9 @@ class Tally:
             left_hovering=self._left_hovering,
             arming_s=self._began.arming_s,
             energy=self._energy,
+            never_ready={
+                server: why for server, why in sorted(self._failed.items()) if server not in self._ready
+            },
         )
 
 
@@ -261,11 +275,11 @@ class Beginning:
 
 
 def as_json(value: object) -> Any:
-    """A result, or anything made of results, as JSON has it: without what is 0 for a drone that waits for answers."""
+    """A result, or anything made of results, as JSON has it: without what most runs have nothing of."""
     match msgspec.to_builtins(value):
         case dict() as members:
             told = {name: as_json(each) for name, each in members.items()}
-            return {name: each for name, each in told.items() if each or name not in _OF_GOING}
+            return {name: each for name, each in told.items() if each or name not in _RARE}
         case list() as items:
             return [as_json(each) for each in items]
         case plain:

@@ -123,6 +123,8 @@ def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
     if result.energy is not None:
         console.print(_energy_line(result.energy), soft_wrap=True)
     _print_waypoints(result, console)
+    for server, why in result.never_ready.items():
+        console.print(Text(f"{server} never became ready: {printable(why)}", style="yellow"), soft_wrap=True)
 
 
 def _lighter_line(result: RunResult) -> str:
