@@ -177,7 +177,7 @@ def test_a_person_reads_coverage_predictions_and_warnings(
     assert main(["check", str(file), "--workers", "1"]) == 0
     printed = capsys.readouterr().out
     assert "4 of 6    0-3" in printed
-    assert "in nobody's range: 4-5" in printed
+    assert "out of every server's range: 4-5" in printed
     assert "nothing to warn of" in printed
     file.write_text(SCENARIO + SECOND)
     assert main(["check", str(file), "--workers", "1"]) == 1

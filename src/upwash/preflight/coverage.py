@@ -48,5 +48,5 @@ def coverage(
 
 
 def uncovered(waypoints: int, covered: Sequence[Coverage]) -> tuple[int, ...]:
-    """The waypoints in nobody's range."""
+    """The waypoints out of every server's range."""
     return tuple(sorted(set(range(waypoints)).difference(*(each.waypoints for each in covered))))

@@ -86,7 +86,9 @@ def _print(found: Check, config: DroneConfig, servers_to_place: int, console: Co
     console.print()
     if found.servers:
         console.print(_coverage_table(found.servers, found.waypoints))
-        console.print(Text(f"in nobody's range: {spans(found.uncovered) or 'no waypoint'}"), soft_wrap=True)
+        console.print(
+            Text(f"out of every server's range: {spans(found.uncovered) or 'no waypoint'}"), soft_wrap=True
+        )
         console.print()
     console.print(_prediction_table(found))
     console.print(_how_sure(found, config), soft_wrap=True)

@@ -59,7 +59,7 @@ def _table(drones: tuple[DroneForecast, ...]) -> Table:
     table.add_column("drone", overflow="fold", min_width=8)
     for title in ("waypoints", LOCAL_ONLY, AS_CONFIGURED):
         table.add_column(title, justify="right", no_wrap=True)
-    table.add_column("in nobody's range", overflow="fold", min_width=8)
+    table.add_column("out of range", overflow="fold", min_width=8)
     for each in drones:
         by_case = {prediction.case: prediction for prediction in each.predictions}
         table.add_row(

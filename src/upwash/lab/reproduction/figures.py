@@ -195,7 +195,7 @@ def _draw_waypoints(axes: Axes, places: Sequence[Position], areas: Mapping[str, 
     for place in places:
         covering = [name for name in names if areas[name].contains(place)]
         if not covering:
-            group = ("in nobody's range", _UNCOVERED)
+            group = ("out of every range", _UNCOVERED)
         elif len(covering) > 1:
             group = ("in range of several", _SEVERAL)
         else:

@@ -1,0 +1,127 @@
+"""What policies came to in the same scenarios: as tables for a person, or in Markdown."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from upwash.lab.comparison import ComparedPolicy
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def print_tables(rows: Sequence[ComparedPolicy], console: Console) -> None:
+    """Prints, for each scenario, which policy is the quickest, and a table with a row for each."""
+    from rich.table import Table
+
+    for scenario, group in itertools.groupby(rows, key=lambda row: row.scenario):
+        own = list(group)
+        console.print(f"{scenario}: {_verdict(own)}", soft_wrap=True)
+        table = Table(box=None, padding=(0, 1))
+        columns = {
+            "": lambda row: row.policy,
+            "minutes": _interval,
+            "above the bound": _above_bound,
+            "completed": _completed if any(row.completed < row.missions for row in own) else None,
+            "worst, Jain": _fleet_cell if any(row.worst_s is not None for row in own) else None,
+            "turned back, hidden": _going_cell if any(row.hidden_s is not None for row in own) else None,
+            "Wh": _energy_cell if any(row.energy_wh is not None for row in own) else None,
+        }
+        shown = {title: cell for title, cell in columns.items() if cell is not None}
+        for title in shown:
+            table.add_column(title, justify="right" if title else "left", no_wrap=not title)
+        for row in own:
+            table.add_row(*(cell(row) for cell in shown.values()))
+        console.print(table)
+        console.print()
+
+
+def _verdict(rows: Sequence[ComparedPolicy]) -> str:
+    flown = [row for row in rows if row.completed]
+    if not flown:
+        return "no policy completed a mission"
+    best = min(flown, key=lambda row: row.mean_s)
+    others = sum(row is not best and _is_alike(row, best) for row in flown)
+    alike = f"; {others} more within its margin" if others else ""
+    return (
+        f"{best.policy} is quickest: {_minutes(best.mean_s)} min, {_above_bound(best)} above the bound of "
+        f"{_minutes(best.bound_s)}{alike}"
+    )
+
+
+def _is_alike(row: ComparedPolicy, best: ComparedPolicy) -> bool:
+    return row.mean_s - best.mean_s <= row.half_width_s + best.half_width_s
+
+
+def _interval(row: ComparedPolicy) -> str:
+    margin = f" ± {row.half_width_s / 60:.2f}" if row.completed > 1 else ""
+    return f"{_minutes(row.mean_s)}{margin}" if row.completed else "-"
+
+
+def _above_bound(row: ComparedPolicy) -> str:
+    return f"{100 * (row.mean_s / row.bound_s - 1):.1f} %" if row.completed else "-"
+
+
+def _completed(row: ComparedPolicy) -> str:
+    return f"{row.completed} of {row.missions}"
+
+
+def in_markdown(rows: Sequence[ComparedPolicy]) -> Iterator[str]:
+    """Tables with a row for each scenario: minutes, and what else is known of fleets, late answers and energy."""
+    policies = list(dict.fromkeys(row.policy for row in rows))
+    yield f"| minutes | bound | {' | '.join(policies)} |"
+    yield f"|---|---|{'---|' * len(policies)}"
+    for scenario, own in itertools.groupby(rows, key=lambda row: row.scenario):
+        first, *others = own
+        cells = " | ".join(_cell(row) for row in (first, *others))
+        yield f"| {scenario} | {_minutes(first.bound_s)} | {cells} |"
+    if fleets := [row for row in rows if row.worst_s is not None]:
+        yield ""
+        yield f"| worst minutes, Jain's index | {' | '.join(policies)} |"
+        yield f"|---|{'---|' * len(policies)}"
+        for scenario, own in itertools.groupby(fleets, key=lambda row: row.scenario):
+            yield f"| {scenario} | {' | '.join(_fleet_cell(row) for row in own)} |"
+    if going := [row for row in rows if row.hidden_s is not None]:
+        yield ""
+        yield f"| turned back, hidden minutes | {' | '.join(policies)} |"
+        yield f"|---|{'---|' * len(policies)}"
+        for scenario, own in itertools.groupby(going, key=lambda row: row.scenario):
+            yield f"| {scenario} | {' | '.join(map(_going_cell, own))} |"
+    if metered := [row for row in rows if row.energy_wh is not None]:
+        yield ""
+        yield f"| Wh | {' | '.join(policies)} |"
+        yield f"|---|{'---|' * len(policies)}"
+        for scenario, own in itertools.groupby(metered, key=lambda row: row.scenario):
+            yield f"| {scenario} | {' | '.join(_energy_cell(row) for row in own)} |"
+
+
+def _cell(row: ComparedPolicy) -> str:
+    if not row.completed:
+        return f"0 of {row.missions} completed"
+    margin = f" ± {row.half_width_s / 60:.2f}" if row.completed > 1 else ""
+    ended = "" if row.completed == row.missions else f", {row.completed} of {row.missions} completed"
+    return f"{_minutes(row.mean_s)}{margin} ({100 * (row.mean_s / row.bound_s - 1):+.1f} %){ended}"
+
+
+def _fleet_cell(row: ComparedPolicy) -> str:
+    if row.worst_s is None or row.jain is None:
+        return "-"
+    return f"{_minutes(row.worst_s)}, {row.jain:.3f}"
+
+
+def _going_cell(row: ComparedPolicy) -> str:
+    return "-" if row.turned_back is None else f"{row.turned_back:.1f}, {_minutes(row.hidden_s or 0.0)}"
+
+
+def _energy_cell(row: ComparedPolicy) -> str:
+    if not row.completed or row.energy_wh is None:
+        return "-"
+    margin = f" ± {row.energy_half_width_wh:.2f}" if row.completed > 1 else ""
+    return f"{row.energy_wh:.2f}{margin}"
+
+
+def _minutes(seconds: float) -> str:
+    return "-" if math.isnan(seconds) else f"{seconds / 60:.2f}"

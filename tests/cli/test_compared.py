@@ -1,0 +1,61 @@
+"""What `upwash compare` prints: a table for a person, Markdown for anything else."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+from rich.console import Console
+
+from upwash.cli.compared import in_markdown, print_tables
+from upwash.lab.comparison import ComparedPolicy
+
+
+def row(policy: str, minutes: float, margin: float = 0.1, **other: Any) -> ComparedPolicy:
+    facts = {
+        "scenario": "field",
+        "missions": 30,
+        "completed": 30,
+        "bound_s": 600.0,
+        "energy_wh": None,
+        "energy_half_width_wh": None,
+        **other,
+    }
+    return ComparedPolicy(policy=policy, mean_s=60 * minutes, half_width_s=60 * margin, **facts)
+
+
+def printed(*rows: ComparedPolicy) -> list[str]:
+    console = Console(width=80, file=io.StringIO(), highlight=False)
+    print_tables(rows, console)
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue().splitlines()
+
+
+def test_the_verdict_comes_before_the_rows_and_all_fits_80_columns() -> None:
+    lines = printed(
+        row("local-only", 20.0),
+        row("look-ahead, prepare", 11.0, worst_s=700.0, jain=0.99, energy_wh=60.0, energy_half_width_wh=0.5),
+        row("look-ahead", 11.1),
+    )
+    assert lines[0] == (
+        "field: look-ahead, prepare is quickest: 11.00 min, 10.0 % above the bound of 10.00; "
+        "1 more within its margin"
+    )
+    assert all(len(line) <= 80 for line in lines[1:])
+    policies = [line[1:].split("  ")[0] for line in lines if " ± 0.10" in line]
+    assert policies == ["local-only", "look-ahead, prepare", "look-ahead"]
+    assert any("look-ahead, prepare" in line and "60.00 ± 0.50" in line for line in lines)
+
+
+def test_what_no_battery_lasted_for_is_said() -> None:
+    assert printed(row("local-only", float("nan"), completed=0))[0] == "field: no policy completed a mission"
+    lines = printed(row("local-only", 20.0, completed=3), row("look-ahead", 11.0))
+    assert any("local-only" in line and "3 of 30" in line for line in lines)
+
+
+def test_others_read_markdown() -> None:
+    assert list(in_markdown([row("local-only", 20.0)])) == [
+        "| minutes | bound | local-only |",
+        "|---|---|---|",
+        "| field | 10.00 | 20.00 ± 0.10 (+100.0 %) |",
+    ]
