@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from upwash.lab.comparison import ComparedPolicy
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+Cell = Callable[[ComparedPolicy], str]
 
 
 def print_tables(rows: Sequence[ComparedPolicy], console: Console) -> None:
@@ -74,28 +76,22 @@ def in_markdown(rows: Sequence[ComparedPolicy]) -> Iterator[str]:
     policies = list(dict.fromkeys(row.policy for row in rows))
     yield f"| minutes | bound | {' | '.join(policies)} |"
     yield f"|---|---|{'---|' * len(policies)}"
-    for scenario, own in itertools.groupby(rows, key=lambda row: row.scenario):
-        first, *others = own
-        cells = " | ".join(_cell(row) for row in (first, *others))
-        yield f"| {scenario} | {_minutes(first.bound_s)} | {cells} |"
-    if fleets := [row for row in rows if row.worst_s is not None]:
-        yield ""
-        yield f"| worst minutes, Jain's index | {' | '.join(policies)} |"
-        yield f"|---|{'---|' * len(policies)}"
-        for scenario, own in itertools.groupby(fleets, key=lambda row: row.scenario):
-            yield f"| {scenario} | {' | '.join(_fleet_cell(row) for row in own)} |"
-    if going := [row for row in rows if row.hidden_s is not None]:
-        yield ""
-        yield f"| turned back, hidden minutes | {' | '.join(policies)} |"
-        yield f"|---|{'---|' * len(policies)}"
-        for scenario, own in itertools.groupby(going, key=lambda row: row.scenario):
-            yield f"| {scenario} | {' | '.join(map(_going_cell, own))} |"
-    if metered := [row for row in rows if row.energy_wh is not None]:
-        yield ""
-        yield f"| Wh | {' | '.join(policies)} |"
-        yield f"|---|{'---|' * len(policies)}"
-        for scenario, own in itertools.groupby(metered, key=lambda row: row.scenario):
-            yield f"| {scenario} | {' | '.join(_energy_cell(row) for row in own)} |"
+    for scenario, group in itertools.groupby(rows, key=lambda row: row.scenario):
+        own = list(group)
+        yield f"| {scenario} | {_minutes(own[0].bound_s)} | {' | '.join(map(_cell, own))} |"
+    further: tuple[tuple[str, Callable[[ComparedPolicy], float | None], Cell], ...] = (
+        ("worst minutes, Jain's index", lambda row: row.worst_s, _fleet_cell),
+        ("turned back, hidden minutes", lambda row: row.hidden_s, _going_cell),
+        ("Wh", lambda row: row.energy_wh, _energy_cell),
+    )
+    for title, value, cell in further:
+        known = [row for row in rows if value(row) is not None]
+        if known:
+            yield ""
+            yield f"| {title} | {' | '.join(policies)} |"
+            yield f"|---|{'---|' * len(policies)}"
+            for scenario, each in itertools.groupby(known, key=lambda row: row.scenario):
+                yield f"| {scenario} | {' | '.join(map(cell, each))} |"
 
 
 def _cell(row: ComparedPolicy) -> str:

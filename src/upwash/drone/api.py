@@ -14,7 +14,7 @@ from upwash.core.events import Arrived, Event, LegBegun, MissionBegun, TargetUnk
 from upwash.core.geo import Position, Waypoint, distance_m
 from upwash.core.geofence import breached_by_leg, breached_by_position
 from upwash.drone.mission import MissionThread
-from upwash.drone.open_answer import Errand, Errands, OpenAnswer
+from upwash.drone.open_answer import Errand, Errands, OpenAnswer, index_of
 from upwash.drone.pending import Calls, Demand, Pending
 from upwash.drone.site import Site
 from upwash.errors import AutopilotError, AutopilotRefused, UsageError
@@ -91,7 +91,7 @@ class Vehicle:
     @property
     def waypoint(self) -> int | None:
         """The waypoint that the mission last sent it to; None for a place beside the plan."""
-        return self._place.index if isinstance(self._place, Waypoint) else None
+        return index_of(self._place)
 
     @property
     def ground_speed_m_s(self) -> float | None:

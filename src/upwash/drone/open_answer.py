@@ -22,6 +22,11 @@ T = TypeVar("T")
 Place = Waypoint | Position
 
 
+def index_of(place: Place | None) -> int | None:
+    """Which waypoint a place is, if it is one."""
+    return place.index if isinstance(place, Waypoint) else None
+
+
 class Wings(Protocol):
     """What flies, as far as it matters here."""
 
@@ -56,7 +61,7 @@ class Errand(Generic[T]):
     @property
     def waypoint(self) -> int | None:
         """The waypoint that it is about, if it is one."""
-        return self.place.index if isinstance(self.place, Waypoint) else None
+        return index_of(self.place)
 
 
 class OpenAnswer(Generic[T]):
