@@ -575,14 +575,21 @@ def test_prometheus_finds_what_drones_hold_and_what_runs(
     with daemon(tmp_path, config(keys, metrics='"127.0.0.1:0"')) as at:
         asyncio.run(visit(at))
         (address,) = re.findall(r"metrics at http://(\S+)/metrics", (tmp_path / "stderr").read_text())
-        connection = http.client.HTTPConnection(address, timeout=10.0)
-        connection.request("GET", "/metrics")
-        told = connection.getresponse().read().decode().splitlines()
+
+        def told_now() -> list[str]:
+            connection = http.client.HTTPConnection(address, timeout=10.0)
+            connection.request("GET", "/metrics")
+            return connection.getresponse().read().decode().splitlines()
+
+        # The instance tells the daemon of a call after the drone has its reply.
+        counted = 'upwash_service_seconds_count{method="echo",server="s1",service="workbench"} 1.0'
+        wait_for(lambda: counted in told_now(), within_s=10.0)
+        told = told_now()
     assert 'upwash_leases{server="s1"} 1.0' in told
     assert 'upwash_leases{server="s2"} 0.0' in told
     assert 'upwash_instances{server="s1",service="workbench",state="running"} 1.0' in told
     assert 'upwash_requests_total{outcome="answered",request="start"} 1.0' in told
-    assert 'upwash_service_seconds_count{method="echo",server="s1",service="workbench"} 1.0' in told
+    assert counted in told
 
 
 def test_a_service_manager_is_told_when_it_is_ready_reloads_and_stops(
