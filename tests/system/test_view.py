@@ -17,6 +17,7 @@ import pytest
 from selenium.webdriver.common.keys import Keys
 from tests.scenarios import scenario
 from tests.system.browser import Browser, browser, why_not
+from tests.waiting import wait_for
 
 from upwash.cli.flying import read_log
 from upwash.lab.run import simulate
@@ -58,6 +59,12 @@ def opened(page: Browser, address: str, *, width: int = 1280, scheme: str = "lig
     """Opens the page, and waits until all of the flights is there."""
     page.open(address, width=width, scheme=scheme)
     page.wait_until(lambda: page.text(".summary"))
+    drawn(page)
+
+
+def drawn(page: Browser) -> None:
+    """Waits until the page has drawn what it knows, which it does at its next frame."""
+    page.run("return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
 def seek(page: Browser, at_s: float) -> None:
@@ -68,7 +75,7 @@ def seek(page: Browser, at_s: float) -> None:
         at_s,
     )
     page.wait_until(lambda: moment(page) == at_s)
-    page.run("return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    drawn(page)
 
 
 def moment(page: Browser) -> float:
@@ -237,7 +244,9 @@ def test_the_colours_follow_the_system_while_the_page_is_open(page: Browser, one
     assert darkness()[0] == 1
     light_least = darkness()[1]
     page.prefer("dark")
-    page.wait_until(lambda: darkness()[0] == 0 and darkness()[1] > light_least)
+    wait_for(
+        lambda: darkness()[0] == 0 and darkness()[1] > light_least, seen=lambda: (light_least, darkness())
+    )
     assert darkness()[2] > 600, "light ink on dark paper"
 
 
