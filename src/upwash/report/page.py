@@ -12,6 +12,7 @@ from upwash.report import tables
 from upwash.report.charts import IDLE_HEIGHTS, draw_call_delays, draw_timeline, in_short, state_style
 from upwash.report.map import draw_map, view_of
 from upwash.report.markup import Markup, element, joined
+from upwash.report.palette import stylesheet
 from upwash.report.places import Places
 from upwash.report.record import Record, ReportedCall
 
@@ -24,10 +25,8 @@ _WORST = 5
 def write_page(records: Sequence[Record]) -> str:
     """The page about these runs, side by side where there is room."""
     title = "Flight report: " + ", ".join(record.name for record in records)
-    folder = files("upwash.report") / "style"
-    style = Markup(
-        "".join((folder / f"{name}.css").read_text(encoding="utf-8") for name in ("colours", "page"))
-    )
+    rules = (files("upwash.report") / "style" / "page.css").read_text(encoding="utf-8")
+    style = Markup(stylesheet() + rules)
     head = element(
         "head",
         element("meta", charset="utf-8"),

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 from upwash.report.markup import Markup, element
+from upwash.report.palette import LIGHT
 
-COLOURS = 6  # of servers, --place-1 to --place-6; the drone's is --place-0
 _SHAPES = (  # corners of the servers' marks, upwards from the right, on a circle of radius 1
     [(0.8, 0.8), (-0.8, 0.8), (-0.8, -0.8), (0.8, -0.8)],
     [(0.0, -1.1), (1.0, 0.75), (-1.0, 0.75)],
@@ -27,7 +27,7 @@ class Places:
         """The class that colours it."""
         if server is None:
             return "place-0"
-        return f"place-{1 + self._servers.index(server) % COLOURS}"
+        return f"place-{1 + self._servers.index(server) % (len(LIGHT.places) - 1)}"
 
     def mark(self, server: str | None, x: float, y: float, radius: float, *about: Markup) -> Markup:
         """Its mark with the centre at x, y."""

@@ -22,7 +22,8 @@ from foxglove.messages import (
 
 from upwash.core.geo import Circle, Position
 from upwash.core.servers import State
-from upwash.report.places import COLOURS, name_of
+from upwash.report.palette import DARK
+from upwash.report.places import name_of
 from upwash.report.record import Record, ReportedCall, Stretch
 
 FRAME = "home"  # east, north and up of it
@@ -44,15 +45,6 @@ _STATES = {  # each label also says the state in letters
     State.READY: (0.2, 0.75, 0.45, 0.35),
     State.BLACKLISTED: (0.85, 0.25, 0.25, 0.3),
 }
-_PLACES = (
-    _shade(0.65, 0.69, 0.73),
-    _shade(0.96, 0.65, 0.26),
-    _shade(0.48, 0.65, 1.0),
-    _shade(0.31, 0.82, 0.63),
-    _shade(0.9, 0.55, 0.94),
-    _shade(1.0, 0.55, 0.55),
-    _shade(0.71, 0.83, 0.33),
-)
 
 
 def scene(record: Record, time_of: Callable[[float], Timestamp]) -> Iterator[tuple[float, SceneUpdate]]:
@@ -131,7 +123,8 @@ def _call(index: int, call: ReportedCall, place: Position, record: Record, time:
 
 
 def _colour(server: str | None, record: Record) -> Color:
-    return _PLACES[0] if server is None else _PLACES[1 + record.servers.index(server) % COLOURS]
+    colour = DARK.places[0] if server is None else DARK.of_server(record.servers.index(server))
+    return _shade(*(int(colour[start : start + 2], 16) / 255 for start in (1, 3, 5)))
 
 
 def _line(

@@ -15,6 +15,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from upwash.report.palette import stylesheet
 from upwash.report.photos import PhotoShelf
 from upwash.support.http_host import names_this_machine
 from upwash.view.feed import Feed
@@ -57,14 +58,16 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
             return Response("this photo is not to be had", status_code=404)
         return Response(jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
+    async def colours(request: Request) -> Response:
+        return Response(stylesheet(), media_type="text/css")
+
     return Starlette(
         routes=[
             Route("/events", events),
             Route("/photos/{log:int}/{run:int}/{number:int}.jpg", photo),
+            Route("/colours.css", colours),
             Mount("/leaflet", StaticFiles(directory=_LEAFLET)),
-            Mount(
-                "/", StaticFiles(packages=[("upwash.view", "page"), ("upwash.report", "style")], html=True)
-            ),
+            Mount("/", StaticFiles(packages=[("upwash.view", "page")], html=True)),
         ],
         middleware=[
             Middleware(_Guarded, policy=" ".join((_POLICY, *images))),

@@ -1,11 +1,9 @@
 // The mark of one of several drones: its number in its colour.
 
-import { element } from "./element.js";
-
-const COLOURS = 8; // --drone-1 to --drone-8
+import { coloured, element } from "./element.js";
 
 export function styleOf(number) {
-  return `drone-${1 + ((number - 1) % COLOURS)}`;
+  return `drone-${1 + ((number - 1) % coloured("drones"))}`;
 }
 
 export function badge(number, tone = "") {

@@ -16,6 +16,11 @@ function filled(made, attributes, children) {
   return made;
 }
 
+// How many "servers" or "drones" have a colour of their own.
+export function coloured(kind) {
+  return Number(getComputedStyle(document.documentElement).getPropertyValue(`--${kind}`));
+}
+
 // A part of the page with a heading of its own.
 export function card(heading, ...content) {
   return element("section", { class: "card" }, element("h3", {}, heading), ...content);

@@ -2,7 +2,6 @@
 
 import { drawn } from "./element.js";
 
-const COLOURS = 6; // of servers, --place-1 to --place-6; the drone's is --place-0
 const SHAPES = [ // corners of the servers' marks, on a circle of radius 1
   [[0.8, 0.8], [-0.8, 0.8], [-0.8, -0.8], [0.8, -0.8]],
   [[0, -1.1], [1, 0.75], [-1, 0.75]],
@@ -47,7 +46,7 @@ export class Places {
   }
 
   style(place) {
-    return place === "local" ? "place-0" : `place-${1 + (this.#servers.indexOf(place) % COLOURS)}`;
+    return place === "local" ? "place-0" : `place-${1 + (this.#servers.indexOf(place) % this.colours.of("servers"))}`;
   }
 
   colour(place) {
