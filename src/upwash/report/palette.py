@@ -15,8 +15,8 @@ from dataclasses import dataclass
 class Theme:
     """Colours as #rrggbb: `places` are of the drone and then of servers, `drones` of several drones.
 
-    `band` is the ground of cards. `ready`, `check`, `listed` and `idle` are of a server's states, `alarm` is the ground
-    of what a person has to act on, with the text `on_alarm`, and `caution` of what a person should know.
+    `band` is the ground of cards. `ready`, `check`, `listed` and `idle` are of a server's states, `alarm` is the
+    ground of what a person has to act on, with the text `on_alarm`, and `caution` of what a person should know.
     """
 
     paper: str
