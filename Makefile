@@ -1,6 +1,9 @@
-# Each target sets up what it needs: a virtual environment in .venv, from versions pinned in requirements.lock.
+# Each target sets up what it needs in the virtual environment .venv: `make run` the versions that are pinned in
+# requirements-run.lock, everything else those of requirements.lock besides, which has the same and more.
 PYTHON ?= python3
 BIN := .venv/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+RUNS := .venv/.runs
 READY := .venv/.ready
 PEERS := .venv-peers/bin
 PEERS_READY := .venv-peers/.ready
@@ -13,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: run test test-long test-system native lint format docs bench bench-peers lock clean
 
 # make run ARGS=--live shows the flight on a page meanwhile.
-run: $(READY)
+run: $(RUNS)
 	$(BIN)/upwash demo $(ARGS)
 
 test: $(READY)
@@ -69,18 +72,25 @@ bench-peers: $(READY) $(PEERS_READY)
 lock: $(READY)
 	$(BIN)/python -m pip install --quiet uv
 	$(LOCK) --all-extras --group dev --group clients --group docs pyproject.toml -o requirements.lock
+	$(LOCK) --constraint requirements.lock --extra detector --extra emulation --extra view --group build \
+	    pyproject.toml -o requirements-run.lock
 	$(LOCK) bench/peers/requirements.in -o bench/peers/requirements.txt
 	$(LOCK) --constraint bench/peers/requirements.txt bench/peers/requirements-ray.in -o bench/peers/requirements-ray.txt
 
 clean:
 	rm -rf .venv .venv-peers .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache runs dist
 
-$(READY): requirements.lock pyproject.toml
+$(RUNS): requirements-run.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "upwash needs Python 3.11 or newer; set PYTHON=python3.12, for instance")'
 	$(PYTHON) -m venv .venv
-	@echo "installing the pinned packages into .venv: some minutes, once"
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@echo "installing what running needs into .venv: about a minute, once"
+	$(PIP) --require-hashes -r requirements-run.lock
+	$(PIP) --no-deps --no-build-isolation --editable .
+	touch $@
+
+$(READY): requirements.lock $(RUNS)
+	@echo "installing what developing needs besides: some minutes, once"
+	$(PIP) --require-hashes -r requirements.lock
 	touch $@
 
 # Ray has no wheels for some processors and Pythons: its row is left out there.
