@@ -13,7 +13,7 @@ LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --genera
 # Without it each of the programs that a test starts would compile all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-long test-system native lint format docs bench bench-peers lock clean
+.PHONY: run test test-long test-system native lint format docs pictures bench bench-peers lock clean
 
 # make run ARGS=--live shows the flight on a page meanwhile.
 run: $(RUNS)
@@ -52,6 +52,11 @@ docs: $(READY)
 	$(BIN)/python site/event_log.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict -f site/mkdocs.yml
 	@echo "open dist/docs/index.html, or: $(BIN)/python -m http.server --directory dist/docs"
+
+# The live page and the reports as Chromium draws them (Debian: chromium, chromium-driver), in dist/pictures.
+# ARGS=--keep makes those of docs/pictures anew.
+pictures: $(READY)
+	PYTHONPATH=. $(BIN)/python site/screenshots.py dist/pictures $(ARGS)
 
 bench: $(READY)
 	$(BIN)/python -m bench.call

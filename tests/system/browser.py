@@ -38,9 +38,14 @@ class Browser:
     def __init__(self, driver: webdriver.Chrome) -> None:
         self.driver = driver
 
-    def open(self, address: str, *, width: int = 1280, height: int = 900, scheme: str = "light") -> None:
-        """Opens the address in a window of that size, for somebody who prefers that colour scheme."""
-        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
+    def open(
+        self, address: str, *, width: int = 1280, height: int = 900, scheme: str = "light", scale: int = 1
+    ) -> None:
+        """Opens the address in a window of that size, for somebody who prefers that colour scheme.
+
+        Each CSS pixel is `scale` pixels wide.
+        """
+        metrics = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 500}
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
         self.prefer(scheme)
         self.errors()  # of the page before

@@ -1,0 +1,230 @@
+"""Takes pictures of the pages: `make pictures`, or `python site/screenshots.py FOLDER`.
+
+Each page in each size and in light and dark colours, as Chromium draws it: of the demonstration, flown for it with
+its daemons and its detector, and of simulated flights, one of which ends badly. With `--keep` those that the README
+and the documentation show are made anew in docs/pictures, in 256 colours so that they stay small.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import itertools
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from PIL import Image
+from tests.system.browser import Browser, browser, why_not
+
+from upwash.launch.processes import ready_program
+
+ROOT = Path(__file__).parents[1]
+KEPT = ROOT / "docs" / "pictures"
+SCENARIOS = ROOT / "scenarios"
+STUCK = """
+[autopilot]
+on_failure = "hold"
+
+[[fault]]
+target = "autopilot"
+kind = "stuck"
+from_s = 40.0
+"""
+_HIGHEST_PX = 8_000  # of a picture of a whole page
+_COLOURS = 256  # of a kept one
+_SETTLED = "return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+
+
+@dataclass(frozen=True)
+class Size:
+    """A window, in CSS pixels, each of which is `scale` pixels wide: 2 where somebody zooms to 200 %."""
+
+    name: str
+    width: int
+    height: int
+    scale: int = 1
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A page about the logs that `fly` writes into a folder; the flight is shown at that share of its time.
+
+    A report, which does not move, is shown whole.
+    """
+
+    name: str
+    fly: Callable[[Path], Sequence[Path]]
+    share: float = 1.0
+    is_report: bool = False
+
+
+SIZES = (
+    Size("1400", 1400, 900),
+    Size("1920", 1920, 1080),
+    Size("phone", 390, 844),
+    Size("zoomed", 700, 450, scale=2),
+)
+SCHEMES = ("light", "dark")
+BEST = {  # what docs/pictures has, by what it is taken from
+    "live-1400-light": "live.png",
+    "live-1400-dark": "live-dark.png",
+    "alarm-1400-light": "alarm.png",
+    "live-phone-light": "phone.png",
+}
+
+
+def main() -> None:
+    """Takes them."""
+    parser = argparse.ArgumentParser(prog="python site/screenshots.py", description=__doc__)
+    parser.add_argument("folder", type=Path, help="where the pictures go")
+    parser.add_argument("--only", default="", metavar="TEXT", help="only those with that in their name")
+    parser.add_argument("--keep", action="store_true", help="make those in docs/pictures anew as well")
+    options = parser.parse_args()
+    if missing := why_not():
+        sys.exit(f"no picture can be taken: {missing}")
+    options.folder.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix="upwash-pictures-") as folder, browser(Path(folder) / "profile") as page:
+        for scene in SCENES:
+            names = {
+                f"{scene.name}-{size.name}-{scheme}": (size, scheme)
+                for size, scheme in itertools.product(SIZES, SCHEMES)
+            }
+            chosen = {name: how for name, how in names.items() if options.only in name}
+            if chosen:
+                take(page, scene, Path(folder) / scene.name, options.folder, chosen)
+    if options.keep:
+        keep(options.folder)
+
+
+def take(
+    page: Browser, scene: Scene, folder: Path, into: Path, pictures: dict[str, tuple[Size, str]]
+) -> None:
+    """Flies the scene, and takes each of its pictures."""
+    folder.mkdir()
+    logs = [str(log) for log in scene.fly(folder)]
+    if scene.is_report:
+        upwash("report", *logs, "-o", str(folder / "report.html"))
+        _take_all(page, scene, (folder / "report.html").as_uri(), into, pictures)
+        return
+    with ready_program("view", folder, "view", *logs, "--port", "0") as address:
+        _take_all(page, scene, address, into, pictures)
+
+
+def _take_all(
+    page: Browser, scene: Scene, address: str, into: Path, pictures: dict[str, tuple[Size, str]]
+) -> None:
+    for name, (size, scheme) in pictures.items():
+        page.open(address, width=size.width, height=size.height, scheme=scheme, scale=size.scale)
+        if not scene.is_report:
+            page.wait_until(lambda: page.run("return document.getElementById('time').max > 0"))
+            _seek(page, scene.share)
+        file = into / f"{name}.png"
+        file.write_bytes(_picture(page, size, whole=scene.is_report))
+        print(f"{file}: {file.stat().st_size / 1000:.0f} kB", flush=True)
+
+
+def _seek(page: Browser, share: float) -> None:
+    page.run(
+        "const slider = document.getElementById('time'); slider.value = slider.max * arguments[0];"
+        "slider.dispatchEvent(new Event('input'));",
+        share,
+    )
+    page.run(_SETTLED)
+    page.wait_until(
+        lambda: page.run(
+            "return [...document.images].every((image) => image.hidden || !image.src || image.complete)"
+        )
+    )
+    page.run(_SETTLED)
+
+
+def _picture(page: Browser, size: Size, *, whole: bool) -> bytes:
+    height = size.height
+    if whole:
+        height = min(_HIGHEST_PX, int(page.run("return document.documentElement.scrollHeight")))
+    clip = {"x": 0, "y": 0, "width": size.width, "height": height, "scale": 1}
+    shot = page.driver.execute_cdp_cmd(
+        "Page.captureScreenshot", {"format": "png", "clip": clip, "captureBeyondViewport": whole}
+    )
+    return base64.b64decode(shot["data"])
+
+
+def keep(folder: Path) -> None:
+    """Makes the kept pictures anew from those in the folder."""
+    KEPT.mkdir(exist_ok=True)
+    for name, kept in BEST.items():
+        with Image.open(folder / f"{name}.png") as picture:
+            picture.convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE).save(
+                KEPT / kept, optimize=True
+            )
+        print(f"{KEPT / kept}: {(KEPT / kept).stat().st_size / 1000:.0f} kB")
+
+
+# --- the flights --------------------------------------------------------------------------------------------
+
+
+def upwash(*arguments: str, may_fail: bool = False) -> None:
+    """Runs a command."""
+    done = subprocess.run(
+        [sys.executable, "-m", "upwash", *arguments], capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0 and not may_fail:
+        sys.exit(f"upwash {' '.join(arguments)}: {done.stderr.strip()}")
+
+
+def demonstration(folder: Path) -> list[Path]:
+    """With photos, daemons and the detector, in a minute and a half."""
+    upwash("demo", "--folder", str(folder / "run"))
+    return [folder / "run" / "events.jsonl"]
+
+
+def fleet(folder: Path) -> list[Path]:
+    """Three drones that share servers."""
+    upwash("simulate", str(SCENARIOS / "fleet-demonstration.toml"), "--log", str(folder / "flight.jsonl"))
+    return sorted(folder.glob("flight*.jsonl"))
+
+
+def stuck(folder: Path) -> list[Path]:
+    """A vehicle that stops on its way, and is left hovering."""
+    scenario = folder / "stuck.toml"
+    scenario.write_text((SCENARIOS / "demonstration.toml").read_text() + STUCK)
+    upwash("simulate", str(scenario), "--log", str(folder / "stuck.jsonl"), may_fail=True)
+    return [folder / "stuck.jsonl"]
+
+
+def with_and_without(folder: Path) -> list[Path]:
+    """The thesis's mission with offloading and without."""
+    return [_thesis(folder, "location-aware", 1, "with"), _thesis(folder, "local-only", 1, "without")]
+
+
+def many(folder: Path) -> list[Path]:
+    """The thesis's mission with six seeds under each of two policies."""
+    policies = ("location-aware", "opportunistic")
+    return [_thesis(folder, policy, seed, f"{policy}-{seed}") for policy in policies for seed in range(1, 7)]
+
+
+def _thesis(folder: Path, policy: str, seed: int, name: str) -> Path:
+    log = folder / f"{name}.jsonl"
+    upwash(
+        "simulate", str(SCENARIOS / "thesis.toml"), "--policy", policy, "--seed", str(seed), "--log", str(log)
+    )  # fmt: skip
+    return log
+
+
+SCENES = (
+    Scene("live", demonstration, share=0.62),
+    Scene("fleet", fleet, share=0.5),
+    Scene("alarm", stuck),
+    Scene("beside", with_and_without, share=0.4),
+    Scene("report", with_and_without, is_report=True),
+    Scene("demonstration-report", demonstration, is_report=True),
+    Scene("many-report", many, is_report=True),
+)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,42 @@
+"""`make pictures`: the pages in every size, as a browser draws them."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tests.system.browser import why_not
+
+ROOT = Path(__file__).parents[2]
+pytestmark = [
+    pytest.mark.root,
+    pytest.mark.xdist_group("browser"),
+    pytest.mark.skipif(why_not() != "", reason=why_not()),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [("alarm-phone-dark", (390, 844)), ("fleet-zoomed-light", (1400, 900)), ("many-report-1400-light", None)],
+)
+def test_a_picture_is_taken_of_each_page(tmp_path: Path, name: str, size: tuple[int, int] | None) -> None:
+    taken = subprocess.run(
+        [sys.executable, str(ROOT / "site" / "screenshots.py"), str(tmp_path), "--only", name],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert taken.returncode == 0, taken.stdout + taken.stderr
+    picture = (tmp_path / f"{name}.png").read_bytes()
+    width, height = struct.unpack(">II", picture[16:24])
+    if size is None:
+        assert width == 1400
+        assert height > 900, "a report is shown whole"
+    else:
+        assert (width, height) == size
+    assert len(picture) > 10_000, "there is something on it"
