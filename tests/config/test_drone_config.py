@@ -118,13 +118,27 @@ def test_times_are_written_by_service_and_key_in_any_shorthand(tmp_path: Path) -
     assert config.servers[1].processing_s == {"detector": {"light": 0.2, "heavy": 0.6}}
 
 
-def test_one_number_is_the_first_services_time(tmp_path: Path) -> None:
-    text = SHORT.replace("{ light = 3.0, heavy = 10.0 }", "3")
-    text = text.replace("{ light = 0.2, heavy = 0.6 }", "0.2")
-    text = text.replace("{ detector = { light = 0.3, heavy = 0.7 }, counter = 0.2 }", "0.4")
-    config = read(tmp_path, text)
-    assert config.servers[0].remote_call_s == {"detector": {"": 0.4}}
-    assert config.servers[1].processing_s == {"detector": {"": 0.2}}
+def test_one_number_is_the_time_of_everything_beneath(tmp_path: Path) -> None:
+    nested = "{ detector = { light = 0.3, heavy = 0.7 }, counter = 0.2 }"
+    for written, detector_s in (("0.4", 0.4), ("{ detector = 0.6, counter = 0.4 }", 0.6)):
+        server = read(tmp_path, SHORT.replace(nested, written)).servers[0]
+        detector = {"light": detector_s, "heavy": detector_s}
+        assert server.remote_call_s == {"detector": detector, "counter": {"": 0.4}}
+    text = SHORT.replace("{ light = 3.0, heavy = 10.0 }", "3").replace("{ light = 0.2, heavy = 0.6 }", "0.2")
+    times_s = read(tmp_path, text.replace(nested, "0.4")).servers[1].processing_s
+    assert times_s == {"detector": {"": 0.2}, "counter": {"": 0.2}}
+
+
+def test_a_keys_time_is_that_of_each_service_which_has_the_key(tmp_path: Path) -> None:
+    text = SHORT.replace("local_call_s = 1.5", "local_call_s = { light = 1.5, dark = 2.0 }")
+    nested = "{ detector = { light = 0.3, heavy = 0.7 }, counter = 0.2 }"
+    written = "{ light = 0.3, heavy = 0.7, dark = 0.5, counter = { light = 0.1 } }"
+    text = text.replace("processing_s = {", "processing_s = { dark = 0.4,")
+    server = read(tmp_path, text.replace(nested, written)).servers[0]
+    assert server.remote_call_s == {
+        "detector": {"light": 0.3, "heavy": 0.7},
+        "counter": {"light": 0.1, "dark": 0.5},
+    }
 
 
 def test_a_flat_time_stands_beside_a_nested_one_in_either_order(tmp_path: Path) -> None:

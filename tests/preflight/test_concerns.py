@@ -87,10 +87,20 @@ def test_an_operation_that_no_server_is_faster_for_is_named() -> None:
     assert kinds(configured(servers=("s1", "s2")), belief=believed(local_s=1.0, s1=2.0, s2=0.5)) == []
 
 
-def test_an_operation_that_no_server_offers_is_named() -> None:
-    nowhere = Belief(operation=OPERATION, local_s=10.0, remote_s={})
-    assert kinds(configured(), belief=nowhere) == ["not-offered"]
-    assert warnings(configured(servers=()), [], [nowhere], predicted(local=9.0, configured=9.0)) == []
+def test_a_service_that_no_server_offers_is_named_with_the_line_to_add() -> None:
+    counter = {"name": "counter", "program": "upwash.services:Detector", "local_call_s": 2.0}
+    keyed = counter | {"local_call_s": {"fast": 1.0, "slow": 3.0}}
+    detector = {"name": "detector", "local_call_s": {"heavy": 10.0}}
+    for service, line in (
+        (counter, "{ counter = 0.5 }"),
+        (keyed, "{ counter = { fast = 0.5, slow = 0.5 } }"),
+    ):
+        (warning,) = warnings(configured(service=[detector, service]), [covered()], [believed()], GOOD)
+        assert warning.kind == "not-offered"
+        assert "counter always runs on the drone" in warning.text
+        assert f"remote_call_s = {line}" in warning.text
+    alone = configured(servers=(), service=[detector, counter])
+    assert warnings(alone, [], [believed()], predicted(local=9.0, configured=9.0)) == []
 
 
 def test_a_wait_that_can_never_pay_off_is_named() -> None:

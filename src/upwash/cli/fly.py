@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,10 +43,12 @@ def run(options: argparse.Namespace) -> bool:
     """Flies; returns when the mission is over."""
     os.environ.setdefault("GRPC_VERBOSITY", "ERROR")  # what matters is in the event log, once
     from upwash.cli.flying import Show, fly_with_progress
-    from upwash.config import read_drone_config, refuse_several
+    from upwash.config import never_offloaded, read_drone_config, refuse_several
 
     config = flown_by(read_drone_config(options.config), options.autopilot)
     refuse_several(config, options.config, what="a flight")
+    for problem in never_offloaded(config):
+        sys.stderr.write(f"upwash: warning: {problem}\n")
     log = options.resume or options.log or new_run_folder() / "events.jsonl"
     fly_with_progress(
         config,

@@ -39,6 +39,7 @@ from upwash.config.drone import (
 from upwash.config.drone_file import drone_config, read_drone_config
 from upwash.config.fleet import Presence, fleet_of, presences
 from upwash.config.fleet_checks import refuse_several
+from upwash.config.offers import never_offloaded
 from upwash.config.places import (
     ending,
     geofence,
@@ -99,6 +100,7 @@ __all__ = [
     "is_address",
     "is_on_this_machine",
     "movable_waypoints",
+    "never_offloaded",
     "presences",
     "read_daemon_config",
     "read_document",

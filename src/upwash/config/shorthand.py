@@ -78,7 +78,7 @@ def _server(server: dict[str, Any], services: list[dict[str, Any]], folder: Path
 
 
 def _by_service(table: dict[str, Any], services: list[dict[str, Any]], *names: str) -> dict[str, Any]:
-    """The times of a table by service and key; without a service they are the first service's."""
+    """The times of a table by service and key: a number is that of all beneath, a key's that of all that have it."""
     named = {each["name"]: each for each in services if isinstance(each.get("name"), str)}
     if not named:
         return {}
@@ -86,20 +86,33 @@ def _by_service(table: dict[str, Any], services: list[dict[str, Any]], *names: s
 
 
 def _nested(times: object, services: dict[str, dict[str, Any]]) -> object:
-    first, first_service = next(iter(services.items()))
     if _is_number(times):
-        return {first: {"": times}}
+        return {name: dict.fromkeys(_keys(service), times) for name, service in services.items()}
     if not isinstance(times, dict):
         return times
-    keys = first_service.get("local_call_s")
-    others = services.keys() - (keys if isinstance(keys, dict) else {})
-    flat = {name: value for name, value in times.items() if _is_number(value) and name not in others}
-    nested = {
-        name: {"": value} if _is_number(value) else value for name, value in times.items() if name not in flat
-    }
-    if flat and isinstance(nested.get(first, {}), dict):
-        nested[first] = nested.get(first, {}) | flat
+    nested: dict[str, Any] = {}
+    for name, value in times.items():
+        if name not in services and _is_number(value):
+            for owner in _having(name, services):
+                nested.setdefault(owner, {})[name] = value
+    for name, value in times.items():  # what names its service says more than a key does
+        if name in services:
+            by_key = dict.fromkeys(_keys(services[name]), value) if _is_number(value) else value
+            nested[name] = nested.get(name, {}) | by_key if isinstance(by_key, dict) else by_key
+        elif not _is_number(value):
+            nested[name] = value
     return nested
+
+
+def _having(key: str, services: dict[str, dict[str, Any]]) -> list[str]:
+    """The services that have the profile key, or the first, which is then said not to have it."""
+    return [name for name, service in services.items() if key in _keys(service)] or [next(iter(services))]
+
+
+def _keys(service: dict[str, Any]) -> list[str]:
+    """The profile keys of a service; "" is that of one without any."""
+    local_call_s = service.get("local_call_s")
+    return list(local_call_s) if isinstance(local_call_s, dict) else [""]
 
 
 def _is_number(value: object) -> bool:

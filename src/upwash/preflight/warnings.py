@@ -13,6 +13,7 @@ from upwash.config import (
     ServerConfig,
     finish_by_s,
     is_on_this_machine,
+    never_offloaded,
     reserve_percent,
     unsigned_port,
     usable_s,
@@ -113,13 +114,11 @@ def _range_concerns(
 def _operation_concerns(config: DroneConfig, beliefs: Sequence[Belief]) -> Iterator[PreflightWarning]:
     if not config.servers:
         return
+    for problem in never_offloaded(config):
+        yield PreflightWarning("not-offered", problem)
     for belief in beliefs:
         fastest_s = min(belief.remote_s.values(), default=None)
-        if fastest_s is None:
-            yield PreflightWarning(
-                "not-offered", f"no server is configured with a delay of {belief.operation}"
-            )
-        elif fastest_s >= belief.local_s:
+        if fastest_s is not None and fastest_s >= belief.local_s:
             yield PreflightWarning(
                 "not-faster",
                 f"no server is faster for {belief.operation}: {belief.local_s:g} s on the drone, {fastest_s:g} s "
