@@ -78,6 +78,10 @@ def test_without_certificates_it_may_not_listen_to_others(tmp_path: Path, addres
         ("certificates = false", "certificates = true", "allow_without_certificates", "remove one"),
         ('key = "keys/s1.key"', "", "keys.key", "missing: add a file's path"),
         ("0.0.0.0:7070", "7070", "listen", "host:port"),
+        ("lease_s = 30.0", "instance_ports = [7100]", "instance_ports", "[7100, 7119]"),
+        ("lease_s = 30.0", "instance_ports = [7103, 7102]", "instance_ports", "give the first and the last"),
+        ("lease_s = 30.0", "instance_ports = [7100, 7101]", "instance_ports", "3 instances, one of each"),
+        ("lease_s = 30.0", "instance_ports = [7070, 7079]", "instance_ports", "the daemon's own port"),
         ("lease_s = 30.0", 'metrics = "9100"', "metrics", '"127.0.0.1:9100"'),
         ("lease_s = 30.0", 'metrics = "unix:here"', "metrics", "host:port"),
         ("0.0.0.0:7070", "unix:", "listen", "unix:path"),
@@ -114,6 +118,14 @@ def test_a_refusal_names_the_key_and_the_remedy(
         read(tmp_path, FULL.replace(old, new, 1))
     assert refusal.value.key == key
     assert named in refusal.value.problem
+
+
+def test_ports_for_instances_need_certificates_and_a_network(tmp_path: Path) -> None:
+    assert read(tmp_path, "instance_ports = [7100, 7102]\n" + KEYS + REST).instance_ports == (7100, 7102)
+    for listen in ("127.0.0.1:7070", "unix:/run/upwash.sock"):
+        top = f'instance_ports = [7100, 7102]\nlisten = "{listen}"\nallow_without_certificates = true\n'
+        with pytest.raises(ConfigError, match="instance_ports: needs"):
+            read(tmp_path, top + REST)
 
 
 def test_a_turn_may_have_no_end(tmp_path: Path) -> None:

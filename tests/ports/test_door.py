@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
+import random
 import re
 import socket
 import ssl
@@ -12,18 +14,20 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
+from typing import Never
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.doors import behind_door
 
-from upwash.errors import CredentialsError, LinkError, Unreachable
+from upwash.core.clients import Client
+from upwash.errors import CredentialsError, InstanceError, LinkError, Unreachable
 from upwash.real import authority as module
 from upwash.real.authority import keys_in, make_keys
 from upwash.real.credentials import Credentials, fingerprint, read_credentials
 from upwash.real.crowd import Crowd, Recent
-from upwash.real.door import Door, DoorLimits
+from upwash.real.door import Door, DoorLimits, leading, opened_door
 from upwash.real.frames import PREFACE, Counted, FrameCounter
 from upwash.real.link import GrpcDialer
 from upwash.real.listener import Caller, Health, Listener, WhoIs
@@ -211,6 +215,35 @@ def test_a_health_check_is_answered_and_nothing_is_watched(credentials: ReadCred
             ask(address, heron, CHECK, b"\x0a\x02s3")
         with pytest.raises(LinkError, match="UNIMPLEMENTED"):
             ask(address, heron, WATCH)
+
+
+def unused_ports() -> Iterator[int]:
+    """From below those that the system hands out, so that no other test takes one meanwhile."""
+    for port in random.sample(range(20_000, 30_000), 200):
+        with contextlib.suppress(OSError):
+            socket.create_server(("127.0.0.1", port)).close()
+            yield port
+
+
+def test_instances_are_reached_at_the_ports_that_are_given_and_at_no_others(
+    credentials: ReadCredentials,
+) -> None:
+    async def nowhere(_: Client) -> Never:
+        raise ConnectionRefusedError
+
+    async def lead_three() -> list[str]:
+        async with opened_door(Trust(credentials("s1"))) as door:
+            lead = leading(door, "127.0.0.1", (taken.getsockname()[1], *free))
+            first, second = await lead("s1", nowhere), await lead("s1", nowhere)
+            with pytest.raises(InstanceError, match=r"cannot listen on 127.0.0.1, ports \d+ to \d+"):
+                await lead("s1", nowhere)
+            await first.close()
+            again = await lead("s1", nowhere)
+            return [first.endpoint, second.endpoint, again.endpoint]
+
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        free = list(itertools.islice(unused_ports(), 2))
+        assert asyncio.run(lead_three()) == [f":{free[0]}", f":{free[1]}", f":{free[0]}"]
 
 
 def test_a_door_that_closes_leaves_no_thread_and_no_connection(credentials: ReadCredentials) -> None:

@@ -84,6 +84,12 @@ class PeerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     address: Text
 
 
+PortRange = Annotated[
+    tuple[Annotated[int, Meta(ge=1, le=65535)], Annotated[int, Meta(ge=1, le=65535)]],
+    Meta(description="the first and the last port of a range, such as [7100, 7119]"),
+]
+
+
 class DaemonConfig(
     Struct,
     frozen=True,
@@ -91,9 +97,10 @@ class DaemonConfig(
     forbid_unknown_fields=True,
     rename={"images": "service", "identities": "server", "peers": "peer"},
 ):
-    """One edge daemon."""
+    """One edge daemon; `instance_ports` are the first and the last port at which drones reach instances."""
 
     listen: Text = "0.0.0.0:7070"
+    instance_ports: PortRange | None = None
     max_message_bytes: MessageBytes = 16_777_216
     lease_s: LeaseSeconds = 30.0
     idle_stop_s: Positive = 600.0
@@ -181,7 +188,30 @@ def _problems(config: DaemonConfig) -> Iterator[Problem]:
         for image in identity.images:
             if image not in names:
                 yield f"server[{index}].images", unknown("service", image, names)
+    yield from _port_problems(config)
     yield from _peer_problems(config)
+
+
+def _port_problems(config: DaemonConfig) -> Iterator[Problem]:
+    if config.instance_ports is None:
+        return
+    first, last = config.instance_ports
+    instances = sum(len(identity.images) for identity in config.identities)
+    if config.keys is None or config.listen.startswith("unix:"):
+        yield (
+            "instance_ports",
+            'needs [keys] and a "host:port" to listen on: without them instances have no such ports',
+        )
+    elif last < first:
+        yield "instance_ports", f"ends at {last}, before its first port {first}: give the first and the last"
+    elif last - first + 1 < instances:
+        yield (
+            "instance_ports",
+            f"{last - first + 1} ports are too few for {instances} instances, one of each service on each server: "
+            f"end at {first + instances - 1} or later",
+        )
+    elif first <= int(config.listen.rpartition(":")[2] or 0) <= last:
+        yield "instance_ports", f'has the daemon\'s own port of listen = "{config.listen}" in it: give others'
 
 
 def _peer_problems(config: DaemonConfig) -> Iterator[Problem]:

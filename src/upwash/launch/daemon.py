@@ -8,7 +8,7 @@ import logging
 import os
 import socket
 import tempfile
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -226,7 +226,7 @@ async def _runtime(
     config: DaemonConfig, door: Door | None, sockets: Path, sandbox: Sandbox | None
 ) -> AsyncIterator[tuple[Runtime, Mapping[str, int]]]:
     """What runs instances, and the lanes of services by their images, where it runs them from images."""
-    lead = leading(door, config.listen.rpartition(":")[0]) if door else None
+    lead = leading(door, config.listen.rpartition(":")[0], _instance_ports(config)) if door else None
     if config.runtime.kind == "lxd":
         from upwash.launch.containers import container_runtime
 
@@ -241,6 +241,14 @@ async def _runtime(
             sandbox=sandbox,
         )
         yield processes, {}
+
+
+def _instance_ports(config: DaemonConfig) -> Sequence[int]:
+    """Where drones reach instances; 0 is a port of the system's choice."""
+    if config.instance_ports is None:
+        return (0,)
+    first, last = config.instance_ports
+    return range(first, last + 1)
 
 
 def _folder_for_sockets(config: DaemonConfig) -> tempfile.TemporaryDirectory[str]:

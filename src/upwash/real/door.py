@@ -16,7 +16,7 @@ import resource
 import socket
 import ssl
 import threading
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from ipaddress import IPv6Address, ip_address
@@ -356,13 +356,24 @@ async def opened_door(
 Lead = Callable[[str, Connect], Awaitable[Passage]]  # to an instance of the server of that name
 
 
-def leading(door: Door, host: str) -> Lead:
-    """Leads callers in at ports of the system's choice on that interface; raises InstanceError where it cannot."""
+def leading(door: Door, host: str, ports: Sequence[int] = (0,)) -> Lead:
+    """Leads callers in at the first free one of the ports on that interface; 0 is any, of the system's choice.
+
+    Raises InstanceError where it cannot.
+    """
 
     async def lead(server: str, inside: Connect) -> Passage:
-        try:
-            return await door.lead(listening_socket(f"{host}:0"), inside, server=server)
-        except OSError as error:
-            raise InstanceError(f"no way to an instance: cannot listen on {host}: {error}") from error
+        return await door.lead(_first_free(host, ports), inside, server=server)
 
     return lead
+
+
+def _first_free(host: str, ports: Sequence[int]) -> socket.socket:
+    why = OSError("no port is left")
+    for port in ports:
+        try:
+            return listening_socket(f"{host}:{port}")
+        except OSError as error:
+            why = error
+    where = f"{host}, ports {ports[0]} to {ports[-1]}" if len(ports) > 1 else host
+    raise InstanceError(f"no way to an instance: cannot listen on {where}: {why}") from why
