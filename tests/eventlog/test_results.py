@@ -176,6 +176,15 @@ def test_what_is_rounded_away_was_not_hidden() -> None:
     assert result.totals.hidden_s == 0.0
 
 
+def test_what_offloading_saved_is_known_where_the_mission_waited_for_each_answer_in_the_end() -> None:
+    calls = [started(1.0, 0), call(4.0, "local", 3.0), started(5.0, 1), call(6.0, "s1", 1.0)]
+    waited = read_result([STARTED, *calls[:2], taken(4.0, 0, 2.5), *calls[2:], taken(6.0, 1, 0.4)])
+    assert waited.totals.hidden_s == pytest.approx(1.1)
+    assert waited.local_only_time_s() == pytest.approx(6.0 + 3.0 - 1.0)
+    too_late = read_result([STARTED, *calls[:2], taken(4.0, 0, 2.5), *calls[2:], taken(6.5, 1, 0.0)])
+    assert too_late.local_only_time_s() is None, "how much longer it could have done without is not known"
+
+
 def test_a_mission_begins_with_a_call_that_it_starts_before_it_is_armed() -> None:
     armed = [STARTED, started(1.0, 0), event(3.0, "armed"), event(10.0, "mission_completed")]
     assert read_result(armed).mission_time_s == 10.0

@@ -136,8 +136,9 @@ class RunResult:
         """How long the mission would have taken with every call at the mean measured local delay.
 
         None where nothing measured says: an operation never ran on the drone, or the mission went on before answers.
+        Where it did something else for a part of a call and then waited, it would have waited on the drone too.
         """
-        if self.totals.went_on or self.totals.hidden_s:
+        if self.totals.went_on or any(call.hidden_s >= call.delay_s for call in self.calls if call.hidden_s):
             return None
         local = mean_local_delay_s(self.calls)
         if any(call.operation not in local for call in self.calls):
