@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterable
 from types import TracebackType
 from typing import Self
@@ -13,12 +13,12 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.eventlog import schema
-from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Tone, counted, spans
+from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Said, Tone, counted, spans
 from upwash.eventlog.results import EnergyTotals, RunResult, Totals
 from upwash.eventlog.schema import Event
 from upwash.support.text import printable
 
-_RECENT = 10
+_STILL_WAITING_S = 10.0  # after so long without a line, where no picture is kept up
 _WIDE = 400  # columns, where nobody sees them: a row is to be one line of a log
 _WORTH_SHOWING_S = 0.05
 STATE_STYLES = {"READY": "green", "CHECK": "yellow", "CHECK-R": "yellow", "BLACKLISTED": "red"}
@@ -34,11 +34,13 @@ TONE_STYLES = {
 
 
 class LiveDisplay:
-    """On a terminal a picture that is kept up, with the latest lines; elsewhere each line as it comes."""
+    """Each line as it comes, and on a terminal a picture below them that is kept up.
+
+    What a program prints meanwhile stands among the lines.
+    """
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._recent: deque[Text] = deque(maxlen=_RECENT)
         self._live = Live(console=console, get_renderable=self._picture, refresh_per_second=8)
 
     def __enter__(self) -> Self:
@@ -56,9 +58,7 @@ class LiveDisplay:
             self._live.stop()
 
     def _show(self, line: Text) -> None:
-        self._recent.append(line)
-        if not self._console.is_terminal:
-            self._console.print(line, soft_wrap=True)
+        self._console.print(line, soft_wrap=True)
 
     def _picture(self) -> Group:
         """What is to be seen now."""
@@ -72,6 +72,7 @@ class Progress(LiveDisplay):
         self._states: dict[str, tuple[str, str]] = dict.fromkeys(servers, ("AVL", ""))
         self._waypoints = waypoints
         self._narrator = Narrator()
+        self._now_s = self._said_s = 0.0
         super().__init__(console)  # which looks at the picture
 
     @property
@@ -83,11 +84,22 @@ class Progress(LiveDisplay):
         """Takes in one event."""
         if isinstance(event, schema.Step):
             self._states[event.server] = (event.after, printable(event.why))
-        said = self._narrator.tell(event)
+        self._now_s = event.t
+        said = self._narrator.tell(event) or self._still_waiting()
         if said is None:
             return
+        self._said_s = event.t
         self._show(
             Text(f"{event.t:7.1f} s  ") + Text(printable(said.text), style=TONE_STYLES.get(said.tone, ""))
+        )
+
+    def _still_waiting(self) -> Said | None:
+        now = self._narrator
+        is_due = self._now_s - self._said_s >= _STILL_WAITING_S and not self._console.is_terminal
+        if now.waits_since_s is None or not is_due:
+            return None
+        return Said(
+            f"still {now.doing}, for {self._now_s - now.waits_since_s:.0f} s: {now.waits_for}", Tone.ASIDE
         )
 
     def _picture(self) -> Group:
@@ -98,9 +110,13 @@ class Progress(LiveDisplay):
         servers.add_column("why", style="dim")
         for name, (state, why) in self._states.items():
             servers.add_row(name, Text(state, style=STATE_STYLES.get(state, "")), why)
-        head = Text(f"{now.doing} · {now.reached} of {self._waypoints} waypoints reached · {now.where}")
+        since_s = now.waits_since_s
+        waited = "" if since_s is None else f" for {self._now_s - since_s:.0f} s"
+        head = Text(
+            f"{now.doing}{waited} · {now.reached} of {self._waypoints} waypoints reached · {now.where}"
+        )
         taken = [Text(printable(now.control), style="bold red")] if now.control else []
-        return Group(head, *taken, servers, *self._recent)
+        return Group(head, *taken, servers)
 
 
 def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
