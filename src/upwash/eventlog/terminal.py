@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -16,9 +16,11 @@ from upwash.eventlog import schema
 from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Said, Tone, counted, spans
 from upwash.eventlog.results import EnergyTotals, RunResult, Totals
 from upwash.eventlog.schema import Event
+from upwash.support.sentences import say
 from upwash.support.text import printable
 
 _STILL_WAITING_S = 10.0  # after so long without a line, where no picture is kept up
+_DECISION = 16  # columns at least, so that few words are longer
 _WIDE = 400  # columns, where nobody sees them: a row is to be one line of a log
 _WORTH_SHOWING_S = 0.05
 STATE_STYLES = {"READY": "green", "CHECK": "yellow", "CHECK-R": "yellow", "BLACKLISTED": "red"}
@@ -58,7 +60,7 @@ class LiveDisplay:
             self._live.stop()
 
     def _show(self, line: Text) -> None:
-        self._console.print(line, soft_wrap=True)
+        say(line, self._console)
 
     def _picture(self) -> Group:
         """What is to be seen now."""
@@ -124,23 +126,28 @@ def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
     _print_calls(result, console)
     totals = result.totals
     servers = ", ".join(f"{count} on {server}" for server, count in totals.remote.items())
-    console.print(
+    say(
         f"{counted(totals.calls, 'call')}: {totals.local} on the drone{', ' + servers if servers else ''}; "
-        f"{counted(totals.switches, 'selection')}, {counted(totals.waits, 'wait')} of which "
-        f"{totals.waits_failed} in vain, "
-        f"{totals.fallbacks} fell back to the drone; {totals.service_delay_s:.1f} s spent in calls",
-        soft_wrap=True,
+        f"{counted(totals.switches, 'selection')} of a server; {_waits(totals)}; "
+        f"{totals.fallbacks or 'none'} fell back to the drone; {totals.service_delay_s:.1f} s spent in calls",
+        console,
     )
     if totals.lighter:
-        console.print(_lighter_line(result), soft_wrap=True)
+        say(_lighter_line(result), console)
     if totals.went_on or totals.hidden_s:
-        console.print(_going_line(totals), soft_wrap=True)
+        say(_going_line(totals), console)
     _print_times(result, console, paced=paced)
     if result.energy is not None:
-        console.print(_energy_line(result.energy), soft_wrap=True)
+        say(_energy_line(result.energy), console)
     _print_waypoints(result, console)
     for server, why in result.never_ready.items():
-        console.print(Text(f"{server} never became ready: {printable(why)}", style="yellow"), soft_wrap=True)
+        say(Text(f"{server} never became ready: {printable(why)}", style="yellow"), console)
+
+
+def _waits(totals: Totals) -> str:
+    if not totals.waits:
+        return "no waits"
+    return f"{counted(totals.waits, 'wait')}, {totals.waits_failed or 'none'} wasted"
 
 
 def _lighter_line(result: RunResult) -> str:
@@ -167,25 +174,27 @@ def _energy_line(energy: EnergyTotals) -> str:
 def _print_waypoints(result: RunResult, console: Console) -> None:
     undone = f", left undone: {spans(result.undone)}" if result.undone else ""
     reached = result.waypoints - len(result.undone)
-    console.print(f"{reached} of {result.waypoints} waypoints reached{undone}", soft_wrap=True)
+    say(f"{reached} of {result.waypoints} waypoints reached{undone}", console)
     if result.left_hovering:
-        console.print(Text(LEFT_HOVERING, style="bold red"), soft_wrap=True)
+        say(Text(LEFT_HOVERING, style="bold red"), console)
 
 
 def _print_calls(result: RunResult, console: Console) -> None:
     operations = sorted({call.operation for call in result.calls})
     several = len(operations) > 1
-    table = Table(title=Text("Service calls" if several else f"Calls of {''.join(operations)}"))
+    shown = _short_names(operations)
+    title = Text("Service calls" if several else f"Calls of {''.join(operations)}", style="bold")
+    table = Table(box=None, padding=(0, 1), title=title, title_justify="left")
     table.add_column("waypoint", justify="right")
     if several:
-        table.add_column("operation")
-    table.add_column("place")
-    table.add_column("delay", justify="right")
-    table.add_column("waited", justify="right")
-    table.add_column("decision")
+        table.add_column("operation", no_wrap=True)
+    table.add_column("place", overflow="fold")
+    table.add_column("delay", justify="right", no_wrap=True)
+    table.add_column("waited", justify="right", no_wrap=True)
+    table.add_column("decision", min_width=_DECISION)
     for call in result.calls:
         waypoint = "" if call.waypoint is None else str(call.waypoint)
-        operation = [call.operation] if several else []
+        operation = [shown[call.operation]] if several else []
         place = call.server or "drone"
         waited = f"{call.waited_s:.1f} s" if call.waited_s >= _WORTH_SHOWING_S else ""
         cells = (waypoint, *operation, place, f"{call.delay_s:.2f} s", waited, call.decision)
@@ -193,22 +202,28 @@ def _print_calls(result: RunResult, console: Console) -> None:
     console.print(table, width=None if console.is_terminal else _WIDE)
 
 
+def _short_names(operations: Sequence[str]) -> dict[str, str]:
+    """The operations without their services, where that leaves no two alike."""
+    short = [operation.partition(".")[2] for operation in operations]
+    return dict(zip(operations, short if len(set(short)) == len(short) else operations, strict=True))
+
+
 def _print_times(result: RunResult, console: Console, *, paced: bool) -> None:
     if result.arming_s >= _WORTH_SHOWING_S:
-        console.print(f"waited {result.arming_s:.1f} s until the vehicle could be armed", soft_wrap=True)
+        say(f"waited {result.arming_s:.1f} s until the vehicle could be armed", console)
     ended = "" if result.completed else ", not completed"
     local_only_s = result.local_only_time_s()
     if local_only_s is None or not result.totals.remote or not result.completed:
-        console.print(f"mission time {result.mission_time_s:.1f} s{ended}", soft_wrap=True)
+        say(f"mission time {result.mission_time_s:.1f} s{ended}", console)
         return
     saved = 100 * (1 - result.mission_time_s / local_only_s)
-    console.print(
+    say(
         f"mission time {result.mission_time_s:.1f} s; with every call on the drone, at the local delay "
         f"measured in this flight, {local_only_s:.1f} s: {saved:z.0f} % saved",
-        soft_wrap=True,
+        console,
     )
     if paced:
-        console.print(
+        say(
             "Calls on the drone were paced (local_pace_s) to take as long as on a slower computer.",
-            soft_wrap=True,
+            console,
         )
