@@ -87,7 +87,8 @@ class Progress(LiveDisplay):
         if said is None:
             return
         self._show(
-            Text(f"{event.t:7.1f} s  ") + Text(printable(said.text), style=TONE_STYLES.get(said.tone, ""))
+            Text(f"{self._narrator.began.told(event.t):>11}  ")
+            + Text(printable(said.text), style=TONE_STYLES.get(said.tone, ""))
         )
 
     def _picture(self) -> Group:

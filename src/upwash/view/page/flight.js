@@ -8,6 +8,7 @@ import { Journal } from "./journal.js";
 import { PhotoCard } from "./photo.js";
 import { nameOf, theNameOf } from "./places.js";
 import { ServerList } from "./servers.js";
+import { Strip } from "./strip.js";
 
 export class Flight {
   #run = 0;
@@ -23,7 +24,7 @@ export class Flight {
     this.doing = element("p", { class: "doing", role: "status" });
     this.totals = element("p", { class: "totals" });
     this.summary = element("p", { class: "summary", hidden: "" });
-    this.control = element("p", { class: "trouble", role: "alert", hidden: "" });
+    this.strip = new Strip();
     this.trouble = element("p", { class: "trouble", role: "alert", hidden: "" });
     this.where = element("p", { class: "where" });
     this.decision = element("h3");
@@ -37,11 +38,11 @@ export class Flight {
     const now = element("section", { class: "card now" }, this.decision, this.reasons);
     const delays = card("Call delay by waypoint", this.legend, this.chart.element, this.calls.element);
     delays.classList.add("delays");
-    const head = [this.heading, this.control, this.doing, this.totals, this.where, this.summary, this.trouble];
+    const words = [this.totals, this.where, this.summary, this.trouble];
     this.element = element(
       "section",
       { class: "flight", "aria-label": `Flight ${name}` },
-      element("div", { class: "head" }, ...head),
+      element("div", { class: "head" }, this.heading, this.doing, this.strip.element, ...words),
       ...(map ? [map.element] : []),
       element("div", { class: "side" }, now, this.servers.element, this.photo.element),
       delays,
@@ -80,9 +81,7 @@ export class Flight {
   }
 
   summarize(summaries) {
-    const words = summaries[this.log] ?? "";
-    this.summary.hidden = !words;
-    write(this.summary, words);
+    write(this.summary, summaries[this.log] ?? "");
   }
 
   #showHead(moment) {
@@ -93,19 +92,10 @@ export class Flight {
     const reached = `${doing?.reached ?? 0} of ${story.waypoints} waypoints reached`;
     write(this.totals, [reached, this.#calls(moment), policy].filter(Boolean).join(" · "));
     write(this.where, this.#where(moment.position));
-    this.#showControl(moment);
+    this.strip.show(moment);
+    this.summary.hidden = !moment.isOver || !this.summary.textContent;
     this.trouble.hidden = !story.trouble;
     write(this.trouble, story.trouble);
-  }
-
-  // Who has the vehicle, as soon as it is not the program any more.
-  #showControl(moment) {
-    const control = moment.last("control");
-    this.control.hidden = !control || control.is_ours;
-    if (this.control.hidden) return;
-    const since = this.story.missionS(control.at_s).toFixed(1);
-    const who = control.who[0].toUpperCase() + control.who.slice(1);
-    write(this.control, `${who} has the vehicle since ${since} s: ${control.why}. Nothing is sent to it any more.`);
   }
 
   #where(place) {

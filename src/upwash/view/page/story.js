@@ -1,6 +1,6 @@
 // What a log has told so far. Any moment of it is found by a search in lists that only grow.
 
-const SERIES = ["fix", "battery", "doing", "control", "decision", "call", "going", "turn", "answer", "shot", "told", "said"];
+const SERIES = ["fix", "battery", "doing", "notice", "decision", "call", "going", "turn", "answer", "shot", "told", "said"];
 
 export class Story {
   constructor(name) {
@@ -20,6 +20,9 @@ export class Story {
     this.ended = null;
     this.lastS = 0;
     this.longestS = 0; // of the calls
+    this.home = null;
+    this.foreseen = null;
+    this.reachedS = []; // when the first, the second, ... waypoint was reached
     this.steps = new Map();
     this.known = new Set(); // servers
     for (const kind of SERIES) this[kind] = [];
@@ -41,6 +44,8 @@ export class Story {
         break;
       case "opened":
       case "began":
+      case "home":
+      case "foreseen":
         this[fact.fact] = fact;
         if (fact.fact === "began") this.ended = null;
         break;
@@ -56,6 +61,10 @@ export class Story {
         this.longestS = Math.max(this.longestS, fact.delay_s);
         if (fact.place !== "local") this.known.add(fact.place);
         this.call.push(fact);
+        break;
+      case "doing":
+        while (this.reachedS.length < fact.reached) this.reachedS.push(fact.at_s);
+        this.doing.push(fact);
         break;
       case "fix":
         if (fact.battery_percent !== undefined) this.battery.push(fact);
@@ -97,6 +106,12 @@ export class Story {
     return atS - (this.began?.at_s ?? 0);
   }
 
+  // A second of the log as people read it: of the mission, or in brackets of the log before the mission began.
+  timeOf(atS) {
+    if (this.began && atS >= this.began.at_s) return `${this.missionS(atS).toFixed(1)} s`;
+    return `[${atS.toFixed(1)} s]`;
+  }
+
   clockS(atS) {
     return atS - this.zeroS;
   }
@@ -124,6 +139,36 @@ export class Moment {
   step(server) {
     const steps = this.story.steps.get(server) ?? [];
     return steps[countUntil(steps, this.atS) - 1] ?? null;
+  }
+
+  // The last of its kind, if it is not older than that.
+  recent(kind, withinS) {
+    const fact = this.last(kind);
+    return fact && this.atS - fact.at_s <= withinS ? fact : null;
+  }
+
+  // How many waypoints are reached, and at which second of the mission the last of them was.
+  get reached() {
+    return countUntil(this.story.reachedS, this.atS, (atS) => atS);
+  }
+
+  get reachedAtS() {
+    return this.story.missionS(this.story.reachedS[this.reached - 1]);
+  }
+
+  // What a person has to act on or should know, in the order in which it began.
+  get notices() {
+    const held = new Map();
+    for (const notice of this.story.notice.slice(0, this.count("notice"))) {
+      held.delete(notice.key);
+      if (notice.cause) held.set(notice.key, notice);
+    }
+    return [...held.values()];
+  }
+
+  // Whether nothing later is known.
+  get isLatest() {
+    return this.atS >= this.story.endsS - 1e-6;
   }
 
   get isOver() {
@@ -185,11 +230,11 @@ export class Moment {
 }
 
 // How many of the facts, which are in the order of their time, lie at or before the moment.
-export function countUntil(facts, atS) {
+export function countUntil(facts, atS, timeOf = (fact) => fact.at_s) {
   let [low, high] = [0, facts.length];
   while (low < high) {
     const middle = (low + high) >> 1;
-    if (facts[middle].at_s <= atS + 1e-6) low = middle + 1;
+    if (timeOf(facts[middle]) <= atS + 1e-6) low = middle + 1;
     else high = middle;
   }
   return low;
