@@ -152,11 +152,17 @@ class Shot(Fact, frozen=True):
 
 
 class Told(Fact, frozen=True):
-    """The drone's user was told something; its boxes, if it has any, are on the photo of that `number`."""
+    """The drone's user was told something of a place; its boxes, if any, are on the photo of that `number`.
+
+    `waypoint` is the one that it is about, None before the first.
+    """
 
     words: str
     boxes: Sequence[Outline]
     number: int | None
+    waypoint: int | None
+    east_m: float
+    north_m: float
 
 
 class Said(Fact, frozen=True):

@@ -44,6 +44,7 @@ class Story:
         self._calls_at = Whereabouts()
         self._shot_at: dict[int | None, int] = {}  # the photo that the call of each waypoint was made with
         self._told_of: int | None = None  # the photo that the user is told of
+        self._told_at: int | None = None  # the waypoint
         self._place: Position | None = None
         self._placed_s = 0.0
         self._doing = ("", 0)
@@ -205,13 +206,18 @@ class Story:
             case schema.CallStarted(waypoint=waypoint) if self.shots:
                 self._shot_at[waypoint] = len(self.shots) - 1
             case schema.AnswerTaken(waypoint=waypoint):
-                self._told_of = self._shot_at.get(waypoint, self._told_of)
-            case schema.Notified(message=message):
+                self._told_of, self._told_at = self._shot_at.get(waypoint, self._told_of), waypoint
+            case schema.Arrived(waypoint=waypoint):
+                self._told_at = waypoint
+            case schema.Notified(message=message, at=place):
                 yield facts.Told(
                     at_s=self._now_s,
                     words=in_one_line(message),
                     boxes=_outlines(message) or (),
                     number=self._told_of,
+                    waypoint=self._told_at,
+                    east_m=place.east_m,
+                    north_m=place.north_m,
                 )
 
 

@@ -2,11 +2,13 @@
 
 import { CallTable } from "./calls.js";
 import { DelayChart } from "./chart.js";
-import { card, element, write } from "./element.js";
+import { card, drawn, element, write } from "./element.js";
+import { Findings } from "./findings.js";
 import { degrees } from "./ground.js";
 import { Journal } from "./journal.js";
 import { PhotoCard } from "./photo.js";
-import { nameOf, theNameOf } from "./places.js";
+import { STAR } from "./marks.js";
+import { FILL_WORDS, nameOf, theNameOf } from "./places.js";
 import { ServerList } from "./servers.js";
 import { Strip } from "./strip.js";
 
@@ -33,6 +35,7 @@ export class Flight {
     this.chart = new DelayChart(name, places, (call) => picked(story, call));
     this.servers = new ServerList(places);
     this.photo = new PhotoCard(log);
+    this.findings = new Findings(name, (told) => picked(story, told));
     this.calls = new CallTable(name);
     this.journal = new Journal(name);
     const now = element("section", { class: "card now" }, this.decision, this.reasons);
@@ -44,8 +47,10 @@ export class Flight {
       { class: "flight", "aria-label": `Flight ${name}` },
       element("div", { class: "head" }, this.heading, this.doing, this.strip.element, ...words),
       ...(map ? [map.element] : []),
-      element("div", { class: "side" }, now, this.servers.element, this.photo.element),
+      this.photo.element,
+      element("div", { class: "side" }, now, this.servers.element),
       delays,
+      this.findings.element,
       this.journal.element,
     );
   }
@@ -65,6 +70,7 @@ export class Flight {
     this.chart.show(moment, limits);
     this.servers.show(moment);
     this.photo.show(moment);
+    this.findings.show(moment);
     this.calls.show(moment);
     this.journal.show(moment);
   }
@@ -72,6 +78,7 @@ export class Flight {
   #begin() {
     this.#run = this.story.run;
     this.calls.clear();
+    this.findings.clear();
     this.journal.clear();
   }
 
@@ -136,17 +143,33 @@ export class Flight {
   }
 
   #showLegend() {
-    const all = ["local", ...this.story.servers];
-    if (all.join() === this.#legend) return;
-    this.#legend = all.join();
+    const { places, story } = this;
+    const all = ["local", ...story.servers];
+    const operations = places.operations.length > 1 ? [...story.operations].sort() : [];
+    const found = story.told.length > 0;
+    const key = JSON.stringify([all, places.operations, operations, found]);
+    if (key === this.#legend) return;
+    this.#legend = key;
     const sign = (style) => element("span", { class: style, "aria-hidden": "true" });
     const entries = [
-      ...all.map((place) => [this.places.icon(place), nameOf(place)]),
+      ...all.map((place) => [places.icon(place), nameOf(place)]),
+      ...operations.map((operation) => [places.icon("local", operation), fillOf(places, operation)]),
       [sign("wait"), "waited for a server"],
       [sign("mean"), "mean on the drone"],
+      ...(found ? [[star(), "something was found, on the map"]] : []),
     ];
     this.legend.replaceChildren(...entries.map((entry) => element("span", { class: "entry" }, ...entry)));
   }
+}
+
+function fillOf(places, operation) {
+  return `${FILL_WORDS[places.fill(operation)]}: ${operation}`;
+}
+
+function star() {
+  const points = STAR.map(([x, y]) => `${x + 8},${y + 8}`).join(" ");
+  const attributes = { viewBox: "0 0 16 16", width: 16, height: 16, class: "star", "aria-hidden": "true" };
+  return drawn("svg", attributes, drawn("polygon", { points }));
 }
 
 // What the drone does.

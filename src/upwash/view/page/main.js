@@ -71,7 +71,8 @@ function show() {
   const { stories } = feed;
   align(stories, together);
   clock.extend(Math.max(0, ...stories.map((story) => story.clockS(story.endsS))));
-  if (places.know(stories.flatMap((story) => story.servers))) views.forEach((view) => view.restyle(clock.nowS));
+  const operations = stories.flatMap((story) => [...story.operations]);
+  if (places.know(stories.flatMap((story) => story.servers), operations)) views.forEach((view) => view.restyle(clock.nowS));
   const limits = {
     waypoints: Math.max(0, ...stories.map((story) => story.waypoints)),
     longestS: Math.max(0.1, ...stories.map((story) => story.longestS)),
