@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import re
@@ -202,6 +203,112 @@ def test_two_flights_are_shown_at_the_same_second_side_by_side(
     assert page.errors() == []
     seek(page, 2000.0)
     assert "mission completed" in page.text(".doing"), "the shorter one is over"
+
+
+# --- at a glance --------------------------------------------------------------------------------------------
+
+STUCK = """
+[autopilot]
+on_failure = "hold"
+
+[[fault]]
+target = "autopilot"
+kind = "stuck"
+from_s = 40.0
+"""
+
+
+@pytest.fixture(scope="module")
+def stuck(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a page about a flight whose vehicle stops on its way, and is left hovering."""
+    folder = tmp_path_factory.mktemp("stuck")
+    (folder / "stuck.toml").write_text((SCENARIOS / "demonstration.toml").read_text() + STUCK)
+    log = folder / "stuck.jsonl"
+    simulate_stuck = [
+        sys.executable,
+        "-m",
+        "upwash",
+        "simulate",
+        str(folder / "stuck.toml"),
+        "--log",
+        str(log),
+    ]
+    assert subprocess.run(simulate_stuck, capture_output=True, check=False).returncode == 1
+    with ready_program("stuck", folder, "view", str(log), "--port", "0") as address:
+        yield address
+
+
+def test_an_alarm_stands_above_everything_from_its_moment_on(page: Browser, stuck: str) -> None:
+    opened(page, stuck)
+    said = page.text("#alarms")
+    assert "nobody flies it" in said
+    assert "Take over with the remote control." in said
+    assert "Since 105.3 s" in said
+    assert page.driver.title == "ALARM · upwash: stuck"
+    assert page.find("#alarms").get_attribute("role") == "alert"
+    assert page.violations() == []
+    page.run("window.scrollTo(0, document.body.scrollHeight)")
+    drawn(page)
+    assert page.run("return document.getElementById('alarms').getBoundingClientRect().top") >= 0
+    seek(page, 60.0)
+    assert not page.find("#alarms").is_displayed(), "nothing was wrong then"
+    assert page.driver.title == "upwash: stuck"
+
+
+def test_the_result_is_not_told_before_the_end(page: Browser, one: str) -> None:
+    opened(page, one)
+    assert page.find(".summary").is_displayed()
+    seek(page, 700.0)
+    assert not page.find(".summary").is_displayed()
+
+
+def test_the_strip_tells_how_far_the_flight_is(page: Browser, one: str, logs: tuple[Path, Path]) -> None:
+    opened(page, one)
+    (record,) = read_records([logs[0]])
+    seek(page, 700.0)
+    strip = dict(
+        page.run(
+            "return [...document.querySelectorAll('.strip > div')].map((cell) => "
+            "[cell.querySelector('dt').textContent, cell.querySelector('dd').textContent])"
+        )
+    )
+    reached = int(strip["progress"].split(" of ")[0])
+    assert strip["progress"] == f"{reached} of 121"
+    assert reached == calls_until(record, 700.0) or reached == calls_until(record, 700.0) + 1
+    assert strip["battery"] == strip["link"] == strip["speed"] == "unknown", "a simulated log tells none"
+    assert strip["altitude"] == "20 m"
+    minutes, seconds = re.match(r"(\d+):(\d\d)", strip["expected end"]).groups()  # type: ignore[union-attr]
+    expected_s = 60 * int(minutes) + int(seconds)
+    assert expected_s == pytest.approx(record.result.mission_time_s, rel=0.15)
+    seek(page, 0.0)
+    assert page.text(".strip dd") == "0 of 121"
+
+
+def _is_at(page: Browser, at_s: float) -> bool:
+    return moment(page) == at_s
+
+
+def test_keys_play_and_move_anywhere_on_the_page(page: Browser, one: str) -> None:
+    opened(page, one)
+    body = page.find("body")
+    seek(page, 100.0)
+    for key, at_s in ((Keys.ARROW_LEFT, 95.0), (Keys.ARROW_RIGHT, 100.0), (Keys.HOME, 0.0)):
+        body.send_keys(key)
+        page.wait_until(functools.partial(_is_at, page, at_s))
+    body.send_keys(Keys.SPACE)
+    page.wait_until(lambda: page.text("#play") == "Pause")
+    body.send_keys(Keys.SPACE)
+    page.wait_until(lambda: page.text("#play") == "Play")
+
+
+def test_on_a_phone_the_controls_are_one_row_that_fingers_hit(page: Browser, one: str) -> None:
+    opened(page, one, width=390)
+    heights = page.run(
+        "return ['#controls', '#controls button', '#controls select', 'summary', '.leaflet-bar a']"
+        ".map((each) => document.querySelector(each).getBoundingClientRect().height)"
+    )
+    assert heights[0] <= 64
+    assert min(heights[1:]) >= 44
 
 
 # --- for everybody ------------------------------------------------------------------------------------------

@@ -10,10 +10,11 @@ from enum import StrEnum
 from upwash.core.control import Owner
 from upwash.core.servers import State
 from upwash.eventlog import schema
+from upwash.eventlog.beginning import Beginning
 from upwash.eventlog.schema import SEVERITIES, Event
 from upwash.eventlog.whereabouts import Whereabouts
 
-_SAFE_ENDS = {
+SAFE_ENDS = {
     "return": "returning to land",
     "land": "landing where it is",
     "hold": "stopping to hover",
@@ -108,6 +109,7 @@ class Narrator:
         self.where = ""
         self._reached: set[int] = set()
         self._whereabouts = Whereabouts()
+        self.began = Beginning()
         self.started = False  # whether the mission has begun
         self.waits_since_s: float | None = None  # until the vehicle can be armed; None while it does not
         self.waits_for = ""  # the reasons that the vehicle gives
@@ -121,6 +123,7 @@ class Narrator:
     def tell(self, event: Event) -> Said | None:
         """What the event says; None for one that is not worth a sentence."""
         self._whereabouts.take(event)
+        self.began.take(event)
         match event:
             case schema.PositionReport(east_m=east_m, north_m=north_m, altitude_m=altitude_m):
                 self.where = f"{east_m:.0f} m east, {north_m:.0f} m north, {altitude_m:.0f} m up"
@@ -167,7 +170,7 @@ class Narrator:
                 self.doing = "landed"
                 return Said("landed")
             case schema.SafeEnd(action=action, why=why):
-                self.doing = _SAFE_ENDS[action]
+                self.doing = SAFE_ENDS[action]
                 return Said(f"{self.doing}: {why}", Tone.ALARM)
             case schema.LeftHovering():
                 self.doing = "hovering"
@@ -187,7 +190,7 @@ class Narrator:
         """Who has the vehicle, and how it gets into the air and down again."""
         match event:
             case schema.Control(owner=owner, why=why):
-                taken = f"{who_has_it(owner)} has the vehicle since {event.t:.1f} s: {why}"
+                taken = f"{who_has_it(owner)} has the vehicle since {self.began.told(event.t)}: {why}"
                 self.control = "" if owner == Owner.PROGRAM else taken
                 self.waits_since_s = None
                 return _control(owner, why)

@@ -10,8 +10,8 @@ import msgspec
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.servers import State
 from upwash.eventlog import schema
+from upwash.eventlog.beginning import Beginning
 from upwash.eventlog.narration import ran_on
-from upwash.eventlog.results import Beginning
 from upwash.eventlog.schema import Event
 from upwash.eventlog.whereabouts import Whereabouts
 

@@ -12,22 +12,12 @@ import msgspec
 from upwash.core.places import server_of
 from upwash.core.servers import State
 from upwash.eventlog import schema
+from upwash.eventlog.beginning import BEGINNING, Beginning
 from upwash.eventlog.schema import Event
 from upwash.eventlog.whereabouts import Whereabouts
 
-# Most events of a long log are positions, which these pass over at once: each case of a match takes time.
-_BEGINNING = frozenset(
-    {
-        schema.MissionStarted,
-        schema.Armed,
-        schema.Photo,
-        schema.CallStarted,
-        schema.Call,
-        schema.Leg,
-        schema.LogResumed,
-    }
-)
-_COUNTED = _BEGINNING | {
+# Most events of a long log are positions, which are passed over at once: each case of a match takes time.
+_COUNTED = BEGINNING | {
     schema.StayOrGo,
     schema.TurnedBack,
     schema.AnswerTaken,
@@ -245,34 +235,6 @@ class Tally:
                 server: why for server, why in sorted(self._failed.items()) if server not in self._ready
             },
         )
-
-
-class Beginning:
-    """When the mission's time begins, gathered event by event: as it is armed for its first leg.
-
-    `at_s` is None before the mission has started; where it took photos or called services before it was armed, or was
-    taken up again in the air, it began as it started.
-    """
-
-    def __init__(self) -> None:
-        self.at_s: float | None = None
-        self.arming_s = 0.0
-        self._settled = False
-
-    def take(self, event: Event) -> None:
-        """Takes in the next event."""
-        if type(event) not in _BEGINNING:
-            return
-        match event:
-            case schema.MissionStarted() if self.at_s is None:
-                self.at_s = event.t
-            case schema.Armed() if self.at_s is not None and not self._settled:
-                self.arming_s = event.t - self.at_s
-                self.at_s, self._settled = event.t, True
-            case (
-                schema.Photo() | schema.CallStarted() | schema.Call() | schema.Leg() | schema.LogResumed()
-            ) if self.at_s is not None:
-                self._settled = True
 
 
 def as_json(value: object) -> Any:

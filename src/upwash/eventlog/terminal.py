@@ -92,7 +92,8 @@ class Progress(LiveDisplay):
             return
         self._said_s = event.t
         self._show(
-            Text(f"{event.t:7.1f} s  ") + Text(printable(said.text), style=TONE_STYLES.get(said.tone, ""))
+            Text(f"{self._narrator.began.told(event.t):>11}  ")
+            + Text(printable(said.text), style=TONE_STYLES.get(said.tone, ""))
         )
 
     def _still_waiting(self) -> Said | None:

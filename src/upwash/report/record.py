@@ -14,8 +14,9 @@ from upwash.core.servers import State
 from upwash.errors import UsageError
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
+from upwash.eventlog.beginning import Beginning
 from upwash.eventlog.reasons import ExplainedCall, Reasons, Told
-from upwash.eventlog.results import Beginning, CallResult, RunResult, Tally
+from upwash.eventlog.results import CallResult, RunResult, Tally
 from upwash.eventlog.schema import Event
 from upwash.report.going import OpenAnswer, OpenAnswers
 

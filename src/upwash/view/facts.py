@@ -37,21 +37,36 @@ class Began(Fact, frozen=True):
     policy: str
 
 
+class Home(Fact, frozen=True):
+    """Where the vehicle returns to."""
+
+    east_m: float
+    north_m: float
+
+
 class Fix(Fact, frozen=True):
-    """Where the drone is, and how full its battery, where that is told too."""
+    """Where the drone is; and its speed, heading, battery and link to the server in use, where those are told too."""
 
     east_m: float
     north_m: float
     altitude_m: float
+    ground_speed_m_s: float | None = None
+    heading_deg: float | None = None
     battery_percent: float | None = None
+    server: str | None = None
+    round_trip_s: float | None = None
 
 
-class Control(Fact, frozen=True):
-    """Who has the vehicle from now on, in words and why; `is_ours` says whether the program has."""
+class Notice(Fact, frozen=True):
+    """What a person has to act on (`level` alarm) or should know (caution) from now on, under a key.
 
-    is_ours: bool
-    who: str
-    why: str
+    Without a `cause` what held under the key is over. `action` is what a person can do.
+    """
+
+    key: str
+    level: str
+    cause: str
+    action: str
 
 
 class Doing(Fact, frozen=True):
@@ -137,11 +152,17 @@ class Shot(Fact, frozen=True):
 
 
 class Told(Fact, frozen=True):
-    """The drone's user was told something; its boxes, if it has any, are on the photo of that `number`."""
+    """The drone's user was told something of a place; its boxes, if any, are on the photo of that `number`.
+
+    `waypoint` is the one that it is about, None before the first.
+    """
 
     words: str
     boxes: Sequence[Outline]
     number: int | None
+    waypoint: int | None
+    east_m: float
+    north_m: float
 
 
 class Said(Fact, frozen=True):

@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterator
 
 import msgspec
 
-from upwash.core.control import Owner
 from upwash.core.geo import LocalFrame, Position
 from upwash.core.servers import CHECKING, State
 from upwash.eventlog import schema
-from upwash.eventlog.narration import MEANINGS, Narrator, in_one_line, tone_of, who_has_it
+from upwash.eventlog.beginning import Beginning
+from upwash.eventlog.narration import MEANINGS, Narrator, in_one_line, tone_of
+from upwash.eventlog.notices import Notices
 from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, told, told_decision
-from upwash.eventlog.results import Beginning
 from upwash.eventlog.schema import Event
 from upwash.eventlog.whereabouts import Whereabouts
 from upwash.report.photos import Shot
@@ -21,7 +21,6 @@ from upwash.view import facts
 from upwash.view.facts import Fact, Outline
 
 _STALE_S = 1.5  # a flown log tells the position every second, a simulated one when something happens
-_HOME = Position(0.0, 0.0)
 
 
 class Story:
@@ -38,12 +37,14 @@ class Story:
         self._keeps = keeps
         self._narrator = Narrator()
         self._reasons = Reasons()
+        self._notices = Notices()
         self._now_s = 0.0
         self._beginning = Beginning()
         self._policy = ""
         self._calls_at = Whereabouts()
         self._shot_at: dict[int | None, int] = {}  # the photo that the call of each waypoint was made with
         self._told_of: int | None = None  # the photo that the user is told of
+        self._told_at: int | None = None  # the waypoint
         self._place: Position | None = None
         self._placed_s = 0.0
         self._doing = ("", 0)
@@ -69,6 +70,14 @@ class Story:
         if isinstance(explained, ExplainedCall):
             yield self._call(explained)
         yield from self._going(event, explained)
+        for notice in self._notices.take(event):
+            yield facts.Notice(
+                at_s=self._now_s,
+                key=notice.key,
+                level=notice.level,
+                cause=notice.cause,
+                action=notice.action,
+            )
         if isinstance(event, schema.Step):
             yield self._step(event.server, event.after, event.why)
         if said is not None:
@@ -81,24 +90,28 @@ class Story:
         if here is None and (self._place is None or self._now_s - self._placed_s > _STALE_S):
             here = self._inferred(event)
         if here is not None and (here != self._place or self._now_s - self._placed_s > _STALE_S):
-            yield facts.Fix(
-                at_s=self._now_s,
-                east_m=here.east_m,
-                north_m=here.north_m,
-                altitude_m=here.altitude_m,
-                battery_percent=event.battery_percent if isinstance(event, schema.PositionReport) else None,
-            )
+            yield self._fix(event, here)
             self._place, self._placed_s = here, self._now_s
+        if isinstance(event, schema.VehicleLimits) and event.home is not None:
+            yield facts.Home(at_s=self._now_s, east_m=event.home.east_m, north_m=event.home.north_m)
+
+    def _fix(self, event: Event, here: Position) -> facts.Fix:
+        report = event if isinstance(event, schema.PositionReport) else None
+        return facts.Fix(
+            at_s=self._now_s,
+            east_m=here.east_m,
+            north_m=here.north_m,
+            altitude_m=here.altitude_m,
+            ground_speed_m_s=report.ground_speed_m_s if report else None,
+            heading_deg=report.heading_deg if report else None,
+            battery_percent=report.battery_percent if report else None,
+            server=report.server if report else None,
+            round_trip_s=report.round_trip_s if report else None,
+        )
 
     def _inferred(self, event: Event) -> Position | None:
-        """Where the drone is believed to be before anything tells, and as it sets off; simulated logs do not say."""
-        match event:
-            case schema.MissionStarted() if self._place is None:
-                return _HOME
-            case schema.Leg():
-                return self._place
-            case _:
-                return None
+        """Where the drone is as it sets off: where it was; simulated logs do not say."""
+        return self._place if isinstance(event, schema.Leg) else None
 
     def _progress(self, event: Event) -> Iterator[Fact]:
         match event:
@@ -112,9 +125,6 @@ class Story:
                     yield self._step(server, State.AVL, "taken up again")
             case schema.MissionStarted(drone=drone, policy=policy):
                 self.drone, self._policy = drone, policy
-            case schema.Control(owner=owner, why=why):
-                who = who_has_it(owner)
-                yield facts.Control(at_s=self._now_s, is_ours=owner == Owner.PROGRAM, who=who, why=why)
             case schema.MissionCompleted() | schema.MissionEnded():
                 self.ended = True
                 yield facts.Ended(at_s=self._now_s, completed=isinstance(event, schema.MissionCompleted))
@@ -196,13 +206,18 @@ class Story:
             case schema.CallStarted(waypoint=waypoint) if self.shots:
                 self._shot_at[waypoint] = len(self.shots) - 1
             case schema.AnswerTaken(waypoint=waypoint):
-                self._told_of = self._shot_at.get(waypoint, self._told_of)
-            case schema.Notified(message=message):
+                self._told_of, self._told_at = self._shot_at.get(waypoint, self._told_of), waypoint
+            case schema.Arrived(waypoint=waypoint):
+                self._told_at = waypoint
+            case schema.Notified(message=message, at=place):
                 yield facts.Told(
                     at_s=self._now_s,
                     words=in_one_line(message),
                     boxes=_outlines(message) or (),
                     number=self._told_of,
+                    waypoint=self._told_at,
+                    east_m=place.east_m,
+                    north_m=place.north_m,
                 )
 
 

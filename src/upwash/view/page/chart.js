@@ -9,8 +9,6 @@ const HEIGHT = 250;
 export class DelayChart {
   #drawn = 0; // calls
   #scale = "";
-  #means = new Map(); // by operation, of those drawn: the sum and the number of its delays on the drone
-  #delays = new Map(); // by place, of those drawn: the sum and the number of the delays
   #pointed = null;
   #over = ""; // what is drawn over the marks
 
@@ -44,7 +42,7 @@ export class DelayChart {
     const calls = moment.story.call;
     while (this.#drawn < count) this.#draw(context, calls[this.#drawn++]);
     this.#drawOver(calls[count - 1]);
-    const words = `Chart of call delays, ${this.name}. ${this.#inWords()}`;
+    const words = `Chart of call delays, ${this.name}. ${inWords(count, moment.delays)}`;
     if (words !== this.marks.getAttribute("aria-label")) this.marks.setAttribute("aria-label", words);
   }
 
@@ -52,8 +50,6 @@ export class DelayChart {
     this.#scale = scale;
     this.#over = "";
     this.#drawn = 0;
-    this.#means.clear();
-    this.#delays.clear();
     this.width = width;
     for (const canvas of [this.marks, this.over]) {
       canvas.width = Math.round(width * devicePixelRatio);
@@ -73,7 +69,15 @@ export class DelayChart {
   }
 
   #place(call) {
-    return [this.#x(call.waypoint ?? -1), this.#y(call.delay_s)];
+    return [this.#x(call.waypoint ?? -1) + this.#aside(call.operation), this.#y(call.delay_s)];
+  }
+
+  // Calls of several operations at a waypoint stand beside each other, where there is room.
+  #aside(operation) {
+    const { operations } = this.places;
+    const room = this.#x(1) - this.#x(0);
+    const step = 2 * this.#radius + 1;
+    return room < operations.length * step ? 0 : (operations.indexOf(operation) - (operations.length - 1) / 2) * step;
   }
 
   get #radius() {
@@ -120,11 +124,7 @@ export class DelayChart {
       context.arc(x, y, this.#radius + 3, 0, 2 * Math.PI);
       context.stroke();
     }
-    this.places.trace(context, call.place, x, y, this.#radius);
-    context.fillStyle = colour;
-    context.fill();
-    add(this.#delays, call.place, call.delay_s);
-    if (call.place === "local") add(this.#means, call.operation, call.delay_s - call.waited_s);
+    this.places.paint(context, call, x, y, this.#radius);
   }
 
   #drawOver(last) {
@@ -137,8 +137,8 @@ export class DelayChart {
     context.strokeStyle = this.places.colours.of("place-0");
     context.lineWidth = 1.5;
     context.setLineDash([6, 4]);
-    for (const [sum, number] of this.#means.values()) {
-      line(context, LEFT, this.#y(sum / number), this.width - RIGHT, this.#y(sum / number));
+    for (const { mean } of this.moment.localDelays.values()) {
+      line(context, LEFT, this.#y(mean), this.width - RIGHT, this.#y(mean));
     }
     context.setLineDash([]);
     if (!call) return;
@@ -167,18 +167,13 @@ export class DelayChart {
     }
     this.#drawOver(this.moment.story.call[this.#drawn - 1]);
   }
-
-  #inWords() {
-    const words = [...this.#delays].sort().map(([place, [sum, number]]) => {
-      return `${number} on ${theNameOf(place)}, ${(sum / number).toFixed(2)} s on average`;
-    });
-    return `${this.#drawn} calls${words.length ? ": " + words.join("; ") : ""}. The table of calls has all of them.`;
-  }
 }
 
-function add(sums, key, value) {
-  const [sum, number] = sums.get(key) ?? [0, 0];
-  sums.set(key, [sum + value, number + 1]);
+function inWords(count, delays) {
+  const words = [...delays].map(([place, { number, mean }]) => {
+    return `${number} on ${theNameOf(place)}, ${mean.toFixed(2)} s on average`;
+  });
+  return `${count} calls${words.length ? ": " + words.join("; ") : ""}. The table of calls has all of them.`;
 }
 
 function inShort(call) {

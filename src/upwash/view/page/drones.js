@@ -45,11 +45,10 @@ export class DroneList {
 
 function showRow(cells, moment) {
   const { story } = moment;
-  const control = moment.last("control");
-  const taken = control && !control.is_ours;
-  write(cells.doing, story.trouble || (taken ? `${control.who} has the vehicle` : inWords(moment)));
-  cells.doing.classList.toggle("trouble", Boolean(story.trouble || taken));
-  write(cells.waypoints, `${moment.last("doing")?.reached ?? 0} of ${story.waypoints}`);
+  const alarm = moment.notices.findLast(({ level }) => level === "alarm");
+  write(cells.doing, story.trouble || (alarm ? alarm.cause : inWords(moment)));
+  cells.doing.classList.toggle("trouble", Boolean(story.trouble || alarm));
+  write(cells.waypoints, `${moment.reached} of ${story.waypoints}`);
   write(cells.server, moment.using.map((used) => `${used.server} ${used.state}`).join(", ") || "none");
   const { count, places } = moment.calls;
   write(cells.calls, `${count}, ${count - (places.get("local") ?? 0)} on servers`);

@@ -2,12 +2,15 @@
 
 import { CallTable } from "./calls.js";
 import { DelayChart } from "./chart.js";
-import { card, element, write } from "./element.js";
+import { card, drawn, element, write } from "./element.js";
+import { Findings } from "./findings.js";
 import { degrees } from "./ground.js";
 import { Journal } from "./journal.js";
 import { PhotoCard } from "./photo.js";
-import { nameOf, theNameOf } from "./places.js";
+import { STAR } from "./marks.js";
+import { FILL_WORDS, nameOf, theNameOf } from "./places.js";
 import { ServerList } from "./servers.js";
+import { Strip } from "./strip.js";
 
 export class Flight {
   #run = 0;
@@ -23,7 +26,7 @@ export class Flight {
     this.doing = element("p", { class: "doing", role: "status" });
     this.totals = element("p", { class: "totals" });
     this.summary = element("p", { class: "summary", hidden: "" });
-    this.control = element("p", { class: "trouble", role: "alert", hidden: "" });
+    this.strip = new Strip();
     this.trouble = element("p", { class: "trouble", role: "alert", hidden: "" });
     this.where = element("p", { class: "where" });
     this.decision = element("h3");
@@ -32,19 +35,22 @@ export class Flight {
     this.chart = new DelayChart(name, places, (call) => picked(story, call));
     this.servers = new ServerList(places);
     this.photo = new PhotoCard(log);
+    this.findings = new Findings(name, (told) => picked(story, told));
     this.calls = new CallTable(name);
     this.journal = new Journal(name);
     const now = element("section", { class: "card now" }, this.decision, this.reasons);
     const delays = card("Call delay by waypoint", this.legend, this.chart.element, this.calls.element);
     delays.classList.add("delays");
-    const head = [this.heading, this.control, this.doing, this.totals, this.where, this.summary, this.trouble];
+    const words = [this.totals, this.where, this.summary, this.trouble];
     this.element = element(
       "section",
       { class: "flight", "aria-label": `Flight ${name}` },
-      element("div", { class: "head" }, ...head),
+      element("div", { class: "head" }, this.heading, this.doing, this.strip.element, ...words),
       ...(map ? [map.element] : []),
-      element("div", { class: "side" }, now, this.servers.element, this.photo.element),
+      this.photo.element,
+      element("div", { class: "side" }, now, this.servers.element),
       delays,
+      this.findings.element,
       this.journal.element,
     );
   }
@@ -64,6 +70,7 @@ export class Flight {
     this.chart.show(moment, limits);
     this.servers.show(moment);
     this.photo.show(moment);
+    this.findings.show(moment);
     this.calls.show(moment);
     this.journal.show(moment);
   }
@@ -71,6 +78,7 @@ export class Flight {
   #begin() {
     this.#run = this.story.run;
     this.calls.clear();
+    this.findings.clear();
     this.journal.clear();
   }
 
@@ -80,9 +88,7 @@ export class Flight {
   }
 
   summarize(summaries) {
-    const words = summaries[this.log] ?? "";
-    this.summary.hidden = !words;
-    write(this.summary, words);
+    write(this.summary, summaries[this.log] ?? "");
   }
 
   #showHead(moment) {
@@ -93,19 +99,10 @@ export class Flight {
     const reached = `${doing?.reached ?? 0} of ${story.waypoints} waypoints reached`;
     write(this.totals, [reached, this.#calls(moment), policy].filter(Boolean).join(" · "));
     write(this.where, this.#where(moment.position));
-    this.#showControl(moment);
+    this.strip.show(moment);
+    this.summary.hidden = !moment.isOver || !this.summary.textContent;
     this.trouble.hidden = !story.trouble;
     write(this.trouble, story.trouble);
-  }
-
-  // Who has the vehicle, as soon as it is not the program any more.
-  #showControl(moment) {
-    const control = moment.last("control");
-    this.control.hidden = !control || control.is_ours;
-    if (this.control.hidden) return;
-    const since = this.story.missionS(control.at_s).toFixed(1);
-    const who = control.who[0].toUpperCase() + control.who.slice(1);
-    write(this.control, `${who} has the vehicle since ${since} s: ${control.why}. Nothing is sent to it any more.`);
   }
 
   #where(place) {
@@ -146,17 +143,33 @@ export class Flight {
   }
 
   #showLegend() {
-    const all = ["local", ...this.story.servers];
-    if (all.join() === this.#legend) return;
-    this.#legend = all.join();
+    const { places, story } = this;
+    const all = ["local", ...story.servers];
+    const operations = places.operations.length > 1 ? [...story.operations].sort() : [];
+    const found = story.told.length > 0;
+    const key = JSON.stringify([all, places.operations, operations, found]);
+    if (key === this.#legend) return;
+    this.#legend = key;
     const sign = (style) => element("span", { class: style, "aria-hidden": "true" });
     const entries = [
-      ...all.map((place) => [this.places.icon(place), nameOf(place)]),
+      ...all.map((place) => [places.icon(place), nameOf(place)]),
+      ...operations.map((operation) => [places.icon("local", operation), fillOf(places, operation)]),
       [sign("wait"), "waited for a server"],
       [sign("mean"), "mean on the drone"],
+      ...(found ? [[star(), "something was found, on the map"]] : []),
     ];
     this.legend.replaceChildren(...entries.map((entry) => element("span", { class: "entry" }, ...entry)));
   }
+}
+
+function fillOf(places, operation) {
+  return `${FILL_WORDS[places.fill(operation)]}: ${operation}`;
+}
+
+function star() {
+  const points = STAR.map(([x, y]) => `${x + 8},${y + 8}`).join(" ");
+  const attributes = { viewBox: "0 0 16 16", width: 16, height: 16, class: "star", "aria-hidden": "true" };
+  return drawn("svg", attributes, drawn("polygon", { points }));
 }
 
 // What the drone does.

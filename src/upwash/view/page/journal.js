@@ -31,6 +31,6 @@ export class Journal {
 }
 
 function line(said, story) {
-  const time = element("span", { class: "at" }, `${story.missionS(said.at_s).toFixed(1)} s`);
+  const time = element("span", { class: "at" }, story.timeOf(said.at_s));
   return element("li", { class: said.tone }, time, said.words);
 }

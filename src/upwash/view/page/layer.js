@@ -1,45 +1,21 @@
-// One flight on the map: its plan, the way flown, its calls, the drone, and the line to the server that it uses.
+// One flight on the map: its plan, the way flown, its calls and findings, the drone, and the line to the server that it uses.
 
 import * as L from "./leaflet/leaflet-src.esm.js";
 import { styleOf } from "./badge.js";
-import { droneIcon } from "./icons.js";
+import { droneIcon, turn } from "./icons.js";
+import { Marks, paintStar, paintTurn } from "./marks.js";
 import { Track } from "./track.js";
+import { Waypoints } from "./waypoints.js";
 
 export const STILL = { interactive: false, keyboard: false };
-const STACKED_PX = 9; // several calls at one place stand beside each other
+const [STACKED_PX, IN_A_ROW] = [9, 5]; // several calls at one place stand beside each other
 const ABOVE = 1000; // of the drone's mark; that of the drone in focus is above the others'
-
-// A place's mark on the map's canvas, drawn as Leaflet draws its circles.
-const Mark = L.CircleMarker.extend({
-  _updatePath() {
-    const renderer = this._renderer;
-    if (!renderer._drawing || this._empty()) return;
-    const { places, place, aside } = this.options;
-    places.trace(renderer._ctx, place, this._point.x + aside, this._point.y, this._radius);
-    renderer._fillStroke(renderer._ctx, this);
-  },
-});
-
-// Where the drone turned back: a hooked arrow above the place.
-const Turn = L.CircleMarker.extend({
-  _updatePath() {
-    const renderer = this._renderer;
-    if (!renderer._drawing || this._empty()) return;
-    const [context, { x, y }] = [renderer._ctx, this._point];
-    context.beginPath();
-    context.moveTo(x - 4, y - 6);
-    context.lineTo(x - 4, y - 13);
-    context.arc(x, y - 13, 4, Math.PI, 0);
-    context.lineTo(x + 4, y - 6);
-    context.moveTo(x + 1, y - 9);
-    context.lineTo(x + 4, y - 6);
-    context.lineTo(x + 7, y - 9);
-    renderer._fillStroke(context, this);
-  },
-});
+const RADIUS_PX = 5;
+const REACH_PX = 60; // of a mark from its place, beside others
 
 export class FlightLayer {
-  #marks = { call: [], turn: [] };
+  #marks = {}; // by kind of fact
+  #aside = []; // by call: how many stand before it at the same place
 
   // Of the drone of that `number`; the only one there is has none.
   constructor(map, ground, places, { number = null, chosen = null } = {}) {
@@ -48,9 +24,10 @@ export class FlightLayer {
     this.places = places;
     this.number = number;
     this.plan = null;
-    this.plans = L.layerGroup().addTo(map);
-    this.track = new Track(map, { latLng: (east, north) => this.latLng(east, north) }, () => this.#lineStyle());
-    this.calls = L.layerGroup().addTo(map); // and turns back
+    this.waypoints = new Waypoints(map);
+    const latLng = (east, north) => this.latLng(east, north);
+    this.track = new Track(map, { latLng }, () => this.#line(0.35), () => this.#line(1));
+    this.marks = L.layerGroup().addTo(map);
     const still = chosen ? { keyboard: false } : STILL;
     this.drone = L.marker([0, 0], { ...still, icon: droneIcon(number), zIndexOffset: ABOVE });
     if (chosen) this.drone.on("click", chosen);
@@ -65,12 +42,21 @@ export class FlightLayer {
   begin(plan) {
     this.plan = plan;
     this.track.clear();
-    this.calls.clearLayers();
-    this.plans.clearLayers();
-    this.#marks = { call: [], turn: [] };
+    this.marks.clearLayers();
+    this.#marks = {};
+    this.#aside = [];
     this.link?.remove();
     this.link = null;
-    if (plan) this.#drawPlan();
+    const { colours } = this.places;
+    const [soft, ink, paper] = ["soft", "ink", "paper"].map((name) => colours.of(name));
+    const line = this.number === null ? soft : this.#colour;
+    this.waypoints.begin(plan, (east, north) => this.latLng(east, north), { line, soft, ink, paper });
+  }
+
+  // How many pixels of the map a metre takes.
+  get #scale() {
+    const [here, there] = [0, 100].map((east) => this.map.latLngToLayerPoint(this.latLng(east, 0)));
+    return here.distanceTo(there) / 100;
   }
 
   focus(isFocus) {
@@ -81,34 +67,39 @@ export class FlightLayer {
 
   show(moment) {
     const { position } = moment;
-    this.track.show(moment.story.fix, moment.count("fix"), position);
-    this.#showMarks(moment, "call", (calls, index) => this.#callMark(calls, index));
-    this.#showMarks(moment, "turn", (turns, index) => this.#turnMark(turns[index]));
-    if (this.number !== null) this.#showLink(moment, position);
+    this.track.show(moment.story.fix, moment.count("fix"), position, moment.atS);
+    this.#showMarks(moment, "call", (call, index, context, x, y) => {
+      const [right, down] = [this.#aside[index] % IN_A_ROW, Math.floor(this.#aside[index] / IN_A_ROW)];
+      this.places.paint(context, call, x + STACKED_PX * right, y + STACKED_PX * down, RADIUS_PX);
+    });
+    this.#showMarks(moment, "turn", (_, __, context, x, y) => paintTurn(context, this.#colour, x, y));
+    this.#showMarks(moment, "told", (_, __, context, x, y) => paintStar(context, this.#starColours, x, y));
+    this.waypoints.showNumbers(this.number === null || this.isFocus, this.#scale);
+    this.#showLink(moment, position);
     if (!position) {
       this.drone.remove();
       return;
     }
     this.drone.setLatLng(this.latLng(position.east_m, position.north_m)).addTo(this.map);
+    turn(this.drone.getElement(), moment.headingDeg);
     this.focus(this.isFocus);
+  }
+
+  // Where the drone's mark is on the map's layers, in pixels; null where it has none.
+  get point() {
+    return this.map.hasLayer(this.drone) ? this.map.latLngToLayerPoint(this.drone.getLatLng()) : null;
   }
 
   get #colour() {
     return this.places.colours.of(this.number === null ? "ink" : styleOf(this.number));
   }
 
-  #lineStyle() {
-    return { color: this.#colour, weight: 2, opacity: this.number === null ? 0.6 : 0.85, ...STILL };
+  get #starColours() {
+    return [this.places.colours.of("ink"), this.places.colours.of("paper")];
   }
 
-  #drawPlan() {
-    const soft = this.places.colours.of("soft");
-    const way = this.plan.waypoints_m.map(([east, north]) => this.latLng(east, north));
-    const color = this.number === null ? soft : this.#colour;
-    L.polyline(way, { ...STILL, color, weight: 1, dashArray: "2 4" }).addTo(this.plans);
-    for (const place of way) {
-      L.circleMarker(place, { ...STILL, radius: 2, weight: 0, fillColor: soft, fillOpacity: 1 }).addTo(this.plans);
-    }
+  #line(opacity) {
+    return { color: this.#colour, weight: 2, opacity, ...STILL };
   }
 
   // From the drone to the server that it uses; dashed while that is being checked.
@@ -120,42 +111,34 @@ export class FlightLayer {
       this.link = null;
       return;
     }
-    this.link ??= L.polyline([], { ...STILL, color: this.#colour, weight: 2.5 }).addTo(this.map);
+    const color = this.number === null ? this.places.colour(used.server) : this.#colour;
     const dashArray = used.tone === "ready" ? null : "3 6";
-    if (this.link.options.dashArray !== dashArray) this.link.setStyle({ dashArray });
+    this.link ??= L.polyline([], { ...STILL, weight: 2.5 }).addTo(this.map);
+    const { options } = this.link;
+    if (options.color !== color || options.dashArray !== dashArray) this.link.setStyle({ color, dashArray });
     this.link.setLatLngs([this.latLng(position.east_m, position.north_m), this.latLng(range[0], range[1])]);
   }
 
-  #showMarks(moment, kind, made) {
-    const marks = this.#marks[kind];
+  // Those facts of the kind that lie before the moment, each where the drone was.
+  #showMarks(moment, kind, painted) {
+    const facts = moment.story[kind];
     const count = moment.count(kind);
-    while (marks.length > count) this.calls.removeLayer(marks.pop());
-    while (marks.length < count) {
-      const mark = made(moment.story[kind], marks.length);
-      marks.push(mark);
-      this.calls.addLayer(mark);
-    }
+    if (!count && !this.#marks[kind]) return;
+    this.#marks[kind] ??= new Marks({
+      place: (index) => {
+        const { east_m, north_m } = facts[index];
+        if (kind === "call") this.#aside.push(isThere(facts, index) ? this.#aside[index - 1] + 1 : 0);
+        return this.latLng(east_m ?? 0, north_m ?? 0);
+      },
+      paint: (context, index, x, y) => painted(facts[index], index, context, x, y),
+      reach: REACH_PX,
+    }).addTo(this.marks);
+    this.#marks[kind].show(count);
   }
+}
 
-  #turnMark({ east_m, north_m }) {
-    const style = { radius: 9, color: this.#colour, weight: 1.6, fill: false };
-    return new Turn(this.latLng(east_m, north_m), { ...style, ...STILL });
-  }
-
-  #callMark(calls, index) {
-    const { place, east_m, north_m } = calls[index];
-    let before = index;
-    while (before > 0 && calls[before - 1].east_m === east_m && calls[before - 1].north_m === north_m) before -= 1;
-    return new Mark(this.latLng(east_m ?? 0, north_m ?? 0), {
-      places: this.places,
-      place,
-      aside: STACKED_PX * (index - before),
-      radius: 5,
-      color: this.places.colours.of("paper"),
-      weight: 1,
-      fillColor: this.places.colour(place),
-      fillOpacity: 1,
-      ...STILL,
-    });
-  }
+// Whether it is where the one before it is.
+function isThere(facts, index) {
+  const [before, here] = [facts[index - 1], facts[index]];
+  return index > 0 && before.east_m === here.east_m && before.north_m === here.north_m;
 }

@@ -1,5 +1,6 @@
 // Puts the page together: stories come in, the clock says which moment is shown, views show it.
 
+import { Banner } from "./banner.js";
 import { Clock, told } from "./clock.js";
 import { write } from "./element.js";
 import { Feed } from "./feed.js";
@@ -16,7 +17,9 @@ const on = (id) => document.getElementById(id);
 const clock = new Clock();
 const colours = new Colours(() => views.forEach((view) => view.restyle(clock.nowS)));
 const places = new Places(colours);
+const banner = new Banner(on("alarms"), on("cautions"));
 let views = []; // a flight each, or a fleet
+let title = "upwash";
 let together = false;
 let frame = null;
 
@@ -26,11 +29,12 @@ const feed = new Feed({
     views = together ? [fleetOf(stories, page.tiles)] : stories.map((story, log) => flightOf(story, log, page.tiles));
     on("flights").replaceChildren(...views.map((view) => view.element));
     on("flights").classList.toggle("beside", views.length > 1);
-    document.title = `upwash: ${listed(stories.map((story) => story.name))}`;
+    title = `upwash: ${listed(stories.map((story) => story.name))}`;
   },
   grown: refresh,
   summarized(summaries) {
     views.forEach((view) => view.summarize(summaries));
+    refresh();
   },
   said(words) {
     write(on("connection"), words);
@@ -67,14 +71,21 @@ function show() {
   const { stories } = feed;
   align(stories, together);
   clock.extend(Math.max(0, ...stories.map((story) => story.clockS(story.endsS))));
-  if (places.know(stories.flatMap((story) => story.servers))) views.forEach((view) => view.restyle(clock.nowS));
+  const operations = stories.flatMap((story) => [...story.operations]);
+  if (places.know(stories.flatMap((story) => story.servers), operations)) views.forEach((view) => view.restyle(clock.nowS));
   const limits = {
     waypoints: Math.max(0, ...stories.map((story) => story.waypoints)),
     longestS: Math.max(0.1, ...stories.map((story) => story.longestS)),
     before: stories.some((story) => story.call[0]?.waypoint === null),
   };
   for (const view of views) view.show(clock.nowS, limits);
+  showNotices();
   showControls();
+}
+
+function showNotices() {
+  const alarms = banner.show(feed.stories.map((story) => story.at(clock.nowS)), feed.open);
+  document.title = alarms ? `ALARM · ${title}` : title;
 }
 
 function showControls() {
@@ -112,11 +123,13 @@ function step(direction) {
   if (beyond.length) seek(direction * Math.min(...beyond.map((end) => direction * end)));
 }
 
-on("play").addEventListener("click", () => {
+function toggle() {
   if (clock.playing) clock.pause();
   else clock.play();
   refresh();
-});
+}
+
+on("play").addEventListener("click", toggle);
 on("time").addEventListener("input", () => seek(Number(on("time").value)));
 on("time").addEventListener("keydown", (event) => {
   const direction = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1 }[event.key];
@@ -133,7 +146,16 @@ on("latest").addEventListener("click", () => {
   refresh();
 });
 document.addEventListener("keydown", (event) => {
-  const elsewhere = event.ctrlKey || event.altKey || event.metaKey || event.target.tagName === "SELECT";
-  if (together && !elsewhere && /^[1-9]$/.test(event.key)) views[0].focus(Number(event.key) - 1);
+  if (event.ctrlKey || event.altKey || event.metaKey || event.target.tagName === "SELECT") return;
+  if (together && /^[1-9]$/.test(event.key)) views[0].focus(Number(event.key) - 1);
+  if (event.target.closest("button, summary, input, [tabindex]:not(body)")) return; // these keys are theirs
+  const ways = { " ": toggle, ArrowLeft: () => seek(clock.nowS - KEY_S), ArrowRight: () => seek(clock.nowS + KEY_S) };
+  const way = { ...ways, Home: () => seek(0), End: () => seek(clock.endS) }[event.key];
+  if (!way) return;
+  event.preventDefault();
+  way();
 });
-setInterval(showMode, 1000);
+setInterval(() => {
+  showMode();
+  if (feed.stories.length) showNotices();
+}, 1000);

@@ -5,12 +5,19 @@ import { badge } from "./badge.js";
 import { element, write } from "./element.js";
 import { Ground } from "./ground.js";
 import { homeIcon } from "./icons.js";
+import { Labels } from "./labels.js";
 import { FlightLayer, STILL } from "./layer.js";
+import { Marks, paintCross } from "./marks.js";
+
+const DRONE_PX = 36; // nothing may cover that much
+const IN_USE = { weight: 2.5, opacity: 1, fillOpacity: 0.1 };
+const ASIDE = { weight: 1.2, opacity: 0.45, fillOpacity: 0.03 };
 
 export class FlightMap {
   #plans = []; // as they are drawn
   #moved = false; // by a person, so that nothing else moves it
-  #chips = new Map(); // by server: what is said beside its name
+  #servers = new Map(); // as they are drawn: each with its range, its label and what is said there beside its name
+  #labels = new Labels();
 
   // A map of so many drones; `chosen` is told the index of one that is clicked.
   constructor(name, { places, tiles, drones = 1, chosen = null }) {
@@ -30,14 +37,18 @@ export class FlightMap {
     L.control.zoom({ position: "topleft" }).addTo(this.map);
     L.control.scale({ imperial: false, position: "bottomright" }).addTo(this.map);
     this.#addFit();
+    this.map.createPane("marks");
     this.areas = L.layerGroup().addTo(this.map);
     this.layers = Array.from({ length: drones }, (_, index) => {
       const many = drones > 1 ? { number: index + 1, chosen: () => chosen(index) } : {};
       return new FlightLayer(this.map, this.ground, places, many);
     });
     this.map.setView([0, 0], this.ground.options.minZoom);
-    this.map.on("mousemove", (event) => this.#readOut(event.latlng));
-    this.map.on("move", () => this.#readOut(this.map.getCenter()));
+    this.map.on("mousemove", (event) => this.#readOut("pointer", event.latlng));
+    this.map.on("mouseout", () => this.#readOut());
+    this.map.on("move", () => this.#readOutCentre());
+    this.map.on("zoomend", () => this.#arrange());
+    this.frame.addEventListener("blur", () => this.#readOut());
     for (const touch of ["wheel", "keydown", "pointerdown"]) {
       this.frame.addEventListener(touch, () => (this.#moved = true), { passive: true });
     }
@@ -69,11 +80,16 @@ export class FlightMap {
     if (corners.length) this.map.fitBounds(L.latLngBounds(corners), { padding: [18, 18], animate: false });
   }
 
-  #readOut(place) {
-    const [east, north] = this.ground.metres(place);
-    const metres = `${east.toFixed(0)} m east, ${north.toFixed(0)} m north of home`;
-    const parts = [metres, this.ground.degrees(east, north), this.ground.tiles?.credit];
+  // Where the pointer is, or the middle of the map for those who move it by keyboard; else only whose tiles these are.
+  #readOut(what = "", place = null) {
+    const [east, north] = place ? this.ground.metres(place) : [];
+    const there = place && `${what}: ${east.toFixed(0)} m east, ${north.toFixed(0)} m north of home`;
+    const parts = [there, place && this.ground.degrees(east, north), this.ground.tiles?.credit];
     write(this.readout, parts.filter(Boolean).join(" · "));
+  }
+
+  #readOutCentre() {
+    if (this.frame.matches(":focus-visible")) this.#readOut("centre of the map", this.map.getCenter());
   }
 
   // Each flight at its moment.
@@ -88,6 +104,17 @@ export class FlightMap {
     moments.forEach((moment, index) => this.layers[index].show(moment));
     if (moments.length > 1) this.#showUsers(moments);
     else this.#showStates(moments[0]);
+    this.#arrange();
+  }
+
+  // Moves the servers' labels out of each other's way, and out of the drones'.
+  #arrange() {
+    const labels = [...this.#servers.values()].map(({ chip, centre }) => [chip, this.map.latLngToLayerPoint(centre)]);
+    const drones = this.layers.map((layer) => layer.point).filter(Boolean);
+    const taken = drones.map(({ x, y }) => {
+      return { x: x - DRONE_PX / 2, y: y - DRONE_PX / 2, width: DRONE_PX, height: DRONE_PX };
+    });
+    this.#labels.arrange(labels, taken);
   }
 
   // Draws everything anew, in other colours.
@@ -105,12 +132,13 @@ export class FlightMap {
 
   #begin() {
     this.areas.clearLayers();
-    this.#chips.clear();
+    this.#servers.clear();
+    this.#labels.clear();
     this.ground.layer()?.addTo(this.areas);
     const homes = new Map();
     for (const plan of this.#plans.filter(Boolean)) {
       for (const [server, [east, north, radius]] of Object.entries(plan.ranges)) {
-        if (!this.#chips.has(server)) this.#drawRange(server, this.ground.latLng(east, north, plan), radius);
+        if (!this.#servers.has(server)) this.#drawRange(server, this.ground.latLng(east, north, plan), radius);
       }
       const home = this.ground.latLng(0, 0, plan);
       homes.set(home.join(), home);
@@ -121,35 +149,46 @@ export class FlightMap {
 
   #drawRange(server, centre, radius) {
     const color = this.places.colour(server);
-    const line = { ...STILL, color, weight: 1.5, dashArray: "7 4", fillOpacity: 0.07 };
-    L.circle(centre, { ...line, radius }).addTo(this.areas);
+    const range = L.circle(centre, { ...STILL, ...ASIDE, color, dashArray: "7 4", radius }).addTo(this.areas);
+    const paint = (context, _, x, y) => paintCross(context, color, x, y);
+    new Marks({ place: () => centre, paint, reach: 8, pane: "overlayPane" }).addTo(this.areas).show(1);
     const said = element("span");
-    const chip = element("span", { class: "chip" }, this.places.icon(server), server, " ", said);
-    this.#chips.set(server, said);
+    const chip = element("span", { class: "chip aside" }, this.places.icon(server), server, " ", said);
     const icon = L.divIcon({ html: chip, className: "server", iconSize: null });
     L.marker(centre, { ...STILL, icon }).addTo(this.areas);
+    this.#servers.set(server, { centre, range, chip, said, inUse: false });
   }
 
   // The state of each server, for the one drone that there is.
   #showStates(moment) {
-    for (const [server, chip] of this.#chips) {
+    for (const [server, drawn] of this.#servers) {
       const step = moment.step(server);
-      write(chip, step?.state ?? "AVL");
-      chip.className = `state ${step?.tone ?? "aside"}`;
+      write(drawn.said, step?.state ?? "AVL");
+      drawn.said.className = `state ${step?.tone ?? "aside"}`;
+      showUse(drawn, moment.using.includes(step));
     }
   }
 
   // Which drones use each server, or are about to.
   #showUsers(moments) {
-    for (const [server, chip] of this.#chips) {
+    for (const [server, drawn] of this.#servers) {
       const users = moments.flatMap((moment, index) => {
         return moment.using.filter((used) => used.server === server).map(({ tone }) => ({ number: index + 1, tone }));
       });
+      showUse(drawn, users.length > 0);
       const key = JSON.stringify(users);
-      if (chip.dataset.users === key) continue;
-      chip.dataset.users = key;
-      chip.className = "users";
-      chip.replaceChildren(...users.map(({ number, tone }) => badge(number, tone)));
+      if (drawn.said.dataset.users === key) continue;
+      drawn.said.dataset.users = key;
+      drawn.said.className = "users";
+      drawn.said.replaceChildren(...users.map(({ number, tone }) => badge(number, tone)));
     }
   }
+}
+
+// A server that nobody uses is pale.
+function showUse(drawn, inUse) {
+  if (drawn.inUse === inUse) return;
+  drawn.inUse = inUse;
+  drawn.chip.classList.toggle("aside", !inUse);
+  drawn.range.setStyle(inUse ? IN_USE : ASIDE);
 }

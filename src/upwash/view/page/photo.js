@@ -1,12 +1,15 @@
 // The last photo, or an earlier one that the user was told of since, with what was found on it in boxes; and, where it was rendered, what is truly there.
 
 import { card, drawn, element, write } from "./element.js";
+import { boxInWords } from "./findings.js";
+import { firstFree, within } from "./labels.js";
 
 const KEY = "Solid: found. Dashed: truly there, as the photo was rendered.";
 const PATIENCE_MS = 150; // photos that fly past faster are not asked for
 
 export class PhotoCard {
   #shot = null;
+  #found = []; // what the user was told of it: each with its number in the list
   #boxes = "";
   #timer = null;
   #lost = null; // the shot that could not be had
@@ -19,27 +22,30 @@ export class PhotoCard {
     this.key = element("p", { class: "note", hidden: "" }, KEY);
     this.frame = element("div", { class: "photo", hidden: "" }, this.image, this.boxes);
     this.element = card("Photo", this.frame, this.caption, this.key);
+    this.element.classList.add("photos");
     this.image.addEventListener("load", () => this.#outline());
     this.image.addEventListener("error", () => this.#lose());
   }
 
   show(moment) {
+    const { story } = moment;
+    this.element.hidden = !(story.keepsPhotos || (story.shot.length && story.told.length));
     const last = moment.last("shot");
     const told = moment.last("told");
-    const found = last && told && told.at_s >= last.at_s ? told : null;
-    const shot = found ? (moment.story.shot[found.number] ?? last) : last; // the drone may have taken one since
-    this.element.hidden = !shot || !(shot.kept || moment.story.told.length);
-    if (shot !== this.#shot) this.#ask(shot, moment.story.run);
-    this.found = found;
-    if (shot) write(this.caption, this.#words(shot, found));
+    const late = told && (!last || told.at_s >= last.at_s); // the drone may have taken one since
+    const shot = late ? (story.shot[told.number] ?? last) : last;
+    this.#found = late ? toldOfOne(story.told, moment.count("told")) : [];
+    if (shot !== this.#shot) this.#ask(shot, story.run);
+    this.frame.hidden = !story.keepsPhotos || (shot && (!shot.kept || shot === this.#lost));
+    write(this.caption, shot ? this.#words(shot) : "No photo was taken yet.");
     this.#outline();
   }
 
   #ask(shot, run) {
     this.#shot = shot;
     clearTimeout(this.#timer);
-    this.frame.hidden = !shot?.kept;
     this.key.hidden = !(shot?.kept && shot.truth);
+    this.image.hidden = true;
     if (!shot?.kept) return;
     const source = `photos/${this.log}/${run}/${shot.number}.jpg`;
     this.#timer = setTimeout(() => {
@@ -52,34 +58,62 @@ export class PhotoCard {
   #lose() {
     this.frame.hidden = this.key.hidden = true;
     this.#lost = this.#shot;
-    write(this.caption, this.#words(this.#shot, this.found));
+    write(this.caption, this.#words(this.#shot));
   }
 
-  #words(shot, found) {
+  #words(shot) {
     const where = shot.waypoint === null ? "before the first waypoint" : `at waypoint ${shot.waypoint}`;
-    const said = found ? ` The user was told: ${found.words}.` : "";
+    const said = this.#found.map(({ number, words }) => ` Finding ${number}: ${words}.`).join("");
     const missing = shot.kept && shot !== this.#lost ? "" : " It was not kept where this page can find it.";
     return `Photo ${shot.number + 1}, ${where}, from ${shot.source}.${said}${missing}`;
   }
 
   #outline() {
     const { naturalWidth: width, naturalHeight: height, complete, hidden } = this.image;
-    const shown = this.#shot && complete && !hidden;
-    const boxes = shown ? [...(this.#shot.truth ?? []), ...(this.found?.boxes ?? [])] : [];
-    const key = JSON.stringify([width, height, boxes]);
+    const shown = this.#shot && complete && !hidden && width > 0;
+    const truth = shown ? (this.#shot.truth ?? []) : [];
+    const found = shown ? this.#found.flatMap(({ number, boxes }) => boxes.map((box) => ({ number, box }))) : [];
+    const key = JSON.stringify([width, height, truth, found]);
     if (key === this.#boxes) return;
     this.#boxes = key;
     this.boxes.setAttribute("viewBox", `0 0 ${width || 1} ${height || 1}`);
-    this.boxes.replaceChildren(...boxes.flatMap((box) => outline(box, width)));
+    const labels = found.map(({ number, box }) => label(number, box, width));
+    this.boxes.replaceChildren(
+      ...truth.map((box) => rectangle(box, "truth")),
+      ...found.map(({ box }) => rectangle(box, "found")),
+      ...labels,
+    );
+    spread(labels, found.map(({ box }) => box), width, height);
   }
 }
 
-function outline(box, width) {
-  const [x, y, size] = [box.left_px, box.top_px, width / 36];
-  const rectangle = { x, y, width: box.width_px, height: box.height_px };
-  if (box.score === undefined) return [drawn("rect", { ...rectangle, class: "truth" })];
-  const words = `${box.label} ${(100 * box.score).toFixed(0)} %`;
-  const beside = y > size * 1.3 ? y - size / 4 : y + box.height_px + size;
-  const label = drawn("text", { x, y: beside, "font-size": size }, words);
-  return [drawn("rect", { ...rectangle, class: "found" }), label];
+// The last of what the user was told, and what was told of the same photo before it.
+function toldOfOne(told, count) {
+  let first = count - 1;
+  while (first > 0 && told[first - 1].number === told[count - 1].number) first -= 1;
+  return told.slice(first, count).map(({ words, boxes }, index) => ({ number: first + index + 1, words, boxes }));
+}
+
+function rectangle({ left_px: x, top_px: y, width_px: width, height_px: height }, style) {
+  return drawn("rect", { x, y, width, height, class: style });
+}
+
+function label(number, box, width) {
+  const words = box.score === undefined ? box.label : boxInWords(box);
+  return drawn("text", { "font-size": width / 36 }, `${number} ${words}`);
+}
+
+// Puts each label at its box, where it is whole and covers no other.
+function spread(labels, boxes, width, height) {
+  const taken = [];
+  labels.forEach((text, index) => {
+    const { left_px: x, top_px: top, height_px: tall } = boxes[index];
+    const size = { width: Math.min(width, text.getComputedTextLength()), height: 1.3 * Number(text.getAttribute("font-size")) };
+    if (text.getComputedTextLength() > width) text.setAttribute("textLength", width);
+    const rows = [top - size.height, top + tall, top, top + tall - size.height];
+    const place = firstFree(rows.map((y) => within({ x, y, ...size }, width, height)), taken);
+    taken.push(place);
+    text.setAttribute("x", place.x);
+    text.setAttribute("y", place.y + 0.75 * size.height);
+  });
 }

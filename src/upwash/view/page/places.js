@@ -1,4 +1,4 @@
-// How the drone and each server look everywhere: a colour and a shape, so that neither is needed alone.
+// How calls look everywhere: where one ran has a colour and a shape, and what it ran is told by the fill.
 
 import { drawn } from "./element.js";
 
@@ -9,6 +9,9 @@ const SHAPES = [ // corners of the servers' marks, on a circle of radius 1
   [[0, 1.1], [-1, -0.75], [1, -0.75]],
   [0, 1, 2, 3, 4].map((turn) => [Math.sin((turn * 2 * Math.PI) / 5), -1.15 * Math.cos((turn * 2 * Math.PI) / 5)]),
 ];
+
+const FILLS = ["filled", "hollow", "dotted"]; // of operations, in the order of their names
+export const FILL_WORDS = { filled: "filled", hollow: "hollow", dotted: "with a dot" };
 
 // The colours of the style sheet, for what is drawn on a canvas.
 export class Colours {
@@ -32,17 +35,18 @@ export class Colours {
 
 export class Places {
   #servers = [];
+  operations = [];
 
   constructor(colours) {
     this.colours = colours;
   }
 
-  // Makes room for these servers; whether any was new.
-  know(servers) {
-    const all = [...new Set([...this.#servers, ...servers])].sort();
-    const more = all.length > this.#servers.length;
-    this.#servers = all;
-    return more;
+  // Makes room for these; whether any was new.
+  know(servers, operations) {
+    const before = this.#servers.length + this.operations.length;
+    this.#servers = union(this.#servers, servers);
+    this.operations = union(this.operations, operations);
+    return this.#servers.length + this.operations.length > before;
   }
 
   style(place) {
@@ -53,8 +57,34 @@ export class Places {
     return this.colours.of(this.style(place));
   }
 
+  fill(operation) {
+    return FILLS[Math.max(0, this.operations.indexOf(operation)) % FILLS.length];
+  }
+
+  // Draws the mark of a call, with a rim of the ground's colour, so that marks that touch stay apart.
+  paint(context, { place, operation }, x, y, radius) {
+    const [fill, colour, ground] = [this.fill(operation), this.colour(place), this.colours.of("paper")];
+    context.globalAlpha = 1;
+    context.setLineDash([]);
+    this.#trace(context, place, x, y, radius);
+    context.strokeStyle = ground;
+    context.lineWidth = Math.min(2, radius / 2) + (fill === "filled" ? 0 : 1.6);
+    context.stroke();
+    context.fillStyle = fill === "filled" ? colour : ground;
+    context.fill();
+    if (fill === "filled") return;
+    context.strokeStyle = colour;
+    context.lineWidth = Math.min(1.6, radius / 2);
+    context.stroke();
+    if (fill !== "dotted") return;
+    context.beginPath();
+    context.arc(x, y, 0.35 * radius, 0, 2 * Math.PI);
+    context.fillStyle = colour;
+    context.fill();
+  }
+
   // Begins a path that is the place's mark.
-  trace(context, place, x, y, radius) {
+  #trace(context, place, x, y, radius) {
     context.beginPath();
     if (place === "local") {
       context.arc(x, y, radius, 0, 2 * Math.PI);
@@ -64,18 +94,25 @@ export class Places {
     context.closePath();
   }
 
-  icon(place) {
+  // The mark as a picture; of a call of that operation, if one is given.
+  icon(place, operation = null) {
+    const fill = operation === null ? "filled" : this.fill(operation);
     const mark =
       place === "local"
         ? drawn("circle", { cx: 8, cy: 8, r: 5 })
         : drawn("polygon", { points: this.#corners(place).map(([x, y]) => `${8 + 5 * x},${8 + 5 * y}`).join(" ") });
-    mark.setAttribute("class", `mark ${this.style(place)}`);
-    return drawn("svg", { viewBox: "0 0 16 16", width: 16, height: 16, "aria-hidden": "true" }, mark);
+    mark.setAttribute("class", `mark ${this.style(place)} ${fill}`);
+    const dot = fill === "dotted" ? [drawn("circle", { cx: 8, cy: 8, r: 1.8, class: `mark ${this.style(place)}` })] : [];
+    return drawn("svg", { viewBox: "0 0 16 16", width: 16, height: 16, "aria-hidden": "true" }, mark, ...dot);
   }
 
   #corners(place) {
     return SHAPES[this.#servers.indexOf(place) % SHAPES.length];
   }
+}
+
+function union(some, others) {
+  return [...new Set([...some, ...others])].sort();
 }
 
 export function nameOf(place) {

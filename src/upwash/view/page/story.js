@@ -1,6 +1,9 @@
 // What a log has told so far. Any moment of it is found by a search in lists that only grow.
 
-const SERIES = ["fix", "battery", "doing", "control", "decision", "call", "going", "turn", "answer", "shot", "told", "said"];
+import { Totals, countUntil } from "./totals.js";
+
+const SERIES = ["fix", "battery", "doing", "notice", "decision", "call", "going", "turn", "answer", "shot", "told", "said"];
+const MOVED_M = 0.5; // less may be the position's noise
 
 export class Story {
   constructor(name) {
@@ -20,8 +23,18 @@ export class Story {
     this.ended = null;
     this.lastS = 0;
     this.longestS = 0; // of the calls
+    this.home = null;
+    this.foreseen = null;
+    this.arrivals = []; // when the first, the second, ... waypoint was reached
     this.steps = new Map();
     this.known = new Set(); // servers
+    this.operations = new Set();
+    this.keepsPhotos = false;
+    this.courses = []; // which way, in degrees from north, the drone came to each fix; null before it moved
+    this.moved = null; // the fix at which it had last moved
+    this.delays = { place: new Totals(), operation: new Totals(), local: new Totals() }; // of the calls
+    this.waits = new Totals();
+    this.hidden = new Totals();
     for (const kind of SERIES) this[kind] = [];
   }
 
@@ -41,6 +54,8 @@ export class Story {
         break;
       case "opened":
       case "began":
+      case "home":
+      case "foreseen":
         this[fact.fact] = fact;
         if (fact.fact === "began") this.ended = null;
         break;
@@ -53,17 +68,48 @@ export class Story {
         this.steps.get(fact.server).push(fact);
         break;
       case "call":
-        this.longestS = Math.max(this.longestS, fact.delay_s);
-        if (fact.place !== "local") this.known.add(fact.place);
-        this.call.push(fact);
+        this.#takeCall(fact);
+        break;
+      case "doing":
+        while (this.arrivals.length < fact.reached) this.arrivals.push(fact);
+        this.doing.push(fact);
         break;
       case "fix":
         if (fact.battery_percent !== undefined) this.battery.push(fact);
+        this.#takeCourse(fact);
         this.fix.push(fact);
+        break;
+      case "answer":
+        this.hidden.add("", fact.at_s, fact.hidden_s);
+        this.answer.push(fact);
+        break;
+      case "shot":
+        this.keepsPhotos ||= fact.kept;
+        this.shot.push(fact);
         break;
       default:
         this[fact.fact].push(fact);
     }
+  }
+
+  #takeCourse(fix) {
+    this.moved ??= fix;
+    const [east, north] = [fix.east_m - this.moved.east_m, fix.north_m - this.moved.north_m];
+    const stays = Math.hypot(east, north) < MOVED_M;
+    this.courses.push(stays ? (this.courses.at(-1) ?? null) : ((Math.atan2(east, north) * 180) / Math.PI + 360) % 360);
+    if (!stays) this.moved = fix;
+  }
+
+  #takeCall(call) {
+    const { at_s, operation, place, delay_s, waited_s } = call;
+    this.longestS = Math.max(this.longestS, delay_s);
+    this.operations.add(operation);
+    this.delays.place.add(place, at_s, delay_s);
+    this.delays.operation.add(operation, at_s, delay_s);
+    if (place === "local") this.delays.local.add(operation, at_s, delay_s - waited_s);
+    else this.known.add(place);
+    if (call.wait) this.waits.add("", at_s, waited_s);
+    this.call.push(call);
   }
 
   get servers() {
@@ -97,6 +143,12 @@ export class Story {
     return atS - (this.began?.at_s ?? 0);
   }
 
+  // A second of the log as people read it: of the mission, or in brackets of the log before the mission began.
+  timeOf(atS) {
+    if (this.began && atS >= this.began.at_s) return `${this.missionS(atS).toFixed(1)} s`;
+    return `[${atS.toFixed(1)} s]`;
+  }
+
   clockS(atS) {
     return atS - this.zeroS;
   }
@@ -126,6 +178,36 @@ export class Moment {
     return steps[countUntil(steps, this.atS) - 1] ?? null;
   }
 
+  // The last of its kind, if it is not older than that.
+  recent(kind, withinS) {
+    const fact = this.last(kind);
+    return fact && this.atS - fact.at_s <= withinS ? fact : null;
+  }
+
+  // How many waypoints are reached, and at which second of the mission the last of them was.
+  get reached() {
+    return countUntil(this.story.arrivals, this.atS);
+  }
+
+  get reachedAtS() {
+    return this.story.missionS(this.story.arrivals[this.reached - 1].at_s);
+  }
+
+  // What a person has to act on or should know, in the order in which it began.
+  get notices() {
+    const held = new Map();
+    for (const notice of this.story.notice.slice(0, this.count("notice"))) {
+      held.delete(notice.key);
+      if (notice.cause) held.set(notice.key, notice);
+    }
+    return [...held.values()];
+  }
+
+  // Whether nothing later is known.
+  get isLatest() {
+    return this.atS >= this.story.endsS - 1e-6;
+  }
+
   get isOver() {
     return Boolean(this.story.ended && this.atS >= this.story.ended.at_s);
   }
@@ -136,40 +218,35 @@ export class Moment {
     return ["ready", "checking"].flatMap((tone) => steps.filter((step) => step.tone === tone));
   }
 
+  // The delays of the calls so far, by place.
+  get delays() {
+    return this.story.delays.place.until(this.atS);
+  }
+
+  // Of what ran on the drone so far without waiting, by operation.
+  get localDelays() {
+    return this.story.delays.local.until(this.atS);
+  }
+
   // How many calls ran at each place so far, and how many of them waited.
   get calls() {
-    const places = new Map();
-    let waited = 0;
-    const count = this.count("call");
-    for (let index = 0; index < count; index += 1) {
-      const { place, wait } = this.story.call[index];
-      places.set(place, (places.get(place) ?? 0) + 1);
-      waited += wait ? 1 : 0;
-    }
-    return { count, places, waited };
+    const places = new Map([...this.delays].map(([place, { number }]) => [place, number]));
+    return { count: this.count("call"), places, waited: this.story.waits.until(this.atS).get("")?.number ?? 0 };
   }
 
   // How much of the calls so far the mission did something else.
   get hiddenS() {
-    return this.story.answer.slice(0, this.count("answer")).reduce((sum, { hidden_s }) => sum + hidden_s, 0);
+    return this.story.hidden.until(this.atS).get("")?.sum ?? 0;
   }
 
   // What offloading saved so far, at the mean local delays so far; null where an operation has not run on the drone, or
   // the drone has gone on before an answer was there.
   get savedS() {
     if (this.count("going")) return null;
-    const calls = this.story.call.slice(0, this.count("call"));
-    const local = new Map();
-    for (const { operation, place, delay_s, waited_s } of calls) {
-      if (place !== "local") continue;
-      const [sum, number] = local.get(operation) ?? [0, 0];
-      local.set(operation, [sum + delay_s - waited_s, number + 1]);
-    }
-    if (!calls.every(({ operation }) => local.has(operation))) return null;
-    return calls.reduce((saved, { operation, delay_s }) => {
-      const [sum, number] = local.get(operation);
-      return saved + sum / number - delay_s;
-    }, 0);
+    const local = this.localDelays;
+    const all = [...this.story.delays.operation.until(this.atS)];
+    if (!all.every(([operation]) => local.has(operation))) return null;
+    return all.reduce((saved, [operation, { sum, number }]) => saved + number * local.get(operation).mean - sum, 0);
   }
 
   // Where the drone is: on the straight way between two fixes.
@@ -182,15 +259,11 @@ export class Moment {
     const between = (name) => before[name] + share * (after[name] - before[name]);
     return { east_m: between("east_m"), north_m: between("north_m"), altitude_m: between("altitude_m") };
   }
-}
 
-// How many of the facts, which are in the order of their time, lie at or before the moment.
-export function countUntil(facts, atS) {
-  let [low, high] = [0, facts.length];
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if (facts[middle].at_s <= atS + 1e-6) low = middle + 1;
-    else high = middle;
+  // Which way its nose points, in degrees from north: as it told, or the way it moves; null where neither is known.
+  get headingDeg() {
+    const count = this.count("fix");
+    const told = this.story.fix[count - 1]?.heading_deg;
+    return told ?? this.story.courses[count] ?? this.story.courses[count - 1] ?? null;
   }
-  return low;
 }

@@ -1,8 +1,9 @@
-// The way flown, as a line that grows and shrinks at its end without being drawn anew.
+// The way flown, as a line that grows and shrinks at its end without being drawn anew; stronger where the drone was just now.
 
 import { polyline } from "./leaflet/leaflet-src.esm.js";
 
 const LEAST_M = 0.5; // fixes closer to the last one make no corner
+const RECENT_S = 60;
 const PIECE = 200; // corners; only the last piece is ever touched
 
 export class Track {
@@ -10,10 +11,12 @@ export class Track {
   #pieces = [];
   #head;
 
-  constructor(map, ground, style) {
+  // `style` of what is old, and of what is `recent`.
+  constructor(map, ground, style, recent) {
     this.map = map;
     this.ground = ground;
     this.style = style;
+    this.recent = recent;
   }
 
   clear() {
@@ -23,13 +26,18 @@ export class Track {
     this.#head = null;
   }
 
-  // The first `count` of the fixes, and the way from there to where the drone is now.
-  show(fixes, count, position) {
+  // The first `count` of the fixes, and the way from there to where the drone is at that second of the log.
+  show(fixes, count, position, atS) {
     this.#shrink(fixes, count);
     this.#grow(fixes, count);
-    this.#head ??= polyline([], this.style()).addTo(this.map);
-    const corner = this.#corners.length ? this.#latLng(fixes[this.#corners.at(-1)]) : null;
-    this.#head.setLatLngs(corner && position ? [corner, this.#latLng(position)] : []);
+    this.#head ??= polyline([], this.recent()).addTo(this.map);
+    const way = this.#corners.length && position ? [position] : [];
+    for (let corner = this.#corners.length - 1; way.length && corner >= 0; corner -= 1) {
+      const fix = fixes[this.#corners[corner]];
+      way.push(fix);
+      if (fix.at_s < atS - RECENT_S) break;
+    }
+    this.#head.setLatLngs(way.map((place) => this.#latLng(place)));
   }
 
   #shrink(fixes, count) {

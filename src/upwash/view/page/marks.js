@@ -1,0 +1,126 @@
+// Marks on the map's canvas: any number of one kind as one layer, and how each kind looks.
+
+import * as L from "./leaflet/leaflet-src.esm.js";
+
+// As a layer, the first so many of the marks that `place` has an index for; `paint` draws one at a point, and no
+// farther from it than `reach` pixels.
+export const Marks = L.Path.extend({
+  options: { interactive: false, weight: 0, pane: "marks" },
+
+  initialize({ place, paint, reach, ...options }) {
+    L.setOptions(this, options);
+    Object.assign(this, { place, paint, reach, count: 0, places: [], points: [] });
+  },
+
+  show(count) {
+    if (count === this.count) return;
+    const [first, last] = [Math.min(count, this.count), Math.max(count, this.count)];
+    this.count = count;
+    for (let index = this.places.length; index < count; index += 1) {
+      this.places.push(this.place(index));
+      this.points.push(this._map.latLngToLayerPoint(this.places[index]));
+    }
+    const all = this._pxBounds;
+    this._pxBounds = this._around(this.points.slice(first, last));
+    this._renderer._requestRedraw(this); // no more than these
+    if (all) this._pxBounds.extend(all.min).extend(all.max);
+  },
+
+  _around(points) {
+    const bounds = L.bounds(points);
+    const margin = L.point(this.reach, this.reach);
+    return L.bounds(bounds.min.subtract(margin), bounds.max.add(margin));
+  },
+
+  _project() {
+    this.points = this.places.map((place) => this._map.latLngToLayerPoint(place));
+    this._pxBounds = this.points.length ? this._around(this.points) : null;
+  },
+
+  _update() {
+    this._updatePath();
+  },
+
+  _updatePath() {
+    const { _renderer: renderer, reach } = this;
+    if (!renderer._drawing) return;
+    const { min, max } = renderer._redrawBounds ?? renderer._bounds;
+    for (let index = 0; index < this.count; index += 1) {
+      const { x, y } = this.points[index];
+      const outside = x < min.x - reach || x > max.x + reach || y < min.y - reach || y > max.y + reach;
+      if (!outside) this.paint(renderer._ctx, index, x, y);
+    }
+  },
+});
+
+export function paintDot(context, colour, x, y) {
+  context.globalAlpha = 1;
+  context.fillStyle = colour;
+  context.beginPath();
+  context.arc(x, y, 2, 0, 2 * Math.PI);
+  context.fill();
+}
+
+// The middle of a server's range.
+export function paintCross(context, colour, x, y) {
+  context.beginPath();
+  context.moveTo(x - 5, y);
+  context.lineTo(x + 5, y);
+  context.moveTo(x, y - 5);
+  context.lineTo(x, y + 5);
+  draw(context, colour, 2);
+}
+
+// Where the drone turned back: a hooked arrow above the place.
+export function paintTurn(context, colour, x, y) {
+  context.beginPath();
+  context.moveTo(x - 4, y - 6);
+  context.lineTo(x - 4, y - 13);
+  context.arc(x, y - 13, 4, Math.PI, 0);
+  context.lineTo(x + 4, y - 6);
+  context.moveTo(x + 1, y - 9);
+  context.lineTo(x + 4, y - 6);
+  context.lineTo(x + 7, y - 9);
+  draw(context, colour, 1.6);
+}
+
+// Where something was found: a star above the place.
+export function paintStar(context, [colour, ground], x, y) {
+  context.beginPath();
+  for (const [right, down] of STAR) context.lineTo(x + right, y - 13 + down);
+  context.closePath();
+  draw(context, ground, 3);
+  context.fillStyle = colour;
+  context.fill();
+}
+
+// Five points.
+export const STAR = Array.from({ length: 10 }, (_, corner) => {
+  const [radius, turn] = [corner % 2 ? 3.2 : 7.5, (corner * Math.PI) / 5];
+  return [radius * Math.sin(turn), -radius * Math.cos(turn)];
+});
+
+// The number of a waypoint, beneath it.
+export function paintNumber(context, [colour, ground], words, x, y) {
+  context.globalAlpha = 1;
+  context.setLineDash([]);
+  context.font = NUMBER_FONT;
+  context.textAlign = "center";
+  context.lineJoin = "round";
+  context.strokeStyle = ground;
+  context.lineWidth = 3;
+  context.strokeText(words, x, y + 17);
+  context.fillStyle = colour;
+  context.fillText(words, x, y + 17);
+}
+
+export const NUMBER_FONT = "11px system-ui, sans-serif";
+
+function draw(context, colour, width) {
+  context.globalAlpha = 1;
+  context.setLineDash([]);
+  context.lineCap = context.lineJoin = "round";
+  context.lineWidth = width;
+  context.strokeStyle = colour;
+  context.stroke();
+}
