@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterable
 
 import pytest
@@ -30,7 +31,7 @@ def lines(events: Iterable[Event]) -> list[str]:
     with Progress(["s1"], 4, Console(file=output, width=300)) as progress:
         for each in sorted(events, key=lambda each: each.t):
             progress.follow(each)
-    return [line.partition(" s  ")[2] for line in output.getvalue().splitlines()]
+    return [re.sub(r"^[^a-z]*s\]?  ", "", line) for line in output.getvalue().splitlines()]
 
 
 def head(events: Iterable[Event]) -> str:

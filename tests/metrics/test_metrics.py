@@ -31,6 +31,7 @@ from upwash.metrics.daemon import DaemonMetrics
 from upwash.metrics.drone import DroneMetrics
 from upwash.metrics.exposition import exposed
 from upwash.ports import AnsweredCall, Instance, InstanceSpec, Program
+from upwash.report.palette import DARK, LIGHT
 from upwash.rpc.protocol import AVAILABILITY, START, AvailabilityRequest, CertificateStatus, StartRequest
 from upwash.server.daemon import EdgeServer, Image
 from upwash.sim.link import ModelDialer, Switchboard
@@ -412,27 +413,101 @@ def queries(dashboard: Any) -> Iterator[str]:
             yield from itertools.chain.from_iterable(map(queries, dashboard))
 
 
-def test_the_dashboard_asks_for_nothing_that_is_not_offered(
-    families: dict[str, tuple[str, frozenset[str]]],
-) -> None:
-    asked = list(queries(json.loads((ROOT / "deploy/grafana-dashboard.json").read_text())))
-    samples = {
+@pytest.fixture(scope="module")
+def samples(families: dict[str, tuple[str, frozenset[str]]]) -> dict[str, frozenset[str]]:
+    """The labels of each name that a query can ask for."""
+    return {
         name if kind != "histogram" else f"{name}_{part}": labels
         for name, (kind, labels) in families.items()
         for part in (("bucket", "sum", "count") if kind == "histogram" else ("",))
     }
-    used: set[str] = set()
-    for query in asked:
-        names = set(re.findall(r"\bupwash_\w+", query))
-        assert names, query
-        assert names <= set(samples), query
-        known = frozenset({"le", "instance"}).union(*(samples[name] for name in names))
-        for group in re.findall(r"by \(([^)]*)\)", query):
-            assert set(re.split(r",\s*", group)) <= known, query
-        for label in re.findall(r"[{,]\s*(\w+)=", query):
-            assert label in known | {"__name__"}, query
-        used |= {re.sub(r"_(bucket|sum|count)$", "", name) for name in names}
-    shown = {re.sub(r"_(bucket|sum|count)$", "", name) for name in samples}
-    assert shown - used == {"upwash_photos_total", "upwash_server_steps_total"}, (
-        "the others are worth a panel"
+
+
+def asked_by(query: str, samples: dict[str, frozenset[str]]) -> tuple[set[str], frozenset[str]]:
+    """The names that a query asks for and the labels that these have; asserts that they are offered."""
+    names = set(re.findall(r"\bupwash_\w+", query))
+    assert names, query
+    assert names <= set(samples), query
+    known = frozenset({"le", "instance"}).union(*(samples[name] for name in names))
+    for group in re.findall(r"by \(([^)]*)\)", query):
+        assert set(re.split(r",\s*", group)) <= known, query
+    for label in re.findall(r"[{,]\s*(\w+)=", query):
+        assert label in known | {"__name__"}, query
+    assert query.count("(") == query.count(")"), query
+    return names, known
+
+
+def family(name: str) -> str:
+    return re.sub(r"_(bucket|sum|count)$", "", name)
+
+
+DASHBOARD = json.loads((ROOT / "deploy/grafana-dashboard.json").read_text())
+
+
+def test_the_dashboard_asks_for_nothing_that_is_not_offered(samples: dict[str, frozenset[str]]) -> None:
+    used = {family(name) for query in queries(DASHBOARD) for name in asked_by(query, samples)[0]}
+    assert {family(name) for name in samples} - used == {
+        "upwash_photos_total",
+        "upwash_server_steps_total",
+    }, "the others are worth a panel"
+
+
+def test_a_panel_counts_or_tells_seconds_and_never_both() -> None:
+    for panel in DASHBOARD["panels"]:
+        of_time = [bool(re.search(r"seconds_(sum|bucket)|timestamp", query)) for query in queries(panel)]
+        told_in_seconds = panel.get("fieldConfig", {}).get("defaults", {}).get("unit") == "s"
+        assert all(each == told_in_seconds for each in of_time), panel["title"]
+
+
+@pytest.mark.parametrize(
+    ("metric", "states"),
+    [
+        ("upwash_server_state", [str(state) for state in State]),
+        ("upwash_instances", ["absent", "starting", "running", "stopping"]),
+    ],
+)
+def test_each_state_is_a_number_with_a_name_and_a_colour_of_its_own(metric: str, states: list[str]) -> None:
+    (panel,) = (
+        each
+        for each in DASHBOARD["panels"]
+        if each["type"] == "state-timeline" and metric in each["targets"][0]["expr"]
     )
+    expression = panel["targets"][0]["expr"]
+    numbered = re.findall(rf'(\d) \* {metric}{{state="([\w-]+)"', expression)
+    assert {int(number): state for number, state in numbered} == dict(enumerate(states))
+    (mapping,) = panel["fieldConfig"]["defaults"]["mappings"]
+    named = {int(number): told["text"] for number, told in mapping["options"].items()}
+    assert named == dict(enumerate(states))
+    colours = [told["color"] for told in mapping["options"].values()]
+    assert len(set(colours)) == len(states)
+    of_states = {
+        getattr(theme, name) for theme in (LIGHT, DARK) for name in ("ready", "check", "listed", "idle")
+    }
+    assert set(colours) <= of_states
+    assert panel["options"]["showValue"] == "auto", "the colour alone says nothing"
+
+
+def test_panels_lie_beside_each_other_and_not_one_on_another() -> None:
+    taken: set[tuple[int, int]] = set()
+    for panel in DASHBOARD["panels"]:
+        at = panel["gridPos"]
+        cells = set(itertools.product(range(at["x"], at["x"] + at["w"]), range(at["y"], at["y"] + at["h"])))
+        assert not cells & taken, panel["title"]
+        taken |= cells
+    assert max(x for x, _ in taken) < 24
+
+
+def test_each_alert_is_of_what_is_offered_and_says_what_to_do(samples: dict[str, frozenset[str]]) -> None:
+    yaml = pytest.importorskip("yaml", reason="nothing here reads YAML")
+    groups = yaml.safe_load((ROOT / "deploy/prometheus-alerts.yml").read_text())["groups"]
+    rules = [rule for group in groups for rule in group["rules"]]
+    assert len({rule["alert"] for rule in rules}) == len(rules) == 6
+    for rule in rules:
+        _, known = asked_by(rule["expr"], samples)
+        assert rule["labels"]["severity"] in {"warning", "critical"}
+        assert set(rule["annotations"]) == {"summary", "description"}
+        told = " ".join(rule["annotations"].values())
+        kept = re.findall(r"by \(([^)]*)\)", rule["expr"])
+        labels = set(re.split(r",\s*", kept[0])) if kept else known
+        assert set(re.findall(r"\$labels\.(\w+)", told)) <= labels, rule["alert"]
+        assert rule["alert"] in (ROOT / "docs/metrics.md").read_text()

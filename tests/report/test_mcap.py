@@ -10,26 +10,34 @@ from typing import Any
 
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.json_format import MessageToDict
+from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
 from mcap.reader import make_reader
 
 from upwash.cli.main import main
 from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.report.record import Record, read_records
+from upwash.report.series import STATE_NUMBERS
 from upwash.services.solar_park import Park, View, photograph
 
-SCENARIOS = Path(__file__).parents[2] / "scenarios"
+ROOT = Path(__file__).parents[2]
+SCENARIOS = ROOT / "scenarios"
+LAYOUT = ROOT / "deploy" / "foxglove-layout.json"
 DEFINED: dict[str, Any] = {
     "foxglove.SceneUpdate": SceneUpdate,
     "foxglove.LocationFix": LocationFix,
     "foxglove.Log": Log,
     "foxglove.CompressedImage": CompressedImage,
+    "foxglove.ImageAnnotations": ImageAnnotations,
+    "foxglove.GeoJSON": GeoJSON,
 }
 OPENED = datetime(2026, 5, 1, 10, 0, 0, 250_000, tzinfo=UTC)
 JPEG = b"\xff\xd8\xff\xe0 a photo \xff\xd9"
@@ -53,10 +61,14 @@ class Read:
     """One message of a file: where it was, when, and what it says."""
 
     def __init__(self, schema: Any, channel: Any, message: Any) -> None:
-        assert schema.encoding == channel.message_encoding == "protobuf"
         self.kind, self.topic, self.time_s = schema.name, channel.topic, message.log_time / 1e9
         self.schema, self.data = schema.data, message.data
-        self.message = DEFINED[self.kind].FromString(self.data)
+        if channel.message_encoding == "json":
+            assert schema.encoding == "jsonschema"
+            self.message = json.loads(self.data)
+        else:
+            assert schema.encoding == channel.message_encoding == "protobuf"
+            self.message = DEFINED[self.kind].FromString(self.data)
 
 
 def read(file: Path) -> list[Read]:
@@ -94,6 +106,10 @@ def recorded(log: Path, *others: Path, photos: Path | None = None) -> list[Read]
     return read(file)
 
 
+def of_topic(messages: list[Read], topic: str) -> list[Read]:
+    return [message for message in messages if message.topic == topic]
+
+
 def kind(messages: list[Read], name: str) -> list[Read]:
     return [message for message in messages if message.kind == f"foxglove.{name}"]
 
@@ -102,6 +118,7 @@ def test_each_message_is_what_foxglove_defines_and_as_its_schema_in_the_file_say
     simulated: tuple[list[Read], Record], flown: Path
 ) -> None:
     messages = [*simulated[0], *recorded(flown, photos=flown.parent / "photos")]
+    messages = [message for message in messages if isinstance(message.message, Message)]
     schemas = {message.kind: message.schema for message in messages}
     assert set(schemas) == set(DEFINED)
     described = {kind: class_of(kind, schema) for kind, schema in schemas.items()}
@@ -153,6 +170,79 @@ def test_the_scene_has_the_plan_each_state_the_drone_and_a_mark_for_each_call(
         assert {entity.cylinders[0].size.x for _, entity in told} == {2 * radius_m}
 
 
+def test_the_plan_lies_at_its_own_altitudes_in_the_order_flown(flown: Path) -> None:
+    plan = {"waypoints_m": [[3, 4], [30, 4]], "altitudes_m": [25.0, 40.0], "order": [1, 0]}
+    log = write(flown, [{**event, **plan} if event["event"] == "planned" else event for event in FLOWN])
+    assert [(place.x, place.z) for place in plan_of(recorded(log))] == [(30.0, 40.0), (3.0, 25.0)]
+
+
+def test_the_plan_of_a_log_without_altitudes_lies_as_high_as_the_drone_flew(flown: Path) -> None:
+    assert [place.z for place in plan_of(recorded(flown))] == [20.0]
+
+
+def test_what_a_drone_logs_of_its_plan_has_its_altitude(simulated: tuple[list[Read], Record]) -> None:
+    messages, record = simulated
+    assert record.plan.altitudes_m == [20.0] * 121
+    assert {place.z for place in plan_of(messages)} == {20.0}
+
+
+def plan_of(messages: list[Read]) -> list[Any]:
+    entities = [entity for each in kind(messages, "SceneUpdate") for entity in each.message.entities]
+    (plan,) = (entity for entity in entities if entity.id == "plan")
+    return [sphere.pose.position for sphere in plan.spheres]
+
+
+def test_the_map_shows_the_plan_and_the_ranges(simulated: tuple[list[Read], Record]) -> None:
+    messages, _ = simulated
+    (plan,) = kind(messages, "GeoJSON")
+    assert plan.topic == "/plan"
+    features = json.loads(plan.message.geojson)["features"]
+    kinds = [feature["properties"]["kind"] for feature in features]
+    assert {each: kinds.count(each) for each in kinds} == {"home": 1, "range": 2, "waypoint": 121, "plan": 1}
+    assert {feature["properties"]["name"] for feature in features} >= {"range s1", "range s2", "waypoint 120"}
+
+
+def test_what_calls_took_and_the_states_of_servers_are_numbers(simulated: tuple[list[Read], Record]) -> None:
+    messages, record = simulated
+    calls = of_topic(messages, "/calls")
+    assert [(each.message["place"], each.message["delay_s"]) for each in calls] == [
+        (each.result.server or "drone", each.result.delay_s) for each in record.calls
+    ]
+    assert [each.time_s for each in calls] == pytest.approx(
+        [record.began_s + each.result.at_s + each.result.delay_s for each in record.calls]
+    )
+    for server, stretches in record.stretches.items():
+        *begun, last = of_topic(messages, f"/servers/{server}")
+        assert [each.message["state"] for each in begun] == [stretch.state for stretch in stretches]
+        assert last.message["state"] == begun[-1].message["state"]
+        assert last.time_s == pytest.approx(record.began_s + stretches[-1].to_s)
+        assert all(each.message["state_number"] == STATE_NUMBERS[each.message["state"]] for each in begun)
+    for each in (*calls, *begun):
+        properties = json.loads(each.schema)["properties"]
+        assert set(each.message) == set(properties)
+
+
+def test_the_layout_for_foxglove_asks_for_nothing_that_a_recording_lacks(
+    simulated: tuple[list[Read], Record], flown: Path
+) -> None:
+    layout = json.loads(LAYOUT.read_text())
+    text = json.dumps(layout["configById"])
+    messages = [*simulated[0], *recorded(flown, photos=flown.parent / "photos")]
+    topics = {message.topic for message in messages}
+    asked = {topic.partition(".")[0] for topic in re.findall(r'"(/[a-z0-9/_.]+)"', text)}
+    assert asked <= topics
+    fields = {
+        f"{each.topic}.{name}" for each in messages if isinstance(each.message, dict) for name in each.message
+    }
+    assert set(re.findall(r'"value": "([^"]+)"', text)) <= fields
+    assert set(panels(layout["layout"])) == set(layout["configById"])
+
+
+def panels(layout: Any) -> list[str]:
+    """The panels of a layout, which splits a page in two over and over."""
+    return [layout] if isinstance(layout, str) else [*panels(layout["first"]), *panels(layout["second"])]
+
+
 def test_times_are_those_of_the_day(flown: Path) -> None:
     (first,) = kind(recorded(flown), "LocationFix")
     assert first.time_s == pytest.approx(OPENED.timestamp() + 3.0)
@@ -175,6 +265,53 @@ def test_photos_are_those_of_the_folder_and_of_no_other(flown: Path) -> None:
     (photo,) = kind(recorded(flown, photos=flown.parent / "photos"), "CompressedImage")
     assert (photo.message.data, photo.message.format) == (JPEG, "jpeg")
     assert photo.time_s == pytest.approx(OPENED.timestamp() + 3.5)
+
+
+FOUND = [{"label": "damage", "score": 0.9, "left_px": 10, "top_px": 20, "width_px": 30, "height_px": 40}]
+
+
+def told(t: float, message: object) -> dict[str, Any]:
+    return {"t": t, "event": "notified", "message": message, "at": HERE}
+
+
+def annotated(log: Path) -> list[tuple[float, list[str]]]:
+    """What is written on each photo, with the time of both."""
+    messages = recorded(log, photos=log.parent / "photos")
+    photos = [each.time_s for each in kind(messages, "CompressedImage")]
+    on_them = [
+        (each.time_s, [text.text for text in each.message.texts])
+        for each in kind(messages, "ImageAnnotations")
+    ]
+    assert photos == [at_s for at_s, _ in on_them], "one for each, also where nothing is on it"
+    assert {each.topic for each in kind(messages, "ImageAnnotations")} <= {"/camera/annotations"}
+    return on_them
+
+
+def test_what_was_found_is_drawn_on_its_photo(flown: Path) -> None:
+    log = write(flown, [*FLOWN[:7], told(4.5, FOUND), {**FLOWN[6], "t": 5.0}, told(5.5, "all is well")])
+    began_s = OPENED.timestamp()
+    (first_s, on_first), (second_s, on_second) = annotated(log)
+    assert (on_first, on_second) == (["damage 0.90"], [])
+    assert [first_s, second_s] == pytest.approx([began_s + 3.5, began_s + 4.5])
+    (annotations, _) = kind(recorded(log, photos=log.parent / "photos"), "ImageAnnotations")
+    (box,) = annotations.message.points
+    assert [(point.x, point.y) for point in box.points] == [(10, 20), (40, 20), (40, 60), (10, 60)]
+
+
+def test_an_answer_that_comes_after_the_next_photo_is_drawn_on_its_own(flown: Path) -> None:
+    begun = {"event": "call_started", "operation": "detector.process_photo[heavy]"}
+    log = write(
+        flown,
+        [
+            *FLOWN[:7],
+            {**begun, "t": 4.1, "waypoint": 0},
+            {**FLOWN[6], "t": 5.0},
+            {**begun, "t": 5.1, "waypoint": 1},
+            {"t": 6.0, "event": "answer_taken", "waypoint": 0, "waited_s": 0.0},
+            told(6.1, FOUND),
+        ],
+    )
+    assert [texts for _, texts in annotated(log)] == [["damage 0.90"], []]
 
 
 def test_rendered_photos_are_rendered_again(flown: Path) -> None:
@@ -203,12 +340,13 @@ def test_a_time_that_no_message_can_have_is_refused(
 def test_several_flights_have_their_names_before_their_topics(flown: Path) -> None:
     other = write(flown.with_name("other.jsonl"), FLOWN)
     topics = {message.topic for message in recorded(flown, other)}
-    assert topics == {f"/{log}/{topic}" for log in ("flown", "other") for topic in ("scene", "fix", "log")}
-    assert {message.topic for message in recorded(flown)} == {"/scene", "/fix", "/log"}
+    alone = {"/scene", "/plan", "/fix", "/log", "/servers/s1"}
+    assert topics == {f"/{log}{topic}" for log in ("flown", "other") for topic in alone}
+    assert {message.topic for message in recorded(flown)} == alone
 
 
 def test_a_flight_without_a_home_has_a_scene_and_no_coordinates(flown: Path) -> None:
     nowhere = [{**event, "home": None} if event["event"] == "planned" else event for event in FLOWN]
     messages = recorded(write(flown, nowhere))
-    assert not kind(messages, "LocationFix")
+    assert not kind(messages, "LocationFix") + kind(messages, "GeoJSON")
     assert kind(messages, "SceneUpdate")

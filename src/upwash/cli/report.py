@@ -86,6 +86,6 @@ def _recorder(photos: Path | None) -> Writer:
 
         with extra("mcap"):
             from upwash.report.recording import write_mcap
-        return write_mcap(records, photos=photos)
+        return write_mcap(records, folder=photos)
 
     return write

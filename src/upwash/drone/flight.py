@@ -159,6 +159,7 @@ class Flight:
         return schema.Planned(
             home=GeoPosition(home.latitude_deg, home.longitude_deg) if home else None,
             waypoints_m=[(places[index].east_m, places[index].north_m) for index in sorted(order)],
+            altitudes_m=[places[index].altitude_m for index in sorted(order)],
             order=order if self._order.why else [],
             order_why=self._order.why,
             ranges=server_areas(self._config),

@@ -103,11 +103,13 @@ class EventsLost(Event, frozen=True, kw_only=True):
 class Planned(Event, frozen=True, kw_only=True):
     """Home, the waypoints in metres east and north of it, the ranges of the servers, and whether calls are paced.
 
+    The waypoints' altitudes are above home, and absent in logs that were written before there were any.
     With `mission.order`, the indices of the waypoints in the `order` in which they are flown, and why in that one.
     """
 
     home: GeoPosition | None = None
     waypoints_m: Sequence[tuple[float, float]] = []
+    altitudes_m: Sequence[float] = []
     ranges: Mapping[str, Circle] = {}
     paced: bool = False
     order: Sequence[int] = []
@@ -116,9 +118,19 @@ class Planned(Event, frozen=True, kw_only=True):
     @property
     def way_m(self) -> Sequence[tuple[float, float]]:
         """The waypoints in the order in which they are flown."""
-        if sorted(self.order) != list(range(len(self.waypoints_m))):  # as none was asked for
-            return self.waypoints_m
-        return [self.waypoints_m[index] for index in self.order]
+        return [self.waypoints_m[index] for index in self._flown_order]
+
+    @property
+    def way_altitudes_m(self) -> Sequence[float]:
+        """Their altitudes in that order; empty where they are not known."""
+        if len(self.altitudes_m) != len(self.waypoints_m):
+            return ()
+        return [self.altitudes_m[index] for index in self._flown_order]
+
+    @property
+    def _flown_order(self) -> Sequence[int]:
+        given = range(len(self.waypoints_m))
+        return self.order if sorted(self.order) == list(given) else given  # else none was asked for
 
 
 class MissionStarted(Event, frozen=True, kw_only=True):

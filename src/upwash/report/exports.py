@@ -12,6 +12,7 @@ import msgspec
 from upwash.core.geo import Circle, LocalFrame, Position
 from upwash.errors import UsageError
 from upwash.eventlog.results import RunResult, as_json
+from upwash.report.palette import LIGHT
 from upwash.report.record import Record
 
 _SIDES = 64  # of the polygon that stands for a range
@@ -67,6 +68,27 @@ def write_geojson(records: Sequence[Record]) -> str:
     return msgspec.json.encode({"type": "FeatureCollection", "features": features}).decode()
 
 
+def plan_geojson(record: Record) -> str | None:
+    """Home, the planned way and the ranges, drawn in colours and named as Foxglove's map shows them.
+
+    None for a run without a home.
+    """
+    if record.plan.home is None:
+        return None
+    frame = LocalFrame(record.plan.home)
+    way = [_degrees(frame, Position(east_m, north_m)) for east_m, north_m in record.plan.way_m]
+    features = list(_planned(record, frame))
+    if len(way) > 1:  # one place is no line
+        features.append(_feature(record, "plan", "LineString", way))
+    for feature in features:
+        facts = feature["properties"]
+        server = facts.get("server")
+        colour = LIGHT.places[0] if server is None else LIGHT.of_server(record.servers.index(server))
+        facts["name"] = " ".join(str(facts[key]) for key in ("kind", "server", "waypoint") if key in facts)
+        facts["style"] = {"color": colour, "weight": 2, "fillOpacity": 0.1}
+    return msgspec.json.encode({"type": "FeatureCollection", "features": features}).decode()
+
+
 def _features(record: Record) -> Iterator[dict[str, Any]]:
     if record.plan.home is None:
         raise UsageError(
@@ -74,29 +96,34 @@ def _features(record: Record) -> Iterator[dict[str, Any]]:
             "set mission.home in the configuration and fly again"
         )
     frame = LocalFrame(record.plan.home)
-
-    def feature(kind: str, shape: str, coordinates: object, **facts: object) -> dict[str, Any]:
-        return {
-            "type": "Feature",
-            "geometry": {"type": shape, "coordinates": coordinates},
-            "properties": {"log": record.name, "kind": kind, **facts},
-        }
-
-    yield feature("home", "Point", _degrees(frame, Position(0.0, 0.0)))
+    yield from _planned(record, frame)
     track = [(_degrees(frame, fix.position), fix.at_s) for fix in record.track]
-    if len(track) > 1:  # one place is no line
+    if len(track) > 1:
         places, at_s = zip(*track, strict=True)
-        yield feature("track", "LineString", places, at_s=at_s)
-    for name, area in record.plan.ranges.items():
-        yield feature("range", "Polygon", [_ring(frame, area)], server=name, range_m=area.radius_m)
-    for index, (east_m, north_m) in enumerate(record.plan.waypoints_m):
-        yield feature("waypoint", "Point", _degrees(frame, Position(east_m, north_m)), waypoint=index)
+        yield _feature(record, "track", "LineString", places, at_s=at_s)
     for waypoint, place in record.turns:
-        yield feature("turn", "Point", _degrees(frame, place), waypoint=waypoint)
+        yield _feature(record, "turn", "Point", _degrees(frame, place), waypoint=waypoint)
     for call in record.calls:
         if call.position is not None:
             facts = as_json(call.result)
-            yield feature("call", "Point", _degrees(frame, call.position), **facts)
+            yield _feature(record, "call", "Point", _degrees(frame, call.position), **facts)
+
+
+def _planned(record: Record, frame: LocalFrame) -> Iterator[dict[str, Any]]:
+    yield _feature(record, "home", "Point", _degrees(frame, Position(0.0, 0.0)))
+    for name, area in record.plan.ranges.items():
+        yield _feature(record, "range", "Polygon", [_ring(frame, area)], server=name, range_m=area.radius_m)
+    for index, (east_m, north_m) in enumerate(record.plan.waypoints_m):
+        place = _degrees(frame, Position(east_m, north_m))
+        yield _feature(record, "waypoint", "Point", place, waypoint=index)
+
+
+def _feature(record: Record, kind: str, shape: str, coordinates: object, **facts: object) -> dict[str, Any]:
+    return {
+        "type": "Feature",
+        "geometry": {"type": shape, "coordinates": coordinates},
+        "properties": {"log": record.name, "kind": kind, **facts},
+    }
 
 
 def _degrees(frame: LocalFrame, place: Position) -> list[float]:

@@ -58,6 +58,12 @@ _GROUNDS = (
 )  # fmt: skip
 
 
+def components(colour: str) -> tuple[float, float, float]:
+    """Red, green and blue of #rrggbb, each from 0 to 1."""
+    red, green, blue = bytes.fromhex(colour.removeprefix("#"))
+    return red / 255, green / 255, blue / 255
+
+
 def stylesheet() -> str:
     """The colours as CSS: --paper, --place-0 (the drone) and so on, and a class place-0, drone-1, ... of each."""
     classes = [f".place-{index} {{ color: var(--place-{index}); }}" for index in range(len(LIGHT.places))]

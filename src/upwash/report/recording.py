@@ -6,85 +6,103 @@ import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import msgspec
 from foxglove import Channel, Context, open_mcap
-from foxglove.messages import CompressedImage, LocationFix, Log, LogLevel, SceneUpdate, Timestamp
+from foxglove.messages import (
+    CompressedImage,
+    GeoJson,
+    ImageAnnotations,
+    LocationFix,
+    Log,
+    LogLevel,
+    SceneUpdate,
+)
 
 from upwash.core.geo import LocalFrame
 from upwash.errors import UsageError
-from upwash.eventlog import schema
 from upwash.eventlog.narration import Narrator, Tone
-from upwash.report.photos import PhotoShelf, Shot
-from upwash.report.record import Record, place_of
+from upwash.report.camera import photos
+from upwash.report.clock import RecordClock
+from upwash.report.exports import plan_geojson
+from upwash.report.photos import PhotoShelf
+from upwash.report.record import Record
 from upwash.report.scene import FRAME, scene
+from upwash.report.series import Plotted, plotted_calls, plotted_states, schema_of
 
-Message = SceneUpdate | LocationFix | Log | CompressedImage
+Message = SceneUpdate | LocationFix | Log | CompressedImage | ImageAnnotations | GeoJson
+Recorded = Message | Plotted
 
-_NS = 1_000_000_000
 _LEVELS = {Tone.TROUBLE: LogLevel.Warning, Tone.ALARM: LogLevel.Error}
 _TOPICS: dict[type[Message], str] = {
     SceneUpdate: "/scene",
     LocationFix: "/fix",
     Log: "/log",
     CompressedImage: "/camera",
+    ImageAnnotations: "/camera/annotations",
+    GeoJson: "/plan",
 }
 
 
-def write_mcap(records: Sequence[Record], *, photos: Path | None = None) -> bytes:
+def write_mcap(records: Sequence[Record], *, folder: Path | None = None) -> bytes:
     """The file; of several runs each has its name before its topics.
 
-    With `photos` it has those of that folder that the logs name. Raises UsageError where there are none of them.
+    With `folder` it has the photos there that the logs name. Raises UsageError where there are none of them.
     """
-    shelf = PhotoShelf(photos)
-    found: list[tuple[int, str, Message]] = []
+    shelf = PhotoShelf(folder)
+    found: list[tuple[int, str, Recorded]] = []
     for record in records:
         prefix = f"/{record.name}" if len(records) > 1 else ""
         try:
-            found += [(time_ns, prefix, message) for time_ns, message in _messages(record, shelf)]
+            found += [
+                (time_ns, prefix + topic, message) for time_ns, topic, message in _messages(record, shelf)
+            ]
         except (KeyError, OverflowError, TypeError, ValueError) as error:
             raise UsageError(
                 f"{record.name} is not an event log that this version reads: {error!r}"
             ) from error
-    if photos is not None and not any(isinstance(message, CompressedImage) for _, _, message in found):
-        raise UsageError(f"{photos} has none of the photos that the logs name: give the folder of [camera]")
+    if folder is not None and not any(isinstance(message, CompressedImage) for _, _, message in found):
+        raise UsageError(f"{folder} has none of the photos that the logs name: give the folder of [camera]")
     file, context = io.BytesIO(), Context()
     channels: dict[str, Channel] = {}
     with open_mcap(file, context=context):
-        for time_ns, prefix, message in sorted(found, key=lambda each: each[0]):
-            topic = prefix + _TOPICS[type(message)]
+        for time_ns, topic, message in sorted(found, key=lambda each: each[0]):
             if topic not in channels:
-                channels[topic] = Channel(
-                    topic, schema=message.get_schema(), message_encoding="protobuf", context=context
-                )
-            channels[topic].log(message.encode(), log_time=time_ns)
+                channels[topic] = _channel(topic, message, context)
+            channels[topic].log(_encoded(message), log_time=time_ns)
     return file.getvalue()
 
 
-class _Clock:
-    """The time of day of the seconds of a mission; a simulated one happened in 1970."""
-
-    def __init__(self, record: Record) -> None:
-        opened_ns = round(record.opened.timestamp() * 1e6) * 1000 if record.opened else 0
-        self._began_ns = opened_ns + round(record.began_s * _NS)
-
-    def ns(self, at_s: float) -> int:
-        """In nanoseconds since 1970."""
-        return max(0, self._began_ns + round(at_s * _NS))
-
-    def time(self, at_s: float) -> Timestamp:
-        """As messages have it."""
-        return Timestamp(*divmod(self.ns(at_s), _NS))
+def _channel(topic: str, message: Recorded, context: Context) -> Channel:
+    if isinstance(message, Plotted):
+        return Channel(topic, schema=schema_of(type(message)), message_encoding="json", context=context)
+    return Channel(topic, schema=message.get_schema(), message_encoding="protobuf", context=context)
 
 
-def _messages(record: Record, shelf: PhotoShelf) -> Iterator[tuple[int, Message]]:
-    clock = _Clock(record)
+def _encoded(message: Recorded) -> bytes:
+    return msgspec.json.encode(message) if isinstance(message, Plotted) else message.encode()
+
+
+def _messages(record: Record, shelf: PhotoShelf) -> Iterator[tuple[int, str, Recorded]]:
+    clock = RecordClock(record)
+    for time_ns, message in _shown(record, clock, shelf):
+        yield time_ns, _TOPICS[type(message)], message
+    for at_s, call in plotted_calls(record):
+        yield clock.ns(at_s), "/calls", call
+    for server, at_s, state in plotted_states(record):
+        yield clock.ns(at_s), f"/servers/{server}", state
+
+
+def _shown(record: Record, clock: RecordClock, shelf: PhotoShelf) -> Iterator[tuple[int, Message]]:
     for at_s, update in scene(record, clock.time):
         yield clock.ns(at_s), update
+    if (plan := plan_geojson(record)) is not None:
+        yield clock.ns(0.0), GeoJson(geojson=plan)
     yield from _fixes(record, clock)
     yield from _lines(record, clock)
-    yield from _photos(record, clock, shelf)
+    yield from photos(record, clock, shelf)
 
 
-def _fixes(record: Record, clock: _Clock) -> Iterator[tuple[int, Message]]:
+def _fixes(record: Record, clock: RecordClock) -> Iterator[tuple[int, Message]]:
     if record.plan.home is None:
         return
     frame = LocalFrame(record.plan.home)
@@ -102,7 +120,7 @@ def _fixes(record: Record, clock: _Clock) -> Iterator[tuple[int, Message]]:
         )
 
 
-def _lines(record: Record, clock: _Clock) -> Iterator[tuple[int, Message]]:
+def _lines(record: Record, clock: RecordClock) -> Iterator[tuple[int, Message]]:
     narrator = Narrator()
     for event in record.events:
         if (said := narrator.tell(event)) is not None:
@@ -112,22 +130,3 @@ def _lines(record: Record, clock: _Clock) -> Iterator[tuple[int, Message]]:
                 clock.ns(at_s),
                 Log(timestamp=clock.time(at_s), level=level, message=said.text, name=record.name),
             )
-
-
-def _photos(record: Record, clock: _Clock, shelf: PhotoShelf) -> Iterator[tuple[int, Message]]:
-    since_start, last = 0, None
-    for event in record.events:
-        last = place_of(event, last) or last
-        if isinstance(event, schema.LogResumed):
-            since_start = 0
-        elif isinstance(event, schema.Photo):
-            jpeg = shelf.find(Shot(event.source, last, since_start))
-            since_start += 1
-            taken_s = event.t - event.age_s - record.began_s
-            if jpeg is not None:
-                yield (
-                    clock.ns(taken_s),
-                    CompressedImage(
-                        timestamp=clock.time(taken_s), frame_id="camera", data=jpeg, format="jpeg"
-                    ),
-                )

@@ -22,7 +22,7 @@ from foxglove.messages import (
 
 from upwash.core.geo import Circle, Position
 from upwash.core.servers import State
-from upwash.report.palette import DARK
+from upwash.report.palette import DARK, components
 from upwash.report.places import name_of
 from upwash.report.record import Record, ReportedCall, Stretch
 
@@ -67,10 +67,9 @@ def scene(record: Record, time_of: Callable[[float], Timestamp]) -> Iterator[tup
 
 
 def _plan(record: Record, time: Timestamp) -> SceneEntity:
-    altitude_m = max(
-        (fix.position.altitude_m for fix in record.track), default=0.0
-    )  # the plan's own is not logged
-    places = [Position(east_m, north_m, altitude_m) for east_m, north_m in record.plan.way_m]
+    way_m = record.plan.way_m
+    altitudes_m = record.plan.way_altitudes_m or [_highest_m(record)] * len(way_m)
+    places = [Position(*place, altitude_m) for place, altitude_m in zip(way_m, altitudes_m, strict=True)]
     return SceneEntity(
         timestamp=time,
         frame_id=FRAME,
@@ -79,6 +78,11 @@ def _plan(record: Record, time: Timestamp) -> SceneEntity:
         spheres=[_ball(place, _WAYPOINT_M, _FAINT) for place in places],
         texts=[_label("home", Position(0.0, 0.0))],
     )
+
+
+def _highest_m(record: Record) -> float:
+    """How high the drone flew, for the plan of a log that does not say how high it was to fly."""
+    return max((fix.position.altitude_m for fix in record.track), default=0.0)
 
 
 def _range(server: str, area: Circle, stretch: Stretch, time: Timestamp) -> SceneEntity:
@@ -124,7 +128,7 @@ def _call(index: int, call: ReportedCall, place: Position, record: Record, time:
 
 def _colour(server: str | None, record: Record) -> Color:
     colour = DARK.places[0] if server is None else DARK.of_server(record.servers.index(server))
-    return _shade(*(int(colour[start : start + 2], 16) / 255 for start in (1, 3, 5)))
+    return _shade(*components(colour))
 
 
 def _line(

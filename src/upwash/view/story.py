@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import msgspec
 
@@ -15,7 +15,7 @@ from upwash.eventlog.notices import Notices
 from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, told, told_decision
 from upwash.eventlog.schema import Event
 from upwash.eventlog.whereabouts import Whereabouts
-from upwash.report.photos import Shot
+from upwash.report.photos import Shot, Shots
 from upwash.report.record import place_of
 from upwash.view import facts
 from upwash.view.facts import Fact, Outline
@@ -31,7 +31,6 @@ class Story:
     """
 
     def __init__(self, keeps: Callable[[str], bool]) -> None:
-        self.shots: list[Shot] = []
         self.ended = False
         self.drone: str | None = None
         self._keeps = keeps
@@ -42,14 +41,17 @@ class Story:
         self._beginning = Beginning()
         self._policy = ""
         self._calls_at = Whereabouts()
-        self._shot_at: dict[int | None, int] = {}  # the photo that the call of each waypoint was made with
-        self._told_of: int | None = None  # the photo that the user is told of
-        self._told_at: int | None = None  # the waypoint
+        self._shots = Shots()
+        self._told_at: int | None = None  # the waypoint that the user is told of
         self._place: Position | None = None
         self._placed_s = 0.0
         self._doing = ("", 0)
         self._servers: set[str] = set()
-        self._shots_since_start = 0
+
+    @property
+    def shots(self) -> Sequence[Shot]:
+        """Its photos so far."""
+        return self._shots.taken
 
     def take(self, event: Event) -> Iterator[Fact]:
         """What the next event tells."""
@@ -120,7 +122,7 @@ class Story:
             case schema.Planned():
                 yield self._plan(event)
             case schema.LogResumed():
-                self._shots_since_start, self.ended = 0, False
+                self.ended = False
                 for server in sorted(self._servers):  # a program that begins anew knows of no server's state
                     yield self._step(server, State.AVL, "taken up again")
             case schema.MissionStarted(drone=drone, policy=policy):
@@ -189,32 +191,25 @@ class Story:
     # --- photos -----------------------------------------------------------------------------------------------
 
     def _photos(self, event: Event) -> Iterator[Fact]:
+        self._shots.take(event)
         match event:
             case schema.Photo(source=source, truth=truth):
-                position = place_of(event, self._place)
-                self.shots.append(Shot(source, position, self._shots_since_start))
-                self._shots_since_start += 1
-                self._told_of = len(self.shots) - 1
                 yield facts.Shot(
                     at_s=self._now_s,
-                    number=self._told_of,
+                    number=len(self.shots) - 1,
                     waypoint=self._calls_at.here,
                     source=source,
                     kept=self._keeps(source),
                     truth=_outlines(truth),
                 )
-            case schema.CallStarted(waypoint=waypoint) if self.shots:
-                self._shot_at[waypoint] = len(self.shots) - 1
-            case schema.AnswerTaken(waypoint=waypoint):
-                self._told_of, self._told_at = self._shot_at.get(waypoint, self._told_of), waypoint
-            case schema.Arrived(waypoint=waypoint):
+            case schema.AnswerTaken(waypoint=waypoint) | schema.Arrived(waypoint=waypoint):
                 self._told_at = waypoint
             case schema.Notified(message=message, at=place):
                 yield facts.Told(
                     at_s=self._now_s,
                     words=in_one_line(message),
                     boxes=_outlines(message) or (),
-                    number=self._told_of,
+                    number=self._shots.told_of,
                     waypoint=self._told_at,
                     east_m=place.east_m,
                     north_m=place.north_m,

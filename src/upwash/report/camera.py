@@ -1,0 +1,103 @@
+"""The photos of a run as messages of a recording, with boxes around what the user was told of each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import msgspec
+from foxglove.messages import (
+    Color,
+    CompressedImage,
+    ImageAnnotations,
+    Point2,
+    PointsAnnotation,
+    PointsAnnotationType,
+    TextAnnotation,
+    Timestamp,
+)
+
+from upwash.eventlog import schema
+from upwash.report.clock import RecordClock
+from upwash.report.palette import DARK, components
+from upwash.report.photos import PhotoShelf, Shots
+from upwash.report.record import Record
+from upwash.services.detection import Detection
+
+_FRAME = "camera"
+_FONT_PX, _LINE_PX = 16.0, 3.0
+
+
+def photos(
+    record: Record, clock: RecordClock, shelf: PhotoShelf
+) -> Iterator[tuple[int, CompressedImage | ImageAnnotations]]:
+    """Each photo that is to be had, and its boxes, both at the time at which it was taken.
+
+    A photo of which nothing was told has no boxes, so that those of the one before it go.
+    """
+    boxes = _boxes_by_shot(record)
+    shots = Shots()
+    for event in record.events:
+        shots.take(event)
+        if isinstance(event, schema.Photo):
+            number = len(shots.taken) - 1
+            jpeg = shelf.find(shots.taken[number])
+            taken_s = event.t - event.age_s - record.began_s
+            time, time_ns = clock.time(taken_s), clock.ns(taken_s)
+            if jpeg is not None:
+                yield time_ns, CompressedImage(timestamp=time, frame_id=_FRAME, data=jpeg, format="jpeg")
+                yield time_ns, _annotations(boxes.get(number, []), time)
+
+
+def _boxes_by_shot(record: Record) -> dict[int, list[Detection]]:
+    """What was found on each photo, by its number: it is told after the photo was taken."""
+    found: dict[int, list[Detection]] = {}
+    shots = Shots()
+    for event in record.events:
+        shots.take(event)
+        if isinstance(event, schema.Notified) and shots.told_of is not None:
+            found.setdefault(shots.told_of, []).extend(_detections(event.message))
+    return found
+
+
+def _detections(message: object) -> list[Detection]:
+    try:
+        return msgspec.convert(message, list[Detection])
+    except msgspec.ValidationError:  # a mission may tell its user anything
+        return []
+
+
+def _annotations(found: list[Detection], time: Timestamp) -> ImageAnnotations:
+    return ImageAnnotations(
+        timestamp=time,
+        points=[_outline(each, time) for each in found],
+        texts=[_label(each, time) for each in found],
+    )
+
+
+def _outline(found: Detection, time: Timestamp) -> PointsAnnotation:
+    left, top = found.left_px, found.top_px
+    right, bottom = left + found.width_px, top + found.height_px
+    corners = ((left, top), (right, top), (right, bottom), (left, bottom))
+    return PointsAnnotation(
+        timestamp=time,
+        type=PointsAnnotationType.LineLoop,
+        points=[Point2(x=x, y=y) for x, y in corners],
+        outline_color=_colour(DARK.alarm),
+        thickness=_LINE_PX,
+    )
+
+
+def _label(found: Detection, time: Timestamp) -> TextAnnotation:
+    return TextAnnotation(
+        timestamp=time,
+        position=Point2(x=found.left_px, y=found.top_px),
+        text=f"{found.label} {found.score:.2f}",
+        font_size=_FONT_PX,
+        text_color=_colour(DARK.on_alarm),
+        background_color=_colour(DARK.alarm),
+    )
+
+
+def _colour(colour: str) -> Color:
+    red, green, blue = components(colour)
+    return Color(r=red, g=green, b=blue, a=1.0)

@@ -1,0 +1,73 @@
+"""What a run's calls took and which states its servers were in, as numbers that viewers of recordings plot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+
+from upwash.core.servers import State
+from upwash.report.places import name_of
+from upwash.report.record import Record
+
+STATE_NUMBERS = {state: number for number, state in enumerate(State)}
+
+
+class PlottedCall(msgspec.Struct, frozen=True):
+    """A service call that has ended; `place` is `drone` or a server."""
+
+    waypoint: int | None
+    operation: str
+    place: str
+    delay_s: float
+    waited_s: float
+    fell_back: bool
+
+
+class PlottedState(msgspec.Struct, frozen=True):
+    """The state that a server is in from now on, in letters and as a number, and why it came into it."""
+
+    state: str
+    state_number: int
+    why: str
+
+
+Plotted = PlottedCall | PlottedState
+
+
+def schema_of(kind: type[Plotted]) -> dict[str, Any]:
+    """The JSON schema of such messages."""
+    (described,), components = msgspec.json.schema_components([kind])
+    name = described["$ref"].rpartition("/")[2]
+    return dict(components[name])
+
+
+def plotted_calls(record: Record) -> Iterator[tuple[float, PlottedCall]]:
+    """Each call, at the second of the mission at which it ended."""
+    for call in record.calls:
+        result = call.result
+        yield (
+            result.at_s + result.delay_s,
+            PlottedCall(
+                result.waypoint,
+                result.operation,
+                name_of(result.server),
+                result.delay_s,
+                result.waited_s,
+                call.fell_back,
+            ),
+        )
+
+
+def plotted_states(record: Record) -> Iterator[tuple[str, float, PlottedState]]:
+    """Each state of each server, at the second at which it began; the last one also as the log ends."""
+    for server, stretches in record.stretches.items():
+        for stretch in stretches:
+            yield server, stretch.from_s, _plotted(stretch.state, stretch.why)
+        if stretches:
+            yield server, stretches[-1].to_s, _plotted(stretches[-1].state, stretches[-1].why)
+
+
+def _plotted(state: State, why: str) -> PlottedState:
+    return PlottedState(str(state), STATE_NUMBERS[state], why)
