@@ -16,7 +16,7 @@ from bench.program import command_line
 
 from upwash.config import DroneConfig
 from upwash.lab.comparison import NamedScenario, read_scenarios, thesis_scenarios
-from upwash.lab.confidence import mean_of
+from upwash.support.confidence import mean_of
 from upwash.lab.run import simulate
 from upwash.lab.simulation import with_policy
 

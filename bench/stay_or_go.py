@@ -18,7 +18,7 @@ import msgspec
 from bench.program import command_line
 from bench.results import FOLDER, leave
 
-from upwash.lab.confidence import Mean, mean_of
+from upwash.support.confidence import Mean, mean_of
 from upwash.lab.processes import in_processes
 from upwash.lab.run import simulate
 from upwash.lab.simulation import read_scenario

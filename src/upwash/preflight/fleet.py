@@ -12,7 +12,7 @@ from upwash.config import Document, DroneConfig, drone_config, fleet_of, server_
 from upwash.drone.order import order_of
 from upwash.eventlog import schema
 from upwash.lab import processes
-from upwash.lab.confidence import mean_of
+from upwash.support.confidence import mean_of
 from upwash.lab.run import Run, simulate_drones
 from upwash.lab.simulation import with_policy
 from upwash.missions.bundled import load_specs

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from upwash.lab.confidence import Mean, mean_of
+from upwash.support.confidence import Mean, mean_of
 from upwash.lab.reproduction.cells import (
     EXPERIMENTS,
     NAIVE,
