@@ -13,7 +13,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.schema import SEVERITIES, Event
 from upwash.eventlog.whereabouts import Whereabouts
 
-_SAFE_ENDS = {
+SAFE_ENDS = {
     "return": "returning to land",
     "land": "landing where it is",
     "hold": "stopping to hover",
@@ -38,6 +38,7 @@ _OWNERS = {
     Owner.UNKNOWN: "nobody known",
 }
 LEFT_HOVERING = "The vehicle hovers where it is, and nobody flies it now: take over with the remote control."
+WAS_LEFT_HOVERING = "The vehicle hovered where it was, and nobody flew it: a pilot had to take over."
 
 
 def spans(indices: Sequence[int]) -> str:
@@ -165,7 +166,7 @@ class Narrator:
                 self.doing = "landed"
                 return Said("landed")
             case schema.SafeEnd(action=action, why=why):
-                self.doing = _SAFE_ENDS[action]
+                self.doing = SAFE_ENDS[action]
                 return Said(f"{self.doing}: {why}", Tone.ALARM)
             case schema.LeftHovering():
                 self.doing = "hovering"
