@@ -14,6 +14,9 @@ from upwash.eventlog.schema import Event
 from upwash.report.photos import Shot
 from upwash.support.text import printable
 
+MOST_PICTURED = 60  # findings; of later ones no boxes are kept, however long the log is
+_LONGEST_WORDS = 300  # characters
+
 
 class Outline(msgspec.Struct, frozen=True, omit_defaults=True):
     """A box in a photo, in its pixels; without a score where it is the photo's truth."""
@@ -24,6 +27,11 @@ class Outline(msgspec.Struct, frozen=True, omit_defaults=True):
     height_px: float
     label: str
     score: float | None = None
+
+    @property
+    def words(self) -> str:
+        """What it is around, and how sure that is."""
+        return self.label if self.score is None else f"{self.label} {100 * self.score:.0f} %"
 
 
 def outlines(message: object) -> list[Outline] | None:
@@ -85,7 +93,10 @@ class Pairing:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What the user was told at a second of the mission, and of which place; `boxes` are on the photo of the shot."""
+    """What the user was told at a second of the mission, and of which place; `boxes` are on the photo of the shot.
+
+    Those are of the first MOST_PICTURED findings alone.
+    """
 
     at_s: float
     words: str
@@ -107,14 +118,15 @@ class Findings:
         """Takes in the next event."""
         self._pairing.take(event)
         if isinstance(event, schema.Notified) and event.message:
-            photo = self._pairing.told_of
+            photo, boxes = self._pairing.told_of, outlines(event.message) or ()
+            words = ", ".join(box.words for box in boxes) or in_one_line(event.message)
             self.found.append(
                 Finding(
                     at_s=event.t - self._began_s,
-                    words=printable(in_one_line(event.message)),
+                    words=printable(words, _LONGEST_WORDS),
                     waypoint=photo.waypoint if photo else None,
                     place=event.at,
-                    boxes=outlines(event.message) or (),
+                    boxes=boxes if len(self.found) < MOST_PICTURED else (),
                     shot=photo.shot if photo else None,
                 )
             )

@@ -8,38 +8,36 @@ from collections.abc import Iterator
 
 from upwash.report import tables
 from upwash.report.crops import Crop, crop_around, pixels_of
-from upwash.report.findings import Finding, Outline
+from upwash.report.findings import MOST_PICTURED, Finding, Outline
 from upwash.report.markup import Markup, element, joined
 from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record
+from upwash.support.text import printable
 
 _WITHOUT = (
     "Some findings have no picture. Pictures need OpenCV (upwash[detector]); photos of a folder need --photos FOLDER "
     "too, and those of a video device are not kept."
 )
+_LONGEST_LABEL = 60  # characters
 
 
 def draw_findings(record: Record, shelf: PhotoShelf, most: int) -> Markup:
     """The findings of the run: a picture of each box, up to so many, and all of them as a table."""
-    if not record.findings:
-        return element("p", "The user was told nothing.")
     pictures: list[Markup] = []
-    missing = False
-    for number, finding in enumerate(record.findings, start=1):
-        if len(pictures) >= most:
-            break
-        found = list(_pictures(number, finding, record, shelf))
-        missing |= len(found) < max(1, len(finding.boxes))
+    lacking = False
+    for number, finding in enumerate(record.findings[:MOST_PICTURED], start=1):
+        found = list(_pictures(number, finding, record, shelf)) if len(pictures) < most else []
+        lacking |= len(found) < len(finding.boxes)
         pictures += found
-    pictures = pictures[:most]
+    notes = []
+    if len(pictures) >= most:
+        notes.append(_note(f"No more than {most} pictures are shown; the table has every finding."))
+    elif lacking:
+        notes.append(_note(_WITHOUT))
     table = tables.findings(record)
     if not pictures:
-        return joined(_note(_WITHOUT), table)
-    boxes = sum(len(finding.boxes) for finding in record.findings)
-    notes = [_note(_WITHOUT)] if missing else []
-    if len(pictures) == most < boxes:
-        notes.append(_note(f"The first {most} of {boxes} boxes have a picture."))
-    gallery = element("ul", *pictures, class_="gallery")
+        return joined(*notes, table)
+    gallery = element("ul", *pictures[:most], class_="gallery")
     return joined(gallery, *notes, tables.folded("The findings as a table", table))
 
 
@@ -63,7 +61,7 @@ def _picture(number: int, finding: Finding, box: Outline, crop: Crop, record: Re
     where = "" if finding.waypoint is None else f"waypoint {finding.waypoint}, "
     caption = element(
         "figcaption",
-        element("strong", f"{number}: {tables.boxed(box)}"),
+        element("strong", f"{number}: {_words(box)}"),
         element("br"),
         f"{where}at {finding.at_s:.1f} s",
         element("br"),
@@ -72,13 +70,17 @@ def _picture(number: int, finding: Finding, box: Outline, crop: Crop, record: Re
     return element("li", element("figure", _outlined(box, crop), caption))
 
 
+def _words(box: Outline) -> str:
+    return printable(box.words, _LONGEST_LABEL)
+
+
 def _outlined(box: Outline, crop: Crop) -> Markup:
     """The crop with the box drawn on it."""
     corner = {"x": box.left_px - crop.left_px, "y": box.top_px - crop.top_px}
     size = {"width": box.width_px, "height": box.height_px}
     return element(
         "svg",
-        element("title", f"{tables.boxed(box)}, on the photo"),
+        element("title", f"{_words(box)}, on the photo"),
         element(
             "image", href=f"data:image/jpeg;base64,{base64.b64encode(crop.jpeg).decode()}",
             width=crop.width_px, height=crop.height_px,

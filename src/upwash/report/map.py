@@ -10,15 +10,16 @@ from upwash.core.geo import Position
 from upwash.eventlog.narration import named
 from upwash.report.axes import figure, label, round_step
 from upwash.report.delays import MANY, in_short
-from upwash.report.findings import Finding
+from upwash.report.findings import MOST_PICTURED, Finding
 from upwash.report.markup import Markup, element, joined
 from upwash.report.places import Places
 from upwash.report.record import Record
 
 _SIDE, _MARGIN = 560.0, 28.0
 _SCALE_BAR = 0.25  # of the width, at most
+_FARTHEST = 1e5  # from the map, of what is drawn
+_FARTHEST_M = 1e8  # from home, of what the map is to show
 _MOST = 3000  # marks, waypoints or corners of a line that are drawn, more or less
-NUMBERED = 60  # findings; later ones have a mark without a number
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +34,13 @@ class View:
 
     def point(self, east_m: float, north_m: float) -> tuple[float, float]:
         """Where a place is drawn."""
-        return _MARGIN + (east_m - self.west_m) * self.per_m, _MARGIN + (self.north_m - north_m) * self.per_m
+        x, y = (east_m - self.west_m) * self.per_m, (self.north_m - north_m) * self.per_m
+        return _MARGIN + _drawable(x), _MARGIN + _drawable(y)
+
+
+def _drawable(value: float) -> float:
+    """A number that a browser can draw, whatever a log says."""
+    return min(_FARTHEST, max(-_FARTHEST, value))
 
 
 def view_of(records: Iterable[Record]) -> View:
@@ -41,6 +48,8 @@ def view_of(records: Iterable[Record]) -> View:
     west_m = east_m = south_m = north_m = 0.0
     for record in records:
         for x_m, y_m in _corners(record):
+            if max(abs(x_m), abs(y_m)) > _FARTHEST_M:
+                continue
             west_m, east_m = min(west_m, x_m), max(east_m, x_m)
             south_m, north_m = min(south_m, y_m), max(north_m, y_m)
     breadth_m, depth_m = east_m - west_m, north_m - south_m
@@ -103,9 +112,49 @@ def _names(record: Record, view: View) -> Iterator[Markup]:
 
 
 def _line(places_m: Iterable[tuple[float, float]], view: View, style: str) -> Markup:
-    points = [view.point(east_m, north_m) for east_m, north_m in places_m]
-    points = points[:: 1 + len(points) // _MOST]
-    return element("polyline", points=" ".join(f"{x:.1f},{y:.1f}" for x, y in points), class_=style)
+    way = _Way()
+    for place in places_m:
+        way.lead_to(*view.point(*place))
+    return element("path", d=way.path(), class_=style)
+
+
+class _Way:
+    """A line on a grid, which gets coarser as the line gets long; what is drawn once is not drawn again."""
+
+    def __init__(self) -> None:
+        self._grid = 0.1
+        self._at: tuple[int, int] | None = None
+        self._strokes: dict[tuple[tuple[int, int], tuple[int, int]], None] = {}  # in their order
+
+    def lead_to(self, x: float, y: float) -> None:
+        """The line goes on to that point."""
+        at = round(x / self._grid), round(y / self._grid)
+        before, self._at = self._at, at
+        if before is None or before == at or (at, before) in self._strokes:
+            return
+        self._strokes[before, at] = None
+        while len(self._strokes) > _MOST:
+            self._coarsen()
+
+    def _coarsen(self) -> None:
+        self._grid *= 2
+        halved = [(_halved(start), _halved(end)) for start, end in self._strokes]
+        self._strokes = {(start, end): None for start, end in halved if start != end}
+        self._at = None if self._at is None else _halved(self._at)
+
+    def path(self) -> str:
+        """The line as a path's commands."""
+        commands, pen = [], None
+        for start, end in self._strokes:
+            if start != pen:
+                commands.append(f"M{start[0] * self._grid:.1f} {start[1] * self._grid:.1f}")
+            commands.append(f"L{end[0] * self._grid:.1f} {end[1] * self._grid:.1f}")
+            pen = end
+        return "".join(commands)
+
+
+def _halved(place: tuple[int, int]) -> tuple[int, int]:
+    return round(place[0] / 2), round(place[1] / 2)
 
 
 class _Thinned:
@@ -185,7 +234,7 @@ def _findings(findings: Sequence[Finding], view: View) -> Iterator[Markup]:
     for number, finding in enumerate(findings, start=1):
         x, y = place = view.point(finding.place.east_m, finding.place.north_m)
         about = element("title", f"finding {number}: {finding.words}")
-        if number <= NUMBERED:
+        if number <= MOST_PICTURED:
             beside[place] = beside.get(place, -1) + 1
             yield _numbered(number, about, x + 9 + 16 * beside[place], y - 9)
         elif thinned.lets("finding", x, y):

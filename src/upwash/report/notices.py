@@ -143,12 +143,18 @@ class NoticesTaken:
         if fallbacks := result.totals.fallbacks:
             yield f"{counted(fallbacks, 'call')} got no usable answer from a server and fell back to the drone"
         for server, (times, last) in sorted(self._blacklisted.items()):
-            yield f"The server {server} was blacklisted {counted(times, 'time')}, last {last}"
+            yield f"The server {server} was blacklisted {_often(times)}, last {last}"
         if self._lost_links:
-            times = counted(self._lost_links, "time")
-            yield f"The vehicle was not heard {times}, at the longest for {self._longest_silence_s:.1f} s"
+            yield (
+                f"The vehicle fell silent {_often(self._lost_links)}, at the longest for "
+                f"{self._longest_silence_s:.1f} s"
+            )
         for text, often in self._troubles.items():
-            yield text if often == 1 else f"{text} ({often} times)"
+            yield text if often == 1 else f"{text} ({_often(often)})"
+
+
+def _often(number: int) -> str:
+    return "once" if number == 1 else f"{number} times"
 
 
 def _sentence(text: str) -> str:

@@ -9,8 +9,9 @@ from upwash.eventlog.narration import MEANINGS
 from upwash.report import tables
 from upwash.report.delays import MANY, draw_call_delays, in_short, waypoints_a_box
 from upwash.report.endings import draw_endings
+from upwash.report.findings import MOST_PICTURED
 from upwash.report.gallery import draw_findings
-from upwash.report.map import NUMBERED, draw_map
+from upwash.report.map import draw_map
 from upwash.report.markup import Markup, element, joined
 from upwash.report.outcome import what_it_came_to
 from upwash.report.photos import PhotoShelf
@@ -76,7 +77,9 @@ def _map(records: Sequence[Record], scales: Scales) -> Markup:
         )
 
     most = max(len(record.findings) for record in records)
-    later = f"the first {NUMBERED} findings; rings: later ones" if most > NUMBERED else "the findings"
+    later = (
+        f"the first {MOST_PICTURED} findings; rings: later ones" if most > MOST_PICTURED else "the findings"
+    )
     numbers = f" Numbers: {later}." if most else ""
     turns = " Hooked arrows: where the drone turned back for an answer."
     note = _note(

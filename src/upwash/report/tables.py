@@ -8,17 +8,15 @@ from typing import TypeVar
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.core.servers import State
 from upwash.eventlog.results import CallResult, mean_local_delay_s
-from upwash.report.findings import Finding, Outline
+from upwash.report.findings import Finding
 from upwash.report.going import OpenAnswer
 from upwash.report.markup import Markup, element
 from upwash.report.places import name_of
 from upwash.report.record import Record, ReportedCall, Stretch
 from upwash.report.timeline import state_seconds
-from upwash.support.text import printable
 
 _MOST_ROWS = 300  # of a table with a row each of what a long flight has many of
 _AT_EITHER_END = 100
-_LONGEST_LABEL = 60
 _IN_THE_LOG = "the event log has all of them"
 Item = TypeVar("Item")
 
@@ -65,7 +63,7 @@ def _head(head: str) -> Markup:
 
 def scrolled(content: Markup, name: str, *, style: str = "scroll") -> Markup:
     """A region that scrolls by itself on narrow screens, by keyboard too."""
-    return element("div", content, class_=style, tabindex="0", role="region", aria_label=name)
+    return element("div", content, class_=style, tabindex="0", role="group", aria_label=name)
 
 
 def folded(summary: str, *content: Markup) -> Markup:
@@ -244,7 +242,7 @@ def findings(record: Record) -> Markup:
             f"{found.at_s:.1f} s",
             _at(found.waypoint),
             coordinates(found.place, home),
-            told(found),
+            found.words,
         ]
 
     return _long(
@@ -254,17 +252,6 @@ def findings(record: Record) -> Markup:
         row,
         rest=f"{_IN_THE_LOG}, as notified",
     )
-
-
-def told(finding: Finding) -> str:
-    """Its boxes with their confidence, or its words where it has none."""
-    return ", ".join(map(boxed, finding.boxes)) or finding.words
-
-
-def boxed(box: Outline) -> str:
-    """What a box is around, and how sure that is."""
-    label = printable(box.label, _LONGEST_LABEL)
-    return label if box.score is None else f"{label} {100 * box.score:.0f} %"
 
 
 def coordinates(place: Position, home: GeoPosition | None) -> str:

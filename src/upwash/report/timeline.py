@@ -29,7 +29,7 @@ def draw_timeline(record: Record, places: Places, *, longest_s: float) -> Markup
     left = LEFT + 40
     x = Axis(0, longest_s, left, WIDTH - RIGHT)
     bottom = TOP + _ROW * (len(record.servers) + bool(record.answers))
-    stroke_s = _STROKE * longest_s / (WIDTH - RIGHT - left)
+    stroke_s = _STROKE * (longest_s or 1.0) / (WIDTH - RIGHT - left)
     calls_at_s: dict[str | None, list[float]] = defaultdict(list)
     for call in record.result.calls:
         calls_at_s[call.server].append(call.at_s)
