@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,20 +11,21 @@ from tests.events import line
 from upwash.report.page import write_page
 from upwash.report.record import read_records
 
+Told = tuple[float, str, Mapping[str, object]]  # an event: when, its kind and its facts
 SVG, XHTML = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xhtml}"
 
 
-def log_of(file: Path, *events: tuple[float, str, dict[str, object]]) -> Path:
+def log_of(file: Path, *events: Told, home: object = None) -> Path:
     """A log of these events, after the plan and the start of a mission of four waypoints at second 1."""
-    began = [
-        (0.0, "planned", {"waypoints_m": [(0, 0), (20, 0), (40, 0), (60, 0)]}),
+    began: list[Told] = [
+        (0.0, "planned", {"home": home, "waypoints_m": [(0, 0), (20, 0), (40, 0), (60, 0)]}),
         (1.0, "mission_started", {"policy": "location-aware", "waypoints": 4}),
     ]
     file.write_bytes(b"".join(line(kind, t, **facts) for t, kind, facts in (*began, *events)))
     return file
 
 
-def arrivals(*waypoints: int) -> Iterator[tuple[float, str, dict[str, object]]]:
+def arrivals(*waypoints: int) -> Iterator[Told]:
     """At each of these waypoints, ten seconds apart."""
     for number, waypoint in enumerate(waypoints):
         yield 2.0 + 10 * number, "arrived", {"waypoint": waypoint, "east_m": 20.0 * waypoint, "north_m": 0.0}

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from tests.report.pages import arrivals, log_of, of_class, parsed, text
+from tests.report.pages import Told, arrivals, log_of, of_class, parsed, text
 
 from upwash.eventlog.narration import WAS_LEFT_HOVERING
 
-COMPLETED = (60.0, "mission_completed", {})
+COMPLETED: Told = (60.0, "mission_completed", {})
 CALL = {"operation": "detector.count", "place": "local", "decision": "none near"}
 
 
@@ -39,7 +40,7 @@ def test_a_flight_in_which_all_went_well_has_no_block(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_what_a_person_has_to_know_is_in_the_red_block(
-    tmp_path: Path, event: tuple[str, dict[str, object]], said: str
+    tmp_path: Path, event: tuple[str, Mapping[str, object]], said: str
 ) -> None:
     kind, facts = event
     log = log_of(tmp_path / "ill.jsonl", *arrivals(0, 1, 2, 3), (50.0, kind, facts), COMPLETED)
@@ -68,7 +69,7 @@ def test_a_log_without_an_end_says_so(tmp_path: Path) -> None:
     assert "The log ends before the mission does" in told(again, "urgent")
 
 
-def failed(t: float, server: str) -> tuple[float, str, dict[str, object]]:
+def failed(t: float, server: str) -> Told:
     why = f"{server}: no answer within 5 s"
     return t, "check_failed", {"server": server, "before": "CHECK", "after": "BLACKLISTED", "why": why}
 

@@ -7,14 +7,14 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from tests.report.pages import SVG, XHTML, log_of, of_class, parsed, table_named, text
+from tests.report.pages import SVG, XHTML, Told, log_of, of_class, parsed, table_named, text
 
 from upwash.report.delays import MANY
 
-COMPLETED = (9e6, "mission_completed", {})
+COMPLETED: Told = (9e6, "mission_completed", {})
 
 
-def calls(number: int, *, operations: int = 1) -> Iterator[tuple[float, str, dict[str, object]]]:
+def calls(number: int, *, operations: int = 1) -> Iterator[Told]:
     """A call each ten seconds, every other on s1, which waits one time in ten."""
     for waypoint in range(number):
         t = 10.0 * (waypoint + 1)
