@@ -12,8 +12,8 @@ from rich.text import Text
 
 from upwash.lab.campaign import CombinationSummary, Fly, run_campaign
 from upwash.lab.campaign_file import CampaignFile
-from upwash.lab.confidence import Mean
 from upwash.lab.sweep import Sweep
+from upwash.support.confidence import Mean
 
 _FAILURES_SHOWN = 10  # of each combination: the file has them all
 

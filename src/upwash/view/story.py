@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-import msgspec
-
 from upwash.core.geo import LocalFrame, Position
 from upwash.core.servers import CHECKING, State
 from upwash.eventlog import schema
@@ -15,10 +13,11 @@ from upwash.eventlog.notices import Notices
 from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, told, told_decision
 from upwash.eventlog.schema import Event
 from upwash.eventlog.whereabouts import Whereabouts
+from upwash.report.findings import Pairing, outlines
 from upwash.report.photos import Shot
 from upwash.report.record import place_of
 from upwash.view import facts
-from upwash.view.facts import Fact, Outline
+from upwash.view.facts import Fact
 
 _STALE_S = 1.5  # a flown log tells the position every second, a simulated one when something happens
 
@@ -42,14 +41,11 @@ class Story:
         self._beginning = Beginning()
         self._policy = ""
         self._calls_at = Whereabouts()
-        self._shot_at: dict[int | None, int] = {}  # the photo that the call of each waypoint was made with
-        self._told_of: int | None = None  # the photo that the user is told of
-        self._told_at: int | None = None  # the waypoint
+        self._pairing = Pairing()
         self._place: Position | None = None
         self._placed_s = 0.0
         self._doing = ("", 0)
         self._servers: set[str] = set()
-        self._shots_since_start = 0
 
     def take(self, event: Event) -> Iterator[Fact]:
         """What the next event tells."""
@@ -120,7 +116,7 @@ class Story:
             case schema.Planned():
                 yield self._plan(event)
             case schema.LogResumed():
-                self._shots_since_start, self.ended = 0, False
+                self.ended = False
                 for server in sorted(self._servers):  # a program that begins anew knows of no server's state
                     yield self._step(server, State.AVL, "taken up again")
             case schema.MissionStarted(drone=drone, policy=policy):
@@ -189,41 +185,26 @@ class Story:
     # --- photos -----------------------------------------------------------------------------------------------
 
     def _photos(self, event: Event) -> Iterator[Fact]:
+        self._pairing.take(event)
         match event:
-            case schema.Photo(source=source, truth=truth):
-                position = place_of(event, self._place)
-                self.shots.append(Shot(source, position, self._shots_since_start))
-                self._shots_since_start += 1
-                self._told_of = len(self.shots) - 1
+            case schema.Photo(truth=truth) if (photo := self._pairing.last) is not None:
+                self.shots.append(photo.shot)
                 yield facts.Shot(
                     at_s=self._now_s,
-                    number=self._told_of,
-                    waypoint=self._calls_at.here,
-                    source=source,
-                    kept=self._keeps(source),
-                    truth=_outlines(truth),
+                    number=photo.number,
+                    waypoint=photo.waypoint,
+                    source=photo.shot.source,
+                    kept=self._keeps(photo.shot.source),
+                    truth=outlines(truth),
                 )
-            case schema.CallStarted(waypoint=waypoint) if self.shots:
-                self._shot_at[waypoint] = len(self.shots) - 1
-            case schema.AnswerTaken(waypoint=waypoint):
-                self._told_of, self._told_at = self._shot_at.get(waypoint, self._told_of), waypoint
-            case schema.Arrived(waypoint=waypoint):
-                self._told_at = waypoint
             case schema.Notified(message=message, at=place):
+                told_of = self._pairing.told_of
                 yield facts.Told(
                     at_s=self._now_s,
                     words=in_one_line(message),
-                    boxes=_outlines(message) or (),
-                    number=self._told_of,
-                    waypoint=self._told_at,
+                    boxes=outlines(message) or (),
+                    number=told_of.number if told_of else None,
+                    waypoint=told_of.waypoint if told_of else self._calls_at.here,
                     east_m=place.east_m,
                     north_m=place.north_m,
                 )
-
-
-def _outlines(message: object) -> list[Outline] | None:
-    """The boxes of a message, None where it is no list of boxes."""
-    try:
-        return msgspec.convert(message, list[Outline])
-    except msgspec.ValidationError:
-        return None
