@@ -38,8 +38,8 @@ def test_the_verdict_comes_before_the_rows_and_all_fits_80_columns() -> None:
         row("look-ahead", 11.1),
     )
     assert lines[0] == (
-        "field: look-ahead, prepare is quickest: 11.00 min, 10.0 % above the bound of 10.00; "
-        "1 more within its margin"
+        "field: look-ahead, prepare is quickest: 11.00 min, 10.0 % above the theoretical minimum of 10.00; "
+        "1 more is as quick within the margin of error"
     )
     assert all(len(line) <= 80 for line in lines[1:])
     policies = [line[1:].split("  ")[0] for line in lines if " ± 0.10" in line]

@@ -201,7 +201,7 @@ def test_an_explanation_has_the_bound_of_those_that_completed_it(
     assert main(["simulate", str(BATTERY), "--policy", "local-only", "--log", str(log)]) == 1
     assert main(["explain", str(log)]) == 0
     told = capsys.readouterr().out
-    assert "local-only: 1478.0 s, not completed" in told and "an all-knowing drone: at least 1469.7 s" in told
+    assert "local-only: 1478.0 s, not completed" in told and "theoretical minimum: 1469.7 s" in told
 
 
 def test_json_has_the_parts_and_why_it_ended(capsys: pytest.CaptureFixture[str]) -> None:

@@ -80,7 +80,9 @@ def test_the_number_of_drones_is_varied_and_a_row_is_of_all_of_them(
     }.items():
         assert float(row[column]) == value
     assert int(row["calls"]) == sum(each.totals.calls for each in simulated.drones.values())
-    assert f"{simulated.jain:.1f}" in capsys.readouterr().out.split("Jain")[1]
+    printed = capsys.readouterr().out
+    assert f"{simulated.jain:.1f}" in printed.split("fairness")[1]
+    assert printed.index("quickest with drones=") < printed.index("completed"), "the verdict comes first"
 
 
 @pytest.mark.parametrize(
@@ -116,7 +118,7 @@ def test_a_comparison_of_several_drones_has_the_worst_and_how_even_it_was(
     assert (ahead.missions, ahead.completed) == (2, 2)
     assert main(["compare", str(fleet), "--seeds", "1", "--workers", "1"]) == 0
     printed = capsys.readouterr().out
-    assert "| worst minutes, Jain's index | local-only |" in printed
+    assert "| worst minutes, fairness (Jain's index) | local-only |" in printed
 
 
 def test_without_several_drones_there_is_neither() -> None:

@@ -79,7 +79,8 @@ def test_a_person_gets_the_table_and_the_totals(capsys: pytest.CaptureFixture[st
 def test_what_there_is_one_of_is_told_as_one(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", str(PATROL)]) == 0
     assert (
-        "5 calls: 1 on the drone, 4 on s1; 1 selection, 0 waits of which 0 in vain" in capsys.readouterr().out
+        "5 calls: 1 on the drone, 4 on s1; 1 selection of a server; no waits; none fell back"
+        in capsys.readouterr().out
     )
 
 

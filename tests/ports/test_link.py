@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 import socket
+import socketserver
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
@@ -538,6 +540,32 @@ def test_an_unreachable_server_is_told_in_plain_words(credentials: ReadCredentia
             request(address, timeout_s=2.0)
     with pytest.raises(Unreachable, match=r"^s1 at \S+: connection refused: nobody serves there$"):
         request(address, timeout_s=2.0, shown=heron)
+
+
+@pytest.mark.parametrize(
+    ("answer", "with_certificates", "said"),
+    [
+        (b"SSH-2.0-OpenSSH_9.2\r\n", False, "another program answers there"),
+        (b"SSH-2.0-OpenSSH_9.2\r\n", True, "what answers there uses no certificates"),
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n", False, "another program answers there"),
+        (b"", True, "it hung up"),
+    ],
+)
+def test_what_is_no_daemon_is_told_in_plain_words(
+    credentials: ReadCredentials, answer: bytes, with_certificates: bool, said: str
+) -> None:
+    class Other(socketserver.BaseRequestHandler):
+        def handle(self) -> None:
+            self.request.sendall(answer)
+
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Other) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        address = f"127.0.0.1:{server.server_address[1]}"
+        with pytest.raises(Unreachable) as caught:
+            request(address, timeout_s=2.0, shown=credentials("heron") if with_certificates else None)
+        server.shutdown()
+    assert str(caught.value).startswith(f"s1 at {address}: {said}")
+    assert not re.search("SSL|TSI|HTTP/2|SETTINGS|Handshake", str(caught.value))
 
 
 # --- listening ----------------------------------------------------------------------------------------------

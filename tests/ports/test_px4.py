@@ -173,15 +173,22 @@ def test_a_pilot_who_arms_it_during_the_wait_keeps_it() -> None:
     fly(flight, armable_after_s=60.0)
 
 
-def test_it_tells_why_it_cannot_be_armed_and_waits_without_a_command() -> None:
+def test_it_tells_within_a_second_why_it_cannot_be_armed_and_waits_without_a_command() -> None:
     async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
-        news: list[VehicleNews] = []
-        autopilot.listen(news.append)
+        told: list[tuple[float, ArmingDelayed]] = []
+
+        def hear(news: VehicleNews) -> None:
+            if isinstance(news, ArmingDelayed):
+                told.append((sky.now_s(), news))
+
         await autopilot.claim(resumes=False)
+        autopilot.listen(hear)
+        begun_s = sky.now_s()
         await autopilot.ready()
         assert sky.commands() == []
-        (delayed,) = (each for each in news if isinstance(each, ArmingDelayed))
-        assert "no valid position estimate" in delayed.reasons
+        assert told[0][0] == begun_s
+        assert told[-1][0] < begun_s + 1.0
+        assert "no valid position estimate" in told[-1][1].reasons
         await autopilot.arm()
 
     fly(flight, armable_after_s=30.0)

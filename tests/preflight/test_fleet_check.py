@@ -74,8 +74,8 @@ def test_servers_say_how_many_drones_ask_them(fleet: Path, capsys: pytest.Captur
     main(["check", str(fleet)])
     printed = capsys.readouterr().out
     assert "fleet.toml is understood: 3 drones, 1 service, 2 servers" in printed
-    assert "s1 is asked by 1 of 3 drones, and in range of 2" in printed
-    assert "s2 is asked by 1 of 3 drones, and in range of 1" in printed
+    assert "s1: in range of 2 of 3 drones, asked for a slot by 1" in printed
+    assert "s2: in range of 1 of 3 drones, asked for a slot by 1" in printed
     assert [line.split()[0] for line in printed.splitlines() if line.startswith(" d")] == [
         *("drone", "d1", "d2", "d3")
     ]

@@ -91,9 +91,6 @@ def started(folder: Path, text: str, *options: str, path: str = os.environ["PATH
         "PYTHONPATH": os.pathsep.join(str(ROOT / each) for each in ("tests", "src")),
         "PROCESS_ID_FILE": str(folder / "process_id"),
     }
-    environment.pop(
-        "GRPC_VERBOSITY", None
-    )  # as a command that another test ran in this process may have left it
     command = [sys.executable, "-m", "upwash", "serve", "--config", str(folder / "server.toml"), *options]
     with (folder / "stderr").open("w") as stderr:
         return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, env=environment, text=True)

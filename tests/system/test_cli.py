@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
 import socket
+import socketserver
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 
@@ -208,6 +212,34 @@ def test_a_certificate_that_does_not_fit_is_refused(
     ]
     drone.write_text(DRONE + "\n".join(lines))
     assert said in complaint(upwash("fly", "--config", "drone.toml", folder=drone.parent))
+
+
+@contextlib.contextmanager
+def another_programs_port() -> Iterator[str]:
+    """The address of something that hangs up on whoever speaks gRPC to it, with a banner of its own."""
+
+    class Banner(socketserver.BaseRequestHandler):
+        def handle(self) -> None:
+            self.request.sendall(b"SSH-2.0-OpenSSH_9.2\r\n")
+
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Banner) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"127.0.0.1:{server.server_address[1]}"
+        server.shutdown()
+
+
+@pytest.mark.parametrize(("wish", "is_said"), [(None, False), ("INFO", True)])
+def test_what_grpc_says_of_a_failed_handshake_is_printed_only_for_who_wants_it(
+    keys: Path, monkeypatch: pytest.MonkeyPatch, wish: str | None, is_said: bool
+) -> None:
+    monkeypatch.delenv("GRPC_VERBOSITY", raising=False)
+    if wish:
+        monkeypatch.setenv("GRPC_VERBOSITY", wish)
+    with another_programs_port() as address:
+        ended = upwash("status", address, "--server", "s1", "--operator", "heron", "--keys", str(keys))
+    assert ended.stderr.splitlines()[-1].startswith(f"upwash: s1 at {address}: ")
+    assert ("ssl_transport_security" in ended.stderr) == is_said
+    assert (ended.stderr.count("\n") > 1) == is_said
 
 
 def test_a_log_that_cannot_be_written_is_named(drone: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
@@ -143,6 +144,30 @@ def test_without_a_terminal_a_flight_is_plain_lines(capsys: pytest.CaptureFixtur
     printed = capsys.readouterr().out
     assert re.search(r"^ +\d+\.\d s  mission started, policy look-ahead$", printed, flags=re.MULTILINE)
     assert "\x1b" not in printed
+
+
+@pytest.mark.usefixtures("brief")
+def test_on_a_terminal_what_a_mission_prints_stands_once_among_the_lines() -> None:
+    terminal, ours = pty.openpty()
+    with vehicle("--armable-after", "3") as connection:
+        command = ["fly", "brief.py:look", "--config", "drone.toml", "--autopilot", connection]
+        with subprocess.Popen(
+            [sys.executable, "-m", "upwash", *command], stdin=ours, stdout=ours, stderr=ours
+        ) as flight:
+            os.close(ours)
+            shown = b"".join(_read_all(terminal))
+            assert flight.wait(60.0) == 0
+    os.close(terminal)
+    assert shown.count(b"said by the mission") == 1
+    places = [shown.index(words) for words in (b"mission started", b"said by the mission", b"s  arming")]
+    assert places == sorted(places)
+
+
+def _read_all(terminal: int) -> Iterator[bytes]:
+    """Until nobody writes there any more, which is an error on Linux."""
+    with contextlib.suppress(OSError):
+        while part := os.read(terminal, 65536):
+            yield part
 
 
 @pytest.mark.usefixtures("brief")

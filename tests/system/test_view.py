@@ -183,8 +183,8 @@ def test_the_estimates_and_the_decision_are_told_in_words(
     opened(page, one)
     seek(page, round(waited.result.at_s + waited.result.waited_s / 2, 1))
     assert "Call under way" in page.text(".now h3")
-    assert "it was believed" in page.text(".reasons")
-    assert "so it was to wait for" in page.text(".reasons")
+    assert "expected: " in page.text(".reasons")
+    assert "decided: wait for" in page.text(".reasons")
     seek(page, round(waited.result.at_s + waited.result.delay_s + 0.1, 1))
     _, *reasons = told_calls(record.events)[record.calls.index(waited)]
     assert all(reason in page.text(".reasons") for reason in reasons)

@@ -18,23 +18,26 @@ Cell = Callable[[ComparedPolicy], str]
 def print_tables(rows: Sequence[ComparedPolicy], console: Console) -> None:
     """Prints, for each scenario, which policy is the quickest, and a table with a row for each."""
     from rich.table import Table
+    from rich.text import Text
+
+    from upwash.support.sentences import say
 
     for scenario, group in itertools.groupby(rows, key=lambda row: row.scenario):
         own = list(group)
-        console.print(f"{scenario}: {_verdict(own)}", soft_wrap=True)
+        say(f"{scenario}: {_verdict(own)}", console)
         table = Table(box=None, padding=(0, 1))
         columns = {
             "": lambda row: row.policy,
             "minutes": _interval,
-            "above the bound": _above_bound,
+            "above the\nminimum": _above_bound,
             "completed": _completed if any(row.completed < row.missions for row in own) else None,
-            "worst, Jain": _fleet_cell if any(row.worst_s is not None for row in own) else None,
-            "turned back, hidden": _going_cell if any(row.hidden_s is not None for row in own) else None,
+            "worst,\nfairness": _fleet_cell if any(row.worst_s is not None for row in own) else None,
+            "turned back,\nmin hidden": _going_cell if any(row.hidden_s is not None for row in own) else None,
             "Wh": _energy_cell if any(row.energy_wh is not None for row in own) else None,
         }
         shown = {title: cell for title, cell in columns.items() if cell is not None}
         for title in shown:
-            table.add_column(title, justify="right" if title else "left", no_wrap=not title)
+            table.add_column(Text(title), justify="right" if title else "left", no_wrap=bool(title))
         for row in own:
             table.add_row(*(cell(row) for cell in shown.values()))
         console.print(table)
@@ -47,10 +50,14 @@ def _verdict(rows: Sequence[ComparedPolicy]) -> str:
         return "no policy completed a mission"
     best = min(flown, key=lambda row: row.mean_s)
     others = sum(row is not best and _is_alike(row, best) for row in flown)
-    alike = f"; {others} more within its margin" if others else ""
+    alike = (
+        f"; {others} more {'is' if others == 1 else 'are'} as quick within the margin of error"
+        if others
+        else ""
+    )
     return (
-        f"{best.policy} is quickest: {_minutes(best.mean_s)} min, {_above_bound(best)} above the bound of "
-        f"{_minutes(best.bound_s)}{alike}"
+        f"{best.policy} is quickest: {_minutes(best.mean_s)} min, {_above_bound(best)} above the theoretical minimum "
+        f"of {_minutes(best.bound_s)}{alike}"
     )
 
 
@@ -80,7 +87,7 @@ def in_markdown(rows: Sequence[ComparedPolicy]) -> Iterator[str]:
         own = list(group)
         yield f"| {scenario} | {_minutes(own[0].bound_s)} | {' | '.join(map(_cell, own))} |"
     further: tuple[tuple[str, Callable[[ComparedPolicy], float | None], Cell], ...] = (
-        ("worst minutes, Jain's index", lambda row: row.worst_s, _fleet_cell),
+        ("worst minutes, fairness (Jain's index)", lambda row: row.worst_s, _fleet_cell),
         ("turned back, hidden minutes", lambda row: row.hidden_s, _going_cell),
         ("Wh", lambda row: row.energy_wh, _energy_cell),
     )

@@ -11,6 +11,7 @@ from rich.text import Text
 
 from upwash.core.clients import AccountStatus, RefusalStatus, ServerStatus
 from upwash.rpc.protocol import CertificateStatus, StatusReply
+from upwash.support.sentences import say
 
 _SOON_DAYS = 30
 _STATE_STYLES = {"running": "green", "starting": "yellow", "stopping": "yellow"}
@@ -18,9 +19,9 @@ _STATE_STYLES = {"running": "green", "starting": "yellow", "stopping": "yellow"}
 
 def print_status(status: StatusReply, console: Console) -> None:
     """Prints the servers with their drones and instances, the last refusals, and the certificates' ends."""
-    console.print(f"up for {_duration(status.up_s)}", soft_wrap=True)
+    say(f"up for {_duration(status.up_s)}", console)
     if status.closing:
-        console.print(Text(status.closing, style="bold red"), soft_wrap=True)
+        say(Text(status.closing, style="bold red"), console)
     for server in status.servers:
         _print_server(server, console)
     _print_refusals(status.refusals, console)
@@ -31,11 +32,11 @@ def _print_server(server: ServerStatus, console: Console) -> None:
     waiting = sum(each.waits_s is not None for each in server.accounts)
     crowd = f", {_counted(waiting, 'drone waits', 'drones wait')}" if waiting else ""
     used = f"{len(server.leases)} of {server.slots} slots in use"
-    console.print(f"\n{server.name}: {used}{crowd}", soft_wrap=True)
+    say(f"\n{server.name}: {used}{crowd}", console)
     if server.slots_why:  # of a daemon that knows turns
-        console.print(Text(f"  {_slots_and_turns(server)}"), soft_wrap=True)
+        say(Text(f"  {_slots_and_turns(server)}"), console)
     for line in (*_holders(server), *_waiting(server)):
-        console.print(Text(f"  {line}"), soft_wrap=True)
+        say(Text(f"  {line}"), console)
     if server.instances:
         console.print(_instances(server))
 
@@ -98,7 +99,7 @@ def _print_certificates(certificates: Sequence[CertificateStatus], console: Cons
     for each in certificates:
         days = (each.expires - datetime.now(UTC)).days
         line = f"certificate of {each.holder}: valid until {each.expires:%Y-%m-%d}, {days} days"
-        console.print(Text(line, style="bold red" if days < _SOON_DAYS else ""), soft_wrap=True)
+        say(Text(line, style="bold red" if days < _SOON_DAYS else ""), console)
 
 
 def _table(*columns: str, title: str | None = None) -> Table:

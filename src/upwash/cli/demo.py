@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,7 +37,6 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Flies it; returns whether every flight was completed."""
-    os.environ.setdefault("GRPC_VERBOSITY", "ERROR")
     from upwash.support.loading import extra
 
     with extra("detector"):

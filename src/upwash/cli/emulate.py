@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,7 +46,6 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Emulates; returns whether every flight was completed, and measured well enough."""
-    os.environ.setdefault("GRPC_VERBOSITY", "ERROR")
     from upwash.emulation.enclosure import clean, require_root_and_tools
     from upwash.emulation.request import EmulationRequest
     from upwash.errors import UsageError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,7 +40,6 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Flies; returns when the mission is over."""
-    os.environ.setdefault("GRPC_VERBOSITY", "ERROR")  # what matters is in the event log, once
     from upwash.cli.flying import Show, fly_with_progress
     from upwash.config import never_offloaded, read_drone_config, refuse_several
 

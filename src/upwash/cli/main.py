@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -63,6 +64,9 @@ _COMMANDS = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command and returns how it ended, as docs/missions.md has it."""
     open_closed_streams()
+    os.environ.setdefault(
+        "GRPC_VERBOSITY", "NONE"
+    )  # before gRPC is imported: what matters is said in our own words
     with forgiving_streams() as output:
         try:
             code = _run(arguments)

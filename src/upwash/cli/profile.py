@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,7 +41,6 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Measures it and prints the part of a configuration."""
-    os.environ.setdefault("GRPC_VERBOSITY", "ERROR")
     from upwash.cli.measuring import find_server, measure_onboard, measure_server
     from upwash.config import read_drone_config
     from upwash.real.camera import read_photos

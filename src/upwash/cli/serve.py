@@ -30,7 +30,6 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Serves until it is told to stop."""
-    os.environ.setdefault("GRPC_VERBOSITY", "INFO")  # gRPC then says whose certificate it refused, and why
     service_manager = os.environ.pop("NOTIFY_SOCKET", "")  # instances have nothing to tell it
     import resource
 

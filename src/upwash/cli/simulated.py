@@ -16,6 +16,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.results import as_json
 from upwash.eventlog.terminal import print_result
 from upwash.support.output_files import write_file
+from upwash.support.sentences import say
 
 if TYPE_CHECKING:
     from upwash import Bound, Event, FleetBound, FleetSimulation, Simulation
@@ -49,7 +50,7 @@ def print_simulation(simulation: Simulation) -> None:
     console = Console(markup=False)
     print_result(simulation, console, paced=False)
     if simulation.bound is not None:
-        console.print(_beside(simulation, simulation.bound), soft_wrap=True)
+        say(_beside(simulation, simulation.bound), console)
 
 
 def print_fleet(fleet: FleetSimulation) -> None:
@@ -57,7 +58,7 @@ def print_fleet(fleet: FleetSimulation) -> None:
     console = Console(markup=False)
     console.print(_drone_table(fleet))
     for line in _together(fleet):
-        console.print(line, soft_wrap=True)
+        say(line, console)
 
 
 def write_log(file: Path, events: Sequence[Event], scenario: Path, *, seed: int) -> None:
@@ -83,16 +84,10 @@ def _as_object(simulation: Simulation) -> dict[str, Any]:
 
 def _beside(simulation: Simulation, bound: Bound) -> str:
     time_s = simulation.mission_time_s
-    free = (
-        f"an all-knowing drone needs at least {bound.free_s:.1f} s with every server ready at once: this is "
-        f"{_more(time_s, bound.free_s)}"
-    )
+    minimum = f"theoretical minimum {_beyond(bound.free_s, time_s)}, with every server ready at once"
     if simulation.totals.went_on:
-        return f"{free}; it knows which answers demand something, and goes on before the others"
-    return (
-        f"{free}; joining one network after the other it needs {bound.with_joins_s:.1f} s: "
-        f"{_more(time_s, bound.with_joins_s)}"
-    )
+        return f"{minimum} and known beforehand which answers demand something"
+    return f"{minimum}; {_beyond(bound.with_joins_s, time_s)}, with the time that joining networks takes"
 
 
 def _drone_table(fleet: FleetSimulation) -> Table:
@@ -113,8 +108,9 @@ def _together(fleet: FleetSimulation) -> Iterator[str]:
     if fleet.mean_s is None or fleet.worst_s is None:
         yield "no mission was completed"
         return
-    even = "" if fleet.jain is None else f", Jain's index of what they saved {fleet.jain:.3f}"
-    yield f"mean {fleet.mean_s:.1f} s, worst {fleet.worst_s:.1f} s{even}"
+    yield f"mission time: mean {fleet.mean_s:.1f} s, worst {fleet.worst_s:.1f} s"
+    if fleet.jain is not None:
+        yield f"fairness {fleet.jain:.3f} (Jain's index of what each saved: 1 where all saved the same)"
     left_out = [name for name, each in fleet.drones.items() if not each.completed]
     if left_out:
         yield f"not counted, as they did not complete their missions: {', '.join(left_out)}"
@@ -124,11 +120,11 @@ def _together(fleet: FleetSimulation) -> Iterator[str]:
 
 def _beside_all(mean_s: float, bound: FleetBound) -> str:
     return (
-        f"all-knowing drones need at least {bound.free_s:.1f} s on average, each with every server ready at once and "
-        f"for itself alone: this is {_more(mean_s, bound.free_s)}; with what the servers can compute at a time, "
-        f"{bound.shared_s:.1f} s: {_more(mean_s, bound.shared_s)}"
+        f"theoretical minimum of the mean {_beyond(bound.free_s, mean_s)}, with every server ready at once and for "
+        f"each drone alone; {_beyond(bound.shared_s, mean_s)}, with what the servers can compute at a time"
     )
 
 
-def _more(time_s: float, least_s: float) -> str:
-    return f"{100 * (time_s / least_s - 1):.1f} % more"
+def _beyond(least_s: float, time_s: float) -> str:
+    """The least time, and by how much the time is longer."""
+    return f"{least_s:.1f} s ({100 * (time_s / least_s - 1):+.1f} %)"

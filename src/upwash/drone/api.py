@@ -289,6 +289,7 @@ class Vehicle:
         self._record_limits(limits)
         self._site.require_reachable(self._autopilot.position)
         self._site.require_within(limits)
+        self._journal.record(schema.Arming())
         await self._autopilot.arm()
         self._tell(MissionBegun(self._autopilot.energy))
 
@@ -315,6 +316,7 @@ class Vehicle:
 
     async def _takeoff(self, altitude_m: float) -> None:
         self._tell(TargetUnknown())
+        self._journal.record(schema.TakingOff(altitude_m=altitude_m))
         await self._autopilot.takeoff(altitude_m)
         self._journal.record(
             schema.TookOff(altitude_m=altitude_m, position=rounded(self._autopilot.position))

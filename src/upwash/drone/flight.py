@@ -260,7 +260,9 @@ class Flight:
         except (Exception, asyncio.CancelledError) as error:
             await self._end(_why(error))
             raise
-        await self._end("the mission ended in the air")
+        await self._end(
+            f"the mission ended {'in the air' if self._vehicle.in_the_air else 'with running motors'}"
+        )
 
     async def _run_mission(self) -> None:
         watch = asyncio.create_task(self._watch_battery())

@@ -56,7 +56,7 @@ class FleetProgress(LiveDisplay):
         for name, drone in self._drones.items():
             reached = f"{drone.narrator.reached} of {self._waypoints}"
             table.add_row(name, drone.doing, reached, drone.server, str(drone.calls))
-        return Group(table, *self._recent)
+        return Group(table)
 
 
 class _Drone:

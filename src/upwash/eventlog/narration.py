@@ -112,6 +112,8 @@ class Narrator:
         self._whereabouts = Whereabouts()
         self.began = Beginning()
         self.started = False  # whether the mission has begun
+        self.waits_since_s: float | None = None  # until the vehicle can be armed; None while it does not
+        self.waits_for = ""  # the reasons that the vehicle gives
         self.control = ""  # who has the vehicle, since when and why; empty while the program has
 
     @property
@@ -191,14 +193,24 @@ class Narrator:
             case schema.Control(owner=owner, why=why):
                 taken = f"{who_has_it(owner)} has the vehicle since {self.began.told(event.t)}: {why}"
                 self.control = "" if owner == Owner.PROGRAM else taken
+                self.waits_since_s = None
                 return _control(owner, why)
             case schema.ArmingDelayed(reasons=reasons):
+                if self.waits_since_s is None:
+                    self.waits_since_s = event.t
                 self.doing = "waiting until the vehicle can be armed"
-                said = "; ".join(reasons) or "it does not say why"
-                return Said(f"the vehicle cannot be armed yet: {said}", Tone.TROUBLE)
+                self.waits_for = "; ".join(reasons) or "the vehicle does not say why yet"
+                return Said(f"{self.doing}: {self.waits_for}", Tone.TROUBLE)
+            case schema.Arming():
+                self.waits_since_s = None
+                self.doing = "arming"
+                return Said("arming")
             case schema.Armed():
                 self.doing = "armed"
                 return Said("armed")
+            case schema.TakingOff(altitude_m=altitude_m):
+                self.doing = f"climbing to {altitude_m:g} m"
+                return Said(self.doing)
             case schema.TookOff(altitude_m=altitude_m):
                 self.doing = "in the air"
                 return Said(f"took off to {altitude_m:g} m")

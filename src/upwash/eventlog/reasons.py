@@ -196,30 +196,30 @@ def _told_going(going: schema.StayOrGo) -> str:
 def told_decision(decision: schema.Decided) -> Iterator[str]:
     """What was believed when it was made, and what it came to."""
     yield _beliefs(decision)
-    yield f"so it was to {_verdict(decision)}: {decision.why}"
+    yield f"decided: {_verdict(decision)} ({decision.why})"
 
 
 def _beliefs(decision: schema.Decided) -> str:
     local_s, remote_s = decision.local_s, decision.remote_s
-    drone = (
-        "nothing is known of a call on the drone" if local_s is None else f"the drone needs {local_s:.2f} s"
-    )
+    drone = f"expected: {_seconds(local_s)} on the drone"
     if decision.selected is None:
-        return f"{drone}, it was believed, and no server was selected"
-    there = "an unknown time" if remote_s is None else f"{remote_s:.2f} s"
-    checked = ""
+        return f"{drone}; no server was selected"
+    state = str(decision.state)
     if decision.state != State.READY and decision.check_s is not None:
-        over_s = decision.check_elapsed_s or 0.0
-        checked = f", its check having taken {over_s:.1f} of {decision.check_s:.1f} s"
-    return f"{drone}, it was believed, and {decision.selected}, in state {decision.state}, {there}{checked}"
+        state += f" for {decision.check_elapsed_s or 0.0:.1f} of {decision.check_s:.1f} s"
+    return f"{drone}, {_seconds(remote_s)} on {decision.selected} ({state})"
+
+
+def _seconds(expected_s: float | None) -> str:
+    return "an unknown time" if expected_s is None else f"{expected_s:.2f} s"
 
 
 def _verdict(decision: schema.Decided) -> str:
     match decision:
         case schema.Decided(decision="remote", raced=True, server=server, deadline_s=float(deadline_s)):
-            return f"run on {server} too, for at most {deadline_s:.1f} s, and on the drone"
+            return f"run on the drone, and on {server} for at most {deadline_s:.1f} s"
         case schema.Decided(decision="remote", server=server, deadline_s=float(deadline_s)):
-            return f"run on {server}, for at most {deadline_s:.1f} s"
+            return f"run on {server} for at most {deadline_s:.1f} s"
         case schema.Decided(decision="wait", server=server, at_most_s=float(at_most_s)):
-            return f"wait for {server}, for at most {at_most_s:.1f} s"
+            return f"wait for {server} for at most {at_most_s:.1f} s"
     return "run on the drone"

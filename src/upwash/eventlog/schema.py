@@ -320,8 +320,18 @@ class _AtPlace(Event, frozen=True, kw_only=True, omit_defaults=True):
     position: Position | None = None
 
 
+class Arming(Event, frozen=True, kw_only=True):
+    """The vehicle can be armed, and is told to start its motors."""
+
+
 class Armed(_AtPlace, frozen=True, kw_only=True):
     """The motors run."""
+
+
+class TakingOff(Event, frozen=True, kw_only=True):
+    """The vehicle is told to climb to the altitude above home."""
+
+    altitude_m: float
 
 
 class TookOff(_AtPlace, frozen=True, kw_only=True):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -13,12 +13,14 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.eventlog import schema
-from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Tone, counted, spans
+from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Said, Tone, counted, spans
 from upwash.eventlog.results import EnergyTotals, RunResult, Totals
 from upwash.eventlog.schema import Event
+from upwash.support.sentences import say
 from upwash.support.text import printable
 
-_RECENT = 10
+_STILL_WAITING_S = 10.0  # after so long without a line, where no picture is kept up
+_DECISION = 16  # columns at least, so that few words are longer
 _WIDE = 400  # columns, where nobody sees them: a row is to be one line of a log
 _WORTH_SHOWING_S = 0.05
 STATE_STYLES = {"READY": "green", "CHECK": "yellow", "CHECK-R": "yellow", "BLACKLISTED": "red"}
@@ -34,11 +36,13 @@ TONE_STYLES = {
 
 
 class LiveDisplay:
-    """On a terminal a picture that is kept up, with the latest lines; elsewhere each line as it comes."""
+    """Each line as it comes, and on a terminal a picture below them that is kept up.
+
+    What a program prints meanwhile stands among the lines.
+    """
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._recent: deque[Text] = deque(maxlen=_RECENT)
         self._live = Live(console=console, get_renderable=self._picture, refresh_per_second=8)
 
     def __enter__(self) -> Self:
@@ -56,9 +60,7 @@ class LiveDisplay:
             self._live.stop()
 
     def _show(self, line: Text) -> None:
-        self._recent.append(line)
-        if not self._console.is_terminal:
-            self._console.print(line, soft_wrap=True)
+        say(line, self._console)
 
     def _picture(self) -> Group:
         """What is to be seen now."""
@@ -72,6 +74,7 @@ class Progress(LiveDisplay):
         self._states: dict[str, tuple[str, str]] = dict.fromkeys(servers, ("AVL", ""))
         self._waypoints = waypoints
         self._narrator = Narrator()
+        self._now_s = self._said_s = 0.0
         super().__init__(console)  # which looks at the picture
 
     @property
@@ -83,12 +86,23 @@ class Progress(LiveDisplay):
         """Takes in one event."""
         if isinstance(event, schema.Step):
             self._states[event.server] = (event.after, printable(event.why))
-        said = self._narrator.tell(event)
+        self._now_s = event.t
+        said = self._narrator.tell(event) or self._still_waiting()
         if said is None:
             return
+        self._said_s = event.t
         self._show(
             Text(f"{self._narrator.began.told(event.t):>11}  ")
             + Text(printable(said.text), style=TONE_STYLES.get(said.tone, ""))
+        )
+
+    def _still_waiting(self) -> Said | None:
+        now = self._narrator
+        is_due = self._now_s - self._said_s >= _STILL_WAITING_S and not self._console.is_terminal
+        if now.waits_since_s is None or not is_due:
+            return None
+        return Said(
+            f"still {now.doing}, for {self._now_s - now.waits_since_s:.0f} s: {now.waits_for}", Tone.ASIDE
         )
 
     def _picture(self) -> Group:
@@ -99,9 +113,13 @@ class Progress(LiveDisplay):
         servers.add_column("why", style="dim")
         for name, (state, why) in self._states.items():
             servers.add_row(name, Text(state, style=STATE_STYLES.get(state, "")), why)
-        head = Text(f"{now.doing} · {now.reached} of {self._waypoints} waypoints reached · {now.where}")
+        since_s = now.waits_since_s
+        waited = "" if since_s is None else f" for {self._now_s - since_s:.0f} s"
+        head = Text(
+            f"{now.doing}{waited} · {now.reached} of {self._waypoints} waypoints reached · {now.where}"
+        )
         taken = [Text(printable(now.control), style="bold red")] if now.control else []
-        return Group(head, *taken, servers, *self._recent)
+        return Group(head, *taken, servers)
 
 
 def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
@@ -109,23 +127,28 @@ def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
     _print_calls(result, console)
     totals = result.totals
     servers = ", ".join(f"{count} on {server}" for server, count in totals.remote.items())
-    console.print(
+    say(
         f"{counted(totals.calls, 'call')}: {totals.local} on the drone{', ' + servers if servers else ''}; "
-        f"{counted(totals.switches, 'selection')}, {counted(totals.waits, 'wait')} of which "
-        f"{totals.waits_failed} in vain, "
-        f"{totals.fallbacks} fell back to the drone; {totals.service_delay_s:.1f} s spent in calls",
-        soft_wrap=True,
+        f"{counted(totals.switches, 'selection')} of a server; {_waits(totals)}; "
+        f"{totals.fallbacks or 'none'} fell back to the drone; {totals.service_delay_s:.1f} s spent in calls",
+        console,
     )
     if totals.lighter:
-        console.print(_lighter_line(result), soft_wrap=True)
+        say(_lighter_line(result), console)
     if totals.went_on or totals.hidden_s:
-        console.print(_going_line(totals), soft_wrap=True)
+        say(_going_line(totals), console)
     _print_times(result, console, paced=paced)
     if result.energy is not None:
-        console.print(_energy_line(result.energy), soft_wrap=True)
+        say(_energy_line(result.energy), console)
     _print_waypoints(result, console)
     for server, why in result.never_ready.items():
-        console.print(Text(f"{server} never became ready: {printable(why)}", style="yellow"), soft_wrap=True)
+        say(Text(f"{server} never became ready: {printable(why)}", style="yellow"), console)
+
+
+def _waits(totals: Totals) -> str:
+    if not totals.waits:
+        return "no waits"
+    return f"{counted(totals.waits, 'wait')}, {totals.waits_failed or 'none'} wasted"
 
 
 def _lighter_line(result: RunResult) -> str:
@@ -152,25 +175,27 @@ def _energy_line(energy: EnergyTotals) -> str:
 def _print_waypoints(result: RunResult, console: Console) -> None:
     undone = f", left undone: {spans(result.undone)}" if result.undone else ""
     reached = result.waypoints - len(result.undone)
-    console.print(f"{reached} of {result.waypoints} waypoints reached{undone}", soft_wrap=True)
+    say(f"{reached} of {result.waypoints} waypoints reached{undone}", console)
     if result.left_hovering:
-        console.print(Text(LEFT_HOVERING, style="bold red"), soft_wrap=True)
+        say(Text(LEFT_HOVERING, style="bold red"), console)
 
 
 def _print_calls(result: RunResult, console: Console) -> None:
     operations = sorted({call.operation for call in result.calls})
     several = len(operations) > 1
-    table = Table(title=Text("Service calls" if several else f"Calls of {''.join(operations)}"))
+    shown = _short_names(operations)
+    title = Text("Service calls" if several else f"Calls of {''.join(operations)}", style="bold")
+    table = Table(box=None, padding=(0, 1), title=title, title_justify="left")
     table.add_column("waypoint", justify="right")
     if several:
-        table.add_column("operation")
-    table.add_column("place")
-    table.add_column("delay", justify="right")
-    table.add_column("waited", justify="right")
-    table.add_column("decision")
+        table.add_column("operation", no_wrap=True)
+    table.add_column("place", overflow="fold")
+    table.add_column("delay", justify="right", no_wrap=True)
+    table.add_column("waited", justify="right", no_wrap=True)
+    table.add_column("decision", min_width=_DECISION)
     for call in result.calls:
         waypoint = "" if call.waypoint is None else str(call.waypoint)
-        operation = [call.operation] if several else []
+        operation = [shown[call.operation]] if several else []
         place = call.server or "drone"
         waited = f"{call.waited_s:.1f} s" if call.waited_s >= _WORTH_SHOWING_S else ""
         cells = (waypoint, *operation, place, f"{call.delay_s:.2f} s", waited, call.decision)
@@ -178,22 +203,28 @@ def _print_calls(result: RunResult, console: Console) -> None:
     console.print(table, width=None if console.is_terminal else _WIDE)
 
 
+def _short_names(operations: Sequence[str]) -> dict[str, str]:
+    """The operations without their services, where that leaves no two alike."""
+    short = [operation.partition(".")[2] for operation in operations]
+    return dict(zip(operations, short if len(set(short)) == len(short) else operations, strict=True))
+
+
 def _print_times(result: RunResult, console: Console, *, paced: bool) -> None:
     if result.arming_s >= _WORTH_SHOWING_S:
-        console.print(f"waited {result.arming_s:.1f} s until the vehicle could be armed", soft_wrap=True)
+        say(f"waited {result.arming_s:.1f} s until the vehicle could be armed", console)
     ended = "" if result.completed else ", not completed"
     local_only_s = result.local_only_time_s()
     if local_only_s is None or not result.totals.remote or not result.completed:
-        console.print(f"mission time {result.mission_time_s:.1f} s{ended}", soft_wrap=True)
+        say(f"mission time {result.mission_time_s:.1f} s{ended}", console)
         return
     saved = 100 * (1 - result.mission_time_s / local_only_s)
-    console.print(
+    say(
         f"mission time {result.mission_time_s:.1f} s; with every call on the drone, at the local delay "
         f"measured in this flight, {local_only_s:.1f} s: {saved:z.0f} % saved",
-        soft_wrap=True,
+        console,
     )
     if paced:
-        console.print(
+        say(
             "Calls on the drone were paced (local_pace_s) to take as long as on a slower computer.",
-            soft_wrap=True,
+            console,
         )

@@ -10,11 +10,14 @@ from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
+from upwash.eventlog.narration import counted
 from upwash.lab.campaign import CombinationSummary, Fly, run_campaign
 from upwash.lab.campaign_file import CampaignFile
 from upwash.lab.sweep import Sweep
 from upwash.support.confidence import Mean
+from upwash.support.sentences import say
 
+_LONGEST_SETTING = 14  # columns that it has in any case
 _FAILURES_SHOWN = 10  # of each combination: the file has them all
 
 
@@ -29,27 +32,50 @@ def show_campaign(sweep: Sweep, out: Path | None, *, fly: Fly) -> bool:
             task = progress.add_task("missions", total=len(sweep.combinations) * sweep.seeds)
             summaries = run_campaign(file, fly=fly, flown=lambda runs: progress.advance(task, runs))
     except KeyboardInterrupt:
-        console.print(f"interrupted; the same command with --out {out} continues it", soft_wrap=True)
+        say(f"interrupted; the same command with --out {out} continues it", console)
         raise
+    say(_verdict(sweep, summaries), console)
     console.print(_table(sweep, summaries))
     for summary in summaries:
         for line in _failures(sweep, summary):
-            console.print(line, soft_wrap=True)
-    console.print(f"each run: {out}", soft_wrap=True)
+            say(line, console)
+    say(f"each run: {out}", console)
     return not any(summary.failures for summary in summaries)
+
+
+def _verdict(sweep: Sweep, summaries: Sequence[CombinationSummary]) -> str:
+    """Which combination is the quickest, and whether any mission failed."""
+    flown = [(mean.value, each) for each in summaries if (mean := each.mission_time_s) is not None]
+    if not flown:
+        return "no mission was completed"
+    mean_s, best = min(flown, key=lambda each: each[0])
+    settings = ", ".join(f"{key}={value}" for key, value in zip(sweep.keys, best.values, strict=True))
+    which = f"quickest with {settings}: " if len(summaries) > 1 else "mean mission time "
+    bound_s = best.bound_s
+    above = (
+        f", {_above(mean_s, bound_s)} above the theoretical minimum of {bound_s / 60:.2f}" if bound_s else ""
+    )
+    failed = sum(len(each.failures) for each in summaries)
+    failures = f"; {counted(failed, 'mission')} failed" if failed else "; no mission failed"
+    return f"{which}{mean_s / 60:.2f} min{above}{failures}"
+
+
+def _above(mean_s: float, bound_s: float) -> str:
+    return f"{100 * (mean_s / bound_s - 1):.1f} %"
 
 
 def _table(sweep: Sweep, summaries: Sequence[CombinationSummary]) -> Table:
     metered = any(summary.energy_wh for summary in summaries)
     together = any(summary.worst_s for summary in summaries)
-    apart = 1 if together else 2  # so that a line holds it
-    table = Table(box=None, padding=(0, apart), caption="± 95 % confidence", caption_justify="left")
-    for key in sweep.keys:
-        table.add_column(key, overflow="fold")
-    titles = ["completed", "failed", "mission time", "over bound"]
-    titles += ["worst", "Jain"] if together else []
+    table = Table(box=None, padding=(0, 1), caption=_caption(together), caption_justify="left")
+    for key, values in zip(sweep.keys, zip(*(each.values for each in summaries), strict=True), strict=True):
+        parts = key.replace(".", ".\n")
+        longest = max(map(len, (*parts.splitlines(), *values)))
+        table.add_column(Text(parts), overflow="fold", min_width=min(longest, _LONGEST_SETTING))
+    titles = ["completed", "failed", "mission time", "above the\nminimum"]
+    titles += ["worst", "fairness"] if together else []
     for title in (*titles, *(["drawn"] if metered else [])):
-        table.add_column(title, justify="right", no_wrap=True)
+        table.add_column(Text(title), justify="right", no_wrap=True)
     for summary in summaries:
         mean = summary.mission_time_s
         completed, failed = mean.count if mean else 0, len(summary.failures)
@@ -58,11 +84,18 @@ def _table(sweep: Sweep, summaries: Sequence[CombinationSummary]) -> Table:
             str(completed),
             Text(str(failed), style="red" if failed else ""),
             _minutes(mean) if mean else "-",
-            f"{100 * (mean.value / summary.bound_s - 1):.1f} %" if mean and summary.bound_s else "-",
+            _above(mean.value, summary.bound_s) if mean and summary.bound_s else "-",
             *(_of_several(summary) if together else []),
             *([_drawn(summary.energy_wh)] if metered else []),
         )
     return table
+
+
+def _caption(together: bool) -> str:
+    fairness = (
+        "; fairness: Jain's index of what each drone saved, 1 where all saved the same" if together else ""
+    )
+    return f"± 95 % confidence{fairness}"
 
 
 def _minutes(mean: Mean) -> str:

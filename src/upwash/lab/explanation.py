@@ -18,6 +18,7 @@ from upwash.eventlog.results import CallResult, last_run, read_result
 from upwash.eventlog.schema import Event
 from upwash.lab.fleet import simulate_fleet
 from upwash.lab.simulation import Simulation, read_scenario, simulate
+from upwash.support.sentences import say
 from upwash.support.text import escaped_lines
 
 
@@ -66,7 +67,8 @@ def show_explanation(
     wanted = wanted or Wanted()
     wanted.of(read_result(events).calls)  # before other policies are flown for none
     for line in explain(events, replay(events, scenario, drone), wanted):
-        console.print(escaped_lines(line), soft_wrap=True)
+        words = line.lstrip(" ")
+        say(escaped_lines(words), console, indent=len(line) - len(words))
 
 
 def _with_calls(log: Path) -> list[Event]:
@@ -136,7 +138,7 @@ def explain(events: Sequence[Event], replayed: Replay, wanted: Wanted) -> Iterat
         ended = "" if run.completed else ", not completed"
         yield f"    {policy}: {run.mission_time_s:.1f} s{ended}"
     if replayed.bound_s is not None:
-        yield f"    an all-knowing drone: at least {replayed.bound_s:.1f} s"
+        yield f"    theoretical minimum: {replayed.bound_s:.1f} s"
 
 
 def _elsewhere(number: int, count: int, replayed: Replay, own: str) -> str:

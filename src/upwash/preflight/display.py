@@ -23,6 +23,7 @@ from upwash.preflight.prediction import LOCAL_ONLY, Prediction, told_share
 from upwash.preflight.warnings import is_for_flight
 from upwash.preflight.way_home import Farthest
 from upwash.sim.chance import plays_a_part
+from upwash.support.sentences import say
 
 
 def show_check(
@@ -71,38 +72,39 @@ def _draw(config: DroneConfig, folder: Path) -> None:
 
 
 def _print(found: Check, config: DroneConfig, servers_to_place: int, console: Console) -> None:
-    console.print(
+    say(
         f"{found.config} is understood: {counted(found.waypoints, 'waypoint')}, "
         f"{counted(len(config.services), 'service')}, {counted(len(config.servers), 'server')}",
-        soft_wrap=True,
+        console,
     )
     if found.order:
-        console.print(Text(f"order of the waypoints: {found.order}"), soft_wrap=True)
+        say(Text(f"order of the waypoints: {found.order}"), console)
     if not is_for_flight(config):
-        console.print(
-            "it is a scenario, without autopilot.connection and addresses: what a flight needs was not looked at",
-            soft_wrap=True,
+        say(
+            "it is a scenario without autopilot.connection and server addresses: what a flight needs was not checked",
+            console,
         )
     console.print()
     if found.servers:
         console.print(_coverage_table(found.servers, found.waypoints))
-        console.print(
-            Text(f"out of every server's range: {spans(found.uncovered) or 'no waypoint'}"), soft_wrap=True
+        say(
+            Text(f"waypoints out of every server's range: {spans(found.uncovered) or 'none'}"),
+            console,
         )
         console.print()
     console.print(_prediction_table(found))
-    console.print(_how_sure(found, config), soft_wrap=True)
+    say(_how_sure(found, config), console)
     if share := told_share(config):
-        console.print(share, soft_wrap=True)
+        say(share, console)
     if config.mission.reserve_s is not None:
-        console.print(_farthest_line(found.farthest, config), soft_wrap=True)
+        say(_farthest_line(found.farthest, config), console)
     for each in found.places:
-        console.print(_place_line(each), soft_wrap=True)
+        say(_place_line(each), console)
     if len(found.places) < servers_to_place:
         console.print("one more server would gain nothing, wherever it stands")
     console.print()
     for warning in found.warnings:
-        console.print(Text("warning: ", style="yellow") + Text(warning.text), soft_wrap=True)
+        say(Text("warning: ", style="yellow") + Text(warning.text), console)
     if not found.warnings:
         console.print(Text("nothing to warn of", style="green"))
 
@@ -167,7 +169,7 @@ def _how_sure(found: Check, config: DroneConfig) -> str:
     if plays_a_part(config):
         sure = f"means of {missions} simulated missions each, ± 95 % confidence"
     else:
-        sure = "one simulated mission each: without [noise] all are alike"
+        sure = "one simulated mission each, as without [noise] all are alike"
     if found.usable_s is not None or found.usable_wh is not None:
         return sure
     return f"{sure}; vehicle.endurance_s is not given, so nothing says whether the battery lasts"

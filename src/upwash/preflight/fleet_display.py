@@ -15,6 +15,7 @@ from upwash.preflight.check import CheckInput
 from upwash.preflight.fleet import AskedServer, DroneForecast, FleetCheck, check_fleet
 from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, demanding_share, told_share
 from upwash.sim.chance import plays_a_part
+from upwash.support.sentences import say
 
 
 def show_fleet_check(plan: CheckInput, *, seeds: int, as_json: bool, workers: int | None) -> bool:
@@ -33,23 +34,23 @@ def show_fleet_check(plan: CheckInput, *, seeds: int, as_json: bool, workers: in
 
 
 def _print(found: FleetCheck, config: DroneConfig, console: Console) -> None:
-    console.print(
+    say(
         f"{found.config} is understood: {counted(len(found.drones), 'drone')}, "
         f"{counted(len(config.services), 'service')}, {counted(len(config.servers), 'server')}",
-        soft_wrap=True,
+        console,
     )
     console.print()
     console.print(_table(found.drones))
     if share := told_share(config):
-        console.print(share, soft_wrap=True)
+        say(share, console)
     console.print()
     for each in found.drones:
         if each.order:
-            console.print(Text(f"order of {each.drone}'s waypoints: {each.order}"), soft_wrap=True)
+            say(Text(f"order of {each.drone}'s waypoints: {each.order}"), console)
     for server in found.servers:
-        console.print(_asked_line(server, len(found.drones)), soft_wrap=True)
+        say(_asked_line(server, len(found.drones)), console)
     for warning in found.warnings:
-        console.print(Text("warning: ", style="yellow") + Text(warning.text), soft_wrap=True)
+        say(Text("warning: ", style="yellow") + Text(warning.text), console)
     if not found.warnings:
         console.print(Text("nothing to warn of", style="green"))
 
@@ -83,6 +84,6 @@ def _time(prediction: Prediction | None) -> str:
 
 def _asked_line(server: AskedServer, drones: int) -> str:
     return (
-        f"{server.server} is asked by {server.asked_by} of {counted(drones, 'drone')}, and in range of "
-        f"{server.in_range_of}"
+        f"{server.server}: in range of {server.in_range_of} of {counted(drones, 'drone')}, asked for a slot by "
+        f"{server.asked_by}"
     )

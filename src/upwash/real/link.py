@@ -48,6 +48,24 @@ _OUTDATED = {  # in what gRPC says of a handshake that failed: what a person rea
     "certificate is not yet valid": "its certificate is not valid yet",
     "certificate has expired": "its certificate has expired",
 }
+_ANOTHER_AUTHORITY = "its certificate is of another authority, or another server's"
+_ANOTHER_PROGRAM = "another program answers there, not an upwash daemon: check the address"
+_HUNG_UP = "it hung up; its log says why, such as a certificate that is revoked"
+_SILENT = "it takes connections and does not answer"
+_TROUBLES = {  # the same of any connection that failed; the first that fits
+    "CERTIFICATE_VERIFY_FAILED": _ANOTHER_AUTHORITY,
+    "Hostname Verification": _ANOTHER_AUTHORITY,
+    "Connection refused": "connection refused: nobody serves there",
+    "WRONG_VERSION_NUMBER": "what answers there uses no certificates: another program, or a daemon without [keys]",
+    "missing selected ALPN": _ANOTHER_PROGRAM,
+    "Failed parsing HTTP/2": _ANOTHER_PROGRAM,
+    "before receiving SETTINGS": _SILENT,
+    "Endpoint closing": _SILENT,
+    "lookup failed": "no computer of that name is known",
+    "No such file or directory": "no such socket: nobody serves there",
+    "Socket closed": _HUNG_UP,
+    "Connection reset by peer": _HUNG_UP,
+}
 _AROUND = re.compile(r"^failed to connect to all addresses; last error: [A-Z]+: ((ipv4|ipv6|unix):\S+: )?")
 
 
@@ -167,10 +185,5 @@ def _plainly(details: str) -> str:
     for sign, trouble in _OUTDATED.items():
         if sign in details:
             return f"{trouble}; this computer's clock says {at_second(datetime.now(UTC))}"
-    if "CERTIFICATE_VERIFY_FAILED" in details or "Hostname Verification" in details:
-        return "its certificate is of another authority, or another server's"
-    if "Connection refused" in details:
-        return "connection refused: nobody serves there"
-    what = _AROUND.sub("", details)
-    hung_up = what == "Socket closed" or "Connection reset by peer" in what
-    return "it hung up; its log says why, such as a certificate that is revoked" if hung_up else what
+    troubles = (trouble for sign, trouble in _TROUBLES.items() if sign in details)
+    return next(troubles, None) or _AROUND.sub("", details)

@@ -28,9 +28,9 @@ def log_text() -> None:
 
 
 def log_json() -> None:
-    """From now on each line on standard error is a JSON object, also what gRPC itself writes there.
+    """From now on each line on standard error is a JSON object, also what libraries write there.
 
-    gRPC's core writes to file descriptor 2, past Python; it is read back through a pipe.
+    They write to file descriptor 2, past Python; it is read back through a pipe.
     """
     lines = os.fdopen(os.dup(2), "w", buffering=1)
     reading, writing = os.pipe()

@@ -13,6 +13,7 @@ from upwash.cli.flying import fly_with_progress
 from upwash.config import DroneConfig
 from upwash.launch.processes import ready_vehicle
 from upwash.real.authority import make_keys
+from upwash.support.sentences import say
 
 
 def fly_demonstration(
@@ -31,8 +32,9 @@ def fly_demonstration(
         ready_daemons(names, folder, runtime=runtime) as servers,
     ):
         here = filled_in(config, folder, vehicle=vehicle, servers=servers)
-        console.print(
-            f"the vehicle is at {vehicle}, the servers at {', '.join(servers.values())}", soft_wrap=True
+        say(
+            f"the vehicle is at {vehicle}, the servers at {', '.join(servers.values())}",
+            console,
         )
         fly_with_progress(here, log=folder / "events.jsonl", live_port=live_port)
-    console.print(score_photos(folder / "events.jsonl").in_words(), soft_wrap=True)
+    say(score_photos(folder / "events.jsonl").in_words(), console)

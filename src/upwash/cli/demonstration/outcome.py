@@ -16,6 +16,7 @@ from upwash.cli.flying import read_log
 from upwash.errors import UsageError
 from upwash.eventlog.results import RunResult
 from upwash.launch.flight_program import INTERRUPTED
+from upwash.support.sentences import say
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +51,13 @@ def print_outcomes(outcomes: Mapping[str, Outcome], servers: Sequence[str], cons
     for head in ("drone", "flight"):
         table.add_column(head, no_wrap=True)
     places = ("on the\ndrone", *(f"on\n{server}" for server in servers))
-    for head in ("time", "saved", *places, "waits", "in\nvain"):
+    for head in ("time", "saved", *places, "waits", "wasted"):
         table.add_column(head, justify="right", no_wrap=True)
     for drone, outcome in outcomes.items():
         table.add_row(drone, outcome.in_words, *_cells(outcome.result, servers))
     console.print(table)
     for line in (together(outcomes.values()), _found(outcomes.values())):
-        console.print(line, soft_wrap=True)
+        say(line, console)
 
 
 def _cells(result: RunResult | None, servers: Sequence[str]) -> list[str]:

@@ -178,19 +178,22 @@ class MavlinkAutopilot(ABC):
             begun_s = vehicle.now_s
             self._ask_why_not_armable()
             within_s = min(settings.ask_again_s, max(deadline_s - begun_s, settings.patience.answer_s))
-            await vehicle.happens("arm", self._may_be_armed, within_s=within_s)
-            vehicle.require_control("arm")
-            reasons = self._reasons_since(begun_s) or self._own_reasons() or told or ()
-            if not self._may_be_armed() and reasons != told:
-                told = reasons
-                vehicle.tell(ArmingDelayed(reasons))
+            for until_s in (0.0, min(settings.words_s, within_s), within_s):
+                await vehicle.happens("arm", self._may_be_armed, within_s=begun_s + until_s - vehicle.now_s)
+                vehicle.require_control("arm")
+                reasons = self._reasons_since(begun_s) or self._own_reasons() or told or ()
+                if not self._may_be_armed() and reasons != told:
+                    told = reasons
+                    vehicle.tell(ArmingDelayed(reasons))
             if vehicle.now_s >= deadline_s and vehicle.linked and not self._may_be_armed():
-                own = self._own_reasons()
-                said = "; ".join(reason for reason in reasons if reason not in own)
-                because = f": {'; '.join(own)}" if own else ""
-                raise AutopilotRefused(
-                    "arm", f"the vehicle was not ready within {settings.ready_timeout_s:g} s{because}", said
-                )
+                raise self._not_ready(told or ())
+
+    def _not_ready(self, reasons: tuple[str, ...]) -> AutopilotRefused:
+        own = self._own_reasons()
+        said = "; ".join(reason for reason in reasons if reason not in own)
+        because = f": {'; '.join(own)}" if own else ""
+        within_s = self._settings.ready_timeout_s
+        return AutopilotRefused("arm", f"the vehicle was not ready within {within_s:g} s{because}", said)
 
     async def limits(self) -> VehicleLimits:
         """Its home; a subclass adds its fence."""

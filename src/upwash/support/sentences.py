@@ -1,0 +1,15 @@
+"""Sentences for a person: a terminal breaks them between words, and elsewhere each is one line."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.padding import Padding
+from rich.text import Text
+
+
+def say(sentence: str | Text, console: Console, *, indent: int = 0) -> None:
+    """Prints a sentence, indented by so many columns, also where it is continued."""
+    if console.is_terminal:
+        console.print(Padding(sentence, (0, 0, 0, indent), expand=False) if indent else sentence)
+    else:
+        console.print(Text(" " * indent) + sentence if indent else sentence, soft_wrap=True)

@@ -1,0 +1,80 @@
+"""What a person sees of a flight while it lasts."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable
+
+import pytest
+from rich.console import Console
+from tests.events import event
+
+from upwash.eventlog.schema import Event
+from upwash.eventlog.terminal import Progress
+
+STARTED = event("mission_started", 0.4, policy="look-ahead", waypoints=4)
+PLACE = {"east_m": 0.0, "north_m": 0.0}
+
+
+def waiting(t: float, *reasons: str) -> Event:
+    return event("arming_delayed", t, reasons=reasons)
+
+
+def reports(until_s: int) -> list[Event]:
+    return [event("position", float(t), **PLACE, altitude_m=0.0) for t in range(1, until_s)]
+
+
+def lines(events: Iterable[Event]) -> list[str]:
+    """What is printed where no terminal is, without the times."""
+    output = io.StringIO()
+    with Progress(["s1"], 4, Console(file=output, width=300)) as progress:
+        for each in sorted(events, key=lambda each: each.t):
+            progress.follow(each)
+    return [line.partition(" s  ")[2] for line in output.getvalue().splitlines()]
+
+
+def head(events: Iterable[Event]) -> str:
+    """The first line of the picture that a terminal shows in the end."""
+    console = Console(file=io.StringIO(), width=300, force_terminal=True, color_system=None)
+    progress = Progress(["s1"], 4, console)
+    for each in events:
+        progress.follow(each)
+    with console.capture() as captured:
+        console.print(progress._picture())
+    return captured.get().splitlines()[0]
+
+
+def test_a_vehicle_that_cannot_be_armed_is_waited_for_with_its_reasons() -> None:
+    said = lines([STARTED, waiting(1.0), waiting(1.5, "GPS 1: Bad fix"), event("arming", 3.0)])
+    assert said[1:] == [
+        "waiting until the vehicle can be armed: the vehicle does not say why yet",
+        "waiting until the vehicle can be armed: GPS 1: Bad fix",
+        "arming",
+    ]
+
+
+def test_without_a_terminal_the_wait_is_told_again_every_ten_seconds() -> None:
+    said = lines([STARTED, waiting(1.5, "GPS 1: Bad fix"), *reports(30), event("arming", 30.0), *reports(60)])
+    assert said[2:] == [
+        "still waiting until the vehicle can be armed, for 10 s: GPS 1: Bad fix",
+        "still waiting until the vehicle can be armed, for 20 s: GPS 1: Bad fix",
+        "arming",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("then", "shown"),
+    [
+        (reports(9), "waiting until the vehicle can be armed for 7 s · "),
+        ([event("arming", 9.0)], "arming · "),
+        ([event("arming", 9.0), event("armed", 9.5)], "armed · "),
+        ([event("arming", 9.0), event("taking_off", 9.5, altitude_m=20.0)], "climbing to 20 m · "),
+    ],
+)
+def test_a_terminals_picture_says_what_the_drone_is_doing(then: list[Event], shown: str) -> None:
+    assert head([STARTED, waiting(1.0, "GPS 1: Bad fix"), *then]).startswith(shown)
+
+
+def test_the_altitude_is_shown_while_it_climbs() -> None:
+    climbs = [event("taking_off", 9.0, altitude_m=20.0), event("position", 12.0, **PLACE, altitude_m=13.2)]
+    assert head([STARTED, *climbs]).endswith("13 m up")
