@@ -16,9 +16,9 @@ from bench.program import command_line
 
 from upwash.config import DroneConfig
 from upwash.lab.comparison import NamedScenario, read_scenarios, thesis_scenarios
-from upwash.lab.confidence import mean_of
 from upwash.lab.run import simulate
 from upwash.lab.simulation import with_policy
+from upwash.support.confidence import mean_of
 
 POLICIES = ("look-ahead", "location-aware")
 EXTRAS_S = (0.0, 0.5, 2.0, 5.0)

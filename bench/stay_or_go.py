@@ -18,10 +18,10 @@ import msgspec
 from bench.program import command_line
 from bench.results import FOLDER, leave
 
-from upwash.lab.confidence import Mean, mean_of
 from upwash.lab.processes import in_processes
 from upwash.lab.run import simulate
 from upwash.lab.simulation import read_scenario
+from upwash.support.confidence import Mean, mean_of
 
 SCENARIO = Path(__file__).resolve().parent.parent / "scenarios" / "thesis.toml"
 CHANCES = (0.0, 0.05, 0.1, 0.2, 0.5)

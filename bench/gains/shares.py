@@ -8,7 +8,7 @@ from itertools import groupby
 
 from bench.gains.kept import Missions
 
-from upwash.lab.confidence import Mean, mean_of
+from upwash.support.confidence import Mean, mean_of
 
 
 @dataclass(frozen=True)

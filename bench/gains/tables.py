@@ -8,7 +8,7 @@ import msgspec
 from bench.gains.kept import Kept
 from bench.gains.shares import MeasuredWorld, measured_worlds
 
-from upwash.lab.confidence import Mean, mean_of
+from upwash.support.confidence import Mean, mean_of
 
 _UNCHANGED = "="
 _LEAST_S = 0.05  # what rounds to 0.0 s is neither a gain nor a loss

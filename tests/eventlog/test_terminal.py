@@ -31,7 +31,21 @@ def lines(events: Iterable[Event]) -> list[str]:
     with Progress(["s1"], 4, Console(file=output, width=300)) as progress:
         for each in sorted(events, key=lambda each: each.t):
             progress.follow(each)
-    return [re.sub(r"^[^a-z]*s\]?  ", "", line) for line in output.getvalue().splitlines()]
+    return [re.split(r" s\]?  ", line, maxsplit=1)[1] for line in output.getvalue().splitlines()]
+
+
+def test_a_line_before_the_mission_began_has_the_logs_seconds_in_brackets() -> None:
+    output = io.StringIO()
+    with Progress(["s1"], 4, Console(file=output, width=300)) as progress:
+        for each in (
+            STARTED,
+            waiting(1.0, "GPS"),
+            event("armed", 3.0),
+            event("took_off", 5.5, altitude_m=20),
+        ):
+            progress.follow(each)
+    times = [re.split("  (?=[a-z])", line)[0].strip() for line in output.getvalue().splitlines()]
+    assert times == ["[0.4 s]", "[1.0 s]", "0.0 s", "2.5 s"]
 
 
 def head(events: Iterable[Event]) -> str:

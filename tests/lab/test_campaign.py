@@ -22,9 +22,9 @@ from upwash.errors import ConfigError, UsageError
 from upwash.lab import processes
 from upwash.lab.campaign import Chunk, CombinationSummary, fly_chunk, in_processes, on_cluster, run_campaign
 from upwash.lab.campaign_file import CampaignFile, Row
-from upwash.lab.confidence import mean_of, student_quantile
 from upwash.lab.run import simulate
 from upwash.lab.sweep import Sweep, read_setting, read_sweep, with_value
+from upwash.support.confidence import mean_of, student_quantile
 
 SCENARIO = """
 [mission]

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import geojson
 import msgspec
 import pytest
+from tests.report.pages import SVG, XHTML, parsed_page
 from tests.scenarios import scenario as survey
 
 from upwash.cli.main import main
@@ -29,7 +30,6 @@ from upwash.report.page import write_page
 from upwash.report.record import Record, read_records
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
-SVG, XHTML = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xhtml}"
 HOSTILE = "</title><script>alert('1')</script>&\"\x00]]>"
 HERE = {"east_m": 3.0, "north_m": 4.0, "altitude_m": 20.0}
 CALL = {
@@ -61,10 +61,6 @@ MISSION_BEGAN_S = 0.0  # in the simulated logs
 STARTED = event(1.0, "mission_started", policy="location-aware", waypoints=1)
 
 
-def parsed(page: str) -> ElementTree.Element:
-    return ElementTree.fromstring(page.removeprefix("<!DOCTYPE html>"))
-
-
 def rows_of(table: ElementTree.Element) -> list[list[str]]:
     return [["".join(cell.itertext()) for cell in row] for row in table.iter(f"{XHTML}tr")]
 
@@ -78,7 +74,7 @@ def tables_named(page: ElementTree.Element, caption: str) -> list[list[list[str]
 
 def test_the_page_is_well_formed_and_refers_to_nothing_outside_itself(records: list[Record]) -> None:
     page = write_page(records)
-    for each in parsed(page).iter():
+    for each in parsed_page(page).iter():
         assert not {"src", "href", "srcset", "data", "action"} & set(each.attrib), each.tag
         assert each.tag.removeprefix(XHTML) not in {"script", "link", "iframe", "img", "object", "base"}
     assert set(re.findall(r"\w*=\"https?://[^\"]*", page)) == {
@@ -90,7 +86,7 @@ def test_the_page_is_well_formed_and_refers_to_nothing_outside_itself(records: l
 
 
 def test_the_totals_on_the_page_are_the_results(records: list[Record]) -> None:
-    (table,) = tables_named(parsed(write_page(records)), "Totals")
+    (table,) = tables_named(parsed_page(write_page(records)), "Totals")
     told = {row[0]: row[1:] for row in table}
     results = [record.result for record in records]
     assert told["mission time"] == [f"{result.mission_time_s:.1f} s" for result in results]
@@ -104,7 +100,7 @@ def test_the_totals_on_the_page_are_the_results(records: list[Record]) -> None:
 def test_every_call_is_in_the_table_and_has_its_mark_in_the_chart_and_on_the_map(
     records: list[Record],
 ) -> None:
-    page = parsed(write_page(records))
+    page = parsed_page(write_page(records))
     for record, table in zip(records, tables_named(page, "Calls by waypoint"), strict=True):
         delays = [row[4] for row in table[1:]]
         assert delays == [f"{call.delay_s:.2f} s" for call in record.result.calls]
@@ -137,7 +133,7 @@ def test_what_offloading_saved_is_told_also_against_the_flight_without(records: 
 def test_the_worst_calls_are_told_with_the_numbers_of_their_decisions(
     logs: tuple[Path, Path], records: list[Record]
 ) -> None:
-    page = parsed(write_page(records[:1]))
+    page = parsed_page(write_page(records[:1]))
     (worst,) = page.iter(f"{XHTML}ol")
     told = ["".join(item.itertext()) for item in worst]
     longest = sorted(records[0].result.calls, key=lambda call: -call.delay_s)[:5]
@@ -160,7 +156,7 @@ def test_what_a_log_says_is_never_markup(tmp_path: Path) -> None:
     )
     page = write_page(read_records([log]))
     assert "<script" not in page
-    assert all(each.tag != f"{XHTML}script" for each in parsed(page).iter())
+    assert all(each.tag != f"{XHTML}script" for each in parsed_page(page).iter())
 
 
 def test_a_flight_that_ended_before_its_first_call_has_a_page(tmp_path: Path) -> None:
@@ -388,7 +384,7 @@ def going(tmp_path_factory: pytest.TempPathFactory) -> Record:
 
 
 def test_turns_back_are_marked_where_they_were_and_open_answers_drawn(going: Record) -> None:
-    page = parsed(write_page([going]))
+    page = parsed_page(write_page([going]))
     titles = [element.text for element in page.iter(f"{SVG}title")]
     assert [title for title in titles if title and title.startswith("turned back")] == [
         f"turned back to waypoint {waypoint}" for waypoint in (2, 8, 14)

@@ -14,6 +14,7 @@ from tests.scenarios import scenario as survey
 from upwash.cli.main import main
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
+from upwash.eventlog.reasons import told_calls
 from upwash.eventlog.schema import Event
 from upwash.lab.run import simulate
 from upwash.report.record import Record, read_records
@@ -60,7 +61,7 @@ def test_each_call_is_told_as_the_report_tells_it(told: list[Fact], record: Reco
     assert [(call.waypoint, call.place, call.delay_s, call.waited_s) for call in calls] == [
         (call.waypoint, call.place, call.delay_s, call.waited_s) for call in record.result.calls
     ]
-    assert [call.words for call in calls] == [call.reasons for call in record.calls]
+    assert [call.words for call in calls] == [reasons for _, *reasons in told_calls(record.events)]
     assert [call.at_s - call.delay_s for call in calls] == pytest.approx(
         [call.at_s for call in record.result.calls]
     )
@@ -191,3 +192,21 @@ def test_what_the_user_is_told_late_is_of_the_photo_of_that_waypoint(going: list
     numbers = [told.number for told in those(facts.Told, going)]
     waypoints = [those(facts.Shot, going)[number].waypoint for number in numbers if number is not None]
     assert waypoints == [2, 8, 14]
+    assert [told.waypoint for told in those(facts.Told, going)] == [2, 8, 14]
+
+
+def test_what_the_user_is_told_is_of_the_waypoint_where_the_drone_is_and_of_the_place_that_is_named() -> None:
+    there = {"east_m": 7.0, "north_m": 8.0, "altitude_m": 0.0}
+    first, second = those(
+        facts.Told,
+        tell(
+            [
+                STARTED,
+                event("notified", 3.0, message="taking off", at=HERE),
+                event("arrived", 4.0, waypoint=0, east_m=3.0, north_m=4.0),
+                event("notified", 5.0, message="dirt", at=there),
+            ]
+        ),
+    )
+    assert (first.waypoint, first.east_m, first.north_m) == (None, 3.0, 4.0)
+    assert (second.waypoint, second.east_m, second.north_m) == (0, 7.0, 8.0)

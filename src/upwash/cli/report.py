@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -32,7 +33,10 @@ def add(commands: Commands) -> None:
     report.add_argument("--geojson", type=Path, metavar="FILE", help="tracks, waypoints, ranges and calls")
     report.add_argument("--mcap", type=Path, metavar="FILE", help="a recording that Foxglove opens")
     report.add_argument(
-        "--photos", type=Path, metavar="DIR", help="with --mcap: the folder of the photos that the logs name"
+        "--photos",
+        type=Path,
+        metavar="DIR",
+        help="with -o or --mcap: the folder of the photos that the logs name",
     )
     report.add_argument("--json", action="store_true", help="print the results as one JSON array")
     report.set_defaults(run=run)
@@ -46,14 +50,14 @@ def run(options: argparse.Namespace) -> bool:
     from upwash.report.record import read_records
 
     files: list[tuple[Path | None, Writer]] = [
-        (options.out, _in_utf8(write_page)),
+        (options.out, _in_utf8(functools.partial(write_page, photos=options.photos))),
         (options.csv, _in_utf8(write_csv)),
         (options.geojson, _in_utf8(write_geojson)),
         (options.mcap, _recorder(options.photos)),
         (_PRINTED if options.json else None, _in_utf8(lambda records: write_json(records) + "\n")),
     ]
-    if options.photos and not options.mcap:
-        raise UsageError("--photos goes with --mcap: nothing else has photos in it")
+    if options.photos and not (options.mcap or options.out):
+        raise UsageError("--photos goes with -o or --mcap: nothing else has photos in it")
     wanted = [(file, write) for file, write in files if file is not None]
     if not wanted:
         raise UsageError(

@@ -39,6 +39,7 @@ _OWNERS = {
     Owner.UNKNOWN: "nobody known",
 }
 LEFT_HOVERING = "The vehicle hovers where it is, and nobody flies it now: take over with the remote control."
+WAS_LEFT_HOVERING = "The vehicle hovered where it was, and nobody flew it: a pilot had to take over."
 
 
 def spans(indices: Sequence[int]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from sys import intern
 from typing import Any
 
 import msgspec
@@ -262,9 +263,9 @@ def last_run(events: Iterable[Event]) -> list[Event]:
 def _call(event: schema.Call, waypoint: int | None, began_s: float) -> CallResult:
     return CallResult(
         waypoint=waypoint,
-        operation=event.operation,
-        place=event.place,
-        decision=event.decision,
+        operation=intern(event.operation),  # calls have few of these, and a long run has many calls
+        place=intern(event.place),
+        decision=intern(event.decision),
         delay_s=event.delay_s,
         waited_s=event.waited_s,
         at_s=event.t - event.delay_s - began_s,

@@ -15,9 +15,9 @@ from upwash.config import Document, drone_config
 from upwash.errors import MissionFailed, UsageError
 from upwash.lab import processes
 from upwash.lab.campaign_file import CampaignFile, Row
-from upwash.lab.confidence import Mean, mean_of
 from upwash.lab.outcome import fly
 from upwash.lab.sweep import Combination, Sweep
+from upwash.support.confidence import Mean, mean_of
 from upwash.support.loading import extra
 
 _CHUNK_RUNS = (

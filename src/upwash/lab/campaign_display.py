@@ -13,8 +13,8 @@ from rich.text import Text
 from upwash.eventlog.narration import counted
 from upwash.lab.campaign import CombinationSummary, Fly, run_campaign
 from upwash.lab.campaign_file import CampaignFile
-from upwash.lab.confidence import Mean
 from upwash.lab.sweep import Sweep
+from upwash.support.confidence import Mean
 from upwash.support.sentences import say
 
 _LONGEST_SETTING = 14  # columns that it has in any case

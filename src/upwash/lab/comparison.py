@@ -18,10 +18,10 @@ from upwash.config.values import repeated
 from upwash.core.policies import POLICIES
 from upwash.errors import UpwashError, UsageError
 from upwash.lab import processes
-from upwash.lab.confidence import Mean, mean_of
 from upwash.lab.outcome import Outcome, fly
 from upwash.lab.reproduction.cells import EXPERIMENTS, SETUPS, Cell, scenario
 from upwash.lab.simulation import name_of, read_scenario, with_policy
+from upwash.support.confidence import Mean, mean_of
 
 _NOISE = NoiseConfig(
     call=0.03, leg=0.02

@@ -12,7 +12,6 @@ from upwash.config import Document, DroneConfig, drone_config, fleet_of, server_
 from upwash.drone.order import order_of
 from upwash.eventlog import schema
 from upwash.lab import processes
-from upwash.lab.confidence import mean_of
 from upwash.lab.run import Run, simulate_drones
 from upwash.lab.simulation import with_policy
 from upwash.missions.bundled import load_specs
@@ -20,6 +19,7 @@ from upwash.preflight.check import beliefs
 from upwash.preflight.coverage import coverage, uncovered
 from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, changed
 from upwash.preflight.warnings import PreflightWarning, warnings
+from upwash.support.confidence import mean_of
 
 
 class DroneForecast(Struct, frozen=True, kw_only=True):

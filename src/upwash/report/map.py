@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from upwash.core.geo import Position
 from upwash.eventlog.narration import named
-from upwash.report.charts import figure, in_short, label, round_step
+from upwash.report.axes import figure, label, round_step
+from upwash.report.delays import MANY, in_short
+from upwash.report.findings import MOST_PICTURED, Finding
 from upwash.report.markup import Markup, element, joined
 from upwash.report.places import Places
 from upwash.report.record import Record
 
 _SIDE, _MARGIN = 560.0, 28.0
 _SCALE_BAR = 0.25  # of the width, at most
+_FARTHEST = 1e5  # from the map, of what is drawn
+_FARTHEST_M = 1e8  # from home, of what the map is to show
+_MOST = 3000  # marks, waypoints or corners of a line that are drawn, more or less
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +34,13 @@ class View:
 
     def point(self, east_m: float, north_m: float) -> tuple[float, float]:
         """Where a place is drawn."""
-        return _MARGIN + (east_m - self.west_m) * self.per_m, _MARGIN + (self.north_m - north_m) * self.per_m
+        x, y = (east_m - self.west_m) * self.per_m, (self.north_m - north_m) * self.per_m
+        return _MARGIN + _drawable(x), _MARGIN + _drawable(y)
+
+
+def _drawable(value: float) -> float:
+    """A number that a browser can draw, whatever a log says."""
+    return min(_FARTHEST, max(-_FARTHEST, value))
 
 
 def view_of(records: Iterable[Record]) -> View:
@@ -36,6 +48,8 @@ def view_of(records: Iterable[Record]) -> View:
     west_m = east_m = south_m = north_m = 0.0
     for record in records:
         for x_m, y_m in _corners(record):
+            if max(abs(x_m), abs(y_m)) > _FARTHEST_M:
+                continue
             west_m, east_m = min(west_m, x_m), max(east_m, x_m)
             south_m, north_m = min(south_m, y_m), max(north_m, y_m)
     breadth_m, depth_m = east_m - west_m, north_m - south_m
@@ -59,11 +73,12 @@ def _corners(record: Record) -> Iterator[tuple[float, float]]:
 
 
 def draw_map(record: Record, places: Places, view: View) -> Markup:
-    """The ranges, the plan and the way flown, home, and a mark for each call at its place."""
+    """The ranges, the plan and the way flown, home, a mark for each call, and a number for each finding."""
+    told = f", {len(record.findings)} findings" if record.findings else ""
     return figure(
         f"Map of the flight, {record.name}",
         f"{len(record.plan.waypoints_m)} waypoints planned, {len(record.plan.ranges)} servers' ranges, "
-        f"{len(record.calls)} calls; north is up.",
+        f"{len(record.calls)} calls{told}; north is up.",
         view.width,
         view.height,
         *_ranges(record, places, view),
@@ -73,6 +88,7 @@ def draw_map(record: Record, places: Places, view: View) -> Markup:
         _home(view),
         *_calls(record, places, view),
         *_turns(record, view),
+        *_findings(record.findings, view),
         *_names(record, view),
         _scale(view),
     )
@@ -96,14 +112,77 @@ def _names(record: Record, view: View) -> Iterator[Markup]:
 
 
 def _line(places_m: Iterable[tuple[float, float]], view: View, style: str) -> Markup:
-    points = (view.point(east_m, north_m) for east_m, north_m in places_m)
-    return element("polyline", points=" ".join(f"{x:.1f},{y:.1f}" for x, y in points), class_=style)
+    way = _Way()
+    for place in places_m:
+        way.lead_to(*view.point(*place))
+    return element("path", d=way.path(), class_=style)
+
+
+class _Way:
+    """A line on a grid, which gets coarser as the line gets long; what is drawn once is not drawn again."""
+
+    def __init__(self) -> None:
+        self._grid = 0.1
+        self._at: tuple[int, int] | None = None
+        self._strokes: dict[tuple[tuple[int, int], tuple[int, int]], None] = {}  # in their order
+
+    def lead_to(self, x: float, y: float) -> None:
+        """The line goes on to that point."""
+        at = round(x / self._grid), round(y / self._grid)
+        before, self._at = self._at, at
+        if before is None or before == at or (at, before) in self._strokes:
+            return
+        self._strokes[before, at] = None
+        while len(self._strokes) > _MOST:
+            self._coarsen()
+
+    def _coarsen(self) -> None:
+        self._grid *= 2
+        halved = [(_halved(start), _halved(end)) for start, end in self._strokes]
+        self._strokes = {(start, end): None for start, end in halved if start != end}
+        self._at = None if self._at is None else _halved(self._at)
+
+    def path(self) -> str:
+        """The line as a path's commands."""
+        commands, pen = [], None
+        for start, end in self._strokes:
+            if start != pen:
+                commands.append(f"M{start[0] * self._grid:.1f} {start[1] * self._grid:.1f}")
+            commands.append(f"L{end[0] * self._grid:.1f} {end[1] * self._grid:.1f}")
+            pen = end
+        return "".join(commands)
+
+
+def _halved(place: tuple[int, int]) -> tuple[int, int]:
+    return round(place[0] / 2), round(place[1] / 2)
+
+
+class _Thinned:
+    """Lets through one mark of a kind in each cell of the map, where there are more marks than can be told apart."""
+
+    def __init__(self, view: View, marks: int) -> None:
+        self._cell = math.sqrt(view.width * view.height / _MOST) if marks > _MOST else 0.0
+        self._taken: set[tuple[object, int, int]] = set()
+
+    def lets(self, kind: object, x: float, y: float) -> bool:
+        """Whether the mark is the first of its kind in its cell."""
+        if not self._cell:
+            return True
+        cell = (kind, int(x / self._cell), int(y / self._cell))
+        if cell in self._taken:
+            return False
+        self._taken.add(cell)
+        return True
 
 
 def _waypoints(record: Record, view: View) -> Iterator[Markup]:
+    thinned = _Thinned(view, len(record.plan.waypoints_m))
     for index, place in enumerate(record.plan.waypoints_m):
         x, y = view.point(*place)
-        yield element("circle", element("title", f"waypoint {index}"), cx=x, cy=y, r=1.6, class_="waypoint")
+        if thinned.lets("waypoint", x, y):
+            yield element(
+                "circle", element("title", f"waypoint {index}"), cx=x, cy=y, r=1.6, class_="waypoint"
+            )
 
 
 def _home(view: View) -> Markup:
@@ -114,20 +193,61 @@ def _home(view: View) -> Markup:
 def _calls(record: Record, places: Places, view: View) -> Iterator[Markup]:
     here: Position | None = None
     stacked = 0  # several calls at one place stand beside each other
+    radius, thinned = _radius(record, view), _Thinned(view, len(record.calls))
     for call in record.calls:
         if call.position is None:
             continue
         stacked = stacked + 1 if call.position == here else 0
-        here = call.position
+        here, result = call.position, call.result
         x, y = view.point(here.east_m, here.north_m)
-        yield places.mark(call.result.server, x + 8 * stacked, y, 4, element("title", in_short(call)))
+        if thinned.lets((result.place, result.operation), x, y):
+            about = element("title", in_short(call))
+            yield places.mark(
+                result.server, x + 2 * radius * stacked, y, radius, about, operation=result.operation
+            )
+
+
+def _radius(record: Record, view: View) -> float:
+    """Of the calls' marks: smaller where many have to stand side by side."""
+    if len(record.calls) <= MANY:
+        return 4.0
+    apart = math.sqrt(view.width * view.height / min(len(record.calls), _MOST))
+    return min(4.0, 0.28 * apart)
 
 
 def _turns(record: Record, view: View) -> Iterator[Markup]:
-    for waypoint, place in record.turns:
+    turns = list(record.turns)
+    thinned = _Thinned(view, len(turns))
+    for waypoint, place in turns:
         x, y = view.point(place.east_m, place.north_m)
-        hook = f"M{x - 4:.1f} {y - 5:.1f}v-7a4 4 0 0 1 8 0v7m-3 -3l3 3l3 -3"
-        yield element("path", element("title", f"turned back to {named(waypoint)}"), d=hook, class_="turn")
+        if thinned.lets("turn", x, y):
+            hook = f"M{x - 4:.1f} {y - 5:.1f}v-7a4 4 0 0 1 8 0v7m-3 -3l3 3l3 -3"
+            yield element(
+                "path", element("title", f"turned back to {named(waypoint)}"), d=hook, class_="turn"
+            )
+
+
+def _findings(findings: Sequence[Finding], view: View) -> Iterator[Markup]:
+    """A number beside the place of each; those of one place, one behind the other."""
+    beside: dict[tuple[float, float], int] = {}
+    thinned = _Thinned(view, len(findings))
+    for number, finding in enumerate(findings, start=1):
+        x, y = place = view.point(finding.place.east_m, finding.place.north_m)
+        about = element("title", f"finding {number}: {finding.words}")
+        if number <= MOST_PICTURED:
+            beside[place] = beside.get(place, -1) + 1
+            yield _numbered(number, about, x + 9 + 16 * beside[place], y - 9)
+        elif thinned.lets("finding", x, y):
+            yield element("circle", about, cx=x, cy=y, r=5.5, class_="finding")
+
+
+def _numbered(number: int, about: Markup, x: float, y: float) -> Markup:
+    return element(
+        "g",
+        about,
+        element("circle", cx=x, cy=y, r=7.5, class_="finding"),
+        label(str(number), x, y + 3.5, style="number"),
+    )
 
 
 def _scale(view: View) -> Markup:

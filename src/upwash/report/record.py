@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import heapq
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,23 +16,33 @@ from upwash.errors import UsageError
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
 from upwash.eventlog.beginning import Beginning
-from upwash.eventlog.reasons import ExplainedCall, Reasons, Told
+from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, told, told_answer
 from upwash.eventlog.results import CallResult, RunResult, Tally
 from upwash.eventlog.schema import Event
+from upwash.report.findings import Finding, Findings
 from upwash.report.going import OpenAnswer, OpenAnswers
+from upwash.report.notices import Notices, NoticesTaken
 
+_WORST = 5
 _UNPLANNED = schema.Planned()  # by its identity: what the drone set out to do is not in the log
 
 
 @dataclass(frozen=True, slots=True)
 class ReportedCall:
-    """One call, why it ran where it ran, in sentences, and where the drone was then."""
+    """One call, where the drone was then, whether it waited, and whether it fell back to the drone."""
 
     result: CallResult
-    reasons: Sequence[str]
     position: Position | None
     wait: str
     fell_back: bool
+
+
+@dataclass(frozen=True, slots=True)
+class WorstCall:
+    """One of the calls that took longest, and why it ran where it ran, in sentences."""
+
+    call: ReportedCall
+    reasons: Sequence[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +74,7 @@ class MissionEvents:
         self._first = self._end = 0
         self.opening: Event | None = None  # the first of them
         self.planned = _UNPLANNED
+        self.drone = ""
         self.began_s: float | None = None
         self._look_through()
 
@@ -77,6 +89,8 @@ class MissionEvents:
             began.take(event)
             if isinstance(event, schema.Planned) and self.planned is _UNPLANNED:
                 self.planned = event
+            elif isinstance(event, schema.MissionStarted):
+                self.drone = event.drone
             self._end = number + 1
             completed = isinstance(event, schema.MissionCompleted)
         self.began_s = began.at_s
@@ -90,17 +104,23 @@ class Record:
     """One run; `servers` are those of the plan and of the calls, in the order of their names.
 
     `opened` is the time of day at second 0 of the event log, None for a simulated one; `began_s` is the second of the
-    log at which the mission began. `answers` are those that the drone went on before.
+    log at which the mission began. `simulated` is the simulation's own first line, None for a flight. `answers` are
+    those that the drone went on before, `worst` the calls that took longest, the longest first.
     """
 
     name: str
     opened: datetime | None
+    simulated: schema.Simulated | None
+    drone: str
     began_s: float
     events: Iterable[Event]
     result: RunResult
     plan: schema.Planned
     calls: Sequence[ReportedCall]
+    worst: Sequence[WorstCall]
     stretches: Mapping[str, Sequence[Stretch]]
+    notices: Notices
+    findings: Sequence[Finding] = ()
     answers: Sequence[OpenAnswer] = ()
 
     @property
@@ -154,55 +174,73 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
     try:
         plan = events.planned
         tally, calls, track = Tally(), _Calls(), _Track(events.began_s)
-        answers = OpenAnswers(events.began_s)
+        answers, findings = OpenAnswers(events.began_s), Findings(events.began_s)
+        notices = NoticesTaken(events.began_s)
         states = _States(plan.ranges, began_s=events.began_s)
         for event in events:
             tally.take(event)
             calls.take(event)
             states.take(event)
             answers.take(event)
+            findings.take(event)
+            notices.take(event)
             track.take(event)  # whether it can be read is known from here on
         result = tally.result()
+        reported = calls.with_results(result.calls)
         return Record(
             name=name,
-            opened=_opened(events.opening),
+            opened=events.opening.time if isinstance(events.opening, schema.LogOpened) else None,
+            simulated=events.opening if isinstance(events.opening, schema.Simulated) else None,
+            drone=events.drone,
             began_s=events.began_s,
             events=events,
             result=result,
             plan=plan,
-            calls=calls.with_results(result.calls),
+            calls=reported,
+            worst=calls.worst(reported),
             stretches=states.stretches(),
+            notices=notices.notices(result),
+            findings=findings.found,
             answers=answers.found,
         )
     except (KeyError, TypeError, ValueError) as error:  # msgspec's ValidationError is a ValueError
         raise UsageError(f"{log} is not an event log that this version reads: {error!r}") from error
 
 
-def _opened(first: Event | None) -> datetime | None:
-    return first.time if isinstance(first, schema.LogOpened) else None
-
-
 class _Calls:
-    """Gathers what a run's calls are told by, event by event."""
+    """Gathers what a run's calls are told by, event by event; the reasons of the longest alone are kept."""
 
     def __init__(self) -> None:
         self._reasons = Reasons()
-        self._told = Told()
         self._facts: list[tuple[Position | None, str, bool]] = []
+        self._worst: list[
+            tuple[float, int, list[str]]
+        ] = []  # a heap of delays, the earlier first among equals
 
     def take(self, event: Event) -> None:
         """Takes in the next event."""
-        explained = self._reasons.take(event)
-        self._told.take(explained)
-        if isinstance(explained, ExplainedCall):
-            outcome = explained.outcome
-            self._facts.append((explained.position, outcome.wait, outcome.fell_back))
+        match self._reasons.take(event):
+            case ExplainedCall() as explained:
+                outcome, number = explained.outcome, len(self._facts)
+                self._facts.append((explained.position, outcome.wait, outcome.fell_back))
+                if len(self._worst) < _WORST or outcome.delay_s > self._worst[0][0]:
+                    _, *reasons = told(explained)
+                    heapq.heappush(self._worst, (outcome.delay_s, -number, reasons))
+                if len(self._worst) > _WORST:
+                    heapq.heappop(self._worst)
+            case ExplainedAnswer(number=number) as answer:
+                for _, numbered, reasons in self._worst:
+                    if numbered == -number:
+                        reasons.append(told_answer(answer))
 
     def with_results(self, results: Sequence[CallResult]) -> list[ReportedCall]:
         """The calls, with their results in the same order."""
+        return [ReportedCall(result, *facts) for result, facts in zip(results, self._facts, strict=True)]
+
+    def worst(self, calls: Sequence[ReportedCall]) -> list[WorstCall]:
+        """The longest of the calls, the longest first."""
         return [
-            ReportedCall(result, reasons, *facts)
-            for result, (_, *reasons), facts in zip(results, self._told.lines, self._facts, strict=True)
+            WorstCall(calls[-number], reasons) for _, number, reasons in sorted(self._worst, reverse=True)
         ]
 
 

@@ -2,38 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeVar
 
+from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.core.servers import State
 from upwash.eventlog.results import CallResult, mean_local_delay_s
-from upwash.report.charts import state_seconds
+from upwash.report.findings import Finding
+from upwash.report.going import OpenAnswer
 from upwash.report.markup import Markup, element
 from upwash.report.places import name_of
-from upwash.report.record import Record
+from upwash.report.record import Record, ReportedCall, Stretch
+from upwash.report.timeline import state_seconds
+
+_MOST_ROWS = 300  # of a table with a row each of what a long flight has many of
+_AT_EITHER_END = 100
+_IN_THE_LOG = "the event log has all of them"
+Item = TypeVar("Item")
 
 
 def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Markup:
     """A table whose first column names its rows."""
-    body = [
-        element(
-            "tr",
-            element("th", row[0], scope="row"),
-            *(element("td", cell) for cell in row[1:]),
-        )
-        for row in rows
-    ]
+    return _whole(caption, heads, [_row(row) for row in rows])
+
+
+def _long(
+    caption: str,
+    heads: Sequence[str],
+    items: Sequence[Item],
+    row_of: Callable[[Item], Sequence[str]],
+    *,
+    rest: str,
+) -> Markup:
+    """A table with a row an item: of many the first and the last, and where the `rest` is."""
+    if len(items) <= _MOST_ROWS:
+        return table(caption, heads, map(row_of, items))
+    first, last = items[:_AT_EITHER_END], items[-_AT_EITHER_END:]
+    left_out = f"{len(items) - len(first) - len(last)} rows are left out: {rest}"
+    gap = element("tr", element("td", left_out, colspan=str(len(heads))))
+    return _whole(caption, heads, [*map(_row, map(row_of, first)), gap, *map(_row, map(row_of, last))])
+
+
+def _row(cells: Sequence[str]) -> Markup:
+    return element("tr", element("th", cells[0], scope="row"), *(element("td", cell) for cell in cells[1:]))
+
+
+def _whole(caption: str, heads: Sequence[str], body: Sequence[Markup]) -> Markup:
     whole = element(
         "table",
         element("caption", caption),
-        element("thead", element("tr", *(element("th", head, scope="col") for head in heads))),
+        element("thead", element("tr", *map(_head, heads))),
         element("tbody", *body) if body else "",
     )
     return scrolled(whole, caption)
 
 
+def _head(head: str) -> Markup:
+    return element("th", head, scope="col") if head else element("td", "")
+
+
 def scrolled(content: Markup, name: str, *, style: str = "scroll") -> Markup:
     """A region that scrolls by itself on narrow screens, by keyboard too."""
-    return element("div", content, class_=style, tabindex="0", role="region", aria_label=name)
+    return element("div", content, class_=style, tabindex="0", role="group", aria_label=name)
 
 
 def folded(summary: str, *content: Markup) -> Markup:
@@ -109,6 +139,37 @@ def _saved(record: Record) -> str:
     return f"{saved_s:z.1f} s, {100 * saved_s / local_only_s:z.0f} %"
 
 
+def flights(records: Sequence[Record]) -> Markup:
+    """A row a flight."""
+
+    def row(record: Record) -> list[str]:
+        totals = record.result.totals
+        return [
+            record.name,
+            record.result.policy,
+            f"{record.result.mission_time_s:.1f} s",
+            ", ".join(
+                f"{count} on {name}" for name, count in (("the drone", totals.local), *totals.remote.items())
+            ),
+            _waits(record),
+            str(totals.fallbacks),
+            _saved(record),
+            _how_it_ended(record),
+        ]
+
+    heads = [
+        "flight", "policy", "mission time", "calls", "waits, of which in vain", "fell back", "saved by offloading",
+        "ended",
+    ]  # fmt: skip
+    return _long("Flights", heads, records, row, rest="--json prints every result")
+
+
+def _how_it_ended(record: Record) -> str:
+    if record.result.left_hovering:
+        return "left hovering"
+    return "completed" if record.result.completed else f"not completed, {_reached(record)} waypoints reached"
+
+
 def by_operation(record: Record) -> Markup:
     """What calls of each operation took, on the drone and altogether."""
     local_s = mean_local_delay_s(record.result.calls)
@@ -121,10 +182,11 @@ def by_operation(record: Record) -> Markup:
 
 
 def calls(record: Record) -> Markup:
-    """Every call, by waypoint."""
+    """The calls, by waypoint."""
     goes = bool(record.result.totals.hidden_s)
-    rows = [
-        [
+
+    def row(call: ReportedCall) -> list[str]:
+        return [
             _at(call.result.waypoint),
             f"{call.result.at_s:.1f} s",
             _ran_as(call.result),
@@ -134,11 +196,10 @@ def calls(record: Record) -> Markup:
             *([f"{call.result.hidden_s:.2f} s" if call.result.hidden_s else ""] if goes else []),
             call.result.decision,
         ]
-        for call in record.calls
-    ]
+
     hidden = ["hidden"] if goes else []
     heads = ["waypoint", "at", "operation", "place", "delay", "waited", *hidden, "decision"]
-    return table("Calls by waypoint", heads, rows)
+    return _long("Calls by waypoint", heads, record.calls, row, rest="--csv FILE writes every call")
 
 
 def _ran_as(call: CallResult) -> str:
@@ -156,27 +217,61 @@ def map_places(record: Record) -> Markup:
 
 def waypoints(record: Record) -> Markup:
     """Where the waypoints are."""
-    rows = [
-        [str(index), f"{east_m:.1f} m", f"{north_m:.1f} m"]
-        for index, (east_m, north_m) in enumerate(record.plan.waypoints_m)
-    ]
-    return table("Waypoints, from home", ["waypoint", "east", "north"], rows)
+
+    def row(waypoint: tuple[int, tuple[float, float]]) -> list[str]:
+        index, (east_m, north_m) = waypoint
+        return [str(index), f"{east_m:.1f} m", f"{north_m:.1f} m"]
+
+    return _long(
+        "Waypoints, from home",
+        ["waypoint", "east", "north"],
+        list(enumerate(record.plan.waypoints_m)),
+        row,
+        rest="--geojson FILE writes every waypoint",
+    )
+
+
+def findings(record: Record) -> Markup:
+    """What the user was told, and of which place."""
+    home = record.plan.home
+
+    def row(finding: tuple[int, Finding]) -> list[str]:
+        number, found = finding
+        return [
+            str(number),
+            f"{found.at_s:.1f} s",
+            _at(found.waypoint),
+            coordinates(found.place, home),
+            found.words,
+        ]
+
+    return _long(
+        "Findings",
+        ["finding", "at", "waypoint", "place", "what the user was told"],
+        list(enumerate(record.findings, start=1)),
+        row,
+        rest=f"{_IN_THE_LOG}, as notified",
+    )
+
+
+def coordinates(place: Position, home: GeoPosition | None) -> str:
+    """The place in degrees where it is known where home is, else in metres from there."""
+    if home is None:
+        return f"{place.east_m:.1f} m east, {place.north_m:.1f} m north of home"
+    geo = LocalFrame(home).geo(place)
+    return f"{geo.latitude_deg:.6f}°, {geo.longitude_deg:.6f}°"
 
 
 def answers(record: Record) -> Markup:
-    """Every answer that the drone went on before."""
-    rows = [
-        [
-            _at(each.waypoint),
-            f"{each.from_s:.1f} s",
-            f"{each.to_s:.1f} s",
-            f"{each.turned_at.east_m:.1f} m east, {each.turned_at.north_m:.1f} m north"
-            if each.turned_at
-            else "",
-        ]
-        for each in record.answers
-    ]
-    return table("Gone on before the answer", ["waypoint", "from", "to", "turned back"], rows)
+    """The answers that it went on before."""
+
+    def row(each: OpenAnswer) -> list[str]:
+        turned = each.turned_at
+        where = f"{turned.east_m:.1f} m east, {turned.north_m:.1f} m north" if turned else ""
+        return [_at(each.waypoint), f"{each.from_s:.1f} s", f"{each.to_s:.1f} s", where]
+
+    heads = ["waypoint", "from", "to", "turned back"]
+    return _long("Gone on before the answer", heads, record.answers, row, rest=_IN_THE_LOG)
 
 
 def _at(waypoint: int | None) -> str:
@@ -193,10 +288,13 @@ def states(record: Record) -> Markup:
 
 
 def steps(record: Record) -> Markup:
-    """Every stretch of every server."""
-    rows = [
-        [server, stretch.state.value, f"{stretch.from_s:.1f} s", f"{stretch.to_s:.1f} s", stretch.why]
-        for server, stretches in record.stretches.items()
-        for stretch in stretches
-    ]
-    return table("States over time", ["server", "state", "from", "to", "why"], rows)
+    """The stretches of all servers."""
+
+    def row(step: tuple[str, Stretch]) -> list[str]:
+        server, stretch = step
+        return [server, stretch.state.value, f"{stretch.from_s:.1f} s", f"{stretch.to_s:.1f} s", stretch.why]
+
+    stretches = [(server, each) for server, stretches in record.stretches.items() for each in stretches]
+    return _long(
+        "States over time", ["server", "state", "from", "to", "why"], stretches, row, rest=_IN_THE_LOG
+    )

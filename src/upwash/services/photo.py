@@ -95,6 +95,14 @@ def read_photo(photo: bytes, side_px: int) -> tuple[Floats, Letterbox]:
     return letterbox.picture(_decode(photo, letterbox)), letterbox
 
 
+def decode_photo(photo: bytes) -> MatLike:
+    """The pixels of a JPEG in its full resolution, as they are stored, blue first; raises NotAPhoto."""
+    import cv2
+
+    _read_header(photo)
+    return _decoded(photo, cv2.IMREAD_COLOR)
+
+
 # --- from bytes to pixels --------------------------------------------------------------------------
 
 _END_OF_IMAGE = b"\xff\xd9"
@@ -169,7 +177,6 @@ def _truncated(photo: bytes) -> NotAPhoto:
 
 def _decode(photo: bytes, letterbox: Letterbox) -> MatLike:
     import cv2
-    import numpy as np
 
     resolutions = {
         8: cv2.IMREAD_REDUCED_COLOR_8,
@@ -182,10 +189,16 @@ def _decode(photo: bytes, letterbox: Letterbox) -> MatLike:
         if letterbox.photo_width_px >= factor * letterbox.width_px
         and letterbox.photo_height_px >= factor * letterbox.height_px
     )
+    return _decoded(photo, next(enough, cv2.IMREAD_COLOR))
+
+
+def _decoded(photo: bytes, how: int) -> MatLike:
+    import cv2
+    import numpy as np
+
     # Boxes are in the pixels that are stored, so the camera's "turn me" note is not followed.
-    flags = next(enough, cv2.IMREAD_COLOR) | cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        image = cv2.imdecode(np.frombuffer(photo, np.uint8), flags)
+        image = cv2.imdecode(np.frombuffer(photo, np.uint8), how | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise NotAPhoto(
             f"OpenCV cannot decode the JPEG ({error.err}); take or copy the photo again"

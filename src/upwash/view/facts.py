@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import msgspec
 
+from upwash.report.findings import Outline
+
 
 class Fact(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, tag_field="fact", tag=str.lower):
     """Something that the page shows from `at_s` on, until a later fact takes its place."""
@@ -128,17 +130,6 @@ class Answer(Fact, frozen=True):
 
     waypoint: int | None
     hidden_s: float
-
-
-class Outline(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A box in a photo, in its pixels; without a score where it is the photo's truth."""
-
-    left_px: float
-    top_px: float
-    width_px: float
-    height_px: float
-    label: str
-    score: float | None = None
 
 
 class Shot(Fact, frozen=True):

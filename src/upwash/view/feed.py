@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import msgspec
 
 from upwash.errors import UsageError
-from upwash.report.page import what_it_came_to
+from upwash.report.outcome import what_it_came_to
 from upwash.report.record import names_of, read_records
 from upwash.view.recording import Recording
 from upwash.view.tiles import Tiles

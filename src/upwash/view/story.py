@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
-import msgspec
-
 from upwash.core.geo import LocalFrame, Position
 from upwash.core.servers import CHECKING, State
 from upwash.eventlog import schema
@@ -15,10 +13,15 @@ from upwash.eventlog.notices import Notices
 from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, told, told_decision
 from upwash.eventlog.schema import Event
 from upwash.eventlog.whereabouts import Whereabouts
+<<<<<<< HEAD
 from upwash.report.photos import Shot, Shots
+=======
+from upwash.report.findings import Pairing, outlines
+from upwash.report.photos import Shot
+>>>>>>> main
 from upwash.report.record import place_of
 from upwash.view import facts
-from upwash.view.facts import Fact, Outline
+from upwash.view.facts import Fact
 
 _STALE_S = 1.5  # a flown log tells the position every second, a simulated one when something happens
 
@@ -41,17 +44,24 @@ class Story:
         self._beginning = Beginning()
         self._policy = ""
         self._calls_at = Whereabouts()
+<<<<<<< HEAD
         self._shots = Shots()
         self._told_at: int | None = None  # the waypoint that the user is told of
+=======
+        self._pairing = Pairing()
+>>>>>>> main
         self._place: Position | None = None
         self._placed_s = 0.0
         self._doing = ("", 0)
         self._servers: set[str] = set()
+<<<<<<< HEAD
 
     @property
     def shots(self) -> Sequence[Shot]:
         """Its photos so far."""
         return self._shots.taken
+=======
+>>>>>>> main
 
     def take(self, event: Event) -> Iterator[Fact]:
         """What the next event tells."""
@@ -191,6 +201,7 @@ class Story:
     # --- photos -----------------------------------------------------------------------------------------------
 
     def _photos(self, event: Event) -> Iterator[Fact]:
+<<<<<<< HEAD
         self._shots.take(event)
         match event:
             case schema.Photo(source=source, truth=truth):
@@ -204,21 +215,34 @@ class Story:
                 )
             case schema.AnswerTaken(waypoint=waypoint) | schema.Arrived(waypoint=waypoint):
                 self._told_at = waypoint
+=======
+        self._pairing.take(event)
+        match event:
+            case schema.Photo(truth=truth) if (photo := self._pairing.last) is not None:
+                self.shots.append(photo.shot)
+                yield facts.Shot(
+                    at_s=self._now_s,
+                    number=photo.number,
+                    waypoint=photo.waypoint,
+                    source=photo.shot.source,
+                    kept=self._keeps(photo.shot.source),
+                    truth=outlines(truth),
+                )
+>>>>>>> main
             case schema.Notified(message=message, at=place):
+                told_of = self._pairing.told_of
                 yield facts.Told(
                     at_s=self._now_s,
                     words=in_one_line(message),
+<<<<<<< HEAD
                     boxes=_outlines(message) or (),
                     number=self._shots.told_of,
                     waypoint=self._told_at,
+=======
+                    boxes=outlines(message) or (),
+                    number=told_of.number if told_of else None,
+                    waypoint=told_of.waypoint if told_of else self._calls_at.here,
+>>>>>>> main
                     east_m=place.east_m,
                     north_m=place.north_m,
                 )
-
-
-def _outlines(message: object) -> list[Outline] | None:
-    """The boxes of a message, None where it is no list of boxes."""
-    try:
-        return msgspec.convert(message, list[Outline])
-    except msgspec.ValidationError:
-        return None

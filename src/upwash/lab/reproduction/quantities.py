@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from upwash.lab.confidence import Mean, mean_of
 from upwash.lab.reproduction.cells import (
     EXPERIMENTS,
     NAIVE,
@@ -20,6 +19,7 @@ from upwash.lab.reproduction.cells import (
     local_only,
 )
 from upwash.lab.reproduction.printed import printed_figures
+from upwash.support.confidence import Mean, mean_of
 
 
 class Quantity(NamedTuple):

@@ -76,7 +76,7 @@ export class DelayChart {
   #aside(operation) {
     const { operations } = this.places;
     const room = this.#x(1) - this.#x(0);
-    const step = 2 * this.#radius + 1;
+    const step = 2 * this.#radius + 4;
     return room < operations.length * step ? 0 : (operations.indexOf(operation) - (operations.length - 1) / 2) * step;
   }
 

@@ -61,11 +61,13 @@ export class Findings {
 }
 
 // What was found, with how sure that is; or what else the user was told.
-export function inWords({ boxes, words }) {
+function inWords({ boxes, words }) {
   if (!boxes.length || boxes.some((box) => box.score === undefined)) return words;
-  return boxes.map(boxInWords).join(", ");
+  const scores = new Map();
+  for (const { label, score } of boxes) scores.set(label, [...(scores.get(label) ?? []), percent(score)]);
+  return [...scores].map(([label, all]) => `${label} ${all.join(", ")}`).join("; ");
 }
 
-export function boxInWords({ label, score }) {
-  return `${label} ${(100 * score).toFixed(0)} %`;
+export function percent(score) {
+  return `${(100 * score).toFixed(0)} %`;
 }

@@ -1,7 +1,8 @@
-// Labels that give way: to each other, to drones, and to the edge of what they are on.
+// Labels that give way: to each other, to what they may not cover, and to the edge of what they are on.
 
 const STEPS = 10; // that a label may move, in each direction
 const GAP_PX = 3;
+const BACK_PX = 15; // that have to be free around a place before a label comes back to it
 
 // Boxes are { x, y, width, height }, x and y of the corner at the upper left.
 export function overlap(one, other) {
@@ -23,40 +24,45 @@ export function within(box, width, height) {
 
 // Elements that stand in the middle of their places, or beside it where something is in the way.
 export class Labels {
-  #labels = new Map(); // by element: its size, of what it says, and how far it has moved
+  #labels = new Map(); // by element: its sizes, by what it says, and how far it has moved
 
   clear() {
     this.#labels.clear();
   }
 
-  // [element, place] pairs in pixels, and the boxes that nothing may cover.
+  // [element, place] pairs in pixels, and the boxes that nothing may cover. A label that moved aside stays there until
+  // there is plenty of room.
   arrange(elements, taken) {
     const settled = [...taken];
     for (const [element, { x, y }] of elements) {
-      const label = this.#measured(element);
+      if (!this.#labels.has(element)) this.#labels.set(element, { sizes: new Map(), moved: null });
+      const label = this.#labels.get(element);
+      const { width, height } = sizeOf(element, label.sizes);
       const at = ([right, down]) => {
-        const { width, height } = label;
         return { x: x + right - width / 2, y: y + down - height / 2, width, height, moved: [right, down] };
       };
-      const box = firstFree([label.moved, ...ways(label)].map(at), settled); // it stays where it is, if it may
-      settled.push({ ...box, x: box.x - GAP_PX, y: box.y - GAP_PX, width: box.width + 2 * GAP_PX, height: box.height + 2 * GAP_PX });
-      if (box.moved.join() === label.moved.join() && label.placed) continue;
-      Object.assign(label, { moved: box.moved, placed: true });
-      element.style.translate = `${box.moved[0]}px ${box.moved[1]}px`;
+      const roomy = !settled.some((other) => overlap(wider(at([0, 0]), BACK_PX), other));
+      const moves = [...(label.moved && !roomy ? [label.moved] : []), ...ways(width, height)];
+      const box = firstFree(moves.map(at), settled);
+      settled.push(wider(box, GAP_PX));
+      if (box.moved.join() !== label.moved?.join()) element.style.translate = box.moved.map((each) => `${each}px`).join(" ");
+      label.moved = box.moved;
     }
-  }
-
-  #measured(element) {
-    const known = this.#labels.get(element);
-    if (known?.words === element.textContent) return known;
-    const label = { moved: [0, 0], ...known, words: element.textContent, width: element.offsetWidth, height: element.offsetHeight };
-    this.#labels.set(element, label);
-    return label;
   }
 }
 
+function sizeOf(element, sizes) {
+  const words = element.textContent;
+  if (!sizes.has(words)) sizes.set(words, { width: element.offsetWidth, height: element.offsetHeight });
+  return sizes.get(words);
+}
+
+function wider({ x, y, width, height }, by) {
+  return { x: x - by, y: y - by, width: width + 2 * by, height: height + 2 * by };
+}
+
 // How a label may move, the shortest way first.
-function ways({ width, height }) {
+function ways(width, height) {
   const ways = [];
   for (let step = 0; step <= STEPS; step += 1) {
     for (const right of [0, -width / 2 - 20, width / 2 + 20]) {

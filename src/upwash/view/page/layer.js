@@ -10,7 +10,7 @@ import { Waypoints } from "./waypoints.js";
 export const STILL = { interactive: false, keyboard: false };
 const [STACKED_PX, IN_A_ROW] = [9, 5]; // several calls at one place stand beside each other
 const ABOVE = 1000; // of the drone's mark; that of the drone in focus is above the others'
-const RADIUS_PX = 5;
+const [RADIUS_PX, RIM_PX] = [5, 1];
 const REACH_PX = 60; // of a mark from its place, beside others
 
 export class FlightLayer {
@@ -70,11 +70,11 @@ export class FlightLayer {
     this.track.show(moment.story.fix, moment.count("fix"), position, moment.atS);
     this.#showMarks(moment, "call", (call, index, context, x, y) => {
       const [right, down] = [this.#aside[index] % IN_A_ROW, Math.floor(this.#aside[index] / IN_A_ROW)];
-      this.places.paint(context, call, x + STACKED_PX * right, y + STACKED_PX * down, RADIUS_PX);
+      this.places.paint(context, call, x + STACKED_PX * right, y + STACKED_PX * down, RADIUS_PX, RIM_PX);
     });
     this.#showMarks(moment, "turn", (_, __, context, x, y) => paintTurn(context, this.#colour, x, y));
     this.#showMarks(moment, "told", (_, __, context, x, y) => paintStar(context, this.#starColours, x, y));
-    this.waypoints.showNumbers(this.number === null || this.isFocus, this.#scale);
+    this.showNumbers();
     this.#showLink(moment, position);
     if (!position) {
       this.drone.remove();
@@ -83,6 +83,11 @@ export class FlightLayer {
     this.drone.setLatLng(this.latLng(position.east_m, position.north_m)).addTo(this.map);
     turn(this.drone.getElement(), moment.headingDeg);
     this.focus(this.isFocus);
+  }
+
+  // Of the waypoints, where the map is near enough; of several drones of the one in focus.
+  showNumbers() {
+    this.waypoints.showNumbers(this.number === null || Boolean(this.isFocus), this.#scale);
   }
 
   // Where the drone's mark is on the map's layers, in pixels; null where it has none.

@@ -45,10 +45,13 @@ export class FlightMap {
     });
     this.map.setView([0, 0], this.ground.options.minZoom);
     this.map.on("mousemove", (event) => this.#readOut("pointer", event.latlng));
-    this.map.on("mouseout", () => this.#readOut());
     this.map.on("move", () => this.#readOutCentre());
-    this.map.on("zoomend", () => this.#arrange());
-    this.frame.addEventListener("blur", () => this.#readOut());
+    this.map.on("zoomend", () => {
+      this.layers.forEach((layer) => layer.showNumbers());
+      this.#arrange();
+    });
+    this.#readOut();
+    for (const away of ["pointerleave", "blur"]) this.frame.addEventListener(away, () => this.#readOut());
     for (const touch of ["wheel", "keydown", "pointerdown"]) {
       this.frame.addEventListener(touch, () => (this.#moved = true), { passive: true });
     }

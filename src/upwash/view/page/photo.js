@@ -1,7 +1,7 @@
 // The last photo, or an earlier one that the user was told of since, with what was found on it in boxes; and, where it was rendered, what is truly there.
 
 import { card, drawn, element, write } from "./element.js";
-import { boxInWords } from "./findings.js";
+import { percent } from "./findings.js";
 import { firstFree, within } from "./labels.js";
 
 const KEY = "Solid: found. Dashed: truly there, as the photo was rendered.";
@@ -99,7 +99,7 @@ function rectangle({ left_px: x, top_px: y, width_px: width, height_px: height }
 }
 
 function label(number, box, width) {
-  const words = box.score === undefined ? box.label : boxInWords(box);
+  const words = box.score === undefined ? box.label : `${box.label} ${percent(box.score)}`;
   return drawn("text", { "font-size": width / 36 }, `${number} ${words}`);
 }
 
@@ -110,7 +110,7 @@ function spread(labels, boxes, width, height) {
     const { left_px: x, top_px: top, height_px: tall } = boxes[index];
     const size = { width: Math.min(width, text.getComputedTextLength()), height: 1.3 * Number(text.getAttribute("font-size")) };
     if (text.getComputedTextLength() > width) text.setAttribute("textLength", width);
-    const rows = [top - size.height, top + tall, top, top + tall - size.height];
+    const rows = [1, 2, 3, 4].flatMap((row) => [top - row * size.height, top + tall + (row - 1) * size.height]);
     const place = firstFree(rows.map((y) => within({ x, y, ...size }, width, height)), taken);
     taken.push(place);
     text.setAttribute("x", place.x);

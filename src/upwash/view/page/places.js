@@ -61,20 +61,23 @@ export class Places {
     return FILLS[Math.max(0, this.operations.indexOf(operation)) % FILLS.length];
   }
 
-  // Draws the mark of a call, with a rim of the ground's colour, so that marks that touch stay apart.
-  paint(context, { place, operation }, x, y, radius) {
+  // Draws the mark of a call; with a `rim` of the ground's colour where marks may touch, in pixels.
+  paint(context, { place, operation }, x, y, radius, rim = 0) {
     const [fill, colour, ground] = [this.fill(operation), this.colour(place), this.colours.of("paper")];
+    const line = fill === "filled" ? 0 : Math.min(1.6, radius / 2);
     context.globalAlpha = 1;
     context.setLineDash([]);
     this.#trace(context, place, x, y, radius);
-    context.strokeStyle = ground;
-    context.lineWidth = Math.min(2, radius / 2) + (fill === "filled" ? 0 : 1.6);
-    context.stroke();
+    if (rim) {
+      context.strokeStyle = ground;
+      context.lineWidth = line + 2 * rim;
+      context.stroke();
+    }
     context.fillStyle = fill === "filled" ? colour : ground;
     context.fill();
     if (fill === "filled") return;
     context.strokeStyle = colour;
-    context.lineWidth = Math.min(1.6, radius / 2);
+    context.lineWidth = line;
     context.stroke();
     if (fill !== "dotted") return;
     context.beginPath();

@@ -1,0 +1,57 @@
+"""The part of a photo around a box, small enough for a page that has many. OpenCV is imported on first use."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from upwash.report.findings import Outline
+from upwash.services import NotAPhoto
+from upwash.services.photo import decode_photo
+
+if TYPE_CHECKING:
+    from cv2.typing import MatLike
+
+WIDTH_PX, HEIGHT_PX = 240, 180  # of a crop, at most
+_AROUND = 3.0  # times the box
+_QUALITY = 80  # of the JPEG, in percent
+
+
+@dataclass(frozen=True, slots=True)
+class Crop:
+    """A JPEG of the part of a photo that begins at `left_px`, `top_px` there and is that large there."""
+
+    jpeg: bytes
+    left_px: int
+    top_px: int
+    width_px: int
+    height_px: int
+
+
+def pixels_of(jpeg: bytes) -> MatLike | None:
+    """The photo's pixels, None where it cannot be decoded."""
+    try:
+        return decode_photo(jpeg)
+    except NotAPhoto:
+        return None
+
+
+def crop_around(box: Outline, pixels: MatLike) -> Crop | None:
+    """The part of the photo around the box, None where the box lies beside the photo."""
+    import cv2
+
+    photo_height, photo_width = pixels.shape[:2]
+    across, down = box.left_px + box.width_px / 2, box.top_px + box.height_px / 2
+    if not (0 <= across <= photo_width and 0 <= down <= photo_height):
+        return None
+    scale = max(1.0, _AROUND * box.width_px / WIDTH_PX, _AROUND * box.height_px / HEIGHT_PX)
+    width = round(min(photo_width, scale * WIDTH_PX))
+    height = round(min(photo_height, scale * HEIGHT_PX))
+    left = round(min(max(0.0, across - width / 2), photo_width - width))
+    top = round(min(max(0.0, down - height / 2), photo_height - height))
+    part = pixels[top : top + height, left : left + width]
+    smaller = min(1.0, WIDTH_PX / width, HEIGHT_PX / height)
+    size = max(1, round(smaller * width)), max(1, round(smaller * height))
+    shown = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
+    encoded = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
+    return Crop(encoded.tobytes(), left, top, width, height)

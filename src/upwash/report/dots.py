@@ -1,0 +1,122 @@
+"""Dot plots of many flights: a dot each, with the mean and what is sure of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from upwash.eventlog.narration import counted
+from upwash.report.axes import RIGHT, TOP, WIDTH, Axis, figure, label
+from upwash.report.groups import Difference, Group, in_seconds
+from upwash.report.markup import Markup, element, joined
+from upwash.support.confidence import Mean
+
+_LEFT, _SPARE = 24.0, 0.06  # of the plot's breadth, either side of the dots
+_ROW, _NAME = 62.0, 16.0
+_RADIUS = 4.0
+_LANES = (0.0, -5.0, 5.0, -10.0, 10.0)  # in which dots lie, so that equal ones are seen side by side
+
+
+def draw_times(groups: Sequence[Group]) -> Markup:
+    """The mission time of each flight, a row a group, all in one scale."""
+    times_s = [record.result.mission_time_s for group in groups for record in group.flights]
+    x = _axis(times_s, [group.time_s for group in groups])
+    bottom = TOP + _ROW * len(groups)
+    rows = [
+        _row(
+            f"{group.name}: {in_seconds(group.time_s)}, {counted(len(group.flights), 'flight')}",
+            [(f"{record.name}: {record.result.mission_time_s:.1f} s", record.result.mission_time_s)
+             for record in group.flights],
+            group.time_s,
+            x,
+            TOP + _ROW * number,
+        )
+        for number, group in enumerate(groups)
+    ]  # fmt: skip
+    told = "; ".join(f"{group.name}: {in_seconds(group.time_s)}" for group in groups)
+    return figure(
+        "Mission time of each flight",
+        f"On average, with 95 % confidence: {told}.",
+        WIDTH,
+        bottom + 40,
+        *_scale(x, TOP, bottom),
+        *rows,
+        label("mission time (s)", WIDTH / 2, bottom + 34, style="axis"),
+    )
+
+
+def draw_differences(differences: Sequence[Difference]) -> Markup:
+    """How much longer the first of two policies took, a dot a pair; each row has a scale of its own, with 0 in it."""
+    high = _ROW + 30
+    rows = []
+    for number, difference in enumerate(differences):
+        top = TOP + high * number
+        longer_s = [pair.longer_s for pair in difference.pairs]
+        x = _axis([0.0, *longer_s], [difference.longer_s])
+        name = (
+            f"{difference.policy} minus {difference.reference}: {in_seconds(difference.longer_s)}, "
+            f"{counted(len(difference.pairs), 'pair')}"
+        )
+        dots = [(f"{pair.name}: {pair.longer_s:z.1f} s", pair.longer_s) for pair in difference.pairs]
+        rows += [
+            *_scale(x, top + _NAME, top + _ROW),
+            element("line", x1=x(0), x2=x(0), y1=top + _NAME, y2=top + _ROW, class_="zero"),
+            _row(name, dots, difference.longer_s, x, top),
+        ]
+    told = "; ".join(
+        f"{each.policy} minus {each.reference}: {in_seconds(each.longer_s)}" for each in differences
+    )
+    return figure(
+        "Differences within the same scenario and seed",
+        f"On average, with 95 % confidence: {told}.",
+        WIDTH,
+        TOP + high * len(differences) + 10,
+        *rows,
+        label(
+            "difference of the mission times (s)",
+            WIDTH / 2,
+            TOP + high * len(differences) + 2,
+            style="axis",
+        ),
+    )
+
+
+def _axis(values: Sequence[float], means: Sequence[Mean]) -> Axis:
+    """All values and what is sure of their means, from left to right."""
+    ends = [
+        mean.value + sign * mean.margin for mean in means if math.isfinite(mean.margin) for sign in (-1, 1)
+    ]
+    least, most = min([*values, *ends]), max([*values, *ends])
+    spare = _SPARE * (most - least) or 1.0
+    return Axis(least - spare, most + spare, _LEFT, WIDTH - RIGHT)
+
+
+def _scale(x: Axis, top: float, bottom: float) -> Iterator[Markup]:
+    for value in x.ticks(7):
+        yield joined(
+            element("line", x1=x(value), x2=x(value), y1=top, y2=bottom, class_="grid"),
+            label(f"{value:g}", x(value), bottom + 16),
+        )
+
+
+def _row(name: str, dots: Sequence[tuple[str, float]], mean: Mean, x: Axis, top: float) -> Markup:
+    middle = top + _NAME + (_ROW - _NAME) / 2
+    drawn = [
+        element(
+            "circle",
+            element("title", told),
+            cx=x(value), cy=middle + _LANES[number % len(_LANES)], r=_RADIUS, class_="flight",
+        )
+        for number, (told, value) in enumerate(dots)
+    ]  # fmt: skip
+    at = x(mean.value)
+    sure = Markup()
+    if math.isfinite(mean.margin):
+        low, high = x(mean.value - mean.margin), x(mean.value + mean.margin)
+        path = f"M{low:.1f} {middle - 6}v12M{low:.1f} {middle}H{high:.1f}M{high:.1f} {middle - 6}v12"
+        sure = element("path", d=path, class_="sure")
+    line = element(
+        "line", element("title", f"mean: {in_seconds(mean)}"),
+        x1=at, x2=at, y1=middle - 16, y2=middle + 16, class_="average",
+    )  # fmt: skip
+    return element("g", label(name, _LEFT, top + 11, anchor="start", style="row halo"), *drawn, sure, line)

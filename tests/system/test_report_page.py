@@ -1,0 +1,118 @@
+"""The page of `upwash report`, in a browser: on paper, on a phone, in the dark, and for people who do not see it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.events import line
+from tests.system.browser import Browser, browser, why_not
+
+from upwash.cli.main import main
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.root,
+    pytest.mark.xdist_group("browser"),
+    pytest.mark.skipif(bool(why_not()), reason=why_not()),
+]
+
+BOX = {
+    "left_px": 700.0,
+    "top_px": 500.0,
+    "width_px": 30.0,
+    "height_px": 20.0,
+    "label": "hot-spot",
+    "score": 0.9,
+}
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("chromium")) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def ill(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A flight that found something and was left hovering."""
+    here = {"east_m": 20.0, "north_m": 0.0, "altitude_m": 10.0}
+    file = tmp_path_factory.mktemp("ill") / "ill.jsonl"
+    lines = [
+        line("planned", 0.0, waypoints_m=[(0, 0), (20, 0)]),
+        line("mission_started", 1.0, policy="location-aware", waypoints=2),
+        line("arrived", 2.0, waypoint=0),
+        line("photo", 3.0, source="park 2", position=here),
+        line("notified", 4.0, message=[BOX], at=here),
+        line("vehicle_said", 5.0, severity=3, text="Battery low"),
+        line("left_hovering", 6.0),
+        line("mission_ended", 7.0, why="Ctrl-C"),
+    ]
+    file.write_bytes(b"".join(lines))
+    return file
+
+
+@pytest.fixture(scope="module")
+def few(ill: Path) -> str:
+    """The address of a page about one flight."""
+    return page_about(ill, at=ill.with_name("few.html"))
+
+
+@pytest.fixture(scope="module")
+def many(ill: Path, logs: tuple[Path, Path]) -> str:
+    """The address of a page about six."""
+    copies = [ill.with_name(f"{number}-{log.name}") for number in range(2) for log in logs]
+    for copy in copies:
+        copy.write_bytes(logs[copy.name.endswith("without.jsonl")].read_bytes())
+    return page_about(ill, *copies, at=ill.with_name("many.html"))
+
+
+def page_about(*logs: Path, at: Path) -> str:
+    assert main(["report", *map(str, logs), "-o", str(at)]) == 0
+    return at.as_uri()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1400, 390])
+def test_everybody_can_read_it(page: Browser, few: str, many: str, scheme: str, width: int) -> None:
+    for address in (few, many):
+        page.open(address, width=width, height=844, scheme=scheme)
+        page.run("document.querySelectorAll('details').forEach((each) => { each.open = true; })")
+        assert page.violations() == []
+        assert page.errors() == []
+        assert page.run("return document.documentElement.scrollWidth <= window.innerWidth")
+
+
+def test_the_pictures_are_shown_under_the_pages_own_policy(page: Browser, few: str) -> None:
+    page.open(few)
+    loads = "const image = new Image(); image.src = document.querySelector('image').getAttribute('href');"
+    assert page.run(f"{loads} return image.decode().then(() => image.naturalWidth)") == 240
+    assert page.errors() == []
+
+
+def test_the_alarm_is_the_first_thing_that_is_seen(page: Browser, few: str, many: str) -> None:
+    for address in (few, many):
+        page.open(address, width=1400)
+        box = page.run("return document.querySelector('.urgent').getBoundingClientRect().toJSON()")
+        assert box["bottom"] < 450
+
+
+def test_what_is_folded_is_not_printed_and_no_figure_is_cut_from_its_heading(
+    page: Browser, many: str
+) -> None:
+    page.open(many, width=1400, scheme="dark")
+    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    try:
+        shown = (
+            "return [...document.querySelectorAll('summary')].filter((each) => each.checkVisibility()).length"
+        )
+        assert page.run(shown) == 0
+        assert "Each flight" not in page.run("return document.querySelector('main').innerText")
+        page.run("document.querySelector('.flight-details').open = true")
+        assert page.run(shown) == 1
+        assert page.run("return getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+        kept = "return [...document.querySelectorAll('h2, .note')].map((each) => getComputedStyle(each).breakAfter)"
+        assert set(page.run(kept)) == {"avoid"}
+    finally:
+        page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})

@@ -1,0 +1,334 @@
+"""What the page of `upwash view` draws: the map, the photo with what was found on it, and the marks of calls."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import pytest
+from selenium.webdriver.common.action_chains import ActionChains
+from tests.events import line
+from tests.system.browser import Browser, browser, why_not
+
+from upwash.launch.processes import ready_program
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.root,
+    pytest.mark.xdist_group("browser"),
+    pytest.mark.skipif(bool(why_not()), reason=why_not()),
+]
+
+WAYPOINTS = [(0.0, 0.0), (40.0, 0.0), (80.0, 0.0), (84.0, 0.0), (120.0, 0.0)]
+WIDTH_PX, HEIGHT_PX = 800, 600
+AT_THE_BORDERS = [
+    (0, 0, 40, 30),
+    (770, 0, 30, 30),
+    (760, 580, 40, 20),
+    (-20, 590, 60, 30),
+    (400, 300, 20, 20),
+]
+END_S = 50.0
+COUNT, DIRT = "detector.count", "gauge.dirt"
+
+
+def found(boxes: Sequence[tuple[int, int, int, int]], label: str) -> list[dict[str, object]]:
+    names = ("left_px", "top_px", "width_px", "height_px")
+    return [{**dict(zip(names, box, strict=True)), "label": label, "score": 0.87} for box in boxes]
+
+
+def range_of(east_m: float, north_m: float, radius_m: float = 60.0) -> dict[str, object]:
+    return {"centre": {"east_m": east_m, "north_m": north_m, "altitude_m": 0.0}, "radius_m": radius_m}
+
+
+def flight() -> bytes:
+    """A log of a waypoint each 10 s, with two calls at each; s1 and s2 are at nearly the same place, s3 is used."""
+    text = line("log_opened", 0.0, time="2026-01-01T00:00:00+00:00", version=2)
+    ranges = {"s1": range_of(40.0, 40.0), "s2": range_of(41.0, 40.0), "s3": range_of(90.0, -50.0)}
+    home = {"latitude_deg": 39.3666, "longitude_deg": 22.9507}
+    text += line("planned", 0.0, home=home, waypoints_m=WAYPOINTS, ranges=ranges)
+    text += line("mission_started", 0.0, drone="d", policy="look-ahead", waypoints=len(WAYPOINTS))
+    for waypoint, (east_m, north_m) in enumerate(WAYPOINTS):
+        at_s = 10.0 * waypoint
+        here = {"east_m": east_m, "north_m": north_m, "altitude_m": 10.0}
+        place = "s3" if waypoint > 1 else "local"
+        if waypoint == 2:
+            step = {"server": "s3", "before": "AVL", "after": "CHECK", "why": "fastest"}
+            text += line("selected", at_s - 5, **step)
+            text += line("started", at_s - 4, **{**step, "before": "CHECK", "after": "READY"})
+        text += line("position", at_s, **here)
+        text += line("arrived", at_s, waypoint=waypoint, east_m=east_m, north_m=north_m)
+        text += line("photo", at_s, source=f"{waypoint}.jpg", position=here)
+        text += line("call", at_s + 1, operation=COUNT, place=place, delay_s=1.0)
+        text += line("call", at_s + 2, operation=DIRT, place=place, delay_s=1.0)
+        if waypoint in {1, 3}:
+            boxes = AT_THE_BORDERS if waypoint == 3 else AT_THE_BORDERS[-1:]
+            message = found(boxes, "hot-spot with quite a long name")
+            text += line("notified", at_s + 3, message=message, at=here)
+        text += line("position", at_s + 4, **here)
+    return text + line("mission_completed", END_S)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("chromium")) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a page about the flight, with its photos."""
+    cv2, np = pytest.importorskip("cv2"), pytest.importorskip("numpy")
+    folder = tmp_path_factory.mktemp("logs")
+    (folder / "flight.jsonl").write_bytes(flight())
+    jpeg = cv2.imencode(".jpg", np.full((HEIGHT_PX, WIDTH_PX, 3), 90, np.uint8))[1].tobytes()
+    for waypoint in range(len(WAYPOINTS)):
+        (folder / f"{waypoint}.jpg").write_bytes(jpeg)
+    command = ["view", str(folder / "flight.jsonl"), "--photos", str(folder), "--port", "0"]
+    with ready_program("map", folder, *command) as address:
+        yield address
+
+
+def opened(page: Browser, address: str, at_s: float, *, width: int = 1400, scheme: str = "light") -> None:
+    """Opens the page at that second of the mission."""
+    page.open(address, width=width, scheme=scheme)
+    page.wait_until(lambda: page.text("#clock").endswith(" / 0:50"))
+    seek(page, at_s)
+
+
+def seek(page: Browser, at_s: float) -> None:
+    page.run(
+        "const slider = document.getElementById('time'); slider.value = arguments[0];"
+        "slider.dispatchEvent(new Event('input'));",
+        at_s,
+    )
+    drawn(page)
+
+
+def drawn(page: Browser) -> None:
+    """Waits until the page has drawn what it knows, which it does at its next frame."""
+    page.run("return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
+def boxes(page: Browser, selector: str) -> list[tuple[float, float, float, float]]:
+    """Where the elements are in the window: left, top, right and bottom of each."""
+    found = page.run(
+        "return [...document.querySelectorAll(arguments[0])].map((each) => each.getBoundingClientRect())"
+        ".map((box) => [box.left, box.top, box.right, box.bottom])",
+        selector,
+    )
+    return [(left, top, right, bottom) for left, top, right, bottom in found]
+
+
+def overlap(one: tuple[float, float, float, float], other: tuple[float, float, float, float]) -> bool:
+    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+
+
+# --- where things are -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("width", "height"), [(1400, 900), (1920, 1080)])
+def test_the_map_and_the_photo_are_side_by_side_in_the_first_view(
+    page: Browser, one: str, width: int, height: int
+) -> None:
+    page.open(one, width=width, height=height)
+    page.wait_until(lambda: page.text("#clock").endswith(" / 0:50"))
+    seek(page, 34.0)
+    (map_box,), (photo,) = boxes(page, ".map"), boxes(page, ".photo")
+    assert map_box[2] <= photo[0]
+    (controls,) = boxes(page, "#controls")
+    assert max(map_box[3], photo[3]) <= controls[1]
+
+
+def test_on_a_phone_the_parts_follow_each_other(page: Browser, one: str) -> None:
+    opened(page, one, 34.0, width=390)
+    parts = [".head", ".map-frame", ".photos", ".servers", ".delays", ".findings", ".journal"]
+    tops = [boxes(page, part)[0][1] for part in parts]
+    assert tops == sorted(tops)
+    assert page.run("return document.documentElement.scrollWidth") <= 390
+
+
+# --- the photo and the findings -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+def test_the_labels_of_boxes_stay_within_the_photo_and_cover_no_other(
+    page: Browser, one: str, width: int
+) -> None:
+    opened(page, one, 34.0, width=width)
+    page.wait_until(lambda: len(page.all(".boxes text")) == len(AT_THE_BORDERS))
+    labels, (photo,) = boxes(page, ".boxes text"), boxes(page, ".photo")
+    for number, label in enumerate(labels):
+        assert photo[0] <= label[0] + 0.5 and label[2] <= photo[2] + 0.5, label
+        assert photo[1] <= label[1] + 0.5 and label[3] <= photo[3] + 0.5, label
+        assert not any(overlap(label, other) for other in labels[:number]), number
+    assert {each.text.split()[0] for each in page.all(".boxes text")} == {"2"}, "as in the list"
+
+
+def findings(page: Browser) -> list[list[str]]:
+    return list(
+        page.run(
+            "return [...document.querySelectorAll('.findings tbody tr')]"
+            ".map((row) => [...row.cells].map((cell) => cell.textContent.trim()))"
+        )
+    )
+
+
+def test_everything_that_the_user_was_told_is_listed_and_leads_to_its_moment(page: Browser, one: str) -> None:
+    opened(page, one, 0.0)
+    label = "hot-spot with quite a long name"
+    assert findings(page) == [
+        ["2", "3", f"{label} {', '.join(['87 %'] * len(AT_THE_BORDERS))}", "33.0 s"],
+        ["1", "1", f"{label} 87 %", "13.0 s"],
+    ]
+    assert page.all(".findings tr[aria-current]") == [], "nothing was found by then"
+    second, first = page.all(".findings tbody button")
+    first.click()
+    page.wait_until(lambda: page.text("#clock").startswith("0:13"))
+    drawn(page)
+    assert page.text(".photos p").startswith("Photo 2, at waypoint 1, ")
+    assert "Finding 1: 1 x hot-spot" in page.text(".photos p")
+    assert page.find(".findings tr[aria-current]").text.startswith("1 ")
+    second.send_keys("\n")
+    page.wait_until(lambda: page.text("#clock").startswith("0:33"))
+    drawn(page)
+    assert page.text(".photos p").startswith("Photo 4, at waypoint 3, ")
+
+
+def test_where_something_was_found_has_a_mark_on_the_map(page: Browser, one: str) -> None:
+    opened(page, one, 12.9)
+    before = inked(page)
+    seek(page, 13.1)
+    assert inked(page) > before + 30, "a star"
+
+
+# --- the map --------------------------------------------------------------------------------------------------
+
+
+def inked(page: Browser) -> int:
+    """How many pixels of the map's marks are drawn."""
+    drawn(page)
+    return int(
+        page.run(
+            "const canvas = document.querySelector('.leaflet-marks-pane canvas');"
+            "const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);"
+            "let count = 0; for (let i = 3; i < data.length; i += 4) count += data[i] > 0; return count"
+        )
+    )
+
+
+def test_waypoints_have_numbers_where_there_is_room_for_them(page: Browser, one: str) -> None:
+    opened(page, one, 0.0)
+    assert inked(page) == 0, "the closest two are 4 m from each other"
+
+    def zoomed_in() -> bool:
+        page.click(".leaflet-control-zoom-in")
+        return inked(page) > 0
+
+    page.wait_until(zoomed_in)
+    page.wait_until(lambda: not page.all(".leaflet-zoom-anim"))
+    page.click(".fit")
+    page.wait_until(lambda: inked(page) == 0)
+
+
+def test_the_labels_of_close_servers_cover_neither_each_other_nor_the_drone(page: Browser, one: str) -> None:
+    opened(page, one, 0.0)
+    for at_s in (0.0, 12.0, 15.0, 17.0, 35.0, 50.0):
+        seek(page, at_s)
+        labels, (drone,) = boxes(page, ".chip"), boxes(page, ".drone")
+        assert len(labels) == 3
+        for number, label in enumerate(labels):
+            assert not any(overlap(label, other) for other in labels[:number])
+            assert not overlap(label, drone)
+
+
+def test_servers_that_nobody_uses_are_pale(page: Browser, one: str) -> None:
+    def strong() -> list[str]:
+        chips = page.all(".chip:not(.aside)")
+        return [chip.text.split()[0] for chip in chips]
+
+    opened(page, one, 10.0)
+    assert strong() == []
+    seek(page, 15.5)
+    assert strong() == ["s3"], "it is being checked"
+    seek(page, 30.0)
+    assert strong() == ["s3"]
+
+
+def test_a_line_leads_from_the_drone_to_the_server_that_it_uses(page: Browser, one: str) -> None:
+    def is_between() -> bool:
+        """Whether the server's colour is half-way from the drone to the server's label."""
+        return bool(
+            page.run(
+                "const middle = (selector) => { const box = document.querySelector(selector).getBoundingClientRect();"
+                " return [box.x + box.width / 2, box.y + box.height / 2]; };"
+                "const [drone, server] = [middle('.drone'), middle('.server:nth-child(4) .chip, .chip:not(.aside)')];"
+                "const canvas = document.querySelector('.leaflet-overlay-pane canvas');"
+                "const at = canvas.getBoundingClientRect();"
+                "const [x, y] = [0, 1].map((axis) => (drone[axis] + server[axis]) / 2 - [at.x, at.y][axis]);"
+                "const { data } = canvas.getContext('2d').getImageData(x - 3, y - 3, 7, 7);"
+                "const style = getComputedStyle(document.documentElement).getPropertyValue('--place-3').trim();"
+                "const wanted = [1, 3, 5].map((from) => parseInt(style.slice(from, from + 2), 16));"
+                "for (let i = 0; i < data.length; i += 4)"
+                " if (wanted.every((value, channel) => Math.abs(data[i + channel] - value) < 12)"
+                " && data[i + 3] > 200) return true;"
+                "return false"
+            )
+        )
+
+    opened(page, one, 34.0)
+    assert page.text(".chip:not(.aside)").startswith("s3")
+    assert is_between()
+
+
+def test_the_drone_points_the_way_it_flies(page: Browser, one: str) -> None:
+    opened(page, one, 7.0)
+    assert page.find(".airframe").get_attribute("transform") == "rotate(90 16 16)", "to the east"
+
+
+def test_the_readout_is_of_the_pointer_alone(page: Browser, one: str) -> None:
+    opened(page, one, 10.0)
+    assert page.text(".readout") == ""
+    ActionChains(page.driver).move_to_element(page.find(".map")).perform()
+    page.wait_until(lambda: page.text(".readout").startswith("pointer: "))
+    assert "°" in page.text(".readout")
+    ActionChains(page.driver).move_to_element(page.find("h1")).perform()
+    page.wait_until(lambda: page.text(".readout") == "")
+    page.run("document.querySelector('.map').focus({focusVisible: true})")
+    page.find(".map").send_keys("\ue012")  # to the left
+    page.wait_until(lambda: page.text(".readout").startswith("centre of the map: "))
+
+
+# --- calls ----------------------------------------------------------------------------------------------------
+
+
+def test_the_operation_of_a_call_is_told_by_the_fill_of_its_mark(page: Browser, one: str) -> None:
+    opened(page, one, END_S)
+    entries = [each.text for each in page.all(".legend .entry")]
+    assert f"filled: {COUNT}" in entries and f"hollow: {DIRT}" in entries
+    middles = page.run(
+        "const canvas = document.querySelector('.chart canvas'), context = canvas.getContext('2d');"
+        "const style = getComputedStyle(document.documentElement).getPropertyValue('--place-3').trim();"
+        "const wanted = [1, 3, 5].map((from) => parseInt(style.slice(from, from + 2), 16));"
+        "const { data } = context.getImageData(0, 0, canvas.width, canvas.height);"
+        "const isWanted = (x, y) => wanted.every((value, channel) => "
+        " Math.abs(data[4 * (y * canvas.width + x) + channel] - value) < 12)"
+        " && data[4 * (y * canvas.width + x) + 3] > 250;"  # the lines beneath the marks are faint
+        "const marks = []; let last = -9;"
+        "for (let x = 0; x < canvas.width; x += 1) {"
+        "  const ys = []; for (let y = 0; y < canvas.height; y += 1) if (isWanted(x, y)) ys.push(y);"
+        "  if (!ys.length) continue;"
+        "  if (x > last + 1) marks.push({x: [], y: []});"
+        "  last = x; marks.at(-1).x.push(x); marks.at(-1).y.push(...ys); }"
+        "const middle = (values) => Math.round((Math.min(...values) + Math.max(...values)) / 2);"
+        "return marks.map(({x, y}) => isWanted(middle(x), middle(y)))"
+    )
+    assert middles == [True, False] * 3, "of the two calls at each of three waypoints"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1400])
+def test_axe_finds_nothing_wrong(page: Browser, one: str, width: int, scheme: str) -> None:
+    opened(page, one, 34.0, width=width, scheme=scheme)
+    page.wait_until(lambda: page.all(".boxes text"))
+    assert page.violations() == []
+    assert page.errors() == []
