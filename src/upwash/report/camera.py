@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import msgspec
 from foxglove.messages import (
     Color,
     CompressedImage,
@@ -18,10 +17,10 @@ from foxglove.messages import (
 
 from upwash.eventlog import schema
 from upwash.report.clock import RecordClock
+from upwash.report.findings import Outline, Pairing, outlines
 from upwash.report.palette import DARK, components
-from upwash.report.photos import PhotoShelf, Shots
+from upwash.report.photos import PhotoShelf
 from upwash.report.record import Record
-from upwash.services.detection import Detection
 
 _FRAME = "camera"
 _FONT_PX, _LINE_PX = 16.0, 3.0
@@ -34,39 +33,31 @@ def photos(
 
     A photo of which nothing was told has no boxes, so that those of the one before it go.
     """
-    boxes = _boxes_by_shot(record)
-    shots = Shots()
+    boxes = _boxes_by_photo(record)
+    pairing = Pairing()
     for event in record.events:
-        shots.take(event)
-        if isinstance(event, schema.Photo):
-            number = len(shots.taken) - 1
-            jpeg = shelf.find(shots.taken[number])
+        pairing.take(event)
+        if isinstance(event, schema.Photo) and (photo := pairing.last) is not None:
+            jpeg = shelf.find(photo.shot)
             taken_s = event.t - event.age_s - record.began_s
             time, time_ns = clock.time(taken_s), clock.ns(taken_s)
             if jpeg is not None:
                 yield time_ns, CompressedImage(timestamp=time, frame_id=_FRAME, data=jpeg, format="jpeg")
-                yield time_ns, _annotations(boxes.get(number, []), time)
+                yield time_ns, _annotations(boxes.get(photo.number, []), time)
 
 
-def _boxes_by_shot(record: Record) -> dict[int, list[Detection]]:
+def _boxes_by_photo(record: Record) -> dict[int, list[Outline]]:
     """What was found on each photo, by its number: it is told after the photo was taken."""
-    found: dict[int, list[Detection]] = {}
-    shots = Shots()
+    found: dict[int, list[Outline]] = {}
+    pairing = Pairing()
     for event in record.events:
-        shots.take(event)
-        if isinstance(event, schema.Notified) and shots.told_of is not None:
-            found.setdefault(shots.told_of, []).extend(_detections(event.message))
+        pairing.take(event)
+        if isinstance(event, schema.Notified) and (photo := pairing.told_of) is not None:
+            found.setdefault(photo.number, []).extend(outlines(event.message) or ())
     return found
 
 
-def _detections(message: object) -> list[Detection]:
-    try:
-        return msgspec.convert(message, list[Detection])
-    except msgspec.ValidationError:  # a mission may tell its user anything
-        return []
-
-
-def _annotations(found: list[Detection], time: Timestamp) -> ImageAnnotations:
+def _annotations(found: list[Outline], time: Timestamp) -> ImageAnnotations:
     return ImageAnnotations(
         timestamp=time,
         points=[_outline(each, time) for each in found],
@@ -74,7 +65,7 @@ def _annotations(found: list[Detection], time: Timestamp) -> ImageAnnotations:
     )
 
 
-def _outline(found: Detection, time: Timestamp) -> PointsAnnotation:
+def _outline(found: Outline, time: Timestamp) -> PointsAnnotation:
     left, top = found.left_px, found.top_px
     right, bottom = left + found.width_px, top + found.height_px
     corners = ((left, top), (right, top), (right, bottom), (left, bottom))
@@ -87,11 +78,11 @@ def _outline(found: Detection, time: Timestamp) -> PointsAnnotation:
     )
 
 
-def _label(found: Detection, time: Timestamp) -> TextAnnotation:
+def _label(found: Outline, time: Timestamp) -> TextAnnotation:
     return TextAnnotation(
         timestamp=time,
         position=Point2(x=found.left_px, y=found.top_px),
-        text=f"{found.label} {found.score:.2f}",
+        text=found.words,
         font_size=_FONT_PX,
         text_color=_colour(DARK.on_alarm),
         background_color=_colour(DARK.alarm),

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from upwash.core.geo import Position
-from upwash.eventlog import schema
-from upwash.eventlog.schema import Event
 
 _PARK = re.compile(r"park (\d{1,18})")
 _FARTHEST_M = 100_000.0
@@ -26,30 +24,6 @@ class Shot:
     source: str
     position: Position | None
     since_start: int
-
-
-class Shots:
-    """The photos that a run has taken so far, and which of them the user is told of next: its number in `told_of`."""
-
-    def __init__(self) -> None:
-        self.taken: list[Shot] = []
-        self.told_of: int | None = None
-        self._of_call: dict[int | None, int] = {}  # the photo that the call of each waypoint was made with
-        self._since_start = 0
-
-    def take(self, event: Event) -> None:
-        """Takes in the next event."""
-        match event:
-            case schema.LogResumed():
-                self._since_start = 0
-            case schema.Photo(source=source, position=position):
-                self.taken.append(Shot(source, position, self._since_start))
-                self._since_start += 1
-                self.told_of = len(self.taken) - 1
-            case schema.CallStarted(waypoint=waypoint) if self.taken:
-                self._of_call[waypoint] = len(self.taken) - 1
-            case schema.AnswerTaken(waypoint=waypoint):
-                self.told_of = self._of_call.get(waypoint, self.told_of)
 
 
 class PhotoShelf:

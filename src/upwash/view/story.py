@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 from upwash.core.geo import LocalFrame, Position
 from upwash.core.servers import CHECKING, State
@@ -13,12 +13,8 @@ from upwash.eventlog.notices import Notices
 from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, told, told_decision
 from upwash.eventlog.schema import Event
 from upwash.eventlog.whereabouts import Whereabouts
-<<<<<<< HEAD
-from upwash.report.photos import Shot, Shots
-=======
 from upwash.report.findings import Pairing, outlines
 from upwash.report.photos import Shot
->>>>>>> main
 from upwash.report.record import place_of
 from upwash.view import facts
 from upwash.view.facts import Fact
@@ -34,6 +30,7 @@ class Story:
     """
 
     def __init__(self, keeps: Callable[[str], bool]) -> None:
+        self.shots: list[Shot] = []
         self.ended = False
         self.drone: str | None = None
         self._keeps = keeps
@@ -44,24 +41,11 @@ class Story:
         self._beginning = Beginning()
         self._policy = ""
         self._calls_at = Whereabouts()
-<<<<<<< HEAD
-        self._shots = Shots()
-        self._told_at: int | None = None  # the waypoint that the user is told of
-=======
         self._pairing = Pairing()
->>>>>>> main
         self._place: Position | None = None
         self._placed_s = 0.0
         self._doing = ("", 0)
         self._servers: set[str] = set()
-<<<<<<< HEAD
-
-    @property
-    def shots(self) -> Sequence[Shot]:
-        """Its photos so far."""
-        return self._shots.taken
-=======
->>>>>>> main
 
     def take(self, event: Event) -> Iterator[Fact]:
         """What the next event tells."""
@@ -201,21 +185,6 @@ class Story:
     # --- photos -----------------------------------------------------------------------------------------------
 
     def _photos(self, event: Event) -> Iterator[Fact]:
-<<<<<<< HEAD
-        self._shots.take(event)
-        match event:
-            case schema.Photo(source=source, truth=truth):
-                yield facts.Shot(
-                    at_s=self._now_s,
-                    number=len(self.shots) - 1,
-                    waypoint=self._calls_at.here,
-                    source=source,
-                    kept=self._keeps(source),
-                    truth=_outlines(truth),
-                )
-            case schema.AnswerTaken(waypoint=waypoint) | schema.Arrived(waypoint=waypoint):
-                self._told_at = waypoint
-=======
         self._pairing.take(event)
         match event:
             case schema.Photo(truth=truth) if (photo := self._pairing.last) is not None:
@@ -228,21 +197,14 @@ class Story:
                     kept=self._keeps(photo.shot.source),
                     truth=outlines(truth),
                 )
->>>>>>> main
             case schema.Notified(message=message, at=place):
                 told_of = self._pairing.told_of
                 yield facts.Told(
                     at_s=self._now_s,
                     words=in_one_line(message),
-<<<<<<< HEAD
-                    boxes=_outlines(message) or (),
-                    number=self._shots.told_of,
-                    waypoint=self._told_at,
-=======
                     boxes=outlines(message) or (),
                     number=told_of.number if told_of else None,
                     waypoint=told_of.waypoint if told_of else self._calls_at.here,
->>>>>>> main
                     east_m=place.east_m,
                     north_m=place.north_m,
                 )
