@@ -325,6 +325,34 @@ def test_the_operation_of_a_call_is_told_by_the_fill_of_its_mark(page: Browser, 
     assert middles == [True, False] * 3, "of the two calls at each of three waypoints"
 
 
+def test_a_figure_is_the_same_whichever_way_its_moment_was_reached(page: Browser, one: str) -> None:
+    keep = (
+        "window.kept = [...document.querySelectorAll('.chart canvas, .leaflet-marks-pane canvas')].map("
+        "(each) => each.getContext('2d').getImageData(0, 0, each.width, each.height).data)"
+    )
+
+    def kept() -> None:
+        page.run(keep + "; window.before = window.kept")
+
+    def differing() -> int:
+        """How many pixels are drawn otherwise than in the figures that were kept."""
+        return int(
+            page.run(
+                keep + "; let count = 0; window.kept.forEach((data, figure) => {"
+                " for (let i = 3; i < data.length; i += 4)"
+                " count += Math.abs(data[i] - window.before[figure][i]) > 32; }); return count"
+            )
+        )
+
+    opened(page, one, 0.0)
+    seek(page, 31.5)
+    kept()
+    seek(page, END_S)
+    assert differing() > 100
+    seek(page, 31.5)
+    assert differing() == 0
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [390, 1400])
 def test_axe_finds_nothing_wrong(page: Browser, one: str, width: int, scheme: str) -> None:

@@ -30,6 +30,11 @@ export class DelayChart {
     if (this.moment) this.show(this.moment, this.limits);
   }
 
+  // Forgets what is drawn, for calls of another run.
+  clear() {
+    this.#scale = "";
+  }
+
   // The calls until the moment, on scales that hold `limits`.
   show(moment, limits) {
     this.moment = moment;
@@ -37,9 +42,10 @@ export class DelayChart {
     const count = moment.count("call");
     const width = this.element.clientWidth;
     const scale = [width, devicePixelRatio, limits.waypoints, limits.longestS, limits.before].join();
-    if (scale !== this.#scale || count < this.#drawn) this.#begin(width, scale);
+    if (scale !== this.#scale) this.#begin(width, scale);
     const context = this.marks.getContext("2d");
     const calls = moment.story.call;
+    if (count < this.#drawn) this.#takeBack(context, calls, count);
     while (this.#drawn < count) this.#draw(context, calls[this.#drawn++]);
     this.#drawOver(calls[count - 1]);
     const words = `Chart of call delays, ${this.name}. ${inWords(count, moment.delays)}`;
@@ -57,6 +63,28 @@ export class DelayChart {
       canvas.getContext("2d").setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
     }
     this.#drawAxes(this.marks.getContext("2d"));
+  }
+
+  // All calls but the first so many; nothing is drawn anew but the part of the chart where they are.
+  #takeBack(context, calls, count) {
+    const reach = Math.ceil(this.#radius) + 5;
+    let [left, right] = [this.width, 0];
+    for (const call of calls.slice(count, this.#drawn)) {
+      const [x] = this.#place(call);
+      [left, right] = [Math.min(left, Math.floor(x) - reach), Math.max(right, Math.ceil(x) + reach)];
+    }
+    context.save();
+    context.beginPath();
+    context.rect(left, 0, right - left, HEIGHT);
+    context.clip();
+    context.clearRect(left, 0, right - left, HEIGHT);
+    this.#drawAxes(context);
+    for (const call of calls.slice(0, count)) {
+      const [x] = this.#place(call);
+      if (x > left - reach && x < right + reach) this.#draw(context, call);
+    }
+    context.restore();
+    this.#drawn = count;
   }
 
   #x(waypoint) {

@@ -77,6 +77,7 @@ export class Flight {
 
   #begin() {
     this.#run = this.story.run;
+    this.chart.clear();
     this.calls.clear();
     this.findings.clear();
     this.journal.clear();

@@ -8,13 +8,15 @@ import { Track } from "./track.js";
 import { Waypoints } from "./waypoints.js";
 
 export const STILL = { interactive: false, keyboard: false };
-const [STACKED_PX, IN_A_ROW] = [9, 5]; // several calls at one place stand beside each other
+const [STACKED, IN_A_ROW] = [1.8, 5]; // several calls at one place stand beside each other, so many radii apart
 const ABOVE = 1000; // of the drone's mark; that of the drone in focus is above the others'
-const [RADIUS_PX, RIM_PX] = [5, 1];
+const [LEAST_PX, MOST_PX, RIM_PX] = [2.5, 5, 1]; // of a mark's radius; and around it
 const REACH_PX = 60; // of a mark from its place, beside others
 
 export class FlightLayer {
   #marks = {}; // by kind of fact
+  #legM = 0; // as long is the plan's middle leg
+  #radius = MOST_PX;
   #aside = []; // by call: how many stand before it at the same place
 
   // Of the drone of that `number`; the only one there is has none.
@@ -51,6 +53,8 @@ export class FlightLayer {
     const [soft, ink, paper] = ["soft", "ink", "paper"].map((name) => colours.of(name));
     const line = this.number === null ? soft : this.#colour;
     this.waypoints.begin(plan, (east, north) => this.latLng(east, north), { line, soft, ink, paper });
+    this.#legM = plan ? middleLegM(plan.waypoints_m) : 0;
+    this.zoomed();
   }
 
   // How many pixels of the map a metre takes.
@@ -62,7 +66,9 @@ export class FlightLayer {
   focus(isFocus) {
     this.drone.setZIndexOffset(isFocus ? 2 * ABOVE : ABOVE);
     this.drone.getElement()?.classList.toggle("focus", isFocus);
+    if (this.isFocus === isFocus) return;
     this.isFocus = isFocus;
+    this.#showNumbers();
   }
 
   show(moment) {
@@ -70,11 +76,11 @@ export class FlightLayer {
     this.track.show(moment.story.fix, moment.count("fix"), position, moment.atS);
     this.#showMarks(moment, "call", (call, index, context, x, y) => {
       const [right, down] = [this.#aside[index] % IN_A_ROW, Math.floor(this.#aside[index] / IN_A_ROW)];
-      this.places.paint(context, call, x + STACKED_PX * right, y + STACKED_PX * down, RADIUS_PX, RIM_PX);
+      const step = STACKED * this.#radius;
+      this.places.paint(context, call, x + step * right, y + step * down, this.#radius, RIM_PX);
     });
     this.#showMarks(moment, "turn", (_, __, context, x, y) => paintTurn(context, this.#colour, x, y));
     this.#showMarks(moment, "told", (_, __, context, x, y) => paintStar(context, this.#starColours, x, y));
-    this.showNumbers();
     this.#showLink(moment, position);
     if (!position) {
       this.drone.remove();
@@ -85,8 +91,15 @@ export class FlightLayer {
     this.focus(this.isFocus);
   }
 
-  // Of the waypoints, where the map is near enough; of several drones of the one in focus.
-  showNumbers() {
+  // Marks are smaller where the waypoints are close to each other, and these have numbers where there is room.
+  zoomed() {
+    const room = 0.45 * this.#legM * this.#scale;
+    this.#radius = room ? Math.min(MOST_PX, Math.max(LEAST_PX, room)) : MOST_PX;
+    this.#showNumbers();
+  }
+
+  // Of several drones those of the one in focus.
+  #showNumbers() {
     this.waypoints.showNumbers(this.number === null || Boolean(this.isFocus), this.#scale);
   }
 
@@ -140,6 +153,11 @@ export class FlightLayer {
     }).addTo(this.marks);
     this.#marks[kind].show(count);
   }
+}
+
+function middleLegM(way) {
+  const legs = way.slice(1).map(([east, north], index) => Math.hypot(east - way[index][0], north - way[index][1]));
+  return legs.sort((one, other) => one - other)[legs.length >> 1] ?? 0;
 }
 
 // Whether it is where the one before it is.

@@ -47,7 +47,7 @@ export class FlightMap {
     this.map.on("mousemove", (event) => this.#readOut("pointer", event.latlng));
     this.map.on("move", () => this.#readOutCentre());
     this.map.on("zoomend", () => {
-      this.layers.forEach((layer) => layer.showNumbers());
+      this.layers.forEach((layer) => layer.zoomed());
       this.#arrange();
     });
     this.#readOut();
