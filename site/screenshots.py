@@ -136,7 +136,8 @@ def _seek(page: Browser, share: float) -> None:
     page.run(_SETTLED)
     page.wait_until(
         lambda: page.run(
-            "return [...document.images].every((image) => image.hidden || !image.src || image.complete)"
+            "return [...document.querySelectorAll('.photo:not([hidden]) img')].every("
+            "(image) => !image.hidden && image.complete && image.naturalWidth)"
         )
     )
     page.run(_SETTLED)

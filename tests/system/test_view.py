@@ -280,7 +280,7 @@ def test_the_strip_tells_how_far_the_flight_is(page: Browser, one: str, logs: tu
     assert reached == calls_until(record, 700.0) or reached == calls_until(record, 700.0) + 1
     assert strip["battery"] == strip["link"] == strip["speed"] == "unknown", "a simulated log tells none"
     assert strip["altitude"] == "20 m"
-    minutes, seconds = re.match(r"(\d+):(\d\d)", strip["expected end"]).groups()  # type: ignore[union-attr]
+    minutes, seconds = re.match(r"last waypoint at (\d+):(\d\d)", strip["expected end"]).groups()  # type: ignore[union-attr]
     expected_s = 60 * int(minutes) + int(seconds)
     assert expected_s == pytest.approx(record.result.mission_time_s, rel=0.15)
     seek(page, 0.0)

@@ -15,6 +15,7 @@ const ASIDE = { weight: 1.2, opacity: 0.45, fillOpacity: 0.03 };
 
 export class FlightMap {
   #plans = []; // as they are drawn
+  #homes = []; // likewise
   #moved = false; // by a person, so that nothing else moves it
   #servers = new Map(); // as they are drawn: each with its range, its label and what is said there beside its name
   #labels = new Labels();
@@ -98,8 +99,9 @@ export class FlightMap {
   // Each flight at its moment.
   show(moments) {
     const plans = moments.map((moment) => moment.story.plan);
-    if (plans.some((plan, index) => plan !== this.#plans[index])) {
-      this.#plans = plans;
+    const homes = moments.map((moment) => moment.story.home);
+    if (plans.some((plan, index) => plan !== this.#plans[index] || homes[index] !== this.#homes[index])) {
+      [this.#plans, this.#homes] = [plans, homes];
       this.ground.settle(plans);
       this.#begin();
       this.fit();
@@ -139,12 +141,14 @@ export class FlightMap {
     this.#labels.clear();
     this.ground.layer()?.addTo(this.areas);
     const homes = new Map();
-    for (const plan of this.#plans.filter(Boolean)) {
+    for (const [index, plan] of this.#plans.entries()) {
+      if (!plan) continue;
       for (const [server, [east, north, radius]] of Object.entries(plan.ranges)) {
         if (!this.#servers.has(server)) this.#drawRange(server, this.ground.latLng(east, north, plan), radius);
       }
-      const home = this.ground.latLng(0, 0, plan);
-      homes.set(home.join(), home);
+      const told = this.#homes[index]; // by the vehicle; before that and where it tells none it is nobody's
+      const home = told && this.ground.latLng(told.east_m, told.north_m, plan);
+      if (home) homes.set(home.join(), home);
     }
     this.layers.forEach((layer, index) => layer.begin(this.#plans[index]));
     for (const home of homes.values()) L.marker(home, { ...STILL, icon: homeIcon() }).addTo(this.areas);

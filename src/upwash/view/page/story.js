@@ -2,7 +2,7 @@
 
 import { Totals, countUntil } from "./totals.js";
 
-const SERIES = ["fix", "battery", "doing", "notice", "decision", "call", "going", "turn", "answer", "shot", "told", "said"];
+const SERIES = ["fix", "battery", "motion", "link", "doing", "notice", "decision", "call", "going", "turn", "answer", "shot", "told", "said"];
 const MOVED_M = 0.5; // less may be the position's noise
 
 export class Story {
@@ -24,7 +24,6 @@ export class Story {
     this.lastS = 0;
     this.longestS = 0; // of the calls
     this.home = null;
-    this.foreseen = null;
     this.arrivals = []; // when the first, the second, ... waypoint was reached
     this.steps = new Map();
     this.known = new Set(); // servers
@@ -55,7 +54,6 @@ export class Story {
       case "opened":
       case "began":
       case "home":
-      case "foreseen":
         this[fact.fact] = fact;
         if (fact.fact === "began") this.ended = null;
         break;
@@ -76,6 +74,8 @@ export class Story {
         break;
       case "fix":
         if (fact.battery_percent !== undefined) this.battery.push(fact);
+        if (fact.ground_speed_m_s !== undefined) this.motion.push(fact);
+        if (fact.round_trip_s !== undefined) this.link.push(fact);
         this.#takeCourse(fact);
         this.fix.push(fact);
         break;

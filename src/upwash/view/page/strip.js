@@ -26,13 +26,13 @@ export class Strip {
     this.#write("server", serverInWords(moment));
     const saved = moment.calls.count ? moment.savedS : null;
     this.#write("saved so far", saved === null ? "" : `${(Math.round(10 * saved) / 10 + 0).toFixed(1)} s`); // no -0.0
-    const fix = moment.recent("fix", STALE_S);
     const battery = moment.last("battery");
     this.#write("battery", battery ? `${battery.battery_percent.toFixed(0)} %` : "");
-    this.#write("link", fix?.round_trip_s === undefined ? "" : `${(1000 * fix.round_trip_s).toFixed(0)} ms to ${fix.server}`);
+    const [link, motion] = [moment.recent("link", STALE_S), moment.recent("motion", STALE_S)];
+    this.#write("link", link ? `${(1000 * link.round_trip_s).toFixed(0)} ms to ${link.server}` : "");
     const place = moment.position;
     this.#write("altitude", place ? `${place.altitude_m.toFixed(0)} m` : "");
-    this.#write("speed", fix?.ground_speed_m_s === undefined ? "" : `${fix.ground_speed_m_s.toFixed(1)} m/s`);
+    this.#write("speed", motion ? `${motion.ground_speed_m_s.toFixed(1)} m/s` : "");
   }
 
   #write(name, words) {
@@ -42,34 +42,20 @@ export class Strip {
   }
 }
 
-// By what was foreseen and how late the drone is; else at the pace so far.
+// When the last waypoint is reached, at the pace so far; the way home is not known to the page.
 function expectedEnd(moment) {
-  const { story } = moment;
+  const { story, reached } = moment;
   const nowS = story.missionS(moment.atS);
   if (moment.isOver) return `${story.isCompleted ? "completed" : "ended"} after ${told(story.missionS(story.endsS))}`;
-  if (!story.began || nowS <= 0 || !story.waypoints) return "";
-  const { reached } = moment;
-  const { foreseen } = story;
-  if (foreseen?.reached_s.length === story.waypoints) {
-    const lateS = reached ? moment.reachedAtS - foreseen.reached_s[reached - 1] : 0;
-    const endS = Math.max(nowS, foreseen.end_s + lateS);
-    return [told(endS), lateness(lateS, moment)].filter(Boolean).join(", ");
-  }
-  if (!reached) return "";
-  return `${told(Math.max(nowS, (moment.reachedAtS / reached) * story.waypoints))} at this pace`;
-}
-
-function lateness(lateS, moment) {
-  if (Math.abs(lateS) < 5) return "as foreseen";
-  const words = `${told(Math.abs(lateS))} ${lateS > 0 ? "late" : "early"}`;
-  const causes = moment.notices.filter(({ key }) => key.startsWith("server ")).map(({ key }) => key.slice(7));
-  return lateS > 0 && causes.length ? `${words}: without ${causes.join(", ")}` : words;
+  if (!story.began || !reached) return "";
+  const lastS = Math.max(nowS, (moment.reachedAtS / reached) * story.waypoints);
+  return reached < story.waypoints ? `last waypoint at ${told(lastS)}` : "last waypoint reached";
 }
 
 // The one in use, and the next of the plan with the time until the drone is in its range.
 function serverInWords(moment) {
   const [used] = moment.using;
-  const now = used ? `${used.server} ${used.state}` : "none";
+  const now = used ? `${used.server} ${used.state}` : "no server";
   const next = nextServer(moment, used?.server);
   return next ? `${now} → ${next.server} in ${told(next.inS)}` : now;
 }
@@ -86,7 +72,7 @@ function nextServer(moment, current) {
     const covering = ranges.filter(([, range]) => covers(range, place)).map(([server]) => server);
     if (current ? covering.includes(current) : !covering.length) continue;
     const inS = Math.max(0, (index + 1) * paceS - story.missionS(moment.atS));
-    return covering.length ? { server: covering[0], inS } : { server: "none", inS };
+    return covering.length ? { server: covering[0], inS } : { server: "no server", inS };
   }
   return null;
 }
