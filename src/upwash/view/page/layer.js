@@ -3,11 +3,10 @@
 import * as L from "./leaflet/leaflet-src.esm.js";
 import { styleOf } from "./badge.js";
 import { droneIcon, turn } from "./icons.js";
-import { Marks, paintStar, paintTurn } from "./marks.js";
+import { Marks, STILL, paintStar, paintTurn } from "./marks.js";
 import { Track } from "./track.js";
 import { Waypoints } from "./waypoints.js";
 
-export const STILL = { interactive: false, keyboard: false };
 const [STACKED, IN_A_ROW] = [1.8, 5]; // several calls at one place stand beside each other, so many radii apart
 const ABOVE = 1000; // of the drone's mark; that of the drone in focus is above the others'
 const [LEAST_PX, MOST_PX, RIM_PX] = [2.5, 5, 1]; // of a mark's radius; and around it

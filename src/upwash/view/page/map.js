@@ -6,8 +6,8 @@ import { element, write } from "./element.js";
 import { Ground } from "./ground.js";
 import { homeIcon } from "./icons.js";
 import { Labels } from "./labels.js";
-import { FlightLayer, STILL } from "./layer.js";
-import { Marks, paintCross } from "./marks.js";
+import { FlightLayer } from "./layer.js";
+import { Marks, STILL, paintCross } from "./marks.js";
 
 const DRONE_PX = 36; // nothing may cover that much
 const IN_USE = { weight: 2.5, opacity: 1, fillOpacity: 0.1 };

@@ -2,10 +2,12 @@
 
 import * as L from "./leaflet/leaflet-src.esm.js";
 
+export const STILL = { interactive: false, keyboard: false };
+
 // As a layer, the first so many of the marks that `place` has an index for; `paint` draws one at a point, and no
 // farther from it than `reach` pixels.
 export const Marks = L.Path.extend({
-  options: { interactive: false, weight: 0, pane: "marks" },
+  options: { ...STILL, weight: 0, pane: "marks" },
 
   initialize({ place, paint, reach, ...options }) {
     L.setOptions(this, options);

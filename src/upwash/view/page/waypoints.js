@@ -1,12 +1,11 @@
 // The waypoints of a plan: the way between them, and their numbers as soon as these have room.
 
 import * as L from "./leaflet/leaflet-src.esm.js";
-import { Marks, NUMBER_FONT, paintDot, paintNumber } from "./marks.js";
+import { Marks, NUMBER_FONT, STILL, paintDot, paintNumber } from "./marks.js";
 
 const LINE_PX = 28; // from a number to the one beneath it, with the marks between them
 const GAP_PX = 6;
 const SAME_M = 0.5; // waypoints closer than that are at one place
-const STILL = { interactive: false, keyboard: false };
 
 export class Waypoints {
   #numbers = null;
