@@ -22,8 +22,11 @@ from upwash.errors import (
     AutopilotTimeout,
     UsageError,
 )
-from upwash.ports import Autopilot
+from upwash.ports import ArmingDelayed, Autopilot, VehicleNews
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, MavlinkLink, Patience, connect_autopilot
+from upwash.vehicle.answers import Result
+from upwash.vehicle.boot import Text
+from upwash.vehicle.copter import Answer, Copter
 from upwash.vehicle.server import VehicleServer, serve_vehicle
 from upwash.vehicle.settings import VehicleSettings
 
@@ -150,6 +153,32 @@ def test_a_refusal_to_arm_says_the_vehicles_reason() -> None:
                 await claim_and_arm(autopilot)
         assert caught.value.step == "arm"
         assert "System not initialised" in caught.value.vehicle_said
+
+    asyncio.run(mission())
+
+
+def test_what_its_last_checks_object_to_is_told_and_it_is_armed_once_they_pass(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    refusals = 2
+    arms = Copter.arm
+
+    def reluctantly(self: Copter, now_s: float, *, forced: bool = False) -> Answer:
+        nonlocal refusals
+        if refusals == 0:
+            return arms(self, now_s, forced=forced)
+        refusals -= 1
+        return Answer(Result.FAILED, (Text("Arm: Throttle is not low", severity=2),))
+
+    monkeypatch.setattr(Copter, "arm", reluctantly)
+
+    async def mission() -> None:
+        async with connected() as (_, autopilot):
+            news: list[VehicleNews] = []
+            autopilot.listen(news.append)
+            await claim_and_arm(autopilot)
+            assert news.count(ArmingDelayed(("Throttle is not low",))) == 1
+            assert autopilot.armed
 
     asyncio.run(mission())
 

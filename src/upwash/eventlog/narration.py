@@ -206,6 +206,7 @@ class Narrator:
                 self.doing = "arming"
                 return Said("arming")
             case schema.Armed():
+                self.waits_since_s = None
                 self.doing = "armed"
                 return Said("armed")
             case schema.TakingOff(altitude_m=altitude_m):

@@ -161,6 +161,7 @@ class ArduCopter(MavlinkAutopilot):
         deadline_s = loop.time() + settings.ready_timeout_s
         async with self._vehicle.limited("arm", settings.ready_timeout_s + settings.margin_s):
             while True:
+                begun_s = self._vehicle.now_s
                 try:
                     await self._enter_guided("arm")
                     await self._vehicle.arm("arm", armed=True)
@@ -170,6 +171,7 @@ class ArduCopter(MavlinkAutopilot):
                     self._vehicle.require_control("arm")
                     if loop.time() + settings.arm_again_s > deadline_s:
                         raise
+                    self._tell_delay(self._reasons_since(begun_s))
                 await asyncio.sleep(settings.arm_again_s)
             await self._while_ours("arm", lambda: self._telemetry.position is not None)
 

@@ -49,6 +49,7 @@ class MavlinkAutopilot(ABC):
         self._frame = frame
         self._settings = settings
         self._ground_speed_m_s = ground_speed_m_s
+        self._delayed_by: tuple[str, ...] | None = None  # why it could not be armed, as it was last told
 
     # --- what it reports ------------------------------------------------------------------------------------
 
@@ -173,7 +174,6 @@ class MavlinkAutopilot(ABC):
         """Waits for the vehicle's own checks; sends no command meanwhile, and tells its reasons as they change."""
         settings, vehicle = self._settings, self._vehicle
         deadline_s = vehicle.now_s + settings.ready_timeout_s
-        told: tuple[str, ...] | None = None
         while not self._may_be_armed():
             begun_s = vehicle.now_s
             self._ask_why_not_armable()
@@ -181,12 +181,17 @@ class MavlinkAutopilot(ABC):
             for until_s in (0.0, min(settings.words_s, within_s), within_s):
                 await vehicle.happens("arm", self._may_be_armed, within_s=begun_s + until_s - vehicle.now_s)
                 vehicle.require_control("arm")
-                reasons = self._reasons_since(begun_s) or self._own_reasons() or told or ()
-                if not self._may_be_armed() and reasons != told:
-                    told = reasons
-                    vehicle.tell(ArmingDelayed(reasons))
+                if not self._may_be_armed():
+                    self._tell_delay(self._reasons_since(begun_s) or self._own_reasons())
             if vehicle.now_s >= deadline_s and vehicle.linked and not self._may_be_armed():
-                raise self._not_ready(told or ())
+                raise self._not_ready(self._delayed_by or ())
+
+    def _tell_delay(self, reasons: tuple[str, ...]) -> None:
+        """Tells why it cannot be armed, where that is new; it may be silent for a while about what it said before."""
+        reasons = reasons or self._delayed_by or ()
+        if reasons != self._delayed_by:
+            self._delayed_by = reasons
+            self._vehicle.tell(ArmingDelayed(reasons))
 
     def _not_ready(self, reasons: tuple[str, ...]) -> AutopilotRefused:
         own = self._own_reasons()

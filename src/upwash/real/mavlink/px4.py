@@ -124,6 +124,7 @@ class Px4(MavlinkAutopilot):
         async with vehicle.limited("arm", settings.ready_timeout_s + settings.margin_s):
             await self._change_mode("arm", LOITER)
             while True:
+                begun_s = vehicle.now_s
                 try:
                     await self._make_sure_of_mode("arm")
                     await vehicle.arm("arm", armed=True)
@@ -132,6 +133,7 @@ class Px4(MavlinkAutopilot):
                     vehicle.require_control("arm")
                     if vehicle.now_s + settings.arm_again_s > deadline_s:
                         raise
+                    self._tell_delay(self._reasons_since(begun_s))
                 await asyncio.sleep(settings.arm_again_s)
             await self._while_ours("arm", lambda: self._telemetry.position is not None)
 
