@@ -1,4 +1,4 @@
-"""The part of a photo around a box, small enough for a page that has many. OpenCV is imported on first use."""
+"""The part of a photo around a box, small enough for a page that has many. Without OpenCV there are none."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from upwash.report.findings import Outline
-from upwash.services import NotAPhoto
-from upwash.services.photo import decode_photo
 
 if TYPE_CHECKING:
     from cv2.typing import MatLike
@@ -29,7 +27,11 @@ class Crop:
 
 
 def pixels_of(jpeg: bytes) -> MatLike | None:
-    """The photo's pixels, None where it cannot be decoded."""
+    """The photo's pixels, None where it cannot be decoded, or nothing here can."""
+    try:
+        from upwash.services.photo import NotAPhoto, decode_photo
+    except ImportError:  # the extra "detector" is not installed
+        return None
     try:
         return decode_photo(jpeg)
     except NotAPhoto:

@@ -26,12 +26,19 @@ class Shot:
     since_start: int
 
 
+def _is_installed(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ImportError:
+        return False
+
+
 class PhotoShelf:
     """Finds photos by what the log says of them: in `folder` by name, or in the park, rendered again."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
-        self._can_render = all(importlib.util.find_spec(name) for name in ("cv2", "numpy"))
+        self._can_render = _is_installed("cv2") and _is_installed("numpy")
         self.find = functools.lru_cache(_KEPT)(self._find)
 
     def keeps(self, source: str) -> bool:

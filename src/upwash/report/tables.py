@@ -81,7 +81,7 @@ def totals(records: Sequence[Record]) -> Markup:
         ["calls on the drone", *(str(record.result.totals.local) for record in records)],
         ["calls on servers", *(_remote(record) for record in records)],
         ["calls that fell back to the drone", *(str(record.result.totals.fallbacks) for record in records)],
-        ["waits, of which in vain", *(_waits(record) for record in records)],
+        ["waits, wasted", *(_waits(record) for record in records)],
         ["selections of a server", *(str(record.result.totals.switches) for record in records)],
         ["time spent in calls", *(f"{record.result.totals.service_delay_s:.1f} s" for record in records)],
         ["with every call on the drone", *(_local_only(record) for record in records)],
@@ -158,7 +158,7 @@ def flights(records: Sequence[Record]) -> Markup:
         ]
 
     heads = [
-        "flight", "policy", "mission time", "calls", "waits, of which in vain", "fell back", "saved by offloading",
+        "flight", "policy", "mission time", "calls", "waits, wasted", "fell back", "saved by offloading",
         "ended",
     ]  # fmt: skip
     return _long("Flights", heads, records, row, rest="--json prints every result")
