@@ -608,8 +608,16 @@ def test_a_service_manager_is_told_when_it_is_ready_reloads_and_stops(
             assert manager.recv(1000).startswith(b"STOPPING=1\n")
 
 
-def test_its_log_can_be_json_lines_also_where_grpc_refuses_a_certificate(
-    tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
+@pytest.fixture(params=["", "DEBUG"], ids=["as installed", "with what gRPC says"])
+def verbosity(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """How much gRPC says of itself to the programs that a test starts."""
+    if request.param:
+        monkeypatch.setenv("GRPC_VERBOSITY", request.param)
+    return str(request.param)
+
+
+def test_its_log_can_be_json_lines_and_tells_of_a_refused_certificate(
+    verbosity: str, tmp_path: Path, services: Path, keys: Path, credentials: ReadCredentials
 ) -> None:
     ours, theirs = credentials("heron"), credentials("other/heron")
     believing = Credentials(ours.authority, theirs.certificate, theirs.key)
@@ -627,7 +635,8 @@ def test_its_log_can_be_json_lines_also_where_grpc_refuses_a_certificate(
         at.end()
     lines = [json.loads(line) for line in (tmp_path / "stderr").read_text().splitlines()]
     assert all({"time", "level", "logger", "message"} <= line.keys() for line in lines)
-    assert any(line["logger"] == "upwash.foreign" for line in lines)
+    assert any("CERTIFICATE_VERIFY_FAILED" in line["message"] for line in lines)
+    assert any(line["logger"] == "upwash.foreign" for line in lines) == bool(verbosity)
 
 
 # --- in a sandbox -------------------------------------------------------------------------------------------
