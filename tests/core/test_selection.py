@@ -753,9 +753,9 @@ def test_a_server_that_fails_late_is_left_alone_like_any_other() -> None:
 # ---- two radios
 
 
-def with_two_radios(*, s2_s: float) -> Selection:
-    """The machine with s1 READY, under both, where s2 is much faster."""
-    beliefs = {"s1": Beliefs(11.5, 3.5, {HEAVY: 4.0}), "s2": Beliefs(11.5, 3.5, {HEAVY: s2_s})}
+def with_two_radios(*, s2_s: float, s1_s: float = 4.0) -> Selection:
+    """The machine with s1 READY, under both."""
+    beliefs = {"s1": Beliefs(11.5, 3.5, {HEAVY: s1_s}), "s2": Beliefs(11.5, 3.5, {HEAVY: s2_s})}
     machine = Selection(
         AREAS,
         estimates=Estimates(local_s={HEAVY: 8.0}, servers=beliefs),
@@ -816,6 +816,14 @@ def test_a_server_that_is_no_longer_faster_than_the_drone_is_not_kept_until_the_
     decision, _ = machine.decide(HEAVY, now_s=30.5, position=UNDER_BOTH)
     assert isinstance(decision, Wait)
     assert decision.server == "s2"
+
+
+def test_a_slot_that_others_wait_for_is_not_kept_until_the_next_server_is_ready() -> None:
+    machine = with_two_radios(s1_s=7.0, s2_s=7.0)
+    assert written(machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH)) == []
+    effects = machine.handle(LeaseRenewed(1, 1), now_s=21.0, position=UNDER_BOTH)
+    assert written(effects) == ["s1 READY AVL-R", "leave s1", "s2 AVL CHECK", "check s2 2"]
+    assert machine.current is machine.servers["s2"]
 
 
 def test_what_was_prepared_is_given_up_too_for_a_third_server() -> None:

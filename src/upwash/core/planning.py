@@ -171,7 +171,7 @@ class Planning:
             for server in self._table.in_range
             if server.in_range_since_s is not None
             and server.state is not State.BLACKLISTED
-            and self._is_worth_a_slot(server, now_s)
+            and self.is_worth_a_slot(server, now_s)
         ]
 
     def _short_of_slots(self, now_s: float) -> frozenset[tuple[str, bool, bool]]:
@@ -182,7 +182,7 @@ class Planning:
             if server.is_full(now_s) or server.is_contended(now_s)
         )
 
-    def _is_worth_a_slot(self, server: Server, now_s: float) -> bool:
+    def is_worth_a_slot(self, server: Server, now_s: float) -> bool:
         """Whether the drone gains enough there to take a slot that others wait for, if any do."""
         if not server.is_contended(now_s):
             return True
@@ -197,7 +197,7 @@ class Planning:
             and server.in_range
             and server.state is State.READY
             and self._recovery.in_doubt(server.name)
-            and self._is_worth_a_slot(server, now_s)
+            and self.is_worth_a_slot(server, now_s)
         )
 
     def _forecast(self, now_s: float, position: Position) -> Forecast | None:
@@ -220,7 +220,7 @@ class Planning:
         for server in self._table.in_range:
             if server.state is State.BLACKLISTED:
                 continue
-            if not self._is_worth_a_slot(server, now_s):
+            if not self.is_worth_a_slot(server, now_s):
                 yield server.name, math.inf
             elif server.is_full(now_s):
                 yield server.name, FULL_S

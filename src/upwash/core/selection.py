@@ -398,13 +398,17 @@ class Selection:
                 self.servers[choice.server],
                 choice.why,
                 now_s,
-                keep=self._is_worth_keeping(radios.in_use),
+                keep=self._is_worth_keeping(radios.in_use, now_s),
             )
         elif choice.coming is not None and self.servers[choice.coming.server].in_range:
             effects += radios.prepare(self.servers[choice.coming.server], "comes next", now_s)
         effects += planning.announce(choice.coming, now_s)
         return effects
 
-    def _is_worth_keeping(self, server: Server | None) -> bool:
-        """Whether calls would still go to the server in use; else the next one, once in use, can be waited for."""
-        return server is not None and self.estimates.mean_call_s(server.name) < self.estimates.mean_call_s()
+    def _is_worth_keeping(self, server: Server | None, now_s: float) -> bool:
+        """Whether calls are still to go to the server in use; else the next one, once in use, can be waited for."""
+        return (
+            server is not None
+            and self.estimates.mean_call_s(server.name) < self.estimates.mean_call_s()
+            and self._planning.is_worth_a_slot(server, now_s)
+        )
