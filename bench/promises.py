@@ -1,4 +1,4 @@
-"""Writes the measured parts of README.md and of pages in docs/: `python -m bench.promises`.
+"""Writes the measured parts of pages in docs/: `python -m bench.promises`.
 
 They come from bench/results. Each part stands between two comments that name it; `--chaos FILE` takes up
 first what `upwash chaos --out FILE` left, `--reproduction FILE` what `upwash reproduce --json FILE` did.
@@ -48,7 +48,6 @@ PAGES = (
     "validation.md",
     "fleets.md",
     "pending-calls.md",
-    "../README.md",
 )
 T = TypeVar("T")
 _NOT_YET = "Not measured yet."

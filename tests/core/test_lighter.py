@@ -125,7 +125,7 @@ def begun(finish_by_s: float, *, policy: str = "location-aware") -> tuple[Select
         {"s1": Circle(Position(50.0, 0.0, 20.0), 20.0)},
         estimates=estimates,
         policy=make_policy(policy, gain_switch=0.25, gain_wait=0.25),
-        settings=SelectionSettings(lighter=LighterSettings(finish_by_s, {HEAVY: LIGHT}, takeoff_s=TAKEOFF_S)),
+        settings=SelectionSettings(lighter=LighterSettings(finish_by_s, {HEAVY: LIGHT}), takeoff_s=TAKEOFF_S),
         mission=MissionBeliefs(PLAN, 4.0, 1.0, [Step(HEAVY, PHOTO_S)]),
     )
     (foreseen,) = selection.handle(MissionBegun(VEHICLE), now_s=0.0, position=Position(0.0, 0.0))
@@ -146,6 +146,7 @@ def test_a_mission_is_foreseen_by_its_policy_before_it_takes_off(
     _, foreseen = begun(500.0, policy=policy)
     assert foreseen.as_asked_s == pytest.approx(OTHER_S + heavy_s, abs=0.01)
     assert foreseen.lightest_s == pytest.approx(OTHER_S + light_s, abs=0.01)
+    assert foreseen.finish_by_s == 500.0
 
 
 def first_call(selection: Selection, *, at_s: float, operation: Operation = HEAVY) -> Lightened | None:

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from textwrap import dedent
 from typing import Any
 
 import pytest
@@ -27,9 +28,10 @@ PUBLIC = {package.__name__: set(package.__all__) for package in (upwash, upwash.
 def shown() -> Iterator[tuple[str, str]]:
     """All Python that users read or run, by where it stands."""
     for page in PAGES:
-        for block in re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL):
-            yield page.name, block
-    for file in sorted([*ROOT.glob("examples/*.py"), *ROOT.glob("scenarios/*.py")]):
+        for block in re.findall(r"```python[^\n]*\n(.*?)```", page.read_text(), flags=re.DOTALL):
+            yield page.name, dedent(block)
+    folders = ("examples", "scenarios", "src/upwash/cli/project")
+    for file in sorted(file for folder in folders for file in (ROOT / folder).glob("*.py")):
         yield file.name, file.read_text()
     for program in bundled._MISSIONS.values():
         spec = find_spec(program.partition(":")[0])

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from upwash.cli.main import main
-from upwash.config import read_daemon_config, read_drone_config
+from upwash.config import read_drone_config
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -77,33 +76,6 @@ def test_every_picture_that_a_page_asks_for_is_shown(site: Path) -> None:
             asked += 1
     assert asked > 3
     assert "<!-- picture" not in "".join(page.read_text() for page in site.glob("**/*.html"))
-
-
-def test_the_first_mission_of_a_newcomer_flies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (program,), (scenario, *_) = blocks("start.md", "python"), blocks("start.md", "toml")
-    (tmp_path / "patrol.py").write_text(program)
-    (tmp_path / "patrol.toml").write_text(scenario)
-    assert main(["simulate", str(tmp_path / "patrol.toml")]) == 0
-    assert "1 on the drone, 3 on s1" in capsys.readouterr().out
-    assert main(["check", str(tmp_path / "patrol.toml"), "--workers", "1"]) == 0
-
-
-def test_what_a_newcomer_adds_to_fly_is_understood(tmp_path: Path) -> None:
-    scenario, server, flight = blocks("start.md", "toml")
-    (tmp_path / "server.toml").write_text(server)
-    (tmp_path / "patrol.toml").write_text(scenario + flight)
-    daemon, config = read_daemon_config(tmp_path / "server.toml"), read_drone_config(tmp_path / "patrol.toml")
-    assert config.servers[0].address == daemon.listen
-    assert config.autopilot.connection == "udpout:127.0.0.1:14550"
-
-
-def test_what_a_newcomer_is_told_to_expect_is_what_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["simulate", str(ROOT / "scenarios" / "thesis.toml")]) == 0
-    printed = capsys.readouterr().out
-    (shown,) = blocks("start.md", "")[:1]
-    for line in shown.splitlines():
-        for part in line.split("..."):
-            assert part.strip() in printed
 
 
 def test_the_drone_of_the_raspberry_pi_is_understood(tmp_path: Path) -> None:

@@ -22,6 +22,8 @@ from tests.system.browser import Browser, browser, why_not
 from tests.waiting import wait_for
 
 from upwash.cli.flying import read_log
+from upwash.eventlog import log as event_log
+from upwash.eventlog import schema
 from upwash.eventlog.reasons import told_calls
 from upwash.lab.run import simulate
 from upwash.launch.processes import ready_program
@@ -280,11 +282,30 @@ def test_the_strip_tells_how_far_the_flight_is(page: Browser, one: str, logs: tu
     assert reached == calls_until(record, 700.0) or reached == calls_until(record, 700.0) + 1
     assert strip["battery"] == strip["link"] == strip["speed"] == "unknown", "a simulated log tells none"
     assert strip["altitude"] == "20 m"
-    minutes, seconds = re.match(r"last waypoint at (\d+):(\d\d)", strip["expected end"]).groups()  # type: ignore[union-attr]
+    minutes, seconds = re.match(r"(\d+):(\d\d), ", strip["expected end"]).groups()  # type: ignore[union-attr]
     expected_s = 60 * int(minutes) + int(seconds)
-    assert expected_s == pytest.approx(record.result.mission_time_s, rel=0.15)
+    assert expected_s == pytest.approx(record.result.mission_time_s, rel=0.05)
     seek(page, 0.0)
     assert page.text(".strip dd") == "0 of 121"
+
+
+def test_the_strip_tells_how_late_the_flight_is_and_why(
+    page: Browser, tmp_path: Path, logs: tuple[Path, Path]
+) -> None:
+    """The same mission with s2 switched off: it was expected to end as the one where s2 serves."""
+    (forecast,) = (event for event in event_log.read(logs[0]) if isinstance(event, schema.Foreseen))
+    scenario_file, log = tmp_path / "late.toml", tmp_path / "late.jsonl"
+    off = '\n[[fault]]\ntarget = "s2"\nkind = "off"\n'
+    scenario_file.write_text((SCENARIOS / "thesis.toml").read_text() + off)
+    simulated = [sys.executable, "-m", "upwash", "simulate", str(scenario_file), "--log", str(log)]
+    subprocess.run(simulated, capture_output=True, check=True)
+    (record,) = read_records([log])
+    late_s = record.result.mission_time_s - forecast.as_asked_s
+    with ready_program("late", tmp_path, "view", str(log), "--port", "0") as address:
+        opened(page, address)
+        assert f"{int(late_s) // 60}:{int(late_s) % 60:02d} late: s2 failed" in page.text(".strip")
+        seek(page, 20.0)
+        assert "as forecast" in page.text(".strip")
 
 
 def _is_at(page: Browser, at_s: float) -> bool:

@@ -56,6 +56,15 @@ def those(kind: type[OneFact], told: Iterable[Fact]) -> list[OneFact]:
     return [fact for fact in told if isinstance(fact, kind)]
 
 
+def test_the_forecast_is_told_as_the_mission_begins(told: list[Fact], record: Record) -> None:
+    (forecast,) = those(facts.Forecast, told)
+    assert forecast.ends_s == pytest.approx(record.result.mission_time_s, rel=0.02)
+    assert len(forecast.reached_s) == 121
+    reached_s = [call.result.at_s for call in record.calls]
+    assert forecast.reached_s == pytest.approx(reached_s, abs=0.03 * forecast.ends_s)
+    assert forecast.finish_by_s is None
+
+
 def test_each_call_is_told_as_the_report_tells_it(told: list[Fact], record: Record) -> None:
     calls = those(facts.Call, told)
     assert [(call.waypoint, call.place, call.delay_s, call.waited_s) for call in calls] == [

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def add(commands: Commands) -> None:
     """Adds the command."""
-    check = commands.add_parser("check", help="predict a mission and say what will hurt, before take-off")
+    check = commands.add_parser("check", help="predict a mission, and warn of problems, before take-off")
     check.add_argument("config", type=Path, help="the drone's configuration or a scenario, a TOML file")
     check.add_argument(
         "--seeds", type=count, default=5, metavar="N",

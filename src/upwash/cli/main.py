@@ -21,6 +21,7 @@ from upwash.cli import (
     fly,
     goodput,
     images,
+    init,
     keys,
     package,
     profile,
@@ -38,6 +39,7 @@ from upwash.support.text import escaped_lines
 
 _OK, _FAILURE, _USAGE, _NOT_KEPT, _INTERRUPTED = 0, 1, 2, 3, 130
 _COMMANDS = (
+    init,
     fly,
     check,
     serve,

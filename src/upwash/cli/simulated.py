@@ -127,4 +127,5 @@ def _beside_all(mean_s: float, bound: FleetBound) -> str:
 
 def _beyond(least_s: float, time_s: float) -> str:
     """The least time, and by how much the time is longer."""
-    return f"{least_s:.1f} s ({100 * (time_s / least_s - 1):+.1f} %)"
+    beyond = round(100 * (time_s / least_s - 1), 1) + 0.0  # no -0.0
+    return f"{least_s:.1f} s ({beyond:+.1f} %)"

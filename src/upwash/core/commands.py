@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from upwash.core.recovery import Probing
@@ -73,11 +74,15 @@ class Full:
 
 @dataclass(frozen=True, slots=True)
 class Foreseen:
-    """To be logged: when the mission is expected to be over, as it is asked for and with every call lighter."""
+    """To be logged: when the mission is expected at each waypoint and over, as it is asked for.
 
-    finish_by_s: float
+    Where it is to `finish_by_s`, `lightest_s` is when it is over with every call lighter.
+    """
+
+    reached_s: Sequence[float]
     as_asked_s: float
-    lightest_s: float
+    lightest_s: float | None = None
+    finish_by_s: float | None = None
 
 
 Command = Check | Probe | Start | Prepare | Leave

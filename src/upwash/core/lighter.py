@@ -17,32 +17,22 @@ makes a call heavier. Each call is judged anew, by what was measured so far.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from upwash.core.commands import Foreseen
-from upwash.core.energy import UNKNOWN, EnergyFacts, descent_s, time_home_s
 from upwash.core.estimates import Operation
-from upwash.core.geo import Position, Waypoint
-from upwash.core.mission_model import ExpectedCall, MissionModel
+from upwash.core.geo import Position
 from upwash.core.placing import Place
 from upwash.core.planning import Planning
 from upwash.core.policy import Lightened
 
-_HOME = Position(0.0, 0.0)
-
 
 @dataclass(frozen=True, slots=True)
 class LighterSettings:
-    """By when the mission is to be over, and the lighter operation of each that has one.
-
-    It takes off in `takeoff_s`, and `lands` at its last waypoint instead of returning home.
-    """
+    """By when the mission is to be over, and the lighter operation of each that has one."""
 
     finish_by_s: float
     operations: Mapping[Operation, Operation]
-    takeoff_s: float = 0.0
-    lands: bool = False
 
 
 def is_lighter(saves_s: float, others_save_s: Iterable[float], late_s: float) -> bool:
@@ -51,44 +41,17 @@ def is_lighter(saves_s: float, others_save_s: Iterable[float], late_s: float) ->
 
 
 class Lighter:
-    """Judges the calls of one mission over the plan; `whole` is the model of that mission before it flies."""
+    """Judges the calls of one mission."""
 
-    def __init__(
-        self, settings: LighterSettings, planning: Planning, *, plan: Sequence[Waypoint], whole: MissionModel
-    ) -> None:
+    def __init__(self, settings: LighterSettings, planning: Planning) -> None:
         self._settings = settings
         self._planning = planning
-        self._plan = plan
-        self._whole = whole
         self._begun_s: float | None = None
         self._home_s = 0.0  # from the last waypoint to landed
 
-    def begin(self, vehicle: EnergyFacts, *, now_s: float, position: Position) -> list[Foreseen]:
-        """The mission's time begins; returns what is expected of it, where it has waypoints to fly to."""
-        self._begun_s = now_s
-        if not self._plan:
-            return []
-        way, last = vehicle.way_home or UNKNOWN, self._plan[-1].position
-        self._home_s = (
-            way.hover_s + descent_s(last.altitude_m, way)
-            if self._settings.lands
-            else time_home_s(last, vehicle.home or _HOME, way)
-        )
-        first = self._plan[0]
-        start = Position(position.east_m, position.north_m, first.position.altitude_m)
-        self._whole.leg_begun(start, first.position, first.ground_speed_m_s, now_s=now_s)
-        calls = self._whole.rest(start, now_s=now_s)
-        lighter = [
-            ExpectedCall(self._lighter_of(call.operation), call.gap_s, call.in_range_s) for call in calls
-        ]
-        other_s = self._settings.takeoff_s + self._home_s
-        return [
-            Foreseen(
-                self._settings.finish_by_s,
-                as_asked_s=other_s + self._total_s(calls, now_s),
-                lightest_s=other_s + self._total_s(lighter, now_s),
-            )
-        ]
+    def begin(self, *, now_s: float, home_s: float) -> None:
+        """The mission's time begins; it takes `home_s` from the last waypoint to landed."""
+        self._begun_s, self._home_s = now_s, home_s
 
     def judge(
         self, operation: Operation, *, now_s: float, position: Position, on_drone: bool = False
@@ -121,11 +84,3 @@ class Lighter:
 
     def _lighter_of(self, operation: Operation) -> Operation:
         return self._settings.operations.get(operation, operation)
-
-    def _total_s(self, calls: Sequence[ExpectedCall], now_s: float) -> float:
-        placing = self._planning.placing(now_s)
-        places = placing.places(calls)
-        return sum(
-            call.gap_s + placing.delay_s(place, call.operation)
-            for call, place in zip(calls, places, strict=True)
-        )

@@ -209,7 +209,7 @@ class WaitRule:
         if longest_s <= 0:
             return Local("waiting cannot pay off")
         if wait_s <= 0:
-            return Wait(call.server, longest_s, "the check is late")
+            return Wait(call.server, longest_s, "the check takes longer than expected")
         if (call.local_s - (call.remote_s + wait_s)) / call.local_s > self.gain_wait:
             return Wait(call.server, longest_s, f"READY expected in {wait_s:.2f} s")
         return Local(f"READY expected in {wait_s:.2f} s, too late to pay off")

@@ -22,6 +22,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from upwash.core.commands import Effect, Full, Start
+from upwash.core.energy import EnergyFacts
 from upwash.core.estimates import Estimates, Operation
 from upwash.core.events import (
     Arrived,
@@ -58,6 +59,7 @@ from upwash.core.recovery import Probing, Recovery
 from upwash.core.server_table import ServerTable
 from upwash.core.servers import CHECKING, SELECTED, Change, Server, State, Trigger
 from upwash.core.stay_or_go import Outlook
+from upwash.core.timetable import Timetable
 
 _READY = frozenset({State.READY})
 _MOST_TURNS_LOST = 2  # in a row, each at a call: a server that gives turns and no answers has failed
@@ -68,7 +70,8 @@ class SelectionSettings:
     """How long the machine remembers, and how many servers it may have selected at a time.
 
     Where there is `probing`, `blacklist_s` does not count. A server where others wait for a slot is used only where
-    it saves more than the fraction `gain_slot` of a local call.
+    it saves more than the fraction `gain_slot` of a local call. The mission takes off in `takeoff_s`, and `lands` at
+    its last waypoint instead of returning home.
     """
 
     blacklist_s: float = 60.0
@@ -78,6 +81,8 @@ class SelectionSettings:
     probing: Probing | None = None
     gain_slot: float = 0.25
     lighter: LighterSettings | None = None
+    takeoff_s: float = 0.0
+    lands: bool = False
 
 
 class Selection:
@@ -105,7 +110,7 @@ class Selection:
             recovery=recovery,
         )
         self._placement = Placement(policy, radios=radios, estimates=estimates, recovery=recovery)
-        self._planning = Planning(
+        self._planning = planning = Planning(
             policy,
             table=table,
             radios=radios,
@@ -116,11 +121,15 @@ class Selection:
             retry_s=settings.retry_s,
             gain_slot=settings.gain_slot,
         )
-        self._lighter = (
-            Lighter(settings.lighter, self._planning, plan=beliefs.plan, whole=MissionModel(beliefs, areas))
-            if settings.lighter
-            else None
+        self._timetable = Timetable(
+            planning,
+            beliefs,
+            areas,
+            takeoff_s=settings.takeoff_s,
+            lands=settings.lands,
+            lighter=settings.lighter,
         )
+        self._lighter = Lighter(settings.lighter, planning) if settings.lighter else None
         self._ended = False
 
     @property
@@ -152,9 +161,7 @@ class Selection:
         """Takes in what happened by now, with the drone at the position; returns what is to be done."""
         table, radios, planning = self._table, self._radios, self._planning
         if isinstance(event, MissionBegun):
-            return (
-                [*self._lighter.begin(event.vehicle, now_s=now_s, position=position)] if self._lighter else []
-            )
+            return self._begin(event.vehicle, now_s, position)
         self._locate(position, now_s)
         effects = self._take_in(event, now_s, position)
         effects += radios.end_probes([each for each in radios.probed if self._ended or not each.in_range])
@@ -218,6 +225,12 @@ class Selection:
         """What going on before the call that is under way is over would come to; None where nothing is known."""
         self._locate(position, now_s)
         return self._planning.outlook(now_s)
+
+    def _begin(self, vehicle: EnergyFacts, now_s: float, position: Position) -> list[Effect]:
+        foreseen = self._timetable.begin(vehicle, now_s=now_s, position=position)
+        if self._lighter is not None:
+            self._lighter.begin(now_s=now_s, home_s=self._timetable.home_s)
+        return [foreseen] if foreseen else []
 
     def _locate(self, position: Position, now_s: float) -> None:
         if self._table.locate(position, now_s):

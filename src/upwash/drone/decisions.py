@@ -154,9 +154,14 @@ class Decisions:
                     self._record_change(effect)
                 case Full(server, check, waiting):
                     self._journal.record(schema.NoSlot(server=server, check=check, waiting=waiting))
-                case Foreseen(finish_by_s, as_asked_s, lightest_s):
+                case Foreseen(reached_s, as_asked_s, lightest_s, finish_by_s):
                     self._journal.record(
-                        schema.Foreseen(finish_by_s=finish_by_s, as_asked_s=as_asked_s, lightest_s=lightest_s)
+                        schema.Foreseen(
+                            finish_by_s=finish_by_s,
+                            as_asked_s=as_asked_s,
+                            lightest_s=lightest_s,
+                            reached_s=[round(each_s, 1) for each_s in reached_s],
+                        )
                     )
                 case _:
                     self._send(effect)

@@ -41,6 +41,8 @@ def make_selection(
             gain_slot=policy.gain_slot,
             probing=Probing(probe.first_s, probe.longest_s) if (probe := policy.probing) else None,
             lighter=_lighter(config, specs, estimates),
+            takeoff_s=config.vehicle.takeoff_s,
+            lands=ending(config.mission) == "land",
         ),
         mission=mission_beliefs(config, specs, estimates, plan),
     )
@@ -138,12 +140,7 @@ def _lighter(
             raise UsageError(
                 f'mission.lighter.{asked.key}: {asked.service} has no "{lighter.key}": {error}: name another key'
             ) from error
-    return LighterSettings(
-        by_s,
-        operations,
-        takeoff_s=config.vehicle.takeoff_s,
-        lands=ending(mission) == "land",
-    )
+    return LighterSettings(by_s, operations)
 
 
 def mission_beliefs(

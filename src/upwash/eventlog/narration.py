@@ -297,10 +297,10 @@ def _failure(event: Event) -> Said | None:
 
 
 def _foreseen(event: schema.Foreseen) -> Said:
-    expected = (
-        f"expected to be over after {event.as_asked_s:.0f} s, and with every call lighter after "
-        f"{event.lightest_s:.0f} s"
-    )
+    expected = f"expected to be over after {event.as_asked_s:.0f} s"
+    if event.finish_by_s is None or event.lightest_s is None:
+        return Said(expected, Tone.ASIDE)
+    expected += f", and with every call lighter after {event.lightest_s:.0f} s"
     if not event.fits:
         return Said(f"{expected}: too late for finish_by_s = {event.finish_by_s:g}", Tone.ALARM)
     return Said(f"{expected}; to be over by {event.finish_by_s:g} s", Tone.ASIDE)

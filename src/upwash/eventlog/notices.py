@@ -96,7 +96,7 @@ def _course(event: Event) -> Iterator[Notice]:
         case schema.LogResumed():
             for key in ("ended", "safe end", "stopping", "hovering", "left"):
                 yield Notice(key)
-        case schema.Foreseen(finish_by_s=finish_by_s, lightest_s=lightest_s) if not event.fits:
+        case schema.Foreseen(finish_by_s=float(finish_by_s), lightest_s=float(lightest_s)) if not event.fits:
             yield Notice(
                 "late",
                 f"The mission is expected to end after {lightest_s:.0f} s, later than {finish_by_s:g} s",

@@ -142,17 +142,22 @@ class MissionStarted(Event, frozen=True, kw_only=True):
     done: Sequence[int] = []
 
 
-class Foreseen(Event, frozen=True, kw_only=True):
-    """When the mission was expected to be over before it took off: as asked for, and at least, all calls lighter."""
+class Foreseen(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """When the mission was expected to be over before it took off, and at each waypoint of its order: `reached_s`.
 
-    finish_by_s: float
+    Where it is to finish by a given time, `lightest_s` is when it is over with every call lighter. All are seconds of
+    the mission's time.
+    """
+
     as_asked_s: float
-    lightest_s: float
+    lightest_s: float | None = None
+    finish_by_s: float | None = None
+    reached_s: Sequence[float] = []
 
     @property
     def fits(self) -> bool:
         """Whether it can be over in time."""
-        return self.lightest_s <= self.finish_by_s
+        return self.finish_by_s is None or (self.lightest_s or self.as_asked_s) <= self.finish_by_s
 
 
 class MissionCompleted(Event, frozen=True, kw_only=True):

@@ -1,4 +1,4 @@
-"""Every policy in the same scenarios: how long its missions take, beside what an all-knowing drone would need."""
+"""Every policy in the same scenarios: how long its missions take, beside the theoretical minimum."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class ComparedPolicy:
     """How long one policy's missions take in one scenario, each with a seed of its own; times in seconds.
 
     The true mean lies within `half_width_s` of `mean_s` with a probability of 95 %; it is infinite for one mission.
-    `bound_s` is the mean time of an all-knowing drone that has every server ready at once. `energy_wh` is the mean of
+    `bound_s` is the theoretical minimum of the mean time, with every server ready at once. `energy_wh` is the mean of
     what a mission draws from the battery, with its own half width; None where the scenario has no `[energy]`.
 
     Of the `missions` those count that were completed, which a battery may prevent; what there is none of is NaN.

@@ -1,1 +1,1 @@
-"""What is to be known before take-off: what is covered, how long the mission will take, what will hurt."""
+"""What can be known before take-off: what is covered, how long the mission takes, what may cause problems."""

@@ -35,7 +35,7 @@ def show_check(
     figures: Path | None = None,
     fly: Fly,
 ) -> bool:
-    """Checks the file and prints what was found; returns whether nothing will hurt."""
+    """Checks the file and prints what was found; returns whether there is nothing to warn of."""
     seeds = seeds if plays_a_part(plan.config) else 1
     with _progress("flying it in simulation", missions_to_fly(plan, seeds)) as flown:
         found = check(plan, seeds=seeds, fly=fly, flown=flown)

@@ -19,7 +19,7 @@ from upwash.support.sentences import say
 
 
 def show_fleet_check(plan: CheckInput, *, seeds: int, as_json: bool, workers: int | None) -> bool:
-    """Checks the file and prints what was found; returns whether nothing will hurt."""
+    """Checks the file and prints what was found; returns whether there is nothing to warn of."""
     found = check_fleet(
         plan.document, plan.file, seeds=seeds if plays_a_part(plan.config) else 1, workers=workers
     )

@@ -1,4 +1,4 @@
-"""What will hurt: everything that a person should know, and perhaps mend, before take-off."""
+"""Warnings: everything that a person should know, and perhaps change, before take-off."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _WORTH_SAYING = 0.01  # of a mission time: less is the luck of when a check happ
 
 
 class PreflightWarning(Struct, frozen=True):
-    """One thing that will hurt: its kind, which stays the same from version to version, and what a person reads."""
+    """One warning: its kind, which stays the same from version to version, and what a person reads."""
 
     kind: str
     text: str

@@ -39,6 +39,19 @@ class Began(Fact, frozen=True):
     policy: str
 
 
+class Forecast(Fact, frozen=True):
+    """When the mission was expected to be over, and at each of its last waypoints, in the mission's seconds.
+
+    Where it is to `finish_by_s`, it may use lighter calls; with all of them lighter it was expected to be over after
+    `lightest_s`.
+    """
+
+    ends_s: float
+    reached_s: Sequence[float]
+    lightest_s: float | None = None
+    finish_by_s: float | None = None
+
+
 class Home(Fact, frozen=True):
     """Where the vehicle returns to."""
 

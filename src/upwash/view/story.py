@@ -121,6 +121,14 @@ class Story:
                     yield self._step(server, State.AVL, "taken up again")
             case schema.MissionStarted(drone=drone, policy=policy):
                 self.drone, self._policy = drone, policy
+            case schema.Foreseen():
+                yield facts.Forecast(
+                    at_s=self._now_s,
+                    ends_s=event.as_asked_s,
+                    reached_s=event.reached_s,
+                    lightest_s=event.lightest_s,
+                    finish_by_s=event.finish_by_s,
+                )
             case schema.MissionCompleted() | schema.MissionEnded():
                 self.ended = True
                 yield facts.Ended(at_s=self._now_s, completed=isinstance(event, schema.MissionCompleted))

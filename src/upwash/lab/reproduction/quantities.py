@@ -33,10 +33,10 @@ class Quantity(NamedTuple):
 LOCAL_ONLY = Quantity("mission_time_local_only", "mission time, no offloading", "min")
 OFFLOADING = Quantity("mission_time_offloading", "mission time, offloading", "min")
 _GAIN = Quantity("time_gain", "time gain", "percent")
-_BOUND = Quantity("mission_time_over_the_bound", "  above the all-knowing bound", "percent")
+_BOUND = Quantity("mission_time_over_the_bound", "  above the theoretical minimum", "percent")
 _RATIO = Quantity("total_service_delay_local_over_offloading", "service delay, local / offl.", "ratio")
 _WAITS = Quantity("waits_decided", "decisions to wait", "count")
-_IN_VAIN = Quantity("waits_in_vain", "  of them in vain", "count")
+_IN_VAIN = Quantity("waits_in_vain", "  of them wasted", "count")
 _SAVED = Quantity(
     "saving_of_waiting_over_local_at_those_waypoints", "service delay saved by waiting", "percent"
 )

@@ -20,6 +20,7 @@ export class Story {
     this.plan = null;
     this.opened = null;
     this.began = null;
+    this.forecast = null; // of when the mission is over, before it took off
     this.ended = null;
     this.lastS = 0;
     this.longestS = 0; // of the calls
@@ -53,6 +54,7 @@ export class Story {
         break;
       case "opened":
       case "began":
+      case "forecast":
       case "home":
         this[fact.fact] = fact;
         if (fact.fact === "began") this.ended = null;
@@ -191,6 +193,33 @@ export class Moment {
 
   get reachedAtS() {
     return this.story.missionS(this.story.arrivals[this.reached - 1].at_s);
+  }
+
+  // How much later than forecast it is, by the last waypoint or by the next one that it is not at yet; null if unknown.
+  get lateS() {
+    const { forecast, waypoints } = this.story;
+    if (!forecast || !this.story.began || this.atS < this.story.began.at_s) return null;
+    const nowS = this.story.missionS(this.isOver ? this.story.endsS : this.atS);
+    if (this.isOver) return nowS - forecast.ends_s;
+    const next = this.reached - (waypoints - forecast.reached_s.length); // it has the waypoints of a resumed flight only
+    const overdueS = nowS - (forecast.reached_s[next] ?? forecast.ends_s);
+    return next > 0 ? Math.max(this.reachedAtS - forecast.reached_s[next - 1], overdueS) : Math.max(0, overdueS);
+  }
+
+  // When it is expected to be over, in its own seconds; null if unknown.
+  get expectedEndS() {
+    if (this.lateS === null) return null;
+    const { ends_s, lightest_s, finish_by_s } = this.story.forecast;
+    const asAskedS = ends_s + this.lateS;
+    const endS = finish_by_s === undefined ? asAskedS : Math.min(asAskedS, Math.max(finish_by_s, lightest_s));
+    return Math.max(endS, this.story.missionS(this.atS));
+  }
+
+  // The servers that have failed so far.
+  get failed() {
+    const notices = this.story.notice.slice(0, this.count("notice"));
+    const keys = notices.filter((notice) => notice.cause && notice.key.startsWith("server ")).map(({ key }) => key);
+    return [...new Set(keys)].map((key) => key.slice("server ".length)).sort();
   }
 
   // What a person has to act on or should know, in the order in which it began.

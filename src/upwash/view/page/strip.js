@@ -4,6 +4,7 @@ import { told } from "./clock.js";
 import { element, write } from "./element.js";
 
 const CELLS = ["progress", "expected end", "server", "saved so far", "battery", "link", "altitude", "speed"];
+const ON_TIME = 0.01; // of the mission: a difference from the forecast that is not worth a word
 const STALE_S = 5; // what the vehicle told longer ago says nothing about now
 
 export class Strip {
@@ -42,14 +43,25 @@ export class Strip {
   }
 }
 
-// When the last waypoint is reached, at the pace so far; the way home is not known to the page.
+// When the mission is over, against its forecast; of one without a forecast, when the last waypoint is reached.
 function expectedEnd(moment) {
   const { story, reached } = moment;
   const nowS = story.missionS(moment.atS);
-  if (moment.isOver) return `${story.isCompleted ? "completed" : "ended"} after ${told(story.missionS(story.endsS))}`;
+  if (moment.isOver) {
+    const ended = `${story.isCompleted ? "completed" : "ended"} after ${told(story.missionS(story.endsS))}`;
+    return story.isCompleted && moment.lateS !== null ? `${ended}, ${againstForecast(moment)}` : ended;
+  }
+  if (moment.expectedEndS !== null) return `${told(moment.expectedEndS)}, ${againstForecast(moment)}`;
   if (!story.began || !reached) return "";
   const lastS = Math.max(nowS, (moment.reachedAtS / reached) * story.waypoints);
   return reached < story.waypoints ? `last waypoint at ${told(lastS)}` : "last waypoint reached";
+}
+
+function againstForecast(moment) {
+  const { lateS, failed } = moment;
+  if (Math.abs(lateS) < Math.max(1, ON_TIME * moment.story.forecast.ends_s)) return "as forecast";
+  if (lateS < 0) return `${told(-lateS)} early`;
+  return failed.length ? `${told(lateS)} late: ${failed.join(", ")} failed` : `${told(lateS)} late`;
 }
 
 // The one in use, and the next of the plan with the time until the drone is in its range.
@@ -60,19 +72,29 @@ function serverInWords(moment) {
   return next ? `${now} → ${next.server} in ${told(next.inS)}` : now;
 }
 
-// The first server in whose range a waypoint ahead lies that lies not in that of the one in use, by the pace so far.
+// The first server in whose range a waypoint ahead lies that lies not in that of the one in use.
 function nextServer(moment, current) {
   const { story, reached } = moment;
-  if (!story.plan || !reached || moment.isOver) return null;
-  const paceS = moment.reachedAtS / reached;
+  if (!story.plan || moment.isOver) return null;
   const covers = ([east, north, radius], place) => Math.hypot(place[0] - east, place[1] - north) <= radius;
   const ranges = Object.entries(story.plan.ranges);
   for (let index = reached; index < story.waypoints; index += 1) {
     const place = story.plan.waypoints_m[index];
     const covering = ranges.filter(([, range]) => covers(range, place)).map(([server]) => server);
     if (current ? covering.includes(current) : !covering.length) continue;
-    const inS = Math.max(0, (index + 1) * paceS - story.missionS(moment.atS));
-    return covering.length ? { server: covering[0], inS } : { server: "no server", inS };
+    const atS = arrivalS(moment, index);
+    if (atS === null) return null;
+    return { server: covering[0] ?? "no server", inS: Math.max(0, atS - story.missionS(moment.atS)) };
   }
   return null;
+}
+
+// When a waypoint ahead is reached: by the forecast, or else at the pace so far; null where neither is known.
+function arrivalS(moment, index) {
+  const { story, reached } = moment;
+  if (moment.lateS !== null) {
+    const { reached_s } = story.forecast;
+    return reached_s[index - (story.waypoints - reached_s.length)] + moment.lateS;
+  }
+  return reached ? ((index + 1) * moment.reachedAtS) / reached : null;
 }

@@ -1,0 +1,85 @@
+"""When a mission that is about to take off is expected at each waypoint, and over.
+
+In seconds of the mission's time, which counts from arming to landed:
+
+    at a waypoint   the take-off + each leg, pause and call before it
+    over            the same at the last call's end + the way home
+
+Where the calls run is foreseen by the policy itself, with nothing failing (core/placing.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from upwash.core.commands import Foreseen
+from upwash.core.energy import UNKNOWN, EnergyFacts, descent_s, time_home_s
+from upwash.core.geo import Circle, Position
+from upwash.core.lighter import LighterSettings
+from upwash.core.mission_model import ExpectedCall, MissionBeliefs, MissionModel
+from upwash.core.planning import Planning
+
+_HOME = Position(0.0, 0.0)
+
+
+class Timetable:
+    """Foresees one mission, which takes off in `takeoff_s`, and `lands` at its last waypoint or else returns home.
+
+    `home_s` is the time from its last call to landed, once it has begun.
+    """
+
+    def __init__(
+        self,
+        planning: Planning,
+        beliefs: MissionBeliefs,
+        areas: Mapping[str, Circle],
+        *,
+        takeoff_s: float,
+        lands: bool,
+        lighter: LighterSettings | None = None,
+    ) -> None:
+        self.home_s = 0.0
+        self._planning = planning
+        self._beliefs = beliefs
+        self._mission = MissionModel(beliefs, areas)  # of its own: it sees the whole mission, from the ground
+        self._takeoff_s = takeoff_s
+        self._lands = lands
+        self._lighter = lighter
+
+    def begin(self, vehicle: EnergyFacts, *, now_s: float, position: Position) -> Foreseen | None:
+        """What is expected of the mission, which begins now; None where no waypoint or no call is known."""
+        if not self._beliefs.plan:
+            return None
+        first, last = self._beliefs.plan[0], self._beliefs.plan[-1].position
+        way = vehicle.way_home or UNKNOWN
+        self.home_s = (
+            way.hover_s + descent_s(last.altitude_m, way)
+            if self._lands
+            else time_home_s(last, vehicle.home or _HOME, way)
+        )
+        start = Position(position.east_m, position.north_m, first.position.altitude_m)
+        self._mission.leg_begun(start, first.position, first.ground_speed_m_s, now_s=now_s)
+        calls = self._mission.rest(start, now_s=now_s)
+        if not calls:
+            return None
+        reached_s, as_asked_s = self._times(calls, now_s)
+        if self._lighter is None:
+            return Foreseen(reached_s, as_asked_s)
+        of = self._lighter.operations
+        lighter = [replace(call, operation=of.get(call.operation, call.operation)) for call in calls]
+        _, lightest_s = self._times(lighter, now_s)
+        return Foreseen(reached_s, as_asked_s, lightest_s, self._lighter.finish_by_s)
+
+    def _times(self, calls: Sequence[ExpectedCall], now_s: float) -> tuple[Sequence[float], float]:
+        """When the drone is at each waypoint, and landed."""
+        stop = self._beliefs.stop
+        placing = self._planning.placing(now_s)
+        reached_s: list[float] = []
+        at_s = self._takeoff_s
+        for number, (call, place) in enumerate(zip(calls, placing.places(calls), strict=True)):
+            at_s += call.gap_s
+            if number % len(stop) == 0:
+                reached_s.append(at_s - stop[0].pause_s)
+            at_s += placing.delay_s(place, call.operation)
+        return reached_s, at_s + self.home_s

@@ -1,0 +1,174 @@
+"""The tutorial does what it says: its files are made as it shows them, and its commands are run, in its order."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+FLIGHT = ("tutorial-service.md", "tutorial-two-services.md")
+TERMINAL = re.compile(r"terminal \d+")
+
+
+class Block(NamedTuple):
+    """Fenced lines of a page, with the title that says what is done with them."""
+
+    language: str
+    title: str
+    text: str
+
+
+def blocks(page: str) -> Iterator[Block]:
+    fenced = re.findall(
+        r'^```(\w*)(?: title="([^"]*)")?\n(.*?)^```$',
+        (DOCS / page).read_text(),
+        flags=re.MULTILINE | re.DOTALL,
+    )
+    for each in fenced:
+        yield Block(*each)
+
+
+class Learner:
+    """Follows pages in a folder, as a person would who reads them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.printed = ""
+
+    def follow(self, page: str) -> None:
+        """Does what the page says, but for the commands that each run in a terminal of their own."""
+        for block in blocks(page):
+            match block:
+                case Block("sh", "", commands):
+                    for command in commands.splitlines():
+                        self._run(command)
+                case Block("sh" | "", _, _):
+                    continue
+                case Block(_, title, text):
+                    self._write(*title.partition(", ")[::2], text)
+
+    def _run(self, command: str) -> None:
+        if command.startswith("cd "):
+            self.folder /= command.removeprefix("cd ")
+            return
+        done = subprocess.run(
+            at_hand(command), cwd=self.folder, capture_output=True, text=True, check=False, env=environment()
+        )
+        assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+        self.printed += done.stdout
+
+    def _write(self, name: str, where: str, text: str) -> None:
+        """A file that is there already shows the block, unless the title says where it goes."""
+        file = self.folder / name
+        if not where:
+            if not file.exists():
+                file.write_text(text)
+            for line in text.splitlines():
+                assert line in file.read_text().splitlines(), f"{name} has no line {line!r}"
+            return
+        lines = file.read_text().splitlines(keepends=True)
+        table, _, instead_of = where.removeprefix("above ").partition(": instead of ")
+        (at,) = (number for number, line in enumerate(lines) if line.strip() == table)
+        if instead_of:
+            at = next(n for n in range(at, len(lines)) if lines[n].startswith(f"{instead_of} ="))
+            lines[at] = text
+        else:
+            lines.insert(at, text + "\n")
+        file.write_text("".join(lines))
+
+
+def at_hand(command: str) -> list[str]:
+    """The command with this Python, and this upwash."""
+    program, *arguments = shlex.split(command)
+    return [sys.executable, *(["-m", "upwash"] if program == "upwash" else []), *arguments]
+
+
+def environment() -> dict[str, str]:
+    return os.environ | {"COLUMNS": "140", "PYTEST_ADDOPTS": "-p no:cacheprovider"}
+
+
+@pytest.fixture
+def learner(tmp_path: Path) -> Learner:
+    (tmp_path / "scenarios").symlink_to(ROOT / "scenarios")
+    return Learner(tmp_path)
+
+
+def test_the_first_page_simulates_and_reports(learner: Learner) -> None:
+    learner.follow("start.md")
+    assert (learner.folder / "report.html").stat().st_size > 10_000
+    (shown,) = (block.text for block in blocks("start.md") if not block.language)
+    for line in shown.splitlines():
+        for part in line.split("..."):
+            assert part.strip() in learner.printed
+
+
+def test_a_service_of_ones_own_is_simulated_checked_and_tested(learner: Learner) -> None:
+    learner.follow("tutorial-service.md")
+    assert "nothing to warn of" in learner.printed
+    assert "2 passed" in learner.printed
+    assert "4 on s1" in learner.printed
+
+
+def test_two_services_are_simulated_and_checked(learner: Learner) -> None:
+    for page in FLIGHT:
+        learner.follow(page)
+    assert "2 services, 1 server" in learner.printed
+    assert "nothing to warn of" in learner.printed.rpartition("2 services, 1 server")[2]
+    assert "Calls of sharpness.score" in learner.printed
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("pages", [FLIGHT[:1], FLIGHT], ids=["one service", "two services"])
+def test_it_flies_on_the_desk(learner: Learner, pages: tuple[str, ...]) -> None:
+    """At ports of its own, with a vehicle that can be armed at once."""
+    for page in pages:
+        learner.follow(page)
+    serve, vehicle, fly = (block.text for block in blocks(pages[0]) if TERMINAL.fullmatch(block.title))
+    daemon_port, vehicle_port = free_port(), free_port()
+    for name in ("drone.toml", "server.toml"):
+        file = learner.folder / name
+        text = file.read_text().replace(":7070", f":{daemon_port}").replace(":14550", f":{vehicle_port}")
+        file.write_text(text)
+    with ExitStack() as running:
+        for command in (
+            serve,
+            f"{vehicle} --listen udp:127.0.0.1:{vehicle_port} --armable-after 1 --home 39.3666,22.9507",
+        ):
+            process = running.enter_context(
+                subprocess.Popen(
+                    at_hand(command), cwd=learner.folder, stdout=subprocess.PIPE, text=True, env=environment()
+                )
+            )
+            running.callback(process.terminate)
+            assert process.stdout is not None
+            assert " ready at " in process.stdout.readline()
+        flown = subprocess.run(
+            at_hand(f"{fly} --json"),
+            cwd=learner.folder,
+            capture_output=True,
+            text=True,
+            check=False,
+            env=environment(),
+        )
+    assert flown.returncode == 0, flown.stderr
+    totals = msgspec.json.decode(flown.stdout)["totals"]
+    assert totals["remote"]["s1"] > 0 and totals["local"] > 0
+
+
+def free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        port: int = found.getsockname()[1]
+        return port
