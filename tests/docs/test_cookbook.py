@@ -50,7 +50,10 @@ def test_the_marker_service_reads_a_code() -> None:
     drawn = cv2.QRCodeEncoder.create().encode("panel 17")
     large = cv2.copyMakeBorder(
         cv2.resize(drawn, None, fx=8, fy=8, interpolation=cv2.INTER_NEAREST),
-        *[40] * 4,
+        40,
+        40,
+        40,
+        40,
         cv2.BORDER_CONSTANT,
         value=255,
     )

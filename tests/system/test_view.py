@@ -92,6 +92,13 @@ def calls_until(record: Record, at_s: float) -> int:
     return sum(call.result.at_s + call.result.delay_s <= at_s + 1e-6 for call in record.calls)
 
 
+def shown_calls(page: Browser) -> int:
+    """How many calls the chart shows."""
+    label = page.find(".chart canvas").get_attribute("aria-label") or ""
+    counted = re.search(r"(\d+) calls", label)
+    return int(counted[1]) if counted else 0
+
+
 def rows(page: Browser, selector: str) -> list[list[str]]:
     return list(
         page.run(
@@ -519,6 +526,7 @@ def test_a_demonstration_is_shown_while_it_flies(page: Browser, tmp_path: Path) 
         page.wait_until(lambda: page.all(".boxes .found"), within_s=100)
         assert page.all(".boxes .truth")
         assert page.violations() == []
+        page.wait_until(lambda: shown_calls(page) > 1)  # the only call has none before it
         page.click("#previous")  # what was may be looked at while it goes on
         assert page.find("#latest").get_attribute("aria-pressed") == "false"
         page.click("#latest")
