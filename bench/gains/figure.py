@@ -15,24 +15,17 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
-# Okabe and Ito's colours, which colour-blind people tell apart; each has a shape of its own too.
-_MARKS = (
-    ("#E69F00", "s"),
-    ("#000000", "D"),
-    ("#56B4E9", "o"),
-    ("#009E73", "^"),
-    ("#D55E00", "v"),
-    ("#0072B2", "*"),
-    ("#CC79A7", "P"),
-    ("#999999", "X"),
-)
+from upwash.lab.figures.style import SHAPES, in_style
+from upwash.report.palette import LIGHT
+
+_MARKS = tuple(zip(LIGHT.places[1:], SHAPES, strict=True))
 _BREAK, _LEAST, _MOST = 80.0, -4.0, 101.5  # percent: where the scale changes, and where it begins and ends
 _COARSER = 6.0  # times, below the break
 _TICKS = (0, 20, 40, 60, 80, 85, 90, 95, 100)
 _ROW_IN, _HEAD_IN = 0.36, 1.3
 _RIGHT = 1.085  # of the axes' width: where the column beside them ends
 _SPREAD = 0.62  # of a row's height, over which its marks are spread so that none hides another
-_INK, _PALE = "#222222", "#f2f2f2"
+_INK, _PALE = LIGHT.ink, LIGHT.band
 
 
 class Row(NamedTuple):
@@ -42,6 +35,7 @@ class Row(NamedTuple):
     y: float
 
 
+@in_style
 def draw(kept: Kept, file: Path) -> None:
     """Draws the share of the possible gain as a PNG file."""
     rows = list(_rows(measured_worlds(kept.missions)))
@@ -79,7 +73,7 @@ def _scale(axes: Axes) -> None:
     axes.set_xscale("function", functions=(on_paper, from_paper))
     axes.set_xlim(_LEAST, _MOST)
     axes.set_xticks(_TICKS, [f"{share} %" for share in _TICKS])
-    axes.grid(axis="x", color="#d8d8d8", linewidth=0.6)
+    axes.grid(axis="x", color=LIGHT.line, linewidth=0.6)
     axes.set_axisbelow(True)
     for share, style in ((0, "-"), (_BREAK, ":"), (100, "-")):
         axes.axvline(share, color=_INK, linewidth=0.9, linestyle=style)
@@ -109,7 +103,7 @@ def _draw_row(axes: Axes, row: Row, variants: Sequence[str]) -> None:
             xerr=100 * share.margin,
             color=colour,
             marker=shape,
-            markersize=6.5 if shape == "*" else 4.5,
+            markersize=4.5,
             markeredgewidth=0,
             elinewidth=1.2,
             capsize=0,
@@ -145,7 +139,7 @@ def _legend(variants: Sequence[str]) -> list[Line2D]:
             [],
             color=colour,
             marker=shape,
-            markersize=8 if shape == "*" else 6,
+            markersize=6,
             linewidth=0,
             label=variant,
         )

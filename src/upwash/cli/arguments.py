@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     Commands = argparse._SubParsersAction[argparse.ArgumentParser]  # what `add` adds its command to
 
 LIVE_PORT = 8720
+_FORMATS = ("png", "pdf", "svg")
 
 
 def place(text: str) -> tuple[float, float]:
@@ -63,6 +64,25 @@ def add_stay_or_go(parser: argparse.ArgumentParser) -> None:
         choices=("stay", "go", "learn"),
         help="whether to fly on before an answer is there, instead of policy.stay_or_go",
     )
+
+
+def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
+    """Adds the options that draw `what` into a folder."""
+    parser.add_argument("--figures", type=Path, metavar="DIR", help=f"draw {what} there")
+    parser.add_argument(
+        "--format", type=_formats, default=("png",), dest="formats", metavar="F1,F2",
+        help="of the figures: png, pdf and svg, or several of them (default: png)",
+    )  # fmt: skip
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    wanted = tuple(dict.fromkeys(text.split(",")))
+    for each in wanted:
+        if each not in _FORMATS:
+            raise argparse.ArgumentTypeError(
+                f"{each!r} is no format of figures: choose of {', '.join(_FORMATS)}"
+            )
+    return wanted
 
 
 def add_live(parser: argparse.ArgumentParser) -> None:

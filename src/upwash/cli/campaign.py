@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import count
+from upwash.cli.arguments import add_figures, count
+from upwash.lab.figures import Wanted
 
 if TYPE_CHECKING:
     from upwash.cli.arguments import Commands
@@ -28,6 +29,7 @@ def add(commands: Commands) -> None:
         "--out", type=Path, metavar="FILE",
         help="a .csv or .parquet file; an interrupted campaign is continued there (default: one in runs/)",
     )  # fmt: skip
+    add_figures(campaign, "the mission times with their confidence")
     campaign.set_defaults(run=run)
 
 
@@ -39,4 +41,5 @@ def run(options: argparse.Namespace) -> bool:
 
     sweep = read_sweep(options.scenario, options.settings, seeds=options.seeds)
     fly = on_cluster(options.cluster) if options.cluster else in_processes(options.workers)
-    return show_campaign(sweep, options.out, fly=fly)
+    figures = Wanted(options.figures, options.formats) if options.figures else None
+    return show_campaign(sweep, options.out, fly=fly, figures=figures)

@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import count, flown_by
+from upwash.cli.arguments import add_figures, count, flown_by
 from upwash.errors import UsageError
+from upwash.lab.figures import Wanted
 
 if TYPE_CHECKING:
     from upwash.cli.arguments import Commands
@@ -28,7 +29,7 @@ def add(commands: Commands) -> None:
     check.add_argument(
         "--place", type=count, default=0, metavar="N", help="suggest where N more servers would help most"
     )
-    check.add_argument("--figures", type=Path, metavar="DIR", help="draw the coverage there")
+    add_figures(check, "the coverage")
     what = check.add_mutually_exclusive_group()
     what.add_argument("--json", action="store_true", help="print what was found as one JSON object")
     what.add_argument(
@@ -81,7 +82,7 @@ def run(options: argparse.Namespace) -> bool:
         seeds=options.seeds,
         servers_to_place=options.place,
         as_json=options.json,
-        figures=options.figures,
+        figures=Wanted(options.figures, options.formats) if options.figures else None,
         fly=here_first(options.workers),
     )
 

@@ -6,11 +6,15 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import count
+from upwash.cli.arguments import add_figures, count
 from upwash.errors import UsageError
+from upwash.lab.figures import Wanted
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from upwash.cli.arguments import Commands
+    from upwash.lab.comparison import ComparedPolicy
 
 
 def add(commands: Commands) -> None:
@@ -31,6 +35,7 @@ def add(commands: Commands) -> None:
         "--markdown", action="store_true", help="tables in Markdown, as into a file or another program"
     )
     compare.add_argument("--workers", type=count, metavar="N", help="processes (default: one per core)")
+    add_figures(compare, "the mission times with their confidence, and the paired differences,")
     compare.set_defaults(run=run)
 
 
@@ -46,6 +51,8 @@ def run(options: argparse.Namespace) -> bool:
     if not options.scenarios and not options.thesis:
         raise UsageError("nothing to compare in: name scenario files, or give --thesis")
     overrides = read_overrides(options.settings)
+    if options.figures is not None:
+        import upwash.lab.figures.means  # noqa: F401 - a missing matplotlib is reported before, not after
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("missions", total=None)
         rows = compare(
@@ -61,4 +68,28 @@ def run(options: argparse.Namespace) -> bool:
         console.print("\n".join(in_markdown(rows)), soft_wrap=True)
     else:
         print_tables(rows, console)
+    if options.figures is not None:
+        _draw(rows, Wanted(options.figures, options.formats))
     return True
+
+
+def _draw(rows: Sequence[ComparedPolicy], figures: Wanted) -> None:
+    from upwash.lab.figures.means import Row, draw_means
+    from upwash.support.confidence import Mean
+
+    draw_means(
+        [
+            Row(
+                row.scenario,
+                row.policy,
+                Mean(row.completed, row.mean_s, row.half_width_s),
+                Mean(row.completed, row.saved_s, row.saved_half_width_s or 0.0)
+                if row.saved_s is not None
+                else None,
+                row.bound_s,
+            )
+            for row in rows
+            if row.completed
+        ],
+        figures.files("compare"),
+    )

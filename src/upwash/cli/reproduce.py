@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import count
+from upwash.cli.arguments import add_figures, count
+from upwash.lab.figures import Wanted
 
 if TYPE_CHECKING:
     from upwash.cli.arguments import Commands
@@ -18,7 +19,7 @@ def add(commands: Commands) -> None:
     reproduce.add_argument(
         "--seeds", type=count, default=30, metavar="N", help="missions per cell (default: 30)"
     )
-    reproduce.add_argument("--figures", type=Path, metavar="DIR", help="draw the figures 4.4 to 4.12 there")
+    add_figures(reproduce, "the figures 4.4 to 4.12")
     reproduce.add_argument(
         "--sensitivity", action="store_true", help="say how far each parameter moves the mission times, too"
     )
@@ -33,6 +34,9 @@ def run(options: argparse.Namespace) -> bool:
     from upwash.lab.reproduction.output import show_reproduction
 
     show_reproduction(
-        seeds=options.seeds, vary=options.sensitivity, figures=options.figures, results=options.json
+        seeds=options.seeds,
+        vary=options.sensitivity,
+        figures=Wanted(options.figures, options.formats) if options.figures else None,
+        results=options.json,
     )
     return True

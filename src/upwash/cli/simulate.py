@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import add_policy
+from upwash.cli.arguments import add_figures, add_policy
 from upwash.errors import UpwashError, UsageError
+from upwash.lab.figures import Wanted
 
 if TYPE_CHECKING:
     from upwash import FleetSimulation, Simulation
@@ -25,9 +26,7 @@ def add(commands: Commands) -> None:
         "--log", type=Path, metavar="FILE",
         help="where the event log goes, or those of several drones as FILE-NAME (default: nowhere)",
     )  # fmt: skip
-    simulate.add_argument(
-        "--figures", type=Path, metavar="DIR", help="draw the map and the call delays there"
-    )
+    add_figures(simulate, "the map and the call delays")
     simulate.set_defaults(run=run)
 
 
@@ -51,7 +50,7 @@ def _run_one(options: argparse.Namespace) -> bool:
     if options.log is not None:
         write_log(options.log, simulation.events, options.scenario, seed=simulation.seed)
     if options.figures is not None:
-        _draw(simulation, options.scenario, options.figures)
+        _draw(simulation, options.scenario, Wanted(options.figures, options.formats))
     if simulation.failure:
         raise UpwashError(f"the mission was not completed: {simulation.failure}")
     return True
@@ -88,11 +87,12 @@ def _write_logs(fleet: FleetSimulation, scenario: Path, log: Path) -> None:
         )
 
 
-def _draw(simulation: Simulation, scenario: Path, folder: Path) -> None:
+def _draw(simulation: Simulation, scenario: Path, figures: Wanted) -> None:
     from upwash import simulate
-    from upwash.lab.reproduction.figures import draw_call_delays, draw_map
+    from upwash.lab.figures.call_delays import draw_call_delays
+    from upwash.lab.figures.coverage import draw_coverage
     from upwash.lab.simulation import read_scenario
 
-    draw_map(read_scenario(scenario, policy=simulation.policy), folder / "map.png")
+    draw_coverage(read_scenario(scenario, policy=simulation.policy), figures.files("map"))
     reference = simulate(scenario, policy="local-only", seed=simulation.seed)
-    draw_call_delays(simulation.events, reference=reference.events, file=folder / "call_delay.png")
+    draw_call_delays(simulation.events, reference=reference.events, files=figures.files("call_delay"))

@@ -13,6 +13,7 @@ from rich.text import Text
 from upwash.eventlog.narration import counted
 from upwash.lab.campaign import CombinationSummary, Fly, run_campaign
 from upwash.lab.campaign_file import CampaignFile
+from upwash.lab.figures import Wanted
 from upwash.lab.sweep import Sweep
 from upwash.support.confidence import Mean
 from upwash.support.sentences import say
@@ -21,8 +22,10 @@ _LONGEST_SETTING = 14  # columns that it has in any case
 _FAILURES_SHOWN = 10  # of each combination: the file has them all
 
 
-def show_campaign(sweep: Sweep, out: Path | None, *, fly: Fly) -> bool:
-    """Runs the campaign and prints what it came to; returns whether every run was completed."""
+def show_campaign(sweep: Sweep, out: Path | None, *, fly: Fly, figures: Wanted | None = None) -> bool:
+    """Runs the campaign, prints what it came to and draws it; returns whether every run was completed."""
+    if figures is not None:
+        import upwash.lab.figures.campaign  # noqa: F401 - a missing matplotlib is reported before, not after
     out = out or Path("runs") / f"{sweep.file.stem}-{sweep.fingerprint}.csv"
     file = CampaignFile.open(out, sweep)
     console = Console()
@@ -40,6 +43,10 @@ def show_campaign(sweep: Sweep, out: Path | None, *, fly: Fly) -> bool:
         for line in _failures(sweep, summary):
             say(line, console)
     say(f"each run: {out}", console)
+    if figures is not None:
+        from upwash.lab.figures.campaign import draw_campaign
+
+        draw_campaign(sweep, summaries, file.rows, figures.files("campaign"))
     return not any(summary.failures for summary in summaries)
 
 

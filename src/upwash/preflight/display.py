@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from pathlib import Path
 
 import msgspec
 from rich.console import Console
@@ -16,6 +15,7 @@ from rich.text import Text
 from upwash.config import DroneConfig, drone_config
 from upwash.eventlog.narration import counted, spans
 from upwash.lab.campaign import Fly
+from upwash.lab.figures import Wanted
 from upwash.preflight.check import Check, CheckInput, check, missions_to_fly
 from upwash.preflight.coverage import Coverage
 from upwash.preflight.placement import Place, missions_to_place, place
@@ -32,7 +32,7 @@ def show_check(
     seeds: int,
     servers_to_place: int = 0,
     as_json: bool = False,
-    figures: Path | None = None,
+    figures: Wanted | None = None,
     fly: Fly,
 ) -> bool:
     """Checks the file and prints what was found; returns whether there is nothing to warn of."""
@@ -65,10 +65,10 @@ def _progress(what: str, missions: int) -> Generator[Callable[[int], None]]:
         yield lambda flown: progress.advance(task, flown)
 
 
-def _draw(config: DroneConfig, folder: Path) -> None:
-    from upwash.lab.reproduction.figures import draw_map
+def _draw(config: DroneConfig, figures: Wanted) -> None:
+    from upwash.lab.figures.coverage import draw_coverage
 
-    draw_map(config, folder / "coverage.png", title="waypoints by the servers that cover them")
+    draw_coverage(config, figures.files("coverage"))
 
 
 def _print(found: Check, config: DroneConfig, servers_to_place: int, console: Console) -> None:

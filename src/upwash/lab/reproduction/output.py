@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from upwash.lab.figures import Wanted
 from upwash.lab.reproduction import quantities, sensitivity
 from upwash.lab.reproduction.cells import EXPERIMENTS, SETUPS, timed_cells
 from upwash.lab.reproduction.printed import contradictions
@@ -27,7 +28,7 @@ class Results(msgspec.Struct, frozen=True):
 
 
 def show_reproduction(
-    *, seeds: int, vary: bool = False, figures: Path | None = None, results: Path | None = None
+    *, seeds: int, vary: bool = False, figures: Wanted | None = None, results: Path | None = None
 ) -> None:
     """Reproduces with a progress bar and prints the comparison; with `vary` also the table of sensitivities.
 
@@ -59,7 +60,7 @@ def show_reproduction(
     if figures is not None:
         from upwash.lab.reproduction.drawing import draw_figures
 
-        for file in draw_figures(figures):
+        for file in draw_figures(figures, seeds=seeds):
             console.print(f"drawn: {file}", soft_wrap=True)
 
 

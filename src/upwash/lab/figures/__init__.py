@@ -1,0 +1,19 @@
+"""Figures for publications, drawn with matplotlib: one style, as PNG, PDF and SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Where figures go, and in which formats: png, pdf, svg."""
+
+    folder: Path
+    formats: Sequence[str] = ("png",)
+
+    def files(self, name: str) -> list[Path]:
+        """Those of the figure of that name, in each format."""
+        return [self.folder / f"{name}.{each}" for each in self.formats]
