@@ -52,7 +52,7 @@ def draw(kept: Kept, file: Path) -> None:
     axes.set_frame_on(False)
     _beside(axes, rows)
     figure.supxlabel(
-        "share of the possible gain: 0 % is local-only, 100 % an all-knowing drone; bars are 95 % confidence\n"
+        "share of the possible gain: 0 % is local-only, 100 % the theoretical minimum; bars are 95 % confidence\n"
         f"(below {_BREAK:.0f} % the scale is {_COARSER:.0f} times coarser)",
         fontsize=9,
         color=_INK,

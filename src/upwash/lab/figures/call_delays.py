@@ -14,7 +14,7 @@ from upwash.lab.figures.calls import CallPoint, Strip, Wait, read_call_points, s
 from upwash.lab.figures.style import PAGE_IN, SHAPES, grid, in_style, legend, new_figure, write
 from upwash.report.palette import LIGHT
 
-_DELAYS_IN, _STRIP_IN, _REST_IN = 1.9, 0.17, 0.75
+_DELAYS_IN, _STRIP_IN, _REST_IN = 1.9, 0.17, 0.9
 _BAND = (5, 95)  # percent of the missions
 _WAITS: Mapping[Wait, Mapping[str, Any]] = {  # marks around the call's own: each has a shape
     Wait.WAITED: {"marker": "o", "s": 62, "facecolors": "none", "edgecolors": LIGHT.ink, "linewidths": 0.9},
@@ -50,7 +50,7 @@ def draw_call_delays(
     beneath.set_xlabel(
         "waypoint; strips: pale where it is in range of the server, full where its call ran there"
     )
-    legend(figure, columns=5)
+    legend(figure, columns=4)
     write(figure, files)
 
 

@@ -18,7 +18,7 @@ class Wait(Enum):
 
     NOT_ASKED = ""
     WAITED = "waited for a server"
-    IN_VAIN = "waited, then ran on the drone"
+    IN_VAIN = "waited, ran on the drone"
     DECLINED = "did not wait"
 
 
