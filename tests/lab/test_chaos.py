@@ -15,6 +15,7 @@ import msgspec
 import pytest
 from tests.sim.planted import deadline_ignored
 
+from upwash.cli.chaos import seeds
 from upwash.cli.main import main
 from upwash.config import Lie, drone_config
 from upwash.lab.faults import campaign as chaos
@@ -126,10 +127,17 @@ def test_worlds_are_flown_on_several_cores(tmp_path: Path, capsys: pytest.Captur
     assert f"with {summary.flights:,} flights and {summary.calls:,} calls" in printed
 
 
+def test_seeds_are_a_number_as_in_other_commands_or_a_range() -> None:
+    assert seeds("3") == range(1, 4)
+    assert seeds("3..5") == range(3, 6)
+
+
 @pytest.mark.parametrize(
     "options",
     [
-        ["--seeds", "7"],
+        ["--seeds", "seven"],
+        ["--seeds", "0"],
+        ["--seeds", "7.."],
         ["--seeds", "9..3"],
         ["--seeds", "0..3"],
         ["--seed", "0"],

@@ -94,6 +94,7 @@ COMMANDS = [
     ("images --config containers.toml", "lxd"),
     ("profile detector --photos photos", "detector"),
     ("vehicle --listen nowhere", ""),
+    ("init project", ""),
     ("demo", "detector"),
     ("demo --live", "detector"),
     ("demo --drones 2", "detector"),

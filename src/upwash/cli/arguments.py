@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from upwash.config import DroneConfig
+    from upwash.lab.figures import Wanted
 
     Commands = argparse._SubParsersAction[argparse.ArgumentParser]  # what `add` adds its command to
 
@@ -66,6 +67,18 @@ def add_stay_or_go(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_seeds(parser: argparse.ArgumentParser, what: str, *, default: int | None = None) -> None:
+    """Adds the option by which every command flies the seeds 1 to N."""
+    parser.add_argument(
+        "--seeds",
+        type=count,
+        default=default,
+        required=default is None,
+        metavar="N",
+        help=f"{what} with each of the seeds 1 to N" + (f" (default: {default})" if default else ""),
+    )
+
+
 def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
     """Adds the options that draw `what` into a folder."""
     parser.add_argument("--figures", type=Path, metavar="DIR", help=f"draw {what} there")
@@ -73,6 +86,18 @@ def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
         "--format", type=_formats, default=("png",), dest="formats", metavar="F1,F2",
         help="of the figures: png, pdf and svg, or several of them (default: png)",
     )  # fmt: skip
+
+
+def figures_of(options: argparse.Namespace) -> Wanted | None:
+    """Those that --figures and --format ask for; raises UsageError at once where nothing can draw them."""
+    from upwash.lab.figures import Wanted
+    from upwash.support.loading import extra
+
+    if options.figures is None:
+        return None
+    with extra("figures"):
+        import matplotlib as mpl  # noqa: F401
+    return Wanted(options.figures, options.formats)
 
 
 def _formats(text: str) -> tuple[str, ...]:

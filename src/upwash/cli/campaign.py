@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import add_figures, count
-from upwash.lab.figures import Wanted
+from upwash.cli.arguments import add_figures, add_seeds, count, figures_of
 
 if TYPE_CHECKING:
     from upwash.cli.arguments import Commands
@@ -17,7 +16,7 @@ def add(commands: Commands) -> None:
     """Adds the command."""
     campaign = commands.add_parser("campaign", help="simulate many missions, over seeds and settings")
     campaign.add_argument("scenario", type=Path, help="the scenario, a TOML file")
-    campaign.add_argument("--seeds", type=count, required=True, metavar="N", help="missions per combination")
+    add_seeds(campaign, "fly each combination")
     campaign.add_argument(
         "--set", action="append", default=[], dest="settings", metavar="KEY=V1,V2",
         help="fly it with each of these values of a key, such as policy.gain_wait or server.s1.range_m",
@@ -41,5 +40,5 @@ def run(options: argparse.Namespace) -> bool:
 
     sweep = read_sweep(options.scenario, options.settings, seeds=options.seeds)
     fly = on_cluster(options.cluster) if options.cluster else in_processes(options.workers)
-    figures = Wanted(options.figures, options.formats) if options.figures else None
+    figures = figures_of(options)
     return show_campaign(sweep, options.out, fly=fly, figures=figures)

@@ -18,7 +18,10 @@ def add(commands: Commands) -> None:
     chaos = commands.add_parser("chaos", help="simulate worlds full of faults and test what upwash promises")
     which = chaos.add_mutually_exclusive_group(required=True)
     which.add_argument(
-        "--seeds", type=seeds, metavar="A..B", help="fly the worlds of these seeds, on all cores"
+        "--seeds",
+        type=seeds,
+        metavar="N|A..B",
+        help="fly the worlds of the seeds 1 to N, or A to B, on all cores",
     )
     which.add_argument("--seed", type=count, metavar="N", help="fly one world, as a failure was reported")
     chaos.add_argument("--minutes", type=float, metavar="N", help="with --seeds: begin no more after so long")
@@ -49,8 +52,8 @@ def run(options: argparse.Namespace) -> bool:
 
 
 def seeds(text: str) -> range:
-    """Whole numbers from A to B, written A..B."""
-    first, dots, last = text.partition("..")
+    """Whole numbers from 1 to N, or from A to B where they are written A..B."""
+    first, dots, last = text.partition("..") if ".." in text else ("1", "..", text)
     if not (dots and first.isdecimal() and last.isdecimal() and 1 <= int(first) <= int(last)):
-        raise argparse.ArgumentTypeError(f"{text!r} is not A..B, such as 1..2000")
+        raise argparse.ArgumentTypeError(f"{text!r} is neither N nor A..B, such as 200 or 1..2000")
     return range(int(first), int(last) + 1)

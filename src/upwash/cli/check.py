@@ -6,9 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import add_figures, count, flown_by
+from upwash.cli.arguments import add_figures, add_seeds, count, figures_of, flown_by
 from upwash.errors import UsageError
-from upwash.lab.figures import Wanted
 
 if TYPE_CHECKING:
     from upwash.cli.arguments import Commands
@@ -19,10 +18,7 @@ def add(commands: Commands) -> None:
     """Adds the command."""
     check = commands.add_parser("check", help="predict a mission, and warn of problems, before take-off")
     check.add_argument("config", type=Path, help="the drone's configuration or a scenario, a TOML file")
-    check.add_argument(
-        "--seeds", type=count, default=5, metavar="N",
-        help="simulated missions for each prediction, where there is noise (default: 5)",
-    )  # fmt: skip
+    add_seeds(check, "where there is noise, fly each prediction", default=5)
     check.add_argument(
         "--workers", type=count, metavar="N", help="processes, where they pay (default: one per core)"
     )
@@ -82,7 +78,7 @@ def run(options: argparse.Namespace) -> bool:
         seeds=options.seeds,
         servers_to_place=options.place,
         as_json=options.json,
-        figures=Wanted(options.figures, options.formats) if options.figures else None,
+        figures=figures_of(options),
         fly=here_first(options.workers),
     )
 

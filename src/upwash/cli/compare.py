@@ -6,15 +6,15 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import add_figures, count
+from upwash.cli.arguments import add_figures, add_seeds, count, figures_of
 from upwash.errors import UsageError
-from upwash.lab.figures import Wanted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from upwash.cli.arguments import Commands
     from upwash.lab.comparison import ComparedPolicy
+    from upwash.lab.figures import Wanted
 
 
 def add(commands: Commands) -> None:
@@ -24,9 +24,7 @@ def add(commands: Commands) -> None:
     compare.add_argument(
         "--thesis", action="store_true", help="the eight cells of the thesis's experiments too"
     )
-    compare.add_argument(
-        "--seeds", type=count, default=30, metavar="N", help="missions per scenario and policy (default: 30)"
-    )
+    add_seeds(compare, "fly each policy", default=30)
     compare.add_argument(
         "--set", action="append", default=[], dest="settings", metavar="KEY=VALUE",
         help="fly the files with that value of a key, such as policy.stay_or_go=go",
@@ -51,8 +49,7 @@ def run(options: argparse.Namespace) -> bool:
     if not options.scenarios and not options.thesis:
         raise UsageError("nothing to compare in: name scenario files, or give --thesis")
     overrides = read_overrides(options.settings)
-    if options.figures is not None:
-        import upwash.lab.figures.means  # noqa: F401 - a missing matplotlib is reported before, not after
+    figures = figures_of(options)
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("missions", total=None)
         rows = compare(
@@ -68,8 +65,8 @@ def run(options: argparse.Namespace) -> bool:
         console.print("\n".join(in_markdown(rows)), soft_wrap=True)
     else:
         print_tables(rows, console)
-    if options.figures is not None:
-        _draw(rows, Wanted(options.figures, options.formats))
+    if figures is not None:
+        _draw(rows, figures)
     return True
 
 

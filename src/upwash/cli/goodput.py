@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import count
+from upwash.cli.arguments import add_seeds, count
 
 if TYPE_CHECKING:
     from upwash.cli.arguments import Commands
@@ -31,9 +31,7 @@ def add(commands: Commands) -> None:
         "--request", type=count, default=430_000, dest="request_bytes", metavar="BYTES",
         help="what is transferred (default: 430000)",
     )  # fmt: skip
-    goodput.add_argument(
-        "--seeds", type=count, default=20, metavar="N", help="transfers a distance (default: 20)"
-    )
+    add_seeds(goodput, "measure a transfer at each distance", default=20)
     goodput.set_defaults(run=run)
 
 

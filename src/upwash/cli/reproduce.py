@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import add_figures, count
-from upwash.lab.figures import Wanted
+from upwash.cli.arguments import add_figures, add_seeds, figures_of
 
 if TYPE_CHECKING:
     from upwash.cli.arguments import Commands
@@ -16,9 +15,7 @@ if TYPE_CHECKING:
 def add(commands: Commands) -> None:
     """Adds the command."""
     reproduce = commands.add_parser("reproduce", help="fly the thesis's experiments, beside what it printed")
-    reproduce.add_argument(
-        "--seeds", type=count, default=30, metavar="N", help="missions per cell (default: 30)"
-    )
+    add_seeds(reproduce, "fly each cell", default=30)
     add_figures(reproduce, "the figures 4.4 to 4.12")
     reproduce.add_argument(
         "--sensitivity", action="store_true", help="say how far each parameter moves the mission times, too"
@@ -36,7 +33,7 @@ def run(options: argparse.Namespace) -> bool:
     show_reproduction(
         seeds=options.seeds,
         vary=options.sensitivity,
-        figures=Wanted(options.figures, options.formats) if options.figures else None,
+        figures=figures_of(options),
         results=options.json,
     )
     return True

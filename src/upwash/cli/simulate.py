@@ -6,13 +6,13 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from upwash.cli.arguments import add_figures, add_policy
+from upwash.cli.arguments import add_figures, add_policy, figures_of
 from upwash.errors import UpwashError, UsageError
-from upwash.lab.figures import Wanted
 
 if TYPE_CHECKING:
     from upwash import FleetSimulation, Simulation
     from upwash.cli.arguments import Commands
+    from upwash.lab.figures import Wanted
 
 
 def add(commands: Commands) -> None:
@@ -42,6 +42,7 @@ def _run_one(options: argparse.Namespace) -> bool:
     from upwash import simulate
     from upwash.cli.simulated import print_json, print_simulation, write_log
 
+    figures = figures_of(options)
     simulation = simulate(options.scenario, policy=options.policy, seed=options.seed)
     if options.json:
         print_json(simulation)
@@ -49,8 +50,8 @@ def _run_one(options: argparse.Namespace) -> bool:
         print_simulation(simulation)
     if options.log is not None:
         write_log(options.log, simulation.events, options.scenario, seed=simulation.seed)
-    if options.figures is not None:
-        _draw(simulation, options.scenario, Wanted(options.figures, options.formats))
+    if figures is not None:
+        _draw(simulation, options.scenario, figures)
     if simulation.failure:
         raise UpwashError(f"the mission was not completed: {simulation.failure}")
     return True
