@@ -130,16 +130,17 @@ def test_two_services_are_simulated_and_checked(learner: Learner) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("pages", [FLIGHT[:1], FLIGHT], ids=["one service", "two services"])
-def test_it_flies_on_the_desk(learner: Learner, pages: tuple[str, ...]) -> None:
+def test_it_flies_on_the_desk(learner: Learner) -> None:
     """At ports of its own, with a vehicle that can be armed at once."""
-    for page in pages:
+    for page in FLIGHT:
         learner.follow(page)
-    serve, vehicle, fly = (block.text for block in blocks(pages[0]) if TERMINAL.fullmatch(block.title))
+    serve, vehicle, fly = (block.text for block in blocks(FLIGHT[0]) if TERMINAL.fullmatch(block.title))
     daemon_port, vehicle_port = free_port(), free_port()
     for name in ("drone.toml", "server.toml"):
         file = learner.folder / name
         text = file.read_text().replace(":7070", f":{daemon_port}").replace(":14550", f":{vehicle_port}")
+        if name == "server.toml" and os.geteuid() == 0:  # docs/troubleshooting.md has this for a trial
+            text = "runtime.sandbox_as_root = true\n" + text
         file.write_text(text)
     with ExitStack() as running:
         for command in (
@@ -163,8 +164,8 @@ def test_it_flies_on_the_desk(learner: Learner, pages: tuple[str, ...]) -> None:
             env=environment(),
         )
     assert flown.returncode == 0, flown.stderr
-    totals = msgspec.json.decode(flown.stdout)["totals"]
-    assert totals["remote"]["s1"] > 0 and totals["local"] > 0
+    places = {call["place"] for call in msgspec.json.decode(flown.stdout)["calls"]}
+    assert places == {"drone", "s1"}
 
 
 def free_port() -> int:

@@ -224,16 +224,6 @@ def test_two_servers_with_one_address_are_named() -> None:
     assert kinds(with_addresses("127.0.0.1:1", "127.0.0.1:2", **FLIGHT)) == []
 
 
-def test_what_a_flight_would_be_refused_for_is_named() -> None:
-    assert kinds(with_addresses("127.0.0.1:1", "", **FLIGHT)) == ["no-address"]
-    assert kinds(with_addresses("10.0.0.1:1", **FLIGHT)) == ["no-keys"]
-    assert kinds(with_addresses("127.0.0.1:1")) == ["no-home", "no-camera"]
-
-
-def test_a_scenario_needs_none_of_that() -> None:
-    assert kinds(with_addresses("", "")) == []
-
-
 def test_a_drone_that_never_offloads_is_not_told_of_servers() -> None:
     assert (
         kinds(configured(policy={"name": "local-only"}), covered(waypoints=()), believed(local_s=0.5)) == []

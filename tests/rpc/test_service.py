@@ -645,3 +645,8 @@ def test_a_request_can_be_made_again_under_another_profile_key(method: str, key:
 def test_a_profile_key_that_is_no_argument_is_refused_with_those_that_are() -> None:
     with pytest.raises(ValueError, match=r"look\(mode=\.\.\.\): Invalid enum value 'tiny'"):
         METHODS["look"].argument("tiny")
+
+
+def test_a_name_in_place_of_the_class_is_refused_with_the_way_to_write_it() -> None:
+    with pytest.raises(DeclarationError, match=r"or @service\(name='camera'\)"):
+        service("camera")  # type: ignore[call-overload]

@@ -169,7 +169,7 @@ def test_a_mission_may_lie_in_a_module_of_the_current_folder(drone: Path) -> Non
         ("range_m = 50.0", "range_m = -1", "drone.toml: server[0].range_m: "),
         ("home = ", "#", "home"),
         ("[autopilot]\nconnection = ", "#", "--autopilot"),
-        ("tcp:127.0.0.1:1", "pigeon", 'the autopilot cannot be reached at "pigeon"; write udpin:'),
+        ("tcp:127.0.0.1:1", "pigeon", "drone.toml: autopilot.connection: expected udpin:"),
         ('folder = "photos"', 'folder = "paintings"', "there is no folder"),
         ('name = "detector"', 'name = "submarine"', "service 'submarine' needs a program"),
         ("127.0.0.1:7070", "10.10.1.1:7070", "server s1 at 10.10.1.1:7070 needs certificates"),
@@ -178,12 +178,15 @@ def test_a_mission_may_lie_in_a_module_of_the_current_folder(drone: Path) -> Non
         ("{ light = 1.0, heavy = 3.0 }", "1.0", "detector"),
     ],
 )
-def test_a_configuration_that_cannot_be_flown_is_refused_before_anything_starts(
+def test_a_configuration_that_cannot_be_flown_is_refused_before_anything_starts_and_by_a_check(
     drone: Path, old: str, new: str, said: str
 ) -> None:
     assert old in DRONE
     drone.write_text(DRONE.replace(old, new))
     assert said in complaint(upwash("fly", "--config", "drone.toml", folder=drone.parent))
+    checked = upwash("check", "drone.toml", folder=drone.parent)
+    assert checked.returncode in (1, 2)
+    assert said in " ".join((checked.stdout + checked.stderr).split())
 
 
 def test_a_configuration_that_is_not_there_is_named(tmp_path: Path) -> None:

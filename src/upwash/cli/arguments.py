@@ -123,11 +123,18 @@ def add_live(parser: argparse.ArgumentParser) -> None:
 
 
 def flown_by(config: DroneConfig, connection: str | None) -> DroneConfig:
-    """The configuration with another connection to the vehicle, where one is given."""
+    """The configuration with another connection to the vehicle, where one is given; raises UsageError."""
     import msgspec
+
+    from upwash.errors import UsageError
+    from upwash.mavlink.connection import parse_connection
 
     if connection is None:
         return config
+    try:
+        parse_connection(connection)
+    except ValueError as error:
+        raise UsageError(f"--autopilot: {error}") from None
     autopilot = msgspec.structs.replace(config.autopilot, connection=connection)
     return msgspec.structs.replace(config, autopilot=autopilot)
 

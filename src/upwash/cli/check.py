@@ -32,6 +32,11 @@ def add(commands: Commands) -> None:
         "--networks", action="store_true", help="only see whether each server's network can be joined"
     )
     what.add_argument(
+        "--servers",
+        action="store_true",
+        help="only have each server start the drone's services, over the network that this computer is in",
+    )
+    what.add_argument(
         "--vehicle",
         action="store_true",
         help="only connect to the vehicle, and see whether its dead man is ready",
@@ -47,30 +52,16 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Checks and prints what it found; whether there is nothing to warn of."""
-    if options.networks:
-        from rich.console import Console
+    if options.networks or options.servers or options.vehicle or options.install_dead_man:
+        return _look(options)
+    import msgspec
 
-        from upwash.config import read_drone_config, refuse_several
-        from upwash.preflight.networks import check_networks
-
-        config = read_drone_config(options.config)
-        refuse_several(config, options.config, what="what is looked at")
-        return check_networks(config, Console(markup=False))
-    if options.vehicle or options.install_dead_man:
-        from rich.console import Console
-
-        from upwash.config import read_drone_config, refuse_several
-        from upwash.preflight.vehicle import check_vehicle
-
-        config = flown_by(read_drone_config(options.config), options.autopilot)
-        refuse_several(config, options.config, what="what is looked at")
-        console = Console(markup=False)
-        return check_vehicle(config, console, install_dead_man=options.install_dead_man)
     from upwash.lab.campaign import here_first
     from upwash.preflight.check import read_plan
     from upwash.preflight.display import show_check
 
     plan = read_plan(options.config)
+    plan = msgspec.structs.replace(plan, config=flown_by(plan.config, options.autopilot))
     if plan.config.drones:
         return _check_fleet(plan, options)
     return show_check(
@@ -81,6 +72,24 @@ def run(options: argparse.Namespace) -> bool:
         figures=figures_of(options),
         fly=here_first(options.workers),
     )
+
+
+def _look(options: argparse.Namespace) -> bool:
+    """At one thing that a flight needs; whether it is ready."""
+    from rich.console import Console
+
+    from upwash.config import read_drone_config, refuse_several
+    from upwash.preflight.surveys import check_networks, check_servers
+    from upwash.preflight.vehicle import check_vehicle
+
+    config = flown_by(read_drone_config(options.config), options.autopilot)
+    refuse_several(config, options.config, what="what is looked at")
+    console = Console(markup=False)
+    if options.networks:
+        return check_networks(config, console)
+    if options.servers:
+        return check_servers(config, console)
+    return check_vehicle(config, console, install_dead_man=options.install_dead_man)
 
 
 def _check_fleet(plan: CheckInput, options: argparse.Namespace) -> bool:

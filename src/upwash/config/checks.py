@@ -27,6 +27,7 @@ from upwash.config.values import is_address, repeated
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.geofence import breached_by_leg, breached_by_position, breached_by_way
 from upwash.core.places import ON_DRONE
+from upwash.mavlink.connection import parse_connection
 from upwash.plans import Plan
 
 _FARTHEST_M = 100_000.0  # from home: a plan for another field, or one with its coordinates swapped
@@ -142,6 +143,11 @@ def _camera_problems(camera: CameraConfig) -> Iterator[Problem]:
 
 
 def _autopilot_problems(autopilot: AutopilotConfig) -> Iterator[Problem]:
+    if autopilot.connection is not None:
+        try:
+            parse_connection(autopilot.connection)
+        except ValueError as error:
+            yield "autopilot.connection", str(error)
     if autopilot.dead_man_s is not None and autopilot.on_failure == "hold":
         yield (
             "autopilot.dead_man_s",

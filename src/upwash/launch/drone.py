@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from upwash.config import DroneConfig, is_on_this_machine
+from upwash.config import DroneConfig, ServerConfig, is_on_this_machine
 from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.errors import CredentialsError, UsageError
 from upwash.mavlink.signing import Signing
@@ -41,36 +41,53 @@ class VehicleLink:
 
 def vehicle_link(config: DroneConfig) -> VehicleLink:
     """How the configured vehicle is reached; raises UsageError where the configuration does not say."""
-    home, key = config.mission.home, config.autopilot.signing_key
+    return VehicleLink(
+        home=home_of(config),
+        connection=connection_of(config),
+        ground_speed_m_s=config.mission.ground_speed_m_s,
+        signing=signing_of(config),
+    )
+
+
+def home_of(config: DroneConfig) -> GeoPosition:
+    """The place where east and north are 0; raises UsageError where the configuration does not say."""
+    home = config.mission.home
     if home is None:
         raise UsageError(
             "mission.home is missing: a flight needs the place where east and north are 0, such as "
             "home = { latitude_deg = 39.3666, longitude_deg = 22.9507 } in [mission]"
         )
+    return GeoPosition(home.latitude_deg, home.longitude_deg)
+
+
+def connection_of(config: DroneConfig) -> str:
+    """The connection to the vehicle; raises UsageError where the configuration does not say."""
     if config.autopilot.connection is None:
         raise UsageError(
             "autopilot.connection is missing: say how the vehicle is reached, or use --autopilot"
         )
-    return VehicleLink(
-        config.autopilot.connection,
-        GeoPosition(home.latitude_deg, home.longitude_deg),
-        config.mission.ground_speed_m_s,
-        read_signing(key) if key else None,
-    )
+    return config.autopilot.connection
 
 
-def require_reachable(config: DroneConfig) -> None:
-    """Refuses servers whose address is not known, or that are not to be called without certificates."""
-    for server in config.servers:
-        if not server.address:
-            raise UsageError(
-                f"server {server.name} has no address: a flight needs to know where its daemon is"
-            )
-        if config.keys is None and not is_on_this_machine(server.address):
-            raise UsageError(
-                f"server {server.name} at {server.address} needs certificates: make them with `upwash keys` "
-                "and name them in [keys]; only servers on this machine are called without"
-            )
+def signing_of(config: DroneConfig) -> Signing | None:
+    """How messages to and from the vehicle are signed, None where they are not; raises CredentialsError."""
+    key = config.autopilot.signing_key
+    return read_signing(key) if key else None
+
+
+def require_address(server: ServerConfig) -> None:
+    """Raises UsageError for a server whose address is not known."""
+    if not server.address:
+        raise UsageError(f"server {server.name} has no address: a flight needs to know where its daemon is")
+
+
+def require_certificates(server: ServerConfig, config: DroneConfig) -> None:
+    """Raises UsageError for a server that is not to be called without certificates, where there are none."""
+    if config.keys is None and server.address and not is_on_this_machine(server.address):
+        raise UsageError(
+            f"server {server.name} at {server.address} needs certificates: make them with `upwash keys` "
+            "and name them in [keys]; only servers on this machine are called without"
+        )
 
 
 def server_dialer(config: DroneConfig, credentials: Credentials | None) -> GrpcDialer:

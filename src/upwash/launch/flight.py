@@ -8,32 +8,29 @@ import tempfile
 from collections.abc import AsyncIterator
 from pathlib import Path
 
-from upwash.config import CameraConfig, DroneConfig, unsigned_port
+from upwash.config import DroneConfig, unsigned_port
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.resumption import order_begun, waypoints_done
-from upwash.errors import UsageError
 from upwash.eventlog import schema
+from upwash.launch.cameras import opened_camera
 from upwash.launch.drone import (
     VehicleLink,
     drone_credentials,
     onboard_dialer,
     onboard_runtime,
-    require_reachable,
     server_dialer,
     vehicle_link,
 )
 from upwash.launch.networks import opened_networks
+from upwash.launch.readiness import require_ready
 from upwash.missions.bundled import load_mission, load_services
 from upwash.ports import Autopilot, Camera, Journal
-from upwash.real.camera import FolderCamera
 from upwash.real.clock import SYSTEM_CLOCK, Clock, agree_on_time, keep_right_from_services, problem_by
 from upwash.real.credentials import Credentials
 from upwash.real.journal import FileJournal, JournalNotifier, Watcher, read_events
 from upwash.real.log_file import Unwritten
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience
 from upwash.real.signals import outliving_the_terminal, stopping_politely
-from upwash.real.video import VideoCamera
-from upwash.sim.camera import RenderedCamera
 from upwash.support.loading import extra
 
 _TRACK_PERIOD_S = 1.0
@@ -59,16 +56,16 @@ async def fly(
     any failure does: in what autopilot.on_failure says; a second one ends the program at once. Raises what ended the
     mission early.
     """
+    require_ready(config)
     vehicle = vehicle_link(config)
     mission = load_mission(program or config.mission.program, mode=config.mission.mode)
     services = load_services(config.services)
     done = waypoints_done(read_events(log), config) if resumes else None
     order = order_begun(read_events(log), config) if resumes else None
-    require_reachable(config)
     credentials = drone_credentials(config, valid_now=False)  # before the clock is known to be right
     async with contextlib.AsyncExitStack() as stack:
         watchers += await _metrics(config, stack)
-        camera = await _camera(config.camera, stack)
+        camera = await opened_camera(config.camera, stack)
         journal = stack.enter_context(
             contextlib.closing(FileJournal(log, watchers=watchers, resumes=resumes, unwritten=unwritten))
         )
@@ -140,18 +137,6 @@ async def _metrics(config: DroneConfig, stack: contextlib.AsyncExitStack) -> tup
     metrics = DroneMetrics([server.name for server in config.servers])
     await stack.enter_async_context(exposed(metrics.registry, config.metrics))
     return (metrics.follow,)
-
-
-async def _camera(config: CameraConfig, stack: contextlib.AsyncExitStack) -> Camera:
-    if config.folder is not None:
-        return FolderCamera(config.folder, photo_s=config.photo_s)
-    if config.park_seed is not None:
-        return RenderedCamera(config.park_seed, photo_s=config.photo_s, in_thread=True)
-    if config.device is not None:
-        return stack.enter_context(contextlib.closing(await VideoCamera.open(config.device)))
-    raise UsageError(
-        "no camera: say in [camera] where photos come from: folder, device, or park_seed for rendered ones"
-    )
 
 
 async def _gps_unix_s(autopilot: MavlinkAutopilot, problem: str, journal: Journal) -> float | None:

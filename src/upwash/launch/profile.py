@@ -6,8 +6,6 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-import msgspec
-
 from upwash.config import DroneConfig, ServerConfig
 from upwash.drone.networks import NoNetwork
 from upwash.drone.server_session import ServerEndpoint
@@ -15,7 +13,8 @@ from upwash.launch.drone import (
     drone_credentials,
     onboard_dialer,
     onboard_runtime,
-    require_reachable,
+    require_address,
+    require_certificates,
     server_dialer,
 )
 from upwash.missions.bundled import LoadedService
@@ -55,8 +54,8 @@ async def profile_at(
     server: ServerConfig, config: DroneConfig, found: Sequence[Sample], *, calls: int, watch: Watch
 ) -> ServerProfile:
     """Measures a service at one of the drone's servers, with the drone's certificate."""
-    config = msgspec.structs.replace(config, servers=(server,))
-    require_reachable(config)
+    require_address(server)
+    require_certificates(server, config)
     dialer = server_dialer(config, drone_credentials(config))
     services = tuple(dict.fromkeys(sample.operation.service for sample in found))
     endpoint = ServerEndpoint(server.name, server.network, server.address or "", services)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -102,7 +103,7 @@ def check(plan: CheckInput, *, seeds: int, fly: Fly, flown: Callable[[int], None
         farthest=farthest(plan.config),
         warnings=(
             *warnings(plan.config, covered, list(beliefs(plan.config, alone)), predictions),
-            *_certificate_concerns(plan.config),
+            *_refusals(plan.config),
         ),
         demanding_share=UNSET if (share := demanding_share(plan.config)) is None else share,
     )
@@ -134,12 +135,14 @@ def beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:
         )
 
 
-def _certificate_concerns(config: DroneConfig) -> Iterator[PreflightWarning]:
+def _refusals(config: DroneConfig) -> Iterator[PreflightWarning]:
+    """What `upwash fly` would refuse, and services that would not start."""
     if not is_for_flight(config):
         return
-    from upwash.launch.drone import drone_credentials  # with all that flies a drone: only where one is to fly
+    # with all that flies a drone: only where one is to fly
+    from upwash.launch.readiness import refusals, services_that_do_not_start
 
-    try:
-        drone_credentials(config)
-    except UpwashError as error:
-        yield PreflightWarning("certificate", str(error))
+    for refusal in refusals(config):
+        yield PreflightWarning(refusal.kind, str(refusal.error))
+    for error in asyncio.run(services_that_do_not_start(config)):
+        yield PreflightWarning("service", str(error))

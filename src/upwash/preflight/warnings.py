@@ -12,7 +12,6 @@ from upwash.config import (
     PolicyConfig,
     ServerConfig,
     finish_by_s,
-    is_on_this_machine,
     never_offloaded,
     reserve_percent,
     unsigned_port,
@@ -60,7 +59,10 @@ def warnings(
     beliefs: Sequence[Belief],
     predictions: Sequence[Prediction],
 ) -> list[PreflightWarning]:
-    """All that is known to hurt; the beliefs are those of the operations that the mission calls."""
+    """All that may cause problems, but for what `upwash fly` refuses.
+
+    The beliefs are those of the operations that the mission calls.
+    """
     found: list[PreflightWarning] = []
     if config.policy.name != LOCAL_ONLY:
         found += _range_concerns(config.servers, covered)
@@ -75,7 +77,6 @@ def warnings(
     found += _address_concerns(config.servers)
     if is_for_flight(config):
         found += _port_concerns(config)
-        found += _flight_concerns(config)
         found += _stage_concerns(config)
     return found
 
@@ -312,27 +313,3 @@ def _address_concerns(servers: Sequence[ServerConfig]) -> Iterator[PreflightWarn
 def _port_concerns(config: DroneConfig) -> Iterator[PreflightWarning]:
     if problem := unsigned_port(config.autopilot):
         yield PreflightWarning("unsigned-port", problem)
-
-
-def _flight_concerns(config: DroneConfig) -> Iterator[PreflightWarning]:
-    """What `upwash fly` would refuse."""
-    if config.mission.home is None:
-        yield PreflightWarning(
-            "no-home", "mission.home is missing: a flight needs the place where east and north are 0"
-        )
-    camera = config.camera
-    if camera.folder is None and camera.device is None and camera.park_seed is None:
-        yield PreflightWarning(
-            "no-camera", "no camera: say in [camera] where photos come from: folder, device or park_seed"
-        )
-    for server in config.servers:
-        if not server.address:
-            yield PreflightWarning(
-                "no-address", f"{server.name} has no address: say where its daemon is reached"
-            )
-        elif config.keys is None and not is_on_this_machine(server.address):
-            yield PreflightWarning(
-                "no-keys",
-                f"{server.name} at {server.address} needs certificates: make them with `upwash keys` and name them "
-                "in [keys]",
-            )

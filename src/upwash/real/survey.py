@@ -3,22 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from upwash.errors import NetworkError
+from upwash.real.finding import Finding
 from upwash.real.networkmanager import Connection, Device, Profile, connect_networkmanager
 from upwash.real.profiles import find_device, find_profile, interface_trouble, kind_name, profile_troubles
 
 _ANY_RADIO = "connection.interface-name ''"
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing that a flight needs, what it is now, and what keeps it from being used, with the remedy."""
-
-    subject: str
-    found: str
-    trouble: str = ""
 
 
 async def survey_networks(

@@ -177,6 +177,11 @@ def service(
     safe for threads. Raises DeclarationError where a parameter or a result cannot be sent.
     """
 
+    if declared is not None and not isinstance(declared, type):
+        raise DeclarationError(
+            f"@service({declared!r}): write @service above the class, or @service(name={declared!r})"
+        )
+
     def declare(cls: type[T]) -> type[T]:
         setattr(cls, _SPEC, _describe(cls, name or cls.__name__.lower(), profile_by, concurrency))
         return cls

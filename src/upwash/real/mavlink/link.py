@@ -18,6 +18,7 @@ from functools import partial
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import UsageError
+from upwash.mavlink.connection import parse_connection, serial_speed
 from upwash.mavlink.packets import packed
 from upwash.mavlink.signing import Refusal, Signing
 from upwash.real.mavlink.hearing import Hearing, Message, from_autopilot
@@ -262,17 +263,12 @@ def _serial_port(device: str, baud: int) -> io.FileIO:
         attributes = termios.tcgetattr(port)
         attributes[2] |= termios.CLOCAL | termios.CREAD
         attributes[2] &= ~termios.CRTSCTS
-        attributes[4] = attributes[5] = _speed(baud)
+        attributes[4] = attributes[5] = serial_speed(baud)
         termios.tcsetattr(port, termios.TCSANOW, attributes)
     except termios.error as error:
         port.close()
         raise OSError(*error.args) from error
     return port
-
-
-def _speed(baud: int) -> int:
-    """The terminal interface's own number for a speed, 0 if it has none."""
-    return int(getattr(termios, f"B{baud}", 0))
 
 
 _OPENERS: dict[str, Callable[[str, int, _Line], Awaitable[None]]] = {
@@ -284,15 +280,8 @@ _OPENERS: dict[str, Callable[[str, int, _Line], Awaitable[None]]] = {
 
 
 def _opener(connection: str) -> Callable[[_Line], Awaitable[None]]:
-    kind, _, rest = connection.partition(":")
-    place, _, number = rest.rpartition(":")
-    if kind not in _OPENERS or not place or not number.isdecimal():
-        raise UsageError(
-            f'the autopilot cannot be reached at "{connection}"; '
-            "write udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
-        )
-    if kind != "serial" and int(number) > 65_535:
-        raise UsageError(f'"{connection}": {number} is no port; ports end at 65535')
-    if kind == "serial" and not _speed(int(number)):
-        raise UsageError(f'"{connection}": {number} is no speed of a serial port; usual are 57600 and 921600')
-    return partial(_OPENERS[kind], place, int(number))
+    try:
+        parsed = parse_connection(connection)
+    except ValueError as error:
+        raise UsageError(f"the connection to the vehicle: {error}") from None
+    return partial(_OPENERS[parsed.kind], parsed.place, parsed.number)

@@ -1,8 +1,10 @@
-"""What should be right before take-off, for a person to read."""
+"""What networks and servers say of themselves before take-off, for a person to read."""
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
@@ -10,6 +12,9 @@ from rich.text import Text
 
 from upwash.config import DroneConfig
 from upwash.errors import UsageError
+
+if TYPE_CHECKING:
+    from upwash.real.finding import Finding
 
 
 def check_networks(config: DroneConfig, console: Console) -> bool:
@@ -21,7 +26,22 @@ def check_networks(config: DroneConfig, console: Console) -> bool:
         )
     from upwash.launch.survey import survey_networks
 
-    findings = asyncio.run(survey_networks(config))
+    return _print(asyncio.run(survey_networks(config)), console)
+
+
+def check_servers(config: DroneConfig, console: Console) -> bool:
+    """Has each server start the drone's services; prints which do and why others do not; whether all do.
+
+    Servers are asked over the networks that this computer is in; none is joined.
+    """
+    if not config.servers:
+        raise UsageError("no server to ask: the configuration has no [[server]] table")
+    from upwash.launch.survey import survey_servers
+
+    return _print(asyncio.run(survey_servers(config)), console)
+
+
+def _print(findings: Sequence[Finding], console: Console) -> bool:
     table = Table(box=None, padding=(0, 2))
     table.add_column("needed")
     table.add_column("found")

@@ -1,0 +1,90 @@
+"""What keeps a configured drone from flying: what `upwash fly` refuses, and `upwash check` warns of.
+
+Everything is found on this computer: no vehicle, camera or server is reached for.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from upwash.config import DroneConfig
+from upwash.errors import InstanceError, UpwashError
+from upwash.launch.cameras import camera_without_device
+from upwash.launch.drone import (
+    connection_of,
+    drone_credentials,
+    home_of,
+    onboard_runtime,
+    require_address,
+    require_certificates,
+    signing_of,
+)
+from upwash.missions.bundled import load_services
+from upwash.ports import InstanceSpec
+from upwash.support.loading import extra
+
+
+class Refusal(NamedTuple):
+    """Why a flight would not begin; its kind stays the same from version to version."""
+
+    kind: str
+    error: UpwashError
+
+
+def require_ready(config: DroneConfig) -> None:
+    """Raises the first reason for which a flight would not begin; the clock need not be right yet."""
+    for refusal in refusals(config, valid_now=False):
+        raise refusal.error
+
+
+def refusals(config: DroneConfig, *, valid_now: bool = True) -> Iterator[Refusal]:
+    """Each reason for which a flight would not begin.
+
+    With `valid_now` the drone's certificate is to be valid by this computer's clock.
+    """
+    for kind, step in _steps(config, valid_now=valid_now):
+        try:
+            step()
+        except UpwashError as error:
+            yield Refusal(kind, error)
+
+
+def _steps(config: DroneConfig, *, valid_now: bool) -> Iterator[tuple[str, Callable[[], object]]]:
+    yield "no-home", functools.partial(home_of, config)
+    yield "no-connection", functools.partial(connection_of, config)
+    yield "signing-key", functools.partial(signing_of, config)
+    for server in config.servers:
+        yield "no-address", functools.partial(require_address, server)
+        yield "no-keys", functools.partial(require_certificates, server, config)
+    yield "certificate", functools.partial(drone_credentials, config, valid_now=valid_now)
+    yield "no-camera", functools.partial(camera_without_device, config.camera)
+    if config.network.kind == "networkmanager":
+        yield "extra", functools.partial(_require, "network", "upwash.real.network")
+    if config.metrics is not None:
+        yield "extra", functools.partial(_require, "metrics", "upwash.metrics.exposition")
+
+
+def _require(name: str, module: str) -> None:
+    with extra(name):
+        importlib.import_module(module)
+
+
+async def services_that_do_not_start(config: DroneConfig) -> list[InstanceError]:
+    """Starts each of the drone's own services as a flight does, and ends it again; why some cannot run."""
+    failed = []
+    with tempfile.TemporaryDirectory(prefix="upwash-") as sockets:
+        runtime = onboard_runtime(Path(sockets))
+        for name, service in load_services(config.services).items():
+            spec = InstanceSpec(config.name, name, service.program)
+            try:
+                instance = await runtime.start(spec, called=lambda _: None)
+            except InstanceError as error:
+                failed.append(error)
+            else:
+                await instance.stop()
+    return failed

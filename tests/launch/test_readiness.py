@@ -1,0 +1,82 @@
+"""What keeps a configured drone from flying is found without reaching for anything."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from upwash.config import DroneConfig, drone_config
+from upwash.errors import UpwashError
+from upwash.launch.readiness import refusals, require_ready, services_that_do_not_start
+
+SERVICES = """
+from upwash import service
+
+@service
+class Sound:
+    def call(self) -> None: ...
+
+@service
+class Unsound:
+    def __init__(self) -> None:
+        raise FileNotFoundError("no model.onnx")
+
+    def call(self) -> None: ...
+"""
+SERVER = {"name": "s1", "east_m": 0, "north_m": 0, "range_m": 50, "remote_call_s": 1.0}
+
+
+def configured(folder: Path, **tables: Any) -> DroneConfig:
+    """A drone that could fly, but for what the tables change."""
+    (folder / "services.py").write_text(SERVICES)
+    (folder / "photos").mkdir(exist_ok=True)
+    (folder / "photos" / "1.jpg").touch()
+    document = {
+        "mission": {"waypoints_m": [[0, 0]], "home": {"latitude_deg": 39.0, "longitude_deg": 22.0}},
+        "autopilot": {"connection": "udpout:127.0.0.1:1"},
+        "camera": {"folder": "photos"},
+        "service": [{"name": "sound", "program": "services.py:Sound", "local_call_s": 10.0}],
+        "server": [{**SERVER, "address": "127.0.0.1:1"}],
+        **tables,
+    }
+    return drone_config(document, folder / "drone.toml")
+
+
+@pytest.mark.parametrize(
+    ("tables", "kinds"),
+    [
+        ({}, []),
+        ({"mission": {"waypoints_m": [[0, 0]]}}, ["no-home"]),
+        ({"autopilot": {}}, ["no-connection"]),
+        ({"autopilot": {"connection": "tcp:h:1", "signing_key": "nowhere"}}, ["signing-key"]),
+        ({"server": [SERVER]}, ["no-address"]),
+        ({"server": [{**SERVER, "address": "10.0.0.1:1"}]}, ["no-keys"]),
+        ({"keys": {"authority": "a", "certificate": "b", "key": "c"}}, ["certificate"]),
+        ({"camera": {}}, ["no-camera"]),
+        ({"camera": {"folder": "paintings"}}, ["no-camera"]),
+        ({"mission": {"waypoints_m": [[0, 0]]}, "camera": {}}, ["no-home", "no-camera"]),
+    ],
+)
+def test_every_reason_is_told_and_a_flight_meets_the_first(
+    tmp_path: Path, tables: dict[str, Any], kinds: list[str]
+) -> None:
+    config = configured(tmp_path, **tables)
+    found = list(refusals(config))
+    assert [each.kind for each in found] == kinds
+    if found:
+        with pytest.raises(UpwashError) as refused:
+            require_ready(config)
+        assert str(refused.value) == str(found[0].error)
+
+
+def test_services_that_do_not_start_on_this_computer_are_named(tmp_path: Path) -> None:
+    services = [
+        {"name": "sound", "program": "services.py:Sound", "local_call_s": 1.0},
+        {"name": "unsound", "program": "services.py:Unsound", "local_call_s": 1.0},
+    ]
+    (error,) = asyncio.run(services_that_do_not_start(configured(tmp_path, service=services)))
+    assert "unsound" in str(error)
+    assert "no model.onnx" in str(error)
