@@ -164,7 +164,7 @@ def test_it_flies_on_the_desk(learner: Learner) -> None:
             env=environment(),
         )
     assert flown.returncode == 0, flown.stderr
-    places = {call["place"] for call in msgspec.json.decode(flown.stdout)["calls"]}
+    places = {call["place"] for call in msgspec.json.decode(flown.stdout)["result"]["calls"]}
     assert places == {"drone", "s1"}
 
 

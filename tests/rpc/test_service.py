@@ -387,7 +387,9 @@ def test_a_result_of_another_type_than_declared_is_a_garbled_reply() -> None:
             return "high"
 
     method = METHODS["rank"]
-    with pytest.raises(GarbledReply, match=r"rank\(\): the reply cannot be decoded"):
+    with pytest.raises(
+        GarbledReply, match=r"eyes\.rank\(\): what it returned is not what its type hint says"
+    ):
         perform(Liar(), method, method.encode((Level.LOW,), {})[1])
 
 

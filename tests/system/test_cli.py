@@ -383,3 +383,34 @@ def test_keys_says_what_is_left_to_do_with_a_list_and_with_another_authority(tmp
 def test_keys_that_cannot_be_made_are_refused(tmp_path: Path, arguments: tuple[str, ...], said: str) -> None:
     assert said in complaint(upwash("keys", "keys", *arguments, folder=tmp_path))
     assert list(tmp_path.iterdir()) == []
+
+
+INTERRUPTED_IMPORT = """
+import sys
+
+class Interrupts:
+    def find_spec(self, name, path=None, target=None):
+        if name == "upwash.cli.main":
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, Interrupts())
+from upwash.__main__ import main
+sys.exit(main())
+"""
+
+
+def test_a_ctrl_c_before_the_command_is_loaded_ends_it_quietly() -> None:
+    command = [sys.executable, "-c", INTERRUPTED_IMPORT]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
+
+
+@pytest.mark.parametrize("verbose", [["-v", "check"], ["check", "--verbose"]])
+def test_where_an_error_arose_is_told_to_those_who_ask(drone: Path, verbose: list[str]) -> None:
+    (drone.parent / "mine.py").write_text("\n\nimport nothing_of_that_name\n")
+    drone.write_text(DRONE.replace("[mission]", '[mission]\nprogram = "mine.py:fly"'))
+    ended = upwash(*verbose, str(drone))
+    assert ended.returncode == 2
+    assert f'File "{drone.parent / "mine.py"}", line 3' in ended.stderr
+    last = ended.stderr.splitlines()[-1]
+    assert complaint(upwash("check", str(drone))) == last.removeprefix("upwash: ").strip()

@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import functools
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -93,22 +95,23 @@ def _run(arguments: Sequence[str] | None) -> int:
         parser.print_help(sys.stderr)
         return _USAGE
     sys.path.append(str(Path.cwd()))  # so that `my_mission:fly` is found, as `python -m` would find it
+    complain = functools.partial(_complain, with_trace=options.verbose)
     try:
         return _OK if options.run(options) else _FAILURE
     except UsageError as error:
-        return _complain(error, _USAGE)
+        return complain(error, _USAGE)
     except MissionStopped as error:
-        return _complain(UpwashError(f"the mission was ended early: {error}"), _INTERRUPTED)
+        return complain(UpwashError(f"the mission was ended early: {error}"), _INTERRUPTED)
     except MissionFailed as error:
         print(escaped_lines(error.trace), file=sys.stderr)
-        return _complain(error, _FAILURE)
+        return complain(error, _FAILURE)
     except NotKept as error:
-        return _complain(error, _NOT_KEPT)
+        return complain(error, _NOT_KEPT)
     except UpwashError as error:
-        return _complain(error, _FAILURE)
+        return complain(error, _FAILURE)
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
-        return _complain(UpwashError(f"{place}{error.strerror or error}"), _FAILURE)
+        return complain(UpwashError(f"{place}{error.strerror or error}"), _FAILURE)
     except (KeyboardInterrupt, asyncio.CancelledError):
         print("upwash: stopped at once", file=sys.stderr)
         return _INTERRUPTED
@@ -119,11 +122,24 @@ def _parser() -> argparse.ArgumentParser:
         prog="upwash",
         description="Runs a drone's heavy computations on the drone or on an edge server in reach.",
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
+    parser.add_argument("-V", "--version", action=_Version, nargs=0, help="print the version and end")
+    _add_verbose(parser, default=False)
     commands = parser.add_subparsers(metavar="COMMAND")
     for command in _COMMANDS:
         command.add(commands)
+    for each in commands.choices.values():
+        _add_verbose(each, default=argparse.SUPPRESS)
     return parser
+
+
+def _add_verbose(parser: argparse.ArgumentParser, *, default: object) -> None:
+    parser.add_argument(
+        "-v",
+        "--verbose",
+        action="store_true",
+        default=default,
+        help="say where in the code an error arose, too",
+    )
 
 
 class _Version(argparse.Action):
@@ -136,7 +152,9 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def _complain(error: UpwashError, code: int) -> int:
+def _complain(error: UpwashError, code: int, *, with_trace: bool = False) -> int:
     with contextlib.suppress(OSError):
+        if with_trace and (handled := sys.exc_info()[1]) is not None:
+            print(escaped_lines("".join(traceback.format_exception(handled))), end="", file=sys.stderr)
         print(f"upwash: {escaped_lines(str(error))}", file=sys.stderr)
     return code

@@ -17,6 +17,7 @@ from upwash.config.values import (
     FilePath,
     ImportPath,
     KeysConfig,
+    MessageBytes,
     Name,
     Names,
     NotNegative,
@@ -34,10 +35,6 @@ from upwash.core.places import ON_DRONE
 from upwash.errors import ConfigError
 
 _REVOKED = "revoked.txt"
-_MOST_BYTES = 2**31 - 1  # gRPC counts a message's bytes in 32 bits
-MessageBytes = Annotated[
-    int, Meta(ge=1024, le=_MOST_BYTES, description=f"an integer from 1024 to {_MOST_BYTES}, in bytes")
-]
 
 # Instances report a drone's calls once a second: a shorter lease could end between two of them.
 LeaseSeconds = Annotated[float, Meta(ge=2, description="a number of at least 2, in seconds")]

@@ -21,6 +21,7 @@ from upwash.config.values import (
     KeysConfig,
     Latitude,
     Longitude,
+    MessageBytes,
     Name,
     Names,
     NotNegative,
@@ -395,6 +396,7 @@ class DroneConfig(
     name: Name = "drone"
     seed: int = 1
     metrics: Text | None = None
+    max_message_bytes: MessageBytes = 16_777_216
     mission: MissionConfig
     vehicle: VehicleConfig = VehicleConfig()
     autopilot: AutopilotConfig = AutopilotConfig()

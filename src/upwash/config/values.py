@@ -97,6 +97,10 @@ VideoSource = Annotated[
     Annotated[int, Meta(ge=0)] | Annotated[str, Meta(min_length=1)],
     Meta(description="a video device's number, such as 0, or the URL of a stream"),
 ]
+_MOST_BYTES = 2**31 - 1  # gRPC counts a message's bytes in 32 bits
+MessageBytes = Annotated[
+    int, Meta(ge=1024, le=_MOST_BYTES, description=f"an integer from 1024 to {_MOST_BYTES}, in bytes")
+]
 Bytes = Annotated[int, Meta(ge=0, description="an integer of at least 0, in bytes")]
 
 KeysByKey = Annotated[

@@ -15,7 +15,6 @@ from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopi
 from upwash.real.mavlink.signing import read_signing
 from upwash.real.runtime import ProcessRuntime, sockets_in
 
-MAX_MESSAGE_BYTES = 16 * 2**20
 _DEFAULTS = FlightSettings()
 
 
@@ -92,7 +91,7 @@ def require_certificates(server: ServerConfig, config: DroneConfig) -> None:
 
 def server_dialer(config: DroneConfig, credentials: Credentials | None) -> GrpcDialer:
     """Dials the drone's servers."""
-    return GrpcDialer(config.name, credentials, max_message_bytes=MAX_MESSAGE_BYTES)
+    return GrpcDialer(config.name, credentials, max_message_bytes=config.max_message_bytes)
 
 
 def drone_credentials(config: DroneConfig, *, valid_now: bool = True) -> Credentials | None:
@@ -112,11 +111,11 @@ def drone_credentials(config: DroneConfig, *, valid_now: bool = True) -> Credent
     return credentials
 
 
-def onboard_runtime(sockets: Path) -> ProcessRuntime:
+def onboard_runtime(sockets: Path, *, max_message_bytes: int) -> ProcessRuntime:
     """Starts the drone's own services, which listen in that folder."""
-    return ProcessRuntime(sockets_in(sockets), max_message_bytes=MAX_MESSAGE_BYTES)
+    return ProcessRuntime(sockets_in(sockets), max_message_bytes=max_message_bytes)
 
 
-def onboard_dialer(drone: str) -> GrpcDialer:
+def onboard_dialer(drone: str, *, max_message_bytes: int) -> GrpcDialer:
     """Dials the drone's own services, which need no certificates."""
-    return GrpcDialer(drone, None, max_message_bytes=MAX_MESSAGE_BYTES)
+    return GrpcDialer(drone, None, max_message_bytes=max_message_bytes)

@@ -31,6 +31,7 @@ from upwash.real.memory import peak_memory_bytes
 from upwash.rpc.service import spec_of
 
 _PROFILER = "profiler"
+_MAX_MESSAGE_BYTES = 16 * 2**20
 
 
 async def profile_on_this_computer(
@@ -43,8 +44,8 @@ async def profile_on_this_computer(
             found,
             calls=calls,
             drone=_PROFILER,
-            runtime=onboard_runtime(Path(sockets)),
-            dialer=onboard_dialer(_PROFILER),
+            runtime=onboard_runtime(Path(sockets), max_message_bytes=_MAX_MESSAGE_BYTES),
+            dialer=onboard_dialer(_PROFILER, max_message_bytes=_MAX_MESSAGE_BYTES),
             memory_bytes=peak_memory_bytes,
             watch=watch,
         )

@@ -78,7 +78,7 @@ async def services_that_do_not_start(config: DroneConfig) -> list[InstanceError]
     """Starts each of the drone's own services as a flight does, and ends it again; why some cannot run."""
     failed = []
     with tempfile.TemporaryDirectory(prefix="upwash-") as sockets:
-        runtime = onboard_runtime(Path(sockets))
+        runtime = onboard_runtime(Path(sockets), max_message_bytes=config.max_message_bytes)
         for name, service in load_services(config.services).items():
             spec = InstanceSpec(config.name, name, service.program)
             try:

@@ -8,10 +8,9 @@ import msgspec
 
 from upwash.config import is_address, is_on_this_machine
 from upwash.errors import Unreachable, UsageError
-from upwash.launch.drone import MAX_MESSAGE_BYTES
 from upwash.real.credentials import read_credentials
 from upwash.real.link import GrpcDialer
-from upwash.rpc.protocol import STATUS, StatusReply, StatusRequest, decode_reply
+from upwash.rpc.protocol import LONGEST_STATUS_BYTES, STATUS, StatusReply, StatusRequest, decode_reply
 
 _STATUS_S = 10.0
 
@@ -27,7 +26,7 @@ async def ask_status(address: str, *, server: str, operator: str, keys: Path | N
     credentials = keys and read_credentials(
         keys / "authority.pem", keys / f"{operator}.pem", keys / f"{operator}.key"
     )
-    dialer = GrpcDialer(operator, credentials or None, max_message_bytes=MAX_MESSAGE_BYTES)
+    dialer = GrpcDialer(operator, credentials or None, max_message_bytes=LONGEST_STATUS_BYTES)
     link = dialer.dial(address, server=server or "daemon")
     try:
         reply = await link.request(STATUS, msgspec.msgpack.encode(StatusRequest()), timeout_s=_STATUS_S)

@@ -16,6 +16,7 @@ import ssl
 import sys
 import threading
 import time
+import traceback
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from queue import SimpleQueue
 from typing import BinaryIO, NoReturn
@@ -189,6 +190,8 @@ def main() -> NoReturn:
             begin.limits.apply()
         instance = ServiceInstance(begin, control)
     except UsageError as error:
+        if error.__cause__ is not None:
+            traceback.print_exception(error.__cause__)  # for the log of who started this
         control.sendall(line(Failed(str(error)[:_LONGEST_REASON])))
         raise SystemExit(1) from error
     context = None

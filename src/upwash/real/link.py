@@ -66,6 +66,7 @@ _TROUBLES = {  # the same of any connection that failed; the first that fits
     "Socket closed": _HUNG_UP,
     "Connection reset by peer": _HUNG_UP,
 }
+_LARGER = re.compile(r"(CLIENT|SERVER): (Sent|Received) message larger than max \((\d+) vs\. (\d+)\)")
 _AROUND = re.compile(r"^failed to connect to all addresses; last error: [A-Z]+: ((ipv4|ipv6|unix):\S+: )?")
 
 
@@ -156,13 +157,13 @@ class GrpcLink:
         if call.code() is grpc.StatusCode.OK:
             reply: bytes = call.result()
             return reply
-        raise self._error(call.code(), printable(call.details() or ""), timeout_s)
+        raise self._error(path, call.code(), printable(call.details() or ""), timeout_s)
 
     async def close(self) -> None:
         """Breaks the connection off, with every request under way."""
         self._channel.close()
 
-    def _error(self, code: grpc.StatusCode, details: str, timeout_s: float) -> LinkError:
+    def _error(self, path: str, code: grpc.StatusCode, details: str, timeout_s: float) -> LinkError:
         match code:
             case grpc.StatusCode.DEADLINE_EXCEEDED:
                 return DeadlineExceeded(f"{self._peer}: no answer within {timeout_s:.1f} s")
@@ -171,8 +172,24 @@ class GrpcLink:
                 return Unreachable(f"{self._peer}: {_plainly(details)}{f'; {own}' if own else ''}")
             case grpc.StatusCode.PERMISSION_DENIED:
                 return NoLease(f"{self._peer}: {details}")
+            case grpc.StatusCode.RESOURCE_EXHAUSTED if not path.startswith(f"/{_DAEMON}/"):
+                return Refused(f"{self._peer}: {_too_large(details)}")
             case _:
                 return Refused(f"{self._peer}: {code.name}: {details}")
+
+
+def _too_large(details: str) -> str:
+    """What is too large for whom, and what to do about it, in place of what gRPC says."""
+    found = _LARGER.search(details)
+    if found is None:
+        return details
+    end, did, size, most = found.groups()
+    what = "request" if (end, did) in (("CLIENT", "Sent"), ("SERVER", "Received")) else "result"
+    whose = "the drone" if end == "CLIENT" else "the computer that runs the service"
+    return (
+        f"the {what} has {size} bytes, more than max_message_bytes = {most}: make it smaller, or raise that in the "
+        f"configuration of {whose}"
+    )
 
 
 def _certificate_trouble(credentials: Credentials | None) -> Callable[[], str]:

@@ -207,7 +207,14 @@ class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
         try:
             with self._counted(caller.client.key):
                 self._gate(path, caller)
-                return self._handler(path, _whole(bodies, self._max_message_bytes), caller)
+                reply = self._handler(path, _whole(bodies, self._max_message_bytes), caller)
+                if len(reply) > self._max_message_bytes:
+                    raise Refused(
+                        f"the result has {len(reply)} bytes, more than max_message_bytes = "
+                        f"{self._max_message_bytes}: "
+                        "make it smaller, or raise that in the configuration of the computer that runs the service"
+                    )
+                return reply
         except Refused as refusal:
             why = printable(str(refusal))
             _log.warning("refused %s to %s: %s", path, caller.client.name or "an unnamed caller", why)
@@ -250,5 +257,5 @@ def _whole(bodies: Iterator[bytes], max_message_bytes: int) -> bytes:
         return next(bodies)
     except (StopIteration, grpc.RpcError):  # which of the two, and why, gRPC does not say
         raise Refused(
-            f"it did not arrive whole: broken off, empty, or larger than {max_message_bytes} bytes"
+            f"it did not arrive whole: broken off, empty, or larger than max_message_bytes = {max_message_bytes}"
         ) from None

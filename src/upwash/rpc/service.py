@@ -60,6 +60,7 @@ class Method:
     `once` where a call must run on the drone alone, and never a second time.
     """
 
+    service: str
     name: str
     signature: inspect.Signature
     profile_by: str | None
@@ -111,9 +112,11 @@ class Method:
         try:
             decoded = decode(reply, self.reply)
         except msgspec.MsgspecError as error:
-            raise GarbledReply(f"{self.name}(): the reply cannot be decoded: {error}") from error
+            raise GarbledReply(
+                f"{self.service}.{self.name}(): what it returned is not what its type hint says: {error}"
+            ) from error
         if decoded.value is UNSET and decoded.fault is UNSET:
-            raise GarbledReply(f"{self.name}(): the reply carries neither a value nor a fault")
+            raise GarbledReply(f"{self.service}.{self.name}(): the reply carries neither a value nor a fault")
         return decoded
 
     def raised(self, decoded: Any) -> str:
@@ -260,7 +263,7 @@ def _describe(cls: type, name: str, profile_by: str | None, concurrency: int) ->
     if not functions:
         raise DeclarationError(f"service {cls.__name__} has no public method to call")
     methods = {
-        function_name: _describe_method(cls, function, profile_by)
+        function_name: _describe_method(cls, name, function, profile_by)
         for function_name, function in functions.items()
     }
     if profile_by is not None and all(method.profile_by is None for method in methods.values()):
@@ -281,7 +284,9 @@ def _public_method(cls: type, name: str) -> Callable[..., object] | None:
     return attribute if inspect.isfunction(attribute) else None
 
 
-def _describe_method(cls: type, function: Callable[..., object], profile_by: str | None) -> Method:
+def _describe_method(
+    cls: type, service_name: str, function: Callable[..., object], profile_by: str | None
+) -> Method:
     where = f"service {cls.__name__}, method {function.__name__}"
     if inspect.iscoroutinefunction(function):
         raise DeclarationError(f"{where}: declare it as a plain blocking method, not async")
@@ -309,6 +314,7 @@ def _describe_method(cls: type, function: Callable[..., object], profile_by: str
     request_type = msgspec.defstruct(f"{cls.__name__}_{function.__name__}_request", fields)
     types = dict(fields)
     return Method(
+        service=service_name,
         name=function.__name__,
         signature=signature.replace(parameters=parameters),
         profile_by=profile_by if profile_by in types else None,

@@ -10,6 +10,8 @@ path counts from the configuration's file, so what travels is absolute.
 from __future__ import annotations
 
 import inspect
+import sys
+import traceback
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -65,13 +67,31 @@ def with_files(
 
 
 def construct(cls: type[T], kind: type[msgspec.Struct], settings: PlainSettings) -> T:
-    """An object of the class, made with settings that travelled; raises UsageError where they do not fit."""
+    """An object of the class, made with settings that travelled.
+
+    Raises UsageError where they do not fit, or the constructor raises.
+    """
     try:
         checked = msgspec.convert(settings, kind, dec_hook=_path, str_keys=True)
     except msgspec.ValidationError as error:
         raise UsageError(f"{cls.__name__} cannot be made with its settings: {error}") from error
     given = {name: value for name in kind.__struct_fields__ if (value := getattr(checked, name)) is not UNSET}
-    return cls(**given)
+    try:
+        return cls(**given)
+    except Exception as error:
+        raise UsageError(
+            f"{cls.__name__} cannot be made: {type(error).__name__}: {error} ({_place(error, cls)})"
+        ) from error
+
+
+def _place(error: Exception, cls: type) -> str:
+    """The last line of the class's own file that the error came through, or of any file."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [
+        each for each in frames if each.filename == getattr(sys.modules.get(cls.__module__), "__file__", None)
+    ]
+    last = (own or frames)[-1]
+    return f"{last.filename}, line {last.lineno}"
 
 
 def _parameters(cls: type) -> Iterator[tuple[inspect.Parameter, Any]]:
