@@ -165,7 +165,7 @@ def test_it_flies_on_the_desk(learner: Learner) -> None:
         )
     assert flown.returncode == 0, flown.stderr
     places = {call["place"] for call in msgspec.json.decode(flown.stdout)["result"]["calls"]}
-    assert places == {"drone", "s1"}
+    assert places == {"local", "s1"}
 
 
 def free_port() -> int:

@@ -33,7 +33,18 @@ def measure_onboard(
     profile = _watched(
         found, calls, lambda watch: profile_on_this_computer(service, found, calls=calls, watch=watch)
     )
-    _tell(call_table(profile.calls), service_table(profile, program=program, computer=_computer()), out)
+    table = service_table(profile, program=program, computer=_computer(), settings=_settings(service))
+    _tell(call_table(profile.calls), table, out)
+
+
+def _settings(service: LoadedService) -> str:
+    """With which settings it runs, "" for a service that has none."""
+    names = spec_of(service.cls).settings.__struct_fields__
+    if not names:
+        return ""
+    if given := [name for name in names if name in service.program.settings]:
+        return f"With the configured settings: {', '.join(given)}."
+    return f"With the defaults of its settings ({', '.join(names)}): --config FILE takes those of a configuration."
 
 
 def measure_server(

@@ -33,8 +33,8 @@ def call_table(profiles: Sequence[CallProfile]) -> Table:
     return table
 
 
-def service_table(profile: OnboardProfile, *, program: str | None, computer: str) -> str:
-    """The [[service]] table of a configuration, with what it was measured on in its comments."""
+def service_table(profile: OnboardProfile, *, program: str | None, computer: str, settings: str = "") -> str:
+    """The [[service]] table of a configuration, with what it was measured on, and with which settings, in comments."""
     calls = profile.calls
     first_extra_s = max(0.0, *(each.first_s - each.mean_s for each in calls))
     lines = [
@@ -44,6 +44,8 @@ def service_table(profile: OnboardProfile, *, program: str | None, computer: str
         "[[service]]",
         f"name = {_text(calls[0].sample.operation.service)}",
     ]
+    if settings:
+        lines.insert(2, f"# {settings}")
     if program is not None:
         lines.append(f"program = {_text(program)}")
     lines += [
