@@ -34,7 +34,7 @@ def call_table(profiles: Sequence[CallProfile]) -> Table:
 
 
 def service_table(profile: OnboardProfile, *, program: str | None, computer: str, settings: str = "") -> str:
-    """The [[service]] table of a configuration, with what it was measured on, and with which settings, in comments."""
+    """The [[service]] table of a configuration; comments say what it was measured on, and with which settings."""
     calls = profile.calls
     first_extra_s = max(0.0, *(each.first_s - each.mean_s for each in calls))
     lines = [
