@@ -32,7 +32,10 @@ A number's name ends in its unit: `_s` for seconds, `_m` for metres. Positions c
 error is an `UpwashError`.
 """
 _SECTIONS = {
-    "In a mission": ("Drone", "Pending", "Demand", "Vehicle", "Photographer", "User", "Waypoint", "Position"),
+    "In a mission": (
+        *("Drone", "Pending", "Demand", "Vehicle", "Photographer", "Payload", "User", "Waypoint", "Position"),
+        *("Telemetry", "Velocity", "Attitude", "GpsFix"),
+    ),
     "In a service": ("service", "once"),
     "In a notebook": (
         *("simulate", "Simulation", "simulate_fleet", "FleetSimulation", "compare", "ComparedPolicy"),
@@ -46,6 +49,7 @@ _GIVEN = (
     "Demand",
     "Vehicle",
     "Photographer",
+    "Payload",
     "User",
     "Event",
 )  # users get these, and make none

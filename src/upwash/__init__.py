@@ -28,6 +28,7 @@ from upwash.errors import (
 from upwash.rpc.service import once, service
 
 __all__ = [
+    "Attitude",
     "AutopilotError",
     "AutopilotLost",
     "AutopilotOverruled",
@@ -45,21 +46,25 @@ __all__ = [
     "Event",
     "FleetBound",
     "FleetSimulation",
+    "GpsFix",
     "InstanceError",
     "MissionFailed",
     "MissionStopped",
     "ModelError",
+    "Payload",
     "Pending",
     "Photographer",
     "Position",
     "RunResult",
     "ServiceError",
     "Simulation",
+    "Telemetry",
     "Totals",
     "UpwashError",
     "UsageError",
     "User",
     "Vehicle",
+    "Velocity",
     "Waypoint",
     "compare",
     "once",
@@ -72,8 +77,10 @@ __all__ = [
 
 if TYPE_CHECKING:
     from upwash.core.bound import Bound, FleetBound
-    from upwash.core.geo import Position, Waypoint
+    from upwash.core.geo import Position, Velocity, Waypoint
+    from upwash.core.telemetry import Attitude, GpsFix, Telemetry
     from upwash.drone.api import Drone, Photographer, User, Vehicle
+    from upwash.drone.payload import Payload
     from upwash.drone.pending import Demand, Pending
     from upwash.eventlog.log import read as read_log
     from upwash.eventlog.results import CallResult, EnergyTotals, RunResult, Totals, read_result
@@ -83,6 +90,7 @@ if TYPE_CHECKING:
     from upwash.lab.simulation import Simulation, simulate
 else:
     _MODULES = {
+        "Attitude": "upwash.core.telemetry",
         "Bound": "upwash.core.bound",
         "CallResult": "upwash.eventlog.results",
         "ComparedPolicy": "upwash.lab.comparison",
@@ -92,14 +100,18 @@ else:
         "Event": "upwash.eventlog.schema",
         "FleetBound": "upwash.core.bound",
         "FleetSimulation": "upwash.lab.fleet",
+        "GpsFix": "upwash.core.telemetry",
+        "Payload": "upwash.drone.payload",
         "Pending": "upwash.drone.pending",
         "Photographer": "upwash.drone.api",
         "Position": "upwash.core.geo",
         "RunResult": "upwash.eventlog.results",
         "Simulation": "upwash.lab.simulation",
+        "Telemetry": "upwash.core.telemetry",
         "Totals": "upwash.eventlog.results",
         "User": "upwash.drone.api",
         "Vehicle": "upwash.drone.api",
+        "Velocity": "upwash.core.geo",
         "Waypoint": "upwash.core.geo",
         "compare": "upwash.lab.comparison",
         "read_log": "upwash.eventlog.log:read",

@@ -15,6 +15,7 @@ from upwash.core.control import Control
 from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Circle, Position, Velocity
 from upwash.core.geofence import Fence
+from upwash.core.telemetry import Telemetry
 from upwash.eventlog.schema import Event
 from upwash.support.heat import Surroundings
 
@@ -119,6 +120,10 @@ class Autopilot(Protocol):
         """Where its nose points, clockwise from north, as last reported; None where the vehicle does not say."""
 
     @property
+    def telemetry(self) -> Telemetry:
+        """All that a mission may read of its last reports."""
+
+    @property
     def wind(self) -> Velocity | None:
         """How the air moves over the ground, as last reported; None where the vehicle does not say."""
 
@@ -174,6 +179,15 @@ class Autopilot(Protocol):
 
     async def goto(self, position: Position) -> None:
         """Flies to the position; returns on arrival, at rest."""
+
+    async def turn_to(self, heading_deg: float) -> None:
+        """Turns its nose there where it hovers, clockwise from north; the next leg has a heading of its own."""
+
+    async def command(self, number: int, name: str, parameters: Sequence[float]) -> None:
+        """Sends a MAVLink command of what it carries; returns once it is accepted."""
+
+    def say(self, severity: int, text: str) -> None:
+        """Sends words to whoever listens to the vehicle, of severity 0 (emergency) to 7 (debug), unconfirmed."""
 
     async def hold(self) -> None:
         """Stops and hovers where it is."""

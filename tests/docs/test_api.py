@@ -98,13 +98,17 @@ def test_what_a_page_shows_in_python_runs(
         assert made
 
 
-def test_a_mission_that_a_page_shows_flies(tmp_path: Path) -> None:
-    (program,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/missions.md").read_text(), flags=re.DOTALL)
+@pytest.mark.parametrize(
+    ("mission", "kind", "times"), [("look_around", "notified", 2), ("look_from_all_sides", "turned", 4)]
+)
+def test_a_mission_that_a_page_shows_flies(tmp_path: Path, mission: str, kind: str, times: int) -> None:
+    programs = re.findall(r"```python\n(.*?)```", (ROOT / "docs/missions.md").read_text(), flags=re.DOTALL)
+    (program,) = (each for each in programs if f"def {mission}(" in each)
     (tmp_path / "looking.py").write_text(program)
-    overrides = {"mission.program": f"{tmp_path}/looking.py:look_around"}
+    overrides = {"mission.program": f"{tmp_path}/looking.py:{mission}"}
     flight = upwash.simulate(ROOT / "examples" / "patrol.toml", overrides=overrides)
     assert flight.completed
-    assert [event.kind for event in flight.events].count("notified") == 2
+    assert [event.kind for event in flight.events].count(kind) == times
 
 
 def test_every_error_that_a_page_names_can_be_imported() -> None:

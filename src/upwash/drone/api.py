@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Coroutine, Iterator
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Literal, ParamSpec, TypeVar
 
 import msgspec
 
@@ -13,19 +13,25 @@ from upwash.core.estimates import Operation
 from upwash.core.events import Arrived, Event, LegBegun, MissionBegun, TargetUnknown
 from upwash.core.geo import Position, Waypoint, distance_m
 from upwash.core.geofence import breached_by_leg, breached_by_position
+from upwash.core.telemetry import Telemetry
 from upwash.drone.mission import MissionThread
 from upwash.drone.open_answer import Errand, Errands, OpenAnswer, index_of
+from upwash.drone.payload import Payload
 from upwash.drone.pending import Calls, Demand, Pending
 from upwash.drone.site import Site
 from upwash.errors import AutopilotError, AutopilotRefused, UsageError
 from upwash.eventlog import schema
+from upwash.eventlog.schema import SEVERITIES
 from upwash.plans import Ending
 from upwash.ports import Autopilot, Camera, Journal, Notifier, VehicleLimits
 from upwash.rpc.service import Method, make_stub, spec_of
+from upwash.support.text import printable
 
 P = ParamSpec("P")
 T = TypeVar("T")
 Mission = Callable[["Drone"], None]
+Severity = Literal["emergency", "alert", "critical", "error", "warning", "notice", "info", "debug"]
+_LONGEST_TEXT_BYTES = 200  # four chunks of STATUSTEXT
 _AtPlace = type[
     schema.Armed | schema.Holding | schema.Returning | schema.Landing | schema.Landed | schema.Disarmed
 ]
@@ -77,6 +83,11 @@ class Vehicle:
     def battery_percent(self) -> float | None:
         """What is left in the battery, as last reported; None where the vehicle does not say."""
         return self._autopilot.battery_percent
+
+    @property
+    def telemetry(self) -> Telemetry:
+        """What the vehicle last said of itself: speed, attitude, heading, GPS, mode, battery."""
+        return self._autopilot.telemetry
 
     @property
     def on_a_leg(self) -> bool:
@@ -136,6 +147,29 @@ class Vehicle:
         with self._settling(self._open) as answer:
             answer.fly_on(place)
         return True
+
+    def turn_to(self, heading_deg: float) -> None:
+        """Turns the nose, in degrees clockwise from north, where the vehicle hovers; until the next leg.
+
+        UsageError for what is no number from 0 to 360.
+        """
+        if not 0 <= heading_deg <= 360:
+            raise UsageError(f"turn_to: heading_deg is {heading_deg}: give degrees from 0 to 360")
+        self._settle()
+        self._thread.call(self._turn_to(heading_deg % 360))
+
+    def send_text(self, text: str, *, severity: Severity = "info") -> None:
+        """Sends words to the ground station, as the vehicle's own (MAVLink's STATUSTEXT); nobody confirms them.
+
+        UsageError for a text of more than 200 bytes in UTF-8, or of none.
+        """
+        if severity not in SEVERITIES:
+            raise UsageError(f"send_text: no severity {severity!r}: choose of {', '.join(SEVERITIES)}")
+        if not 0 < (size := len(text.encode())) <= _LONGEST_TEXT_BYTES:
+            raise UsageError(
+                f"send_text: {size} bytes: give a text of 1 to {_LONGEST_TEXT_BYTES} bytes in UTF-8"
+            )
+        self._thread.call(self._send_text(SEVERITIES.index(severity), text))
 
     def hover(self, duration_s: float) -> None:
         """Stays where it is for so long."""
@@ -217,6 +251,14 @@ class Vehicle:
     async def _set_ground_speed(self, ground_speed_m_s: float) -> None:
         await self._autopilot.set_ground_speed(ground_speed_m_s)
         self._ground_speed_m_s = ground_speed_m_s
+
+    async def _turn_to(self, heading_deg: float) -> None:
+        await self._autopilot.turn_to(heading_deg)
+        self._journal.record(schema.Turned(heading_deg=heading_deg))
+
+    async def _send_text(self, severity: int, text: str) -> None:
+        self._autopilot.say(severity, text)
+        self._journal.record(schema.TextSent(severity=severity, text=printable(text)))
 
     async def _goto(
         self,
@@ -395,6 +437,7 @@ class Drone:
     action_s: float
     autopilot: Vehicle
     camera: Photographer
+    payload: Payload
     user: User
 
     def __init__(
@@ -405,6 +448,7 @@ class Drone:
         ending: Ending,
         autopilot: Vehicle,
         camera: Photographer,
+        payload: Payload,
         user: User,
         services: frozenset[str],
         calls: Calls,
@@ -415,6 +459,7 @@ class Drone:
         self.altitude_m = altitude_m
         self.autopilot = autopilot
         self.camera = camera
+        self.payload = payload
         self.user = user
         self._ending = ending
         self._services = services

@@ -21,6 +21,7 @@ from upwash.drone.offloading import Offloading
 from upwash.drone.onboard import OnboardServices
 from upwash.drone.open_answer import Errands
 from upwash.drone.order import order_of
+from upwash.drone.payload import Payload
 from upwash.drone.pending import Calls
 from upwash.drone.preparation import endpoints, make_hedging, make_selection
 from upwash.drone.reserve import ReserveWatch
@@ -334,6 +335,7 @@ class Flight:
                 self._ports.journal,
                 position=lambda: self._ports.autopilot.position,
             ),
+            payload=Payload(self._ports.autopilot, self._thread, self._ports.journal),
             user=User(self._ports.notifier, self._thread),
             services=frozenset(service.name for service in self._config.services),
             calls=self._calls,

@@ -209,6 +209,12 @@ class Narrator:
                 self.waits_since_s = None
                 self.doing = "armed"
                 return Said("armed")
+            case schema.Turned(heading_deg=heading_deg):
+                return Said(f"turned to {heading_deg:g}°")
+            case schema.PayloadCommanded(name=name):
+                return Said(f"the payload did {name}")
+            case schema.TextSent(text=text):
+                return Said(f"told the ground station: {text}")
             case schema.TakingOff(altitude_m=altitude_m):
                 self.doing = f"climbing to {altitude_m:g} m"
                 return Said(self.doing)

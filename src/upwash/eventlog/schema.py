@@ -361,6 +361,27 @@ class Holding(_AtPlace, frozen=True, kw_only=True):
     """The vehicle hovers, as the mission said."""
 
 
+class Turned(Event, frozen=True, kw_only=True):
+    """The vehicle's nose points there, clockwise from north, as the mission said; until the next leg."""
+
+    heading_deg: float
+
+
+class PayloadCommanded(Event, frozen=True, kw_only=True):
+    """The vehicle has accepted a MAVLink command of what it carries; null: a parameter that is left open."""
+
+    number: int
+    name: str
+    parameters: list[float | None]
+
+
+class TextSent(Event, frozen=True, kw_only=True):
+    """The mission's own words to whoever listens to the vehicle; severity as of `vehicle_said`."""
+
+    severity: Annotated[int, msgspec.Meta(ge=0, lt=len(SEVERITIES))]
+    text: str
+
+
 class Returning(_AtPlace, frozen=True, kw_only=True):
     """The mission has the vehicle return home and land."""
 

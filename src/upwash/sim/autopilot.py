@@ -11,16 +11,19 @@ from upwash.config import FaultConfig
 from upwash.core.control import Control, Latch
 from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Circle, Position, Velocity
+from upwash.core.telemetry import Attitude, GpsFix, Telemetry
 from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
 from upwash.eventlog.schema import SEVERITIES
 from upwash.ports import DeadMan, DeadManAction, VehicleLimits, VehicleNews, VehicleText
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.vehicle import GUIDED, LAND, RETURN, Manner, ModelVehicle
+from upwash.vehicle.flight import TURN_DEG_S
 from upwash.vehicle.kinematics import Phase, duration_s, stretched
 
 _PATIENCE_S = 60.0  # a leg has failed that takes so much longer than it should
 _HEARTBEAT_S = 1.0
 _CRITICAL = SEVERITIES.index("critical")
+_GPS = GpsFix("3d", satellites=12, hdop=0.8)
 
 
 class ModelDeadMan:
@@ -84,6 +87,8 @@ class ModelAutopilot:
             taken=taken,
             moved=energy.move if energy else lambda _: None,
         )
+        self._nose_deg = 0.0  # where it points once it hovers
+        self._turned_to_deg: float | None = None
         self._given_back_unheard = given_back_unheard
         self._latch = Latch(self._loop.time())
         self._hear: Callable[[VehicleNews], None] = lambda _: None
@@ -122,11 +127,26 @@ class ModelAutopilot:
 
     @property
     def heading_deg(self) -> float | None:
-        """It flies nose first; None where it stands or hovers."""
+        """It flies nose first; None where it stands or hovers, unless it was turned there."""
         now = self._vehicle.velocity
         if not (now.east_m_s or now.north_m_s):
-            return None
+            return self._turned_to_deg
         return math.degrees(math.atan2(now.east_m_s, now.north_m_s)) % 360.0
+
+    @property
+    def telemetry(self) -> Telemetry:
+        """Always level, with a perfect receiver."""
+        heading_deg = self.heading_deg
+        return Telemetry(
+            position=self.position,
+            mode=self._vehicle.mode,
+            armed=self.armed,
+            velocity=self.velocity,
+            attitude=None if heading_deg is None else Attitude(0.0, 0.0, heading_deg),
+            heading_deg=heading_deg,
+            gps=_GPS,
+            battery_percent=self.battery_percent,
+        )
 
     @property
     def wind(self) -> Velocity | None:
@@ -233,8 +253,26 @@ class ModelAutopilot:
             raise AutopilotTimeout(
                 "goto", f"the vehicle did not arrive within {arrival_s + _PATIENCE_S:.0f} s"
             )
+        self._nose_deg = _bearing_deg(self.position, position, self._nose_deg)
         await self._move("goto", phases, until_s=arrival_s)
         self._waypoint = position
+
+    async def turn_to(self, heading_deg: float) -> None:
+        """As fast as the stand-in vehicle turns."""
+        self._reach("turn")
+        if self.stands:
+            raise AutopilotRefused("turn", "the vehicle is on the ground")
+        self._command("turn")
+        await self._pass(abs(math.remainder(heading_deg - self._nose_deg, 360)) / TURN_DEG_S)
+        self._reach("turn")
+        self._nose_deg = self._turned_to_deg = heading_deg
+
+    async def command(self, number: int, name: str, parameters: Sequence[float]) -> None:
+        """Accepted at once: it carries whatever is asked for."""
+        self._command(name)
+
+    def say(self, severity: int, text: str) -> None:
+        """Nobody listens."""
 
     async def hold(self) -> None:
         """Brakes, and stops where that ends."""
@@ -381,7 +419,7 @@ class ModelAutopilot:
     ) -> None:
         """Begins to move, and returns at the end of the phases or earlier; `end` is where that is, exactly."""
         end = end or (phases[-1].end if phases else self.position)
-        self._waypoint = None
+        self._waypoint = self._turned_to_deg = None
         self._vehicle.move(phases, end)
         await self._pass(duration_s(phases) if until_s is None else until_s)
         if until_s is None and self.control.is_ours:
@@ -393,3 +431,9 @@ class ModelAutopilot:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(for_s):
                 await self._lost.wait()
+
+
+def _bearing_deg(start: Position, end: Position, otherwise_deg: float) -> float:
+    """Clockwise from north; `otherwise_deg` for a way straight up or down."""
+    east_m, north_m = end.east_m - start.east_m, end.north_m - start.north_m
+    return math.degrees(math.atan2(east_m, north_m)) % 360 if east_m or north_m else otherwise_deg

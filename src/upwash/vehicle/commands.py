@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, Position
+from upwash.core.payload import PAYLOAD_COMMANDS
 from upwash.vehicle.answers import Result
 from upwash.vehicle.boot import Text
 from upwash.vehicle.copter import FORCED_ARM, FORCED_DISARM, Answer, Copter
@@ -100,6 +101,18 @@ def _change_speed(copter: Copter, now_s: float, command: VehicleCommand) -> Answ
     return copter.change_speed(now_s, command.parameters[1])
 
 
+def _turn(copter: Copter, now_s: float, command: VehicleCommand) -> Answer:
+    angle_deg, _, _, relative = command.parameters
+    if not (0 <= angle_deg <= 360 and relative in (0, 1)):
+        return Answer(Result.FAILED)
+    return copter.turn(now_s, angle_deg + relative * copter.heading_deg(now_s))
+
+
+def _use_payload(_copter: Copter, _now_s: float, _command: VehicleCommand) -> Answer:
+    """It carries one of everything."""
+    return _ACCEPTED
+
+
 def _reposition(copter: Copter, now_s: float, command: VehicleCommand) -> Answer:
     latitude_deg, longitude_deg, altitude_m = command.place
     target = position_in_frame(
@@ -139,4 +152,6 @@ _HANDLERS: dict[int, Handler] = {
     mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
     mavlink.MAV_CMD_DO_REPOSITION: _reposition,
     mavlink.MAV_CMD_RUN_PREARM_CHECKS: _run_prearm_checks,
+    mavlink.MAV_CMD_CONDITION_YAW: _turn,
+    **dict.fromkeys(PAYLOAD_COMMANDS, _use_payload),
 }

@@ -202,6 +202,11 @@ class Copter:
         self._flight.change_speed(now_s, speed_m_s)
         return _ACCEPTED
 
+    def turn(self, now_s: float, heading_deg: float) -> Answer:
+        """Turns its nose there until its next target; without effect where it does not fly in GUIDED."""
+        self._flight.turn(now_s, heading_deg % 360)
+        return _ACCEPTED
+
     def steer(self, now_s: float, target: Position) -> bool:
         """Flies to the target; outside its fence, or not flying in GUIDED, nothing happens and nothing is said."""
         return is_sensible(target) and self.fence.allows(target) and self._flight.steer(now_s, target)

@@ -23,7 +23,7 @@ _SAME_TARGET_M = 0.02  # as fine as degrees in 1e-7 are
 _CONTACT_NOTICED_S = 1.7  # after touchdown
 _UP_BEFORE_REST_S = 0.5  # a take-off counts as done so long before it rests
 _ARMING_S = 2.2  # of the spooling up: it begins with arming, not with the command to take off
-_TURNS_ABOVE_M_S, _TURN_DEG_S = 0.5, 65.0
+_TURNS_ABOVE_M_S, TURN_DEG_S = 0.5, 65.0
 _TURN_STEP_S, _LONGEST_TURN_S = 0.1, 6.0
 _GRAVITY_M_S2 = 9.8
 _GROUND = Position(0.0, 0.0)
@@ -63,6 +63,7 @@ class Flight:
         self._default_speed_cm_s = parameters["WPNAV_SPEED"]
         self._speed_m_s = settings.ground_speed_m_s
         self._heading_deg = 0.0
+        self._told_deg: float | None = None  # where it was told to turn, until its next target
         self._turned_s = now_s
 
     def position(self, now_s: float) -> Position:
@@ -81,12 +82,19 @@ class Flight:
             self._turned_s += step_s
             velocity = self.velocity(self._turned_s)
             fast = math.hypot(velocity.east_m_s, velocity.north_m_s) > _TURNS_ABOVE_M_S
-            if fast and self.mode is Mode.GUIDED:
-                course_deg = math.degrees(math.atan2(velocity.east_m_s, velocity.north_m_s))
-                left_deg = math.remainder(course_deg - self._heading_deg, 360)
-                turn_deg = math.copysign(min(abs(left_deg), _TURN_DEG_S * step_s), left_deg)
+            course_deg = math.degrees(math.atan2(velocity.east_m_s, velocity.north_m_s)) if fast else None
+            wanted_deg = course_deg if self._told_deg is None else self._told_deg
+            if wanted_deg is not None and self.mode is Mode.GUIDED:
+                left_deg = math.remainder(wanted_deg - self._heading_deg, 360)
+                turn_deg = math.copysign(min(abs(left_deg), TURN_DEG_S * step_s), left_deg)
                 self._heading_deg = (self._heading_deg + turn_deg) % 360
         return self._heading_deg
+
+    def turn(self, now_s: float, heading_deg: float) -> None:
+        """Turns there by the shortest way, if it flies in GUIDED, until its next target."""
+        if self.mode is Mode.GUIDED and self.flying(now_s):
+            self.heading_deg(now_s)
+            self._told_deg = heading_deg
 
     def target(self, now_s: float) -> Position | None:
         """Where it is flying in GUIDED, if anywhere."""
@@ -162,6 +170,9 @@ class Flight:
         """Flies to the target, if it flies in GUIDED; whether it does."""
         if self.mode is not Mode.GUIDED or not self.flying(now_s):
             return False
+        if self._told_deg is not None:
+            self.heading_deg(now_s)
+            self._told_deg = None
         if self._target is None or distance_m(target, self._target) > _SAME_TARGET_M:
             self._doing = _Doing.FLYING
             self._target = target
@@ -197,7 +208,7 @@ class Flight:
             self._motion = Motion(now_s, (), believed)
 
     def _enter(self, now_s: float, mode: Mode, *, pause_s: float) -> None:
-        self._target = None
+        self._target = self._told_deg = None
         self._speed_m_s = self._default_speed_m_s()
         here, velocity = self.position(now_s), self.velocity(now_s)
         if mode not in (Mode.RTL, Mode.LAND):

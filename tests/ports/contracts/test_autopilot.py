@@ -115,6 +115,45 @@ def test_each_verb_returns_when_it_is_true(fly: Fly) -> None:
     fly(mission)
 
 
+def test_it_turns_its_nose_until_the_next_leg_and_tells_how_it_flies(fly: Fly) -> None:
+    async def mission(autopilot: Autopilot) -> None:
+        await take_off(autopilot)
+        for heading_deg in 200.0, 30.0:
+            await autopilot.turn_to(heading_deg)
+            told = autopilot.telemetry
+            assert told.heading_deg == pytest.approx(heading_deg, abs=6.0)
+            assert told.attitude is not None
+            assert told.attitude.yaw_deg == pytest.approx(heading_deg, abs=25.0)  # told four times a second
+        assert distance_m(autopilot.position, Position(0.0, 0.0, 5.0)) <= 1.0
+        assert told.armed
+        assert told.mode == autopilot.telemetry.mode != ""
+        assert told.ground_speed_m_s == pytest.approx(0.0, abs=0.5)
+        assert told.gps is not None
+        assert told.gps.kind != "none"
+        assert told.gps.satellites is not None
+        await autopilot.goto(Position(30.0, 0.0, 5.0))  # east
+        assert autopilot.telemetry.position == autopilot.position
+        await autopilot.return_home_and_land()
+
+    fly(mission)
+
+
+def test_what_it_carries_obeys_while_the_vehicle_is_the_programs(fly: Fly) -> None:
+    async def mission(autopilot: Autopilot) -> None:
+        for verb in autopilot.command(183, "DO_SET_SERVO", (9.0, 1500.0)), autopilot.turn_to(90.0):
+            with pytest.raises(AutopilotOverruled, match="the program has not taken the vehicle"):
+                await verb
+        autopilot.say(
+            6, "a text that takes more than one chunk of fifty bytes on its way to the ground station"
+        )
+        await autopilot.claim(resumes=False)
+        await autopilot.command(183, "DO_SET_SERVO", (9.0, 1500.0))
+        with pytest.raises(AutopilotRefused, match="on the ground"):
+            await autopilot.turn_to(90.0)
+
+    fly(mission)
+
+
 def test_it_lands_where_it_is(fly: Fly) -> None:
     async def mission(autopilot: Autopilot) -> None:
         await take_off(autopilot)

@@ -70,6 +70,8 @@ ARDUCOPTER = Firmware(
     streams_hz={
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
         mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 4.0,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE: 4.0,
+        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
         mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
         mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2.0,
         mavlink.MAVLINK_MSG_ID_FENCE_STATUS: 2.0,
@@ -215,6 +217,13 @@ class ArduCopter(MavlinkAutopilot):
             stop = self.stopping_place
             await self._send_target("hold", stop)
             await self._arrival("hold", stop)
+
+    async def _begin_turn(self, step: str, heading_deg: float) -> None:
+        self._require_flying(step)
+        own_rate, shortest_way, from_north = 0.0, 0.0, 0.0
+        await self._vehicle.command(
+            step, mavlink.MAV_CMD_CONDITION_YAW, heading_deg, own_rate, shortest_way, from_north
+        )
 
     async def _land_in(self, step: str, mode: str, *, timeout_s: float) -> None:
         begun_s = self._vehicle.now_s

@@ -6,6 +6,7 @@ AutopilotOverruled, and no verb sends anything any more. What differs from firmw
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,6 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.control import Control
 from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Circle, LocalFrame, Position, Velocity, distance_m, ground_distance_m
+from upwash.core.telemetry import Telemetry
 from upwash.errors import AutopilotRefused, UsageError
 from upwash.ports import ArmingDelayed, DeadMan, VehicleLimits, VehicleNews
 from upwash.real.mavlink.dead_man import NoDeadMan
@@ -23,6 +25,8 @@ from upwash.real.mavlink.settings import FlightSettings
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
 _HOME = Position(0.0, 0.0)
+_TURN_S = 20.0  # half a turn, of a vehicle that turns slowly
+_POINTS_WITHIN_DEG = 5.0
 _HOME_POSITION, _EXTENDED_SYS_STATE = (
     mavlink.MAVLINK_MSG_ID_HOME_POSITION,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
@@ -82,6 +86,21 @@ class MavlinkAutopilot(ABC):
     def heading_deg(self) -> float | None:
         """Where its nose points, as it reports it."""
         return self._telemetry.heading_deg
+
+    @property
+    def telemetry(self) -> Telemetry:
+        """As it reports it."""
+        told = self._telemetry
+        return Telemetry(
+            position=self.position,
+            mode=self._vehicle.mode_name,
+            armed=told.armed,
+            velocity=told.velocity,
+            attitude=told.attitude,
+            heading_deg=told.heading_deg,
+            gps=told.gps,
+            battery_percent=told.battery_percent,
+        )
 
     @property
     def wind(self) -> Velocity | None:
@@ -222,6 +241,22 @@ class MavlinkAutopilot(ABC):
     async def goto(self, position: Position) -> None:
         """Flies to the position; returns on arrival, at rest and with a position that it is sure of."""
 
+    async def turn_to(self, heading_deg: float) -> None:
+        """Returns once it reports that heading, nearly."""
+        step = f"turn to {heading_deg:g} degrees"
+        async with self._vehicle.limited(step, self._settings.margin_s + _TURN_S):
+            await self._begin_turn(step, heading_deg)
+            await self._while_ours(step, lambda: self._points_to(heading_deg))
+
+    async def command(self, number: int, name: str, parameters: Sequence[float]) -> None:
+        """As COMMAND_LONG."""
+        async with self._vehicle.limited(name, self._settings.margin_s):
+            await self._vehicle.command(name, number, *parameters)
+
+    def say(self, severity: int, text: str) -> None:
+        """As STATUSTEXT, in chunks where it is long."""
+        self._vehicle.say(severity, text)
+
     @abstractmethod
     async def hold(self) -> None:
         """Stops and hovers as soon as it can."""
@@ -242,6 +277,19 @@ class MavlinkAutopilot(ABC):
             await self._vehicle.arm("disarm", armed=False)
 
     # --- what verbs are made of -----------------------------------------------------------------------------
+
+    @abstractmethod
+    async def _begin_turn(self, step: str, heading_deg: float) -> None:
+        """Has it turn its nose there; AutopilotRefused where it does not fly."""
+
+    def _points_to(self, heading_deg: float) -> bool:
+        now_deg = self._telemetry.heading_deg
+        return now_deg is not None and abs(math.remainder(heading_deg - now_deg, 360)) <= _POINTS_WITHIN_DEG
+
+    def _require_flying(self, step: str) -> None:
+        self._vehicle.require_control(step)
+        if not self._telemetry.armed or self._telemetry.on_ground:
+            raise AutopilotRefused(step, "the vehicle stands on the ground; nothing was sent")
 
     @abstractmethod
     async def _land_in(self, step: str, mode: str, *, timeout_s: float) -> None:

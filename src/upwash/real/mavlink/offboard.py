@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -22,7 +23,8 @@ from upwash.real.mavlink.vehicle import MavlinkVehicle
 _PERIOD_S = 0.05
 _SILENT_AFTER_S = 0.6  # its position comes ten times a second; below COM_OF_LOSS_T, which is 1 s by default
 _LONGEST_STEP_S = 0.2  # of the course: a busy computer must not make it jump
-_IGNORED = mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE | mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+_YAW_RATE_IGNORED = mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+_WITHOUT_YAW = mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE | _YAW_RATE_IGNORED
 
 
 class SetpointStream:
@@ -31,6 +33,7 @@ class SetpointStream:
     def __init__(self, vehicle: MavlinkVehicle, frame: LocalFrame) -> None:
         self.abilities = Abilities()
         self.course: Course | None = None
+        self.heading_deg: float | None = None  # to be kept; without it PX4 has its own
         self._vehicle = vehicle
         self._frame = frame
         self._silence_seen_s = vehicle.now_s
@@ -45,7 +48,7 @@ class SetpointStream:
 
     def end(self) -> None:
         """Sends no more setpoints."""
-        self.course = None
+        self.course = self.heading_deg = None
 
     async def close(self) -> None:
         """Ends it for good."""
@@ -89,7 +92,7 @@ class SetpointStream:
                 system,
                 component,
                 mavlink.MAV_FRAME_GLOBAL_INT,
-                _IGNORED,
+                _WITHOUT_YAW if self.heading_deg is None else _YAW_RATE_IGNORED,
                 round(place.latitude_deg * 1e7),
                 round(place.longitude_deg * 1e7),
                 above_sea_m,
@@ -99,7 +102,7 @@ class SetpointStream:
                 push.north_m_s,
                 push.east_m_s,
                 -push.up_m_s,
-                0.0,
+                math.radians(math.remainder(self.heading_deg or 0.0, 360)),
                 0.0,
             )
 

@@ -176,8 +176,14 @@ class Px4(MavlinkAutopilot):
         self._require_flying(step)
         async with self._vehicle.limited(step, self._leg_s(position)):
             course = await self._enter_offboard(step)
+            self._stream.heading_deg = None
             course.aim(position, ground_speed_m_s=self._ground_speed_m_s)
             await self._while_ours(step, lambda: course.ended and self._arrived(position))
+
+    async def _begin_turn(self, step: str, heading_deg: float) -> None:
+        self._require_flying(step)
+        await self._enter_offboard(step)
+        self._stream.heading_deg = heading_deg
 
     @property
     def stopping_place(self) -> Position:
@@ -291,11 +297,6 @@ class Px4(MavlinkAutopilot):
         vehicle.require_control(step)
 
     # --- what it reports ------------------------------------------------------------------------------------
-
-    def _require_flying(self, step: str) -> None:
-        self._vehicle.require_control(step)
-        if not self._telemetry.armed or self._telemetry.on_ground:
-            raise AutopilotRefused(step, "the vehicle stands on the ground; nothing was sent")
 
     def _learn_abilities(self, told: Mapping[str, float]) -> None:
         usual = Abilities()

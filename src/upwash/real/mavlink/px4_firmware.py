@@ -134,6 +134,8 @@ PX4 = Firmware(
     streams_hz={
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
         mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 4.0,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE: 4.0,
+        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
         mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
         mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 2.0,
         mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,

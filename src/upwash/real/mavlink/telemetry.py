@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, Velocity
+from upwash.core.telemetry import Attitude, FixKind, GpsFix
 from upwash.eventlog.schema import SEVERITIES
 from upwash.ports import VehicleText
 from upwash.real.mavlink.hearing import Message
@@ -23,6 +24,14 @@ _CHUNK_BYTES = 50  # of a text; a longer one comes in several
 _MOST_CHUNKS = 20
 _DEAD_MAN_ACTS = "upwash: companion silent"  # as dead_man.lua says it
 _EKF_GPS_GLITCHING = 1 << 15  # ArduPilot's; the dialect has no name for it
+_UNKNOWN_U8, _UNKNOWN_U16 = 0xFF, 0xFFFF
+_FIXES: dict[int, FixKind] = {
+    mavlink.GPS_FIX_TYPE_2D_FIX: "2d",
+    mavlink.GPS_FIX_TYPE_3D_FIX: "3d",
+    mavlink.GPS_FIX_TYPE_DGPS: "dgps",
+    mavlink.GPS_FIX_TYPE_RTK_FLOAT: "rtk-float",
+    mavlink.GPS_FIX_TYPE_RTK_FIXED: "rtk-fixed",
+}
 _IN_THE_AIR = (
     mavlink.MAV_LANDED_STATE_TAKEOFF,
     mavlink.MAV_LANDED_STATE_IN_AIR,
@@ -42,6 +51,8 @@ class Telemetry:
     above_sea_m: float | None = None
     velocity: Velocity | None = None  # over the ground
     heading_deg: float | None = None
+    attitude: Attitude | None = None
+    gps: GpsFix | None = None
     wind: Velocity | None = None
     battery_percent: float | None = None
     home: GeoPosition | None = None  # its altitude is above the sea
@@ -78,6 +89,11 @@ class Telemetry:
                 self.above_sea_m = message.alt / 1e3
                 self.velocity = Velocity(message.vy / 100, message.vx / 100, -message.vz / 100)
                 self.heading_deg = message.hdg / 100 if message.hdg < _ROUND_CDEG else None
+            case "ATTITUDE" if math.isfinite(message.roll + message.pitch + message.yaw):
+                yaw_deg = math.degrees(message.yaw) % 360
+                self.attitude = Attitude(math.degrees(message.roll), math.degrees(message.pitch), yaw_deg)
+            case "GPS_RAW_INT":
+                self.gps = _fix(message)
             case "HOME_POSITION":
                 place = message.latitude / 1e7, message.longitude / 1e7
                 self.home = GeoPosition(*place, message.altitude / 1e3)
@@ -181,6 +197,15 @@ class Telemetry:
         chunks.append(message.text)
         is_whole = len(message.text) < _CHUNK_BYTES or len(chunks) == _MOST_CHUNKS
         return "".join(self._chunks.pop(message.id)) if is_whole else ""
+
+
+def _fix(message: Message) -> GpsFix:
+    satellites, eph = message.satellites_visible, message.eph
+    return GpsFix(
+        _FIXES.get(message.fix_type, "none" if message.fix_type < mavlink.GPS_FIX_TYPE_2D_FIX else "3d"),
+        satellites=None if satellites == _UNKNOWN_U8 else satellites,
+        hdop=None if eph == _UNKNOWN_U16 else eph / 100,
+    )
 
 
 def _trusts(flags: int, absolute: int, doubts: int) -> bool:

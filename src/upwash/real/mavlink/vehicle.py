@@ -15,11 +15,14 @@ from upwash.real.mavlink.heard import HeardVehicle, name_of
 from upwash.real.mavlink.hearing import Message
 
 _LATE_TEXT_S = 0.5
+_CHUNK_BYTES, _MOST_TEXTS = 50, 0xFFFF
 _WILL_BE_DONE = (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
 
 
 class MavlinkVehicle(HeardVehicle):
     """One that is also told what to do: nothing is sent while somebody else has it."""
+
+    _texts_said = 0  # long ones, of which each has a number
 
     def claim(self, step: str, *, resumes: bool) -> None:
         """Takes the vehicle for the program; AutopilotOverruled where it may not."""
@@ -155,6 +158,17 @@ class MavlinkVehicle(HeardVehicle):
     def is_ours(self) -> bool:
         """Whether the program has the vehicle."""
         return self.latch.control.is_ours
+
+    def say(self, severity: int, text: str) -> None:
+        """Sends words to whoever listens to the vehicle; long ones in chunks that have a number in common."""
+        body = text.encode()
+        if len(body) <= _CHUNK_BYTES:
+            self._link.send(mavlink.MAVLink_statustext_message(severity, body))
+            return
+        self._texts_said = self._texts_said % _MOST_TEXTS + 1
+        for sequence, at in enumerate(range(0, len(body) + 1, _CHUNK_BYTES)):  # the last one is not full
+            chunk = body[at : at + _CHUNK_BYTES]
+            self._link.send(mavlink.MAVLink_statustext_message(severity, chunk, self._texts_said, sequence))
 
     def steer(self, step: str, message: Callable[[int, int], Message]) -> None:
         """Sends a command that gets no answer, made for a system and component; AutopilotOverruled if not ours."""

@@ -10,6 +10,7 @@ from typing import TypeAlias
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition
+from upwash.core.payload import PAYLOAD_COMMANDS
 from upwash.mavlink.px4 import Mode
 from upwash.vehicle.answers import Result
 from upwash.vehicle.firmware import Message
@@ -94,6 +95,11 @@ def _change_speed(copter: Quadrotor, now_s: float, command: VehicleCommand) -> t
     return (copter.change_speed(now_s, command.parameters[1]),)
 
 
+def _use_payload(_copter: Quadrotor, _now_s: float, _command: VehicleCommand) -> tuple[Result, ...]:
+    """It carries one of everything."""
+    return _ACCEPTED
+
+
 def _reposition(copter: Quadrotor, now_s: float, command: VehicleCommand) -> tuple[Result, ...]:
     speed_m_s, flags, _, yaw_deg = command.parameters
     if flags != mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
@@ -137,4 +143,5 @@ _HANDLERS: dict[int, Handler] = {
     mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
     mavlink.MAV_CMD_DO_REPOSITION: _reposition,
     mavlink.MAV_CMD_RUN_PREARM_CHECKS: _run_checks,
+    **dict.fromkeys(PAYLOAD_COMMANDS, _use_payload),
 }

@@ -1,0 +1,59 @@
+"""What a vehicle says of itself, as a mission reads it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from upwash.core.geo import Position, Velocity
+
+FixKind: TypeAlias = Literal["none", "2d", "3d", "dgps", "rtk-float", "rtk-fixed"]
+
+
+@dataclass(frozen=True, slots=True)
+class Attitude:
+    """How the vehicle is tilted: roll to the right, pitch with its nose up, yaw clockwise from north (0 to 360)."""
+
+    roll_deg: float
+    pitch_deg: float
+    yaw_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class GpsFix:
+    """What its satellite receiver has: the kind of fix, the satellites in use, the dilution of precision.
+
+    The last two are None where it does not say.
+    """
+
+    kind: FixKind
+    satellites: int | None = None
+    hdop: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Telemetry:
+    """The vehicle's last reports; None where it has not said, or cannot say.
+
+    `position` is relative to the mission's home, `velocity` over the ground, `mode` the autopilot's own name.
+    """
+
+    position: Position
+    mode: str
+    armed: bool
+    velocity: Velocity | None = None
+    attitude: Attitude | None = None
+    heading_deg: float | None = None
+    gps: GpsFix | None = None
+    battery_percent: float | None = None
+
+    @property
+    def ground_speed_m_s(self) -> float | None:
+        """How fast it moves over the ground."""
+        return None if self.velocity is None else math.hypot(self.velocity.east_m_s, self.velocity.north_m_s)
+
+    @property
+    def climb_m_s(self) -> float | None:
+        """How fast it climbs; below 0 where it sinks."""
+        return None if self.velocity is None else self.velocity.up_m_s

@@ -1,0 +1,95 @@
+"""What a mission does with its vehicle beside flying: headings, telemetry, payloads, words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from upwash.config import read_drone_config
+from upwash.eventlog import schema
+from upwash.lab.run import Run, simulate
+
+SCENARIO = """
+[mission]
+program = "mission.py:fly"
+ground_speed_m_s = 5.0
+waypoints_m = [[0, 50]]
+"""
+MISSION = """
+def fly(drone):
+    drone.autopilot.arm()
+    drone.autopilot.takeoff(10.0)
+    {}
+    drone.autopilot.return_home_and_land()
+"""
+
+
+def fly(folder: Path, *statements: str) -> Run:
+    (folder / "mission.py").write_text(MISSION.format("\n    ".join(statements)))
+    (folder / "scenario.toml").write_text(SCENARIO)
+    return simulate(read_drone_config(folder / "scenario.toml"))
+
+
+def test_a_mission_turns_the_vehicle_and_reads_how_it_flies(tmp_path: Path) -> None:
+    run = fly(
+        tmp_path,
+        "autopilot = drone.autopilot",
+        "assert autopilot.telemetry.heading_deg is None",
+        "autopilot.turn_to(130)",
+        "told = autopilot.telemetry",
+        "assert (told.heading_deg, told.attitude.yaw_deg, told.gps.kind) == (130, 130, '3d')",
+        "assert told.armed and told.mode == 'GUIDED' and told.position.altitude_m == 10",
+        "assert (told.ground_speed_m_s, told.climb_m_s) == (0, 0)",
+        "autopilot.goto(drone.plan[0])",
+        "assert autopilot.telemetry.heading_deg is None",
+    )
+    assert run.failure == ""
+    (turned,) = (event for event in run.events if isinstance(event, schema.Turned))
+    assert turned.heading_deg == 130
+    took_off = next(event for event in run.events if isinstance(event, schema.TookOff))
+    assert turned.t - took_off.t == pytest.approx(130 / 65)  # as fast as a recorded vehicle turns
+
+
+def test_what_is_done_with_a_payload_is_in_the_log(tmp_path: Path) -> None:
+    run = fly(
+        tmp_path,
+        "drone.payload.point_gimbal(pitch_deg=-90)",
+        "drone.payload.trigger_camera()",
+        "drone.payload.command(183, 9, 1500)",
+        "drone.autopilot.send_text('two hot spots', severity='warning')",
+    )
+    assert run.failure == ""
+    done = [event for event in run.events if isinstance(event, schema.PayloadCommanded)]
+    assert [event.name for event in done] == [
+        "DO_GIMBAL_MANAGER_PITCHYAW",
+        "DO_DIGICAM_CONTROL",
+        "DO_SET_SERVO",
+    ]
+    assert done[0].parameters == [-90.0, 0.0, None, None]
+    (sent,) = (event for event in run.events if isinstance(event, schema.TextSent))
+    assert (sent.severity, sent.text) == (4, "two hot spots")
+
+
+@pytest.mark.parametrize(
+    ("statement", "said"),
+    [
+        ("drone.payload.command(400, 1)", "MAVLink command 400 is not sent"),  # arms
+        ("drone.payload.command(176, 1, 4)", "MAVLink command 176 is not sent"),  # changes the mode
+        ("drone.payload.command(16)", "MAVLink command 16 is not sent"),  # flies to a waypoint
+        ("drone.payload.command(183, *range(8))", "8 parameters, and a command has at most 7"),
+        ("drone.payload.point_gimbal(pitch_deg=-91)", "pitch_deg is -91: give degrees from -90 to 90"),
+        ("drone.payload.point_gimbal(pitch_deg=float('nan'))", "pitch_deg is nan"),
+        ("drone.autopilot.turn_to(361)", "heading_deg is 361: give degrees from 0 to 360"),
+        ("drone.autopilot.send_text('ä' * 101)", "202 bytes: give a text of 1 to 200 bytes"),
+        ("drone.autopilot.send_text('')", "0 bytes: give a text"),
+        ("drone.autopilot.send_text('hot', severity='hot')", "no severity 'hot'"),
+    ],
+)
+def test_what_cannot_be_is_refused_and_the_drone_comes_home(
+    tmp_path: Path, statement: str, said: str
+) -> None:
+    run = fly(tmp_path, statement)
+    assert said in run.failure
+    assert any(isinstance(event, schema.Landed) for event in run.events)
+    assert not any(isinstance(event, schema.PayloadCommanded) for event in run.events)
