@@ -14,7 +14,7 @@ import pytest
 from bench.results import FOLDER
 
 from bench import promises
-from upwash.cli.main import _parser
+from upwash.cli.main import command_line
 from upwash.config import FleetDroneConfig, read_daemon_config, read_drone_config
 from upwash.core.servers import TRANSITIONS
 
@@ -50,6 +50,19 @@ def test_the_page_of_the_event_log_says_what_the_types_say() -> None:
     assert page == (ROOT / "docs" / "event-log.md").read_text(), (
         "run make docs, or python site/event_log.py alone"
     )
+
+
+@pytest.mark.parametrize("name", ["configuration", "commands"])
+def test_the_references_say_what_the_code_says(name: str) -> None:
+    written = runpy.run_path(str(ROOT / "site" / f"{name}.py"))
+    assert written["page"]() == written["PAGE"].read_text(), f"run make docs, or python site/{name}.py alone"
+
+
+def test_every_key_of_the_configurations_has_a_meaning() -> None:
+    page = (ROOT / "docs" / "configuration-reference.md").read_text()
+    keys = [line for line in page.splitlines() if line.startswith("| <span")]
+    assert len(keys) > 150
+    assert not [line for line in keys if line.endswith("|  |")]
 
 
 def test_the_diagram_of_states_has_every_step_of_their_table(tmp_path: Path) -> None:
@@ -103,7 +116,7 @@ def test_the_page_on_containers_shows_a_runtime_that_is_understood(tmp_path: Pat
 
 def test_every_command_is_documented_and_every_documented_command_exists() -> None:
     (choices,) = [
-        action.choices for action in _parser()._actions if isinstance(action, argparse._SubParsersAction)
+        action.choices for action in command_line()._actions if isinstance(action, argparse._SubParsersAction)
     ]
     written = "".join(page.read_text() for page in PAGES)
     documented = set(re.findall(r"(?:^ +|`)upwash ([a-z]+)", written, flags=re.MULTILINE))
@@ -119,7 +132,7 @@ def test_a_command_line_that_is_shown_is_understood(page: Path) -> None:
         command = re.split(r"\s{2,}|\s#|\s&", line)[0]  # what follows explains it, or is another command
         if re.match(r"(\S*/bin/)?upwash [a-z]", command):
             try:
-                _parser().parse_args(shlex.split(command)[1:])
+                command_line().parse_args(shlex.split(command)[1:])
             except SystemExit:
                 pytest.fail(f"{page.name} shows {command!r}")
 

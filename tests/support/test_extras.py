@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from upwash.cli.main import _parser
+from upwash.cli.main import command_line
 
 ROOT = Path(__file__).parents[2]
 THESIS = str(ROOT / "scenarios" / "thesis.toml")
@@ -160,7 +160,7 @@ def test_a_command_without_its_extra_says_which_to_install(folder: Path, command
 
 def test_each_command_and_each_extra_is_tried() -> None:
     (choices,) = [
-        action.choices for action in _parser()._actions if isinstance(action, argparse._SubParsersAction)
+        action.choices for action in command_line()._actions if isinstance(action, argparse._SubParsersAction)
     ]
     assert {command.split()[0] for command, _ in COMMANDS} == set(choices)
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

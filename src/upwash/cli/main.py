@@ -89,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
-    parser = _parser()
+    parser = command_line()
     options = parser.parse_args(arguments)
     if "run" not in options:
         parser.print_help(sys.stderr)
@@ -117,7 +117,8 @@ def _run(arguments: Sequence[str] | None) -> int:
         return _INTERRUPTED
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_line() -> argparse.ArgumentParser:
+    """What can be typed, command by command."""
     parser = argparse.ArgumentParser(
         prog="upwash",
         description="Runs a drone's heavy computations on the drone or on an edge server in reach.",

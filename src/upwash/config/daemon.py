@@ -47,38 +47,44 @@ class DaemonKeysConfig(KeysConfig, frozen=True, kw_only=True, forbid_unknown_fie
     """
 
     revoked: FilePath | None = None
+    """The list of certificates that are refused; default: `revoked.txt` beside `authority`, if it is there."""
 
 
 class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A service that can be started here, with `settings` for its constructor; bundled if it has no `program`.
-
-    `pace_s` is the least time a call takes, `start_pace_s` a start: they stand in for a slower computer.
-    """
+    """A service that can be started here."""
 
     name: Name
+    """As its class is declared."""
     program: ImportPath | None = None
+    """Its class, `path/to/file.py:Class` or `package.module:Class`; not needed for a bundled service."""
     settings: Settings | None = None
+    """What the constructor of its class takes."""
     pace_s: SecondsByKey = {}
+    """The least time of a call, in seconds: stands in for a slower computer."""
     start_pace_s: NotNegative = 0.0
+    """The least time of a start, in seconds."""
 
 
 class IdentityConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A server that the daemon acts as: how many drones it takes at once, and what it runs for them.
-
-    "auto" takes as many as it measures to be right. Where more ask they take turns of `turn_s` at least.
-    """
+    """A server that the daemon acts as."""
 
     name: Name
+    """As in its certificate."""
     slots: Slots = "auto"
+    """Drones that it serves at a time; `auto`: as many as it measures to be right."""
     turn_s: TurnSeconds = 30.0
+    """How long a drone keeps its slot at least while others wait, in seconds."""
     images: Names
+    """The services that it runs; default: all of the file."""
 
 
 class PeerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A server that another daemon of the operator acts as, which drones go on to from here, or come from."""
 
     name: Name
+    """As in its certificate."""
     address: Text
+    """Of its daemon, over a wire."""
 
 
 PortRange = Annotated[
@@ -94,18 +100,29 @@ class DaemonConfig(
     forbid_unknown_fields=True,
     rename={"images": "service", "identities": "server", "peers": "peer"},
 ):
-    """One edge daemon; `instance_ports` are the first and the last port at which drones reach instances."""
+    """One edge daemon."""
 
     listen: Text = "0.0.0.0:7070"
+    """`host:port`, or `unix:path`; port 0 takes any free one."""
     instance_ports: PortRange | None = None
+    """The first and the last port at which drones reach services, at least one for each service of each server;
+    default: any free ones."""
     max_message_bytes: MessageBytes = 16_777_216
+    """The largest request and result of a call."""
     lease_s: LeaseSeconds = 30.0
+    """A drone that is silent for so long loses its slot, in seconds."""
     idle_stop_s: Positive = 600.0
+    """An instance that nobody called for so long, with no drone on the server, is stopped, in seconds."""
     start_timeout_s: Positive = 60.0
+    """An instance that is not ready by then is given up, in seconds."""
     drain_s: Positive = 10.0
+    """Calls under way get so long to end when the daemon or their service stops, in seconds."""
     hold_s: Positive = 60.0
+    """A slot that a peer asks for is held for a drone for at most so long, in seconds."""
     allow_without_certificates: bool = False
+    """For trying things out, on loopback or a unix socket only."""
     metrics: Text | None = None
+    """Where Prometheus finds the daemon's numbers, `host:port`: [metrics](metrics.md)."""
     keys: DaemonKeysConfig | None = None
     runtime: RuntimeConfig = RuntimeConfig()
     images: Annotated[

@@ -65,101 +65,120 @@ class HomeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The place on the Earth where east and north are 0."""
 
     latitude_deg: Latitude
+    """North of the equator."""
     longitude_deg: Longitude
+    """East of Greenwich."""
 
 
 class GridConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Waypoints in rows, the bottom-left one at home, flown row by row from one corner."""
 
     columns: GridCount
+    """Waypoints in a row."""
     rows: GridCount
+    """Rows, to the north."""
     spacing_m: Positive
+    """Between neighbours, in metres."""
     start: Corner = "top-left"
+    """The corner at which the flight begins."""
     rows_alternate: bool = True
+    """Whether every second row is flown backwards; false flies all rows in the same direction."""
 
 
 class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is flown: a program (bundled, or `/a/file.py:function`) over a grid, a list of waypoints or a plan.
-
-    What an answer demands at its waypoint takes the bundled program `action_s`.
-    They are flown in the given `order`, in that of one of their sweeps, or in the one that is best by forecast.
-    The drone ends the mission early below `reserve_percent` of its battery, and where the way home would leave less
-    than `reserve_s` seconds of flight. Where it would not be over `finish_by_s` after arming, calls run under the
-    profile key that `lighter` has for theirs.
-    """
+    """What is flown."""
 
     program: Text = "survey"
+    """The mission: the bundled `survey`, `path/to/file.py:function` or `package.module:function`."""
     mode: Text = "heavy"
+    """Passed to a mission that has a parameter of this name; the profile key of the bundled one."""
     altitude_m: Positive = 20.0
+    """Above home, in metres."""
     ground_speed_m_s: Positive = 4.0
+    """Of legs, in metres per second."""
     home: HomeConfig | None = None
+    """The place where east and north are 0; needed to fly."""
     grid: GridConfig | None = None
+    """The waypoints as a grid; one of `grid`, `waypoints_m` and `plan` is needed."""
     waypoints_m: PlacesInMetres | None = None
+    """The waypoints as pairs of metres east and north of home."""
     plan: PlanPath | None = None
+    """The waypoints and the geofence of a [plan](plans.md): QGroundControl's `.plan`, or `QGC WPL 110`."""
     action_s: NotNegative = 0.0
+    """How long an action takes that an answer demands at its waypoint, in seconds."""
     order: FlightOrder = "given"
+    """In which the waypoints are flown: [orders](missions.md#the-order-of-the-waypoints)."""
     reserve_percent: Percent | None = None
+    """The mission ends early below this battery level."""
     reserve_s: NotNegative | None = None
+    """The mission ends early where the way home would leave fewer seconds of flight: [the
+    reserve](missions.md#the-reserve)."""
     finish_by_s: Positive | None = None
+    """When the mission is to be over, in seconds from arming: [lighter calls](lighter.md)."""
     lighter: KeysByKey = {}
+    """The profile key under which calls run while the mission would be later than `finish_by_s`."""
 
 
 class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How the simulated vehicle flies: as these numbers say, or as a measured profile.
-
-    Its battery is empty `endurance_s` after take-off; without that it reports none. A real one's battery is not
-    believed to last longer either.
-    """
+    """How the simulated vehicle flies: as these numbers say, or as a measured profile."""
 
     profile: Literal["arducopter", "px4"] | None = None
+    """A measured vehicle, in place of the next three."""
     acceleration_m_s2: Positive = 1.0
+    """Speeding up and braking."""
     takeoff_s: NotNegative = 10.0
+    """From arming to the altitude, in seconds."""
     return_and_land_s: NotNegative = 16.0
+    """From the last waypoint to the ground, in seconds."""
     endurance_s: Positive | None = None
+    """Flight with a full battery, in seconds; a real flight's `reserve_s` and `upwash check` read it too."""
 
 
 class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How a real vehicle is reached, a MAVLink connection string, and what it does when the mission fails.
-
-    A mission is refused that begins more than `farthest_start_m` from where the vehicle stands, and goes on after a
-    silence of the vehicle's link of at most `link_patience_s`. With `dead_man_s` the autopilot itself does what
-    `on_failure` says once it has not heard this program for so long. With the key in `signing_key` all messages are
-    signed, both ways, and no other is believed.
-    """
+    """How a real vehicle is reached, and what it does when the mission fails."""
 
     connection: Text | None = None
+    """`serial:DEVICE:BAUD`, `udpin:HOST:PORT`, `udpout:HOST:PORT` or `tcp:HOST:PORT`; needed to fly."""
     signing_key: FilePath | None = None
+    """All messages are signed with this key, and only signed ones are believed: [signing](vehicle.md#signed-messages)."""
     on_failure: SafeEnd = "return"
+    """How a mission ends that cannot go on."""
     farthest_start_m: Positive = 500.0
+    """From the nearest waypoint to where the vehicle stands, at most, in metres."""
     link_patience_s: Positive = 120.0
+    """A silence of the vehicle's link that a mission outlasts, in seconds."""
     dead_man_s: DeadManSilence | None = None
+    """The autopilot itself does what `on_failure` says after so long a silence of this program: [the dead
+    man](vehicle.md#when-the-drones-computer-dies)."""
     arrival_distance_m: Positive = 1.0
+    """The vehicle has arrived that is so near, in metres."""
     arrival_speed_m_s: Positive = 0.5
+    """And so slow, in metres per second."""
 
 
 class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How servers' networks are joined: not at all, by NetworkManager, or modelled by the drone's position.
-
-    Without joining, servers are reached over whatever network the computer has; a simulation models joining always.
-    NetworkManager joins them on these interfaces, and on no other. With two radios, which have an interface each, the
-    next server is checked while the one before is still used.
-    """
+    """How servers' networks are joined. A simulation models joining in any case."""
 
     kind: Literal["stand-in", "wired", "networkmanager"] = "wired"
+    """`wired`: nothing is joined; `networkmanager`: by [NetworkManager](networks.md); `stand-in`: by the drone's
+    position, for the desk."""
     interfaces: Annotated[tuple[InterfaceName, ...], Meta(description="an array of interfaces")] = ()
+    """The only interfaces on which NetworkManager joins networks."""
     radios: Radios = 1
+    """With 2, the next server is checked while the one before is used; each radio has an interface."""
 
 
 class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where photos come from, one of three, and how long one takes.
-
-    They are the files of a folder, a video device's (its number, or a URL), or rendered from a solar park's seed.
-    """
+    """Where photos come from: one of three sources."""
 
     photo_s: NotNegative = 1.0
+    """What a photo takes, in seconds; a device takes its own time."""
     folder: FilePath | None = None
+    """A folder whose JPEG files are the photos, in turn."""
     device: VideoSource | None = None
+    """A video device's number or a stream's URL."""
     park_seed: Seed | None = None
+    """Photos are rendered: what lies below the drone in the solar park of that seed."""
 
 
 _LEFT_ALONE_S = 60.0
@@ -169,7 +188,9 @@ class HedgeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """When the drone's own service starts on a remote call that is late, and the share of extra work it may do."""
 
     after: Quantile = "p95"
+    """The quantile of a server's call delays after which a call counts as late."""
     budget: Share = 0.1
+    """The share of calls that the drone may compute in vain."""
 
     @property
     def quantile(self) -> float:
@@ -181,7 +202,9 @@ class ProbeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """The pauses between questions to a server that failed: the first one, and the longest."""
 
     first_s: Pause = 0.5
+    """The first pause, in seconds."""
     longest_s: Pause = 1.0
+    """The longest pause, in seconds."""
 
     def __post_init__(self) -> None:
         if self.first_s > self.longest_s:
@@ -189,24 +212,33 @@ class ProbeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When to offload, and where to.
-
-    A server that fails is left alone for `blacklist_s`, or probed; where neither key is given look-ahead probes, and
-    the thesis's policies leave it alone for 60 s. Where `hedge` is not given look-ahead hedges, and they do not.
-    """
+    """When calls are offloaded, and where to: [policies](policies.md)."""
 
     name: PolicyName = "look-ahead"
+    """The rule by which servers are selected."""
     gain_switch: Fraction = 0.25
+    """The share of the local delay that another server must save before it is switched to."""
     gain_wait: Fraction = 0.25
+    """The share of the local delay that waiting for a server must save."""
     gain_slot: Fraction = 0.25
+    """The share that a server must save where other drones wait for a slot."""
     period_s: Positive = 1.0
+    """Between two looks at whether another server is better, in seconds."""
     blacklist_s: AtLeastOneSecond | None = None
+    """A server that failed is left alone for so long, in seconds; in place of `probe`."""
     probe: ProbeConfig | None = None
+    """A server that failed is asked again after these pauses; default of `look-ahead`."""
     idle_s: NotNegative = 180.0
+    """How long a server that was left is believed to have its services still running, in seconds."""
     retry_s: NotNegative = 300.0
+    """When a server that became slower than the drone gets another chance, in seconds."""
     patient_first_call: bool = False
+    """Whether a service's first call on a server may take as long as a local one."""
     hedge: HedgeConfig | bool | None = None
+    """Calls that a server is late with are computed on the drone too; `true`, `false` or a table; default: `true`
+    with `look-ahead`."""
     stay_or_go: Literal["stay", "go", "learn"] = "stay"
+    """Whether the drone flies on before an answer is there: [answers that come later](pending-calls.md)."""
 
     def __post_init__(self) -> None:
         if self.blacklist_s is not None and self.probe is not None:
@@ -236,69 +268,100 @@ class PolicyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A service of the mission; a map's key is a profile key, "" for a service without any.
-
-    Without a `program` it is the bundled service of that name. `local_pace_s` is the least time a local
-    call takes: on the desk it stands in for the drone's slower computer. `local_joining_slowdown` is by what share
-    simulated local calls are slower while a network is being joined. `settings` is what its constructor gets.
-    """
+    """A service that the mission calls, and what its calls cost on the drone."""
 
     name: Name
+    """As its class is declared."""
     program: ImportPath | None = None
+    """Its class, `path/to/file.py:Class` or `package.module:Class`; not needed for a bundled service."""
     request_bytes: Bytes = 425_000
+    """Of a request, on average."""
     reply_bytes: Bytes = 500
+    """Of a reply, on average."""
     local_call_s: SecondsOfEachKey
+    """A call on the drone, in seconds: one number, or one for each profile key or method; `upwash profile`
+    measures it."""
     local_first_extra_s: NotNegative = 0.0
+    """How much longer the first call after a start takes, in seconds."""
     local_pace_s: SecondsByKey = {}
+    """The least time of a call on the drone, in seconds: stands in for a slower computer."""
     local_joining_slowdown: SharesByKey = {}
+    """Simulation: the share by which calls on the drone take longer while a network is joined."""
     settings: Settings | None = None
+    """What the constructor of its class takes."""
 
 
 class TruthConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the file says is true of a simulated server; see `server_truth` for what it leaves out."""
+    """What is true of a simulated server; what is left out is as believed."""
 
     join_s: NotNegative | None = None
+    """Joining its network, in seconds; default: `check_running_s`."""
     leave_s: NotNegative = 0.0
+    """Leaving its network, in seconds: meanwhile the radio joins no other."""
     start_s: NotNegative | None = None
+    """Starting a service, in seconds; default: `check_s` less `check_running_s`."""
     processing_s: SecondsByService = {}
+    """The part of `remote_call_s` that keeps an instance busy, in seconds; default: all of it."""
     remote_call_s: SecondsByService = {}
+    """A call, in seconds."""
     first_extra_s: NotNegative = 0.0
+    """How much longer the first call after a start takes, in seconds."""
     radio: Text = "fixed"
+    """Goodput by distance: `fixed`, `disc54`, `disc12` or a csv file."""
     slots: Slots = "auto"
+    """Drones that it serves at a time."""
     lanes: Count | None = None
+    """Calls that an instance computes at a time; default: as its service declares."""
     turn_s: TurnSeconds | None = None
+    """How long a drone keeps its slot at least while others wait, in seconds."""
     images: Names | None = None
+    """The services that it can start; default: all."""
     peers: Names = ()
+    """Servers that it can have prepared for a drone that goes on to them."""
 
 
 class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the drone believes of a server before it has met it; times by service and profile key."""
+    """An edge server, and what the drone believes of it before it has met it."""
 
     name: Name
+    """As in its certificate."""
     east_m: float | None = None
+    """Of home, in metres; or give `latitude_deg` and `longitude_deg`."""
     north_m: float | None = None
+    """Of home, in metres."""
     latitude_deg: Latitude | None = None
+    """In place of `east_m` and `north_m`."""
     longitude_deg: Longitude | None = None
+    """In place of `east_m` and `north_m`."""
     range_m: Positive
+    """How far it is reached, in metres."""
     network: Text
+    """Its NetworkManager profile; default: the server's name."""
     address: Text | None = None
+    """Of its daemon, `host:port` or `unix:path`; needed to fly."""
     bandwidth_bit_s: Positive | None = None
+    """With `processing_s`: the first estimate of a call (equation 3.1) where `remote_call_s` is not given."""
     check_s: NotNegative = 11.5
+    """From selecting it to the first call, with services to be started, in seconds."""
     check_running_s: NotNegative = 3.5
+    """The same with services that run, in seconds."""
     processing_s: SecondsByService = {}
+    """Computing a call there, in seconds."""
     remote_call_s: SecondsByService = {}
+    """A call there from request to reply, in seconds: one number, by service, by profile key or both."""
     truth: TruthConfig = TruthConfig()
+    """Simulation: what is true of it."""
 
 
 class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """At which waypoints of a simulation an answer demands something: regularly, or each with a probability.
-
-    Regularly these are the waypoints i with `i % every == offset`.
-    """
+    """Simulation: the waypoints at which an answer demands something."""
 
     every: Count | None = None
+    """At the waypoints i with `i % every == offset`."""
     offset: CountFromZero = 0
+    """See `every`."""
     probability: Fraction | None = None
+    """At each waypoint with this probability, in place of `every`."""
 
     def __post_init__(self) -> None:
         if (self.every is None) == (self.probability is None):
@@ -310,75 +373,92 @@ class EventConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class HeatConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How the drone's computer gets hot: the air around it, and the power that a call adds."""
+    """The drone's computer gets hot, and slow."""
 
     ambient_c: float = 44.0
+    """The air around it, in °C."""
     load_w: NotNegative = 4.0
+    """What a call adds to its power, in watts."""
 
 
 class EnergyConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the simulated drone draws, and how much its battery holds; `sim.energy` has the model and its sources.
-
-    Hovering takes `hover_w`, of which the blades' own drag is `blade_share` and the rest holds the drone up;
-    `drag_at_10_m_s_w` is what the air's resistance adds at 10 m/s. A computer draws `computer_idle_w`, and
-    `computer_load_w` more in a call: by default 4 W, or what `[heat]` says. Each radio draws `radio_idle_w`, and
-    `radio_transfer_w` more while it transfers. The battery is full at the start, and endless without `battery_wh`. At
-    `failsafe_percent` the vehicle lands by itself where it is (0: it does not), and with an empty one it falls.
-    """
+    """What the simulated drone draws from its battery: [the model](energy.md)."""
 
     battery_wh: Positive | None = None
+    """What the battery holds, in watt-hours; default: endless."""
     failsafe_percent: Level = 5.0
+    """The vehicle lands by itself at this level; 0: it does not."""
     hover_w: Positive = 168.5
+    """Hovering, in watts."""
     blade_share: Fraction = 0.474
+    """Of `hover_w`: the blades' own drag."""
     tip_speed_m_s: Positive = 120.0
+    """Of the rotors' blades."""
     induced_speed_m_s: Positive = 4.03
+    """Of the air below the rotors in hover."""
     drag_at_10_m_s_w: NotNegative = 9.24
+    """What the air's resistance adds at 10 m/s, in watts."""
     computer_idle_w: NotNegative = 2.7
+    """The computer without a call, in watts."""
     computer_load_w: NotNegative | None = None
+    """What a call adds, in watts; default: 4, or `heat.load_w`."""
     radio_idle_w: NotNegative = 0.8
+    """Each radio, in watts."""
     radio_transfer_w: NotNegative = 0.5
+    """What a transfer adds, in watts."""
 
 
 class NoiseConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Relative standard deviations of simulated times."""
+    """Simulation: relative standard deviations of times; without them every seed gives the same run."""
 
     call: NotNegative = 0.0
+    """Of calls."""
     leg: NotNegative = 0.0
+    """Of legs."""
     join: NotNegative = 0.0
+    """Of joining a network."""
     start: NotNegative = 0.0
+    """Of starting a service."""
 
 
 class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Something that goes wrong for a while: at a server, at a link ("link:s1") or at the autopilot.
-
-    `lie` is what a server that is "lying" lies about.
-    """
+    """Simulation: something that goes wrong for a while: [faults](scenarios.md#faults)."""
 
     target: Text
+    """A server's name, `link:` and a server's name, or `autopilot`."""
     kind: Literal[
         "off", "stuck", "slow", "garbage", "wrong", "lying", "flapping", "full", "crash", "pilot", "fail-safe"
     ]
+    """What goes wrong."""
     lie: Lie = "elsewhere"
+    """What a server that is `lying` lies about."""
     from_s: NotNegative = 0.0
+    """When it begins, in seconds."""
     to_s: NotNegative = math.inf
+    """When it ends, in seconds."""
     extra_s: NotNegative = 5.0
+    """How much longer things take while the target is `slow`, in seconds."""
 
 
 class FleetDroneConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One of several drones of a simulated world; what it leaves out is as the file says for all of them.
-
-    It departs and vanishes at these seconds of the simulation: from `vanishes_s` on its computer is gone. What its
-    own computer needs for a call is by service and profile key.
-    """
+    """Simulation: one of several drones; what it leaves out is as the file says for all."""
 
     name: Name
+    """Of the drone."""
     departs_s: SecondOfADay = 0.0
+    """When it begins, in seconds of the simulation."""
     vanishes_s: Positive | None = None
+    """When its computer is gone, in seconds of the simulation."""
     grid: GridConfig | None = None
+    """Its waypoints as a grid."""
     waypoints_m: PlacesInMetres | None = None
+    """Its waypoints as pairs of metres east and north of home."""
     plan: PlanPath | None = None
+    """Its waypoints as a plan."""
     local_call_s: SecondsByService = {}
+    """A call on its computer, in seconds, by service and profile key."""
     policy: PolicyName | None = None
+    """Its policy."""
 
 
 class DroneConfig(
@@ -394,9 +474,13 @@ class DroneConfig(
     """
 
     name: Name = "drone"
+    """As in the drone's certificate."""
     seed: int = 1
+    """Simulation: all chance comes from here."""
     metrics: Text | None = None
+    """Where Prometheus finds a flight's numbers, `host:port`: [metrics](metrics.md)."""
     max_message_bytes: MessageBytes = 16_777_216
+    """The largest request and result of a call on the drone's side."""
     mission: MissionConfig
     vehicle: VehicleConfig = VehicleConfig()
     autopilot: AutopilotConfig = AutopilotConfig()

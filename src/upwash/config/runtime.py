@@ -21,36 +21,54 @@ EngineAddresses = Annotated[
 
 
 class EngineConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which container engine, and what of it: several addresses are those of one cluster's members."""
+    """Which container engine, and what of it."""
 
     addresses: EngineAddresses = ("unix:/var/lib/lxd/unix.socket",)
+    """Of the engine; several are those of one cluster's members."""
     project: Name = "default"
+    """In which containers and images lie."""
     pool: Name = "default"
+    """The storage pool."""
     profiles: Names = ()
+    """More profiles that containers get."""
     certificate: FilePath | None = None
+    """Shown to an engine at an https address."""
     key: FilePath | None = None
+    """Of that certificate."""
     engine_certificate: FilePath | None = None
+    """The engine's own."""
 
 
 class ContainerNetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The addresses that containers get, and the interface on which they are answered for."""
 
     subnet: Text = "10.147.70.0/24"
+    """Of the containers."""
     interface: Name | None = None
+    """Where drones come from; without it containers are reached from this machine alone."""
 
 
 class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What services run in, and what each instance may use at most."""
 
     kind: Literal["process", "lxd"] = "process"
+    """Processes, or [containers](containers.md) of LXD or Incus."""
     sandbox: Literal["auto", "required", "off"] = "auto"
+    """Of processes: where bubblewrap can make one; `required`: no start without one; `off`."""
     sandbox_as_root: bool = False
+    """Whether root may make sandboxes, which are weaker."""
     readable: Files = ()
+    """Files and folders, such as models, that services may read beside their own code."""
     memory_bytes: MemoryBytes = 2**31
+    """Of an instance."""
     processes: Processes = 256
+    """Processes and threads of an instance."""
     disk_bytes: DiskBytes = 2**28
+    """Files of an instance."""
     cpus: Count | None = None
+    """Of an instance in a container; default: all."""
     idle: Literal["stop", "freeze"] = "freeze"
+    """What an instance in a container does that nobody uses."""
     engine: EngineConfig = EngineConfig()
     network: ContainerNetworkConfig = ContainerNetworkConfig()
 

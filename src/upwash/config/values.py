@@ -126,11 +126,14 @@ SecondsByService = Annotated[
 
 
 class KeysConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where the certificates and the private key lie, as absolute paths."""
+    """The certificates by which both ends know each other."""
 
     authority: FilePath
+    """The certificate of the authority that signed both ends'."""
     certificate: FilePath
+    """One's own certificate."""
     key: FilePath
+    """The private key of that certificate."""
 
 
 def is_address(text: str) -> bool:
