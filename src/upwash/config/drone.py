@@ -140,7 +140,8 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     connection: Text | None = None
     """`serial:DEVICE:BAUD`, `udpin:HOST:PORT`, `udpout:HOST:PORT` or `tcp:HOST:PORT`; needed to fly."""
     signing_key: FilePath | None = None
-    """All messages are signed with this key, and only signed ones are believed: [signing](vehicle.md#signed-messages)."""
+    """All messages are signed with this key, and only signed ones are believed:
+    [signing](vehicle.md#signed-messages)."""
     on_failure: SafeEnd = "return"
     """How a mission ends that cannot go on."""
     farthest_start_m: Positive = 500.0

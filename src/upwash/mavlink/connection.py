@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import termios
+from collections.abc import Collection
 from dataclasses import dataclass
 
-_KINDS = ("udpin", "udpout", "tcp", "serial")
+KINDS = ("udpin", "udpout", "tcp", "serial")
 _MOST_PORT = 65_535
 
 
@@ -18,11 +19,11 @@ class Connection:
     number: int
 
 
-def parse_connection(text: str) -> Connection:
+def parse_connection(text: str, *, kinds: Collection[str] = KINDS) -> Connection:
     """The connection that is written so; raises ValueError with what is wrong about the text."""
     kind, _, rest = text.partition(":")
     place, _, number = rest.rpartition(":")
-    if kind not in _KINDS or not place or not (number.isascii() and number.isdecimal()):
+    if kind not in kinds or not place or not (number.isascii() and number.isdecimal()):
         raise ValueError(
             f'expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD, found "{text}"'
         )

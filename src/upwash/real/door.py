@@ -28,7 +28,7 @@ from upwash.errors import CredentialsError, InstanceError
 from upwash.real.crowd import Crowd, Recent
 from upwash.real.frames import Counted, FrameCounter
 from upwash.real.log import Sparing
-from upwash.real.streams import CHUNK_BYTES, Streams, endpoint_of, join, listening_socket
+from upwash.real.streams import CHUNK_BYTES, Streams, endpoint_of, hang_up, join, listening_socket
 from upwash.real.trust import Holder, Trust
 
 _log = logging.getLogger("upwash.door")
@@ -302,7 +302,7 @@ class Door:
 
 
 async def _hang_up_on(streams: Streams) -> None:
-    streams[1].transport.abort()
+    hang_up(streams[1])
     with contextlib.suppress(OSError):
         await streams[1].wait_closed()
 

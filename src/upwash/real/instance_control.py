@@ -36,6 +36,7 @@ from upwash.real.control import (
     line,
 )
 from upwash.real.output import Output
+from upwash.real.streams import hang_up
 from upwash.support.text import words_of
 
 _log = logging.getLogger("upwash.instance")
@@ -135,7 +136,7 @@ class InstanceControl:
         """Hangs up, by which the instance ends."""
         if self._listening is not None:
             self._listening.cancel()
-        self._orders.transport.abort()  # whoever is frozen takes no part in a farewell
+        hang_up(self._orders)  # whoever is frozen takes no part in a farewell
         with contextlib.suppress(OSError):
             await self._orders.wait_closed()
 
@@ -164,7 +165,7 @@ class InstanceControl:
     def _hang_up(self, why: str) -> None:
         self.fault = why
         _log.warning("%s: %s: hanging up", self._name, why)
-        self._orders.transport.abort()
+        hang_up(self._orders)
 
     async def _listen(self) -> None:
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import socket
 from collections.abc import Callable
 from pathlib import Path
@@ -23,11 +24,23 @@ async def join(outer: Streams, inner: Streams, *, seen: Callable[[bytes], None] 
     try:
         await _hand_on(hear_outer, tell_inner, seen)
     finally:
-        tell_inner.close()
+        close(tell_inner)
         try:
             await back
         finally:
-            tell_outer.close()
+            close(tell_outer)
+
+
+def close(writer: asyncio.StreamWriter) -> None:
+    """Closes it unless that was done: a TLS connection that is closed twice cannot be broken off in Python 3.11.2."""
+    if not writer.is_closing():
+        writer.close()
+
+
+def hang_up(writer: asyncio.StreamWriter) -> None:
+    """Breaks the connection off at once, if there still is one."""
+    with contextlib.suppress(AttributeError):  # Python 3.11.2's word for a TLS connection that has ended
+        writer.transport.abort()
 
 
 async def _hand_on(
@@ -42,7 +55,7 @@ async def _hand_on(
             if not await _passed_on(chunk, target):
                 break
     finally:
-        target.close()
+        close(target)
 
 
 async def _next(source: asyncio.StreamReader) -> bytes:

@@ -281,7 +281,7 @@ _OPENERS: dict[str, Callable[[str, int, _Line], Awaitable[None]]] = {
 
 def _opener(connection: str) -> Callable[[_Line], Awaitable[None]]:
     try:
-        parsed = parse_connection(connection)
+        parsed = parse_connection(connection, kinds=_OPENERS)
     except ValueError as error:
         raise UsageError(f"the connection to the vehicle: {error}") from None
     return partial(_OPENERS[parsed.kind], parsed.place, parsed.number)
