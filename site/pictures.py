@@ -32,6 +32,7 @@ COMMANDS = (
     (*UPWASH, "report", "with.jsonl", "without.jsonl", "-o", "report.html"),
     (*UPWASH, "reproduce", "--seeds", "1", "--figures", "."),
     (str(ROOT / "site" / "states.py"), "states.png"),
+    (str(ROOT / "site" / "call_flow.py"), "call_flow.png"),
     ("-m", "bench.gains", "--figure", "gains.png"),
 )
 MADE = ("*.png", "report.html")
