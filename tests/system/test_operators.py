@@ -27,6 +27,7 @@ NOT_HERE = (
     "useradd",
     "systemctl daemon-reload",
     "journalctl",
+    "podman",
 )
 
 
