@@ -14,7 +14,7 @@ _BEFORE = ("group", "world", "seed", "bound_s")
 
 
 class Missions(NamedTuple):
-    """The missions of all variants in one world with one seed: seconds, and those that an all-knowing drone needs.
+    """The missions of all variants in one world with one seed: seconds, and those of the theoretical minimum.
 
     A variant that did not fly there is not in `times_s`.
     """

@@ -31,7 +31,7 @@ class MeasuredWorld:
 
     @property
     def possible_s(self) -> Mean:
-        """What an all-knowing drone gains over the first variant."""
+        """What the theoretical minimum gains over the first variant."""
         return mean_of([own - bound for own, bound in zip(self._reference_s, self.bounds_s, strict=True)])
 
     def share(self, variant: str) -> Mean:

@@ -173,7 +173,7 @@ def test_disconnects_make_waits_of_the_thesiss_simulation_fail_as_in_figure_4_9(
     as_it_is, without = waits(), waits(**at_once)
     assert as_it_is > without
     page = " ".join((ROOT / "docs" / "differences.md").read_text().split())
-    assert f"there are {as_it_is[0]} waits, {as_it_is[1]} of them in vain;" in page
+    assert f"there are {as_it_is[0]} waits, {as_it_is[1]} of them wasted;" in page
     assert f"there are {without[0]}, and {without[1]}." in page
 
 

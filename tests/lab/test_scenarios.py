@@ -91,7 +91,7 @@ def test_on_a_power_line_every_cell_is_used_after_its_start() -> None:
 
 
 def above_bound(scenario: str, policy: str) -> float:
-    """The share by which the mission is longer than an all-knowing drone's."""
+    """The share by which the mission is longer than the theoretical minimum."""
     bound = bound_of(fly(scenario, policy), read_scenario(FILES[scenario]))
     assert bound is not None
     return time_s(scenario, policy) / bound.free_s - 1

@@ -24,7 +24,13 @@ from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 SPEEDUP = 10.0
-FAITHFUL = VehicleSettings(home=HOME, speedup=SPEEDUP, armable_after_s=3.0)
+FAITHFUL = VehicleSettings(
+    home=HOME,
+    speedup=SPEEDUP,
+    armable_after_s=3.0,
+    # As long on the driver's clock as on a real link: on a bad one the answers to arming take longer than 1 s.
+    parameters={"DISARM_DELAY": 10.0 * SPEEDUP},
+)
 AGILE = VehicleSettings(
     home=HOME,
     acceleration_m_s2=100.0,

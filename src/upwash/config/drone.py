@@ -191,7 +191,7 @@ class HedgeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     after: Quantile = "p95"
     """The quantile of a server's call delays after which a call counts as late."""
     budget: Share = 0.1
-    """The share of calls that the drone may compute in vain."""
+    """The largest share of the drone's computing time that hedging may add."""
 
     @property
     def quantile(self) -> float:

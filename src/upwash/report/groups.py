@@ -109,7 +109,7 @@ def in_seconds(mean: Mean) -> str:
 
 
 def verdict(records: Sequence[Record]) -> str:
-    """What many flights came to, in a sentence."""
+    """The summary of many flights, in a sentence."""
     completed = sum(record.result.completed for record in records)
     which = "all" if completed == len(records) else str(completed)
     counts = f"{counted(len(records), 'flight')}, {which} completed"

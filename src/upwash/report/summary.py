@@ -1,4 +1,4 @@
-"""What many flights came to, before each of them is told."""
+"""The summary of many flights, which stands before each of them."""
 
 from __future__ import annotations
 
