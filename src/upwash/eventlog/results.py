@@ -67,10 +67,10 @@ class CallResult:
 class Totals:
     """Sums over all calls; `remote` counts by server, `fallbacks` remote calls that ended on the drone.
 
-    `waits` counts the calls that waited for a server, `waits_failed` those whose server did not become ready in time, and `switches`
-    how often a server was selected. `lighter` counts the calls that ran lighter than the mission asked for. The drone
-    `went_on` before so many answers were there, and `turned_back` for so many; during `hidden_s` of the
-    `service_delay_s`, the delays of all calls, the mission did something else.
+    `waits` counts the calls that waited for a server, `waits_failed` those whose server was not ready in time, and
+    `switches` how often a server was selected. `lighter` counts the calls that ran lighter than the mission asked
+    for. The drone `went_on` before so many answers were there, and `turned_back` for so many; during `hidden_s` of
+    the `service_delay_s`, the delays of all calls, the mission did something else.
     """
 
     calls: int
