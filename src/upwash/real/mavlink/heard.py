@@ -35,7 +35,7 @@ _COPTERS = (
     mavlink.MAV_TYPE_DECAROTOR,
 )
 _TELL_THE_MODE = ("HEARTBEAT", "CURRENT_MODE", "FENCE_STATUS")
-_LATE_BY = 16  # messages: what is older by its sequence number comes from a vehicle that was restarted
+_LATE_BY = 64  # messages, about a second: what is older by its sequence number comes from a restarted vehicle
 _ASKED_AT_ONCE = 10  # times that a missing stream is asked for each second
 _ASKED_EACH = 30  # and from then on only each so many
 _NEWS_KEPT = 1000  # until somebody listens
