@@ -26,12 +26,13 @@ from upwash.errors import CredentialsError, InstanceError, LinkError, Unreachabl
 from upwash.real import authority as module
 from upwash.real.authority import keys_in, make_keys
 from upwash.real.credentials import Credentials, fingerprint, read_credentials
-from upwash.real.crowd import Crowd, Recent
+from upwash.real.crowd import Crowd, Recent, Turns
 from upwash.real.door import Door, DoorLimits, leading, opened_door
 from upwash.real.frames import PREFACE, Counted, FrameCounter
 from upwash.real.link import GrpcDialer
 from upwash.real.listener import Caller, Health, Listener, WhoIs
 from upwash.real.trust import Trust
+from upwash.sim.loop import run_virtually
 
 ReadCredentials = Callable[[str], Credentials]
 PATH = "/upwash.test/name"
@@ -294,3 +295,23 @@ def test_who_was_longest_unseen_is_forgotten() -> None:
     numbers = iter(range(10))
     recent = Recent(lambda: next(numbers), most=2)
     assert [recent.of(name) for name in ("a", "b", "a", "c", "b")] == [0, 1, 0, 2, 3]
+
+
+def test_who_asks_again_and_again_keeps_nobody_else_out() -> None:
+    async def scenario() -> None:
+        turns, now_s = Turns(20.0), asyncio.get_running_loop().time
+
+        async def ask_again_and_again() -> None:
+            while True:
+                await turns.turn()
+
+        crowd = [asyncio.create_task(ask_again_and_again()) for _ in range(10)]
+        for _ in range(100):
+            await asyncio.sleep(0.05)
+            asked_s = now_s()
+            await turns.turn()
+            assert now_s() - asked_s < 12 / 20
+        for task in crowd:
+            task.cancel()
+
+    run_virtually(scenario())

@@ -1,10 +1,13 @@
-"""Bounded memory of others: connections of which the oldest gives way, and what is known of who came lately."""
+"""Bounds on others: connections of which the oldest gives way, turns, and what is known of who came lately."""
 
 from __future__ import annotations
 
+import asyncio
 from collections import Counter, OrderedDict
 from collections.abc import Callable
 from typing import Generic, TypeVar
+
+from upwash.core.allowance import Allowance
 
 M = TypeVar("M")
 K = TypeVar("K")
@@ -65,3 +68,20 @@ class Recent(Generic[K]):
         if len(self._known) > self._most:
             self._known.popitem(last=False)
         return self._known[name]
+
+
+class Turns:
+    """So many turns a second, and twice as many after a rest, in the order in which they are asked for.
+
+    Without an order those who ask again at once could keep one out who waits.
+    """
+
+    def __init__(self, per_s: float) -> None:
+        self._allowance = Allowance(per_s, at_once=2 * per_s)
+        self._order = asyncio.Lock()
+
+    async def turn(self) -> None:
+        """Returns when it is the caller's turn."""
+        now_s = asyncio.get_running_loop().time
+        async with self._order:
+            await asyncio.sleep(self._allowance.take_anyway_s(1, now_s=now_s()))

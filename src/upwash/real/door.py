@@ -25,7 +25,7 @@ from typing import Any
 from upwash.core.allowance import Allowance
 from upwash.core.clients import Client
 from upwash.errors import CredentialsError, InstanceError
-from upwash.real.crowd import Crowd, Recent
+from upwash.real.crowd import Crowd, Recent, Turns
 from upwash.real.frames import Counted, FrameCounter
 from upwash.real.log import Sparing
 from upwash.real.streams import CHUNK_BYTES, Streams, endpoint_of, hang_up, join, listening_socket
@@ -41,7 +41,6 @@ _OUT_OF_SOCKETS_S = 0.1
 _LAST_WORDS_S = 1.0
 _MOST_FILES = 65_536
 _MOST_SITES = 4096
-_TURN_S = 0.05
 _TOLD_PER_S = 1.0
 _IPV6_SITE_BITS = 64  # one network's, all of which one machine may use
 
@@ -215,7 +214,7 @@ class Door:
         try:
             async with asyncio.timeout(self._limits.silence_s):
                 await _readable(connection)  # who says nothing takes nobody's turn
-            await self._turn_of(address)
+            await self._handshakes.of(address).turn()  # nothing that a stranger may do costs more
             streams = await self._handshake(connection)
         except (OSError, asyncio.CancelledError) as error:
             connection.close()
@@ -233,15 +232,8 @@ class Door:
             return
         await self._serve(streams, certificate, holder, inside, server)
 
-    def _new_site(self) -> Allowance:
-        per_s = self._limits.handshakes_per_address_per_s
-        return Allowance(per_s, at_once=2 * per_s)
-
-    async def _turn_of(self, address: str) -> None:
-        """Returns when it is that address's turn: nothing that a stranger may do costs more than a handshake."""
-        now_s, turns = asyncio.get_running_loop().time, self._handshakes.of(address)
-        while not turns.take(1, now_s=now_s()):  # noqa: ASYNC110 - it is time that has to pass
-            await asyncio.sleep(_TURN_S)
+    def _new_site(self) -> Turns:
+        return Turns(self._limits.handshakes_per_address_per_s)
 
     def _refuse_shut_out(self, holder: Holder) -> None:
         pace = self._paces.of(holder.client.certificate)
