@@ -20,7 +20,8 @@ from upwash.real.credentials import Credentials, fingerprint, read_credentials
 from upwash.real.door import leading, opened_door
 from upwash.real.limits import Limits
 from upwash.real.link import GrpcDialer, GrpcLink
-from upwash.real.runtime import ProcessInstance, ProcessRuntime, sockets_in
+from upwash.real.local_instance import LocalInstance
+from upwash.real.runtime import ProcessRuntime, sockets_in
 from upwash.real.sandbox import find_sandbox
 from upwash.real.trust import Trust
 from upwash.rpc.protocol import service_path
@@ -73,13 +74,13 @@ async def compare_runtimes(
             await instance.stop()
 
 
-async def started(runtime: ProcessRuntime) -> tuple[ProcessInstance, float]:
+async def started(runtime: ProcessRuntime) -> tuple[LocalInstance, float]:
     """An instance, and how long it took until it could be called."""
     began_s = time.perf_counter()
     return await runtime.start(SPEC, called=lambda _: None), time.perf_counter() - began_s
 
 
-async def compare(plain: ProcessInstance, boxed: ProcessInstance, drone: Credentials, rounds: int) -> None:
+async def compare(plain: LocalInstance, boxed: LocalInstance, drone: Credentials, rounds: int) -> None:
     """Calls the two in turn and prints the medians, and the median of the rounds' ratios."""
     dialer = GrpcDialer("d1", drone, max_message_bytes=MAX_MESSAGE_BYTES)
     links = []

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from tests import podman as podmans
 from tests.engines import Kind, OwnEngine, own_engine, why_not
+from tests.podman import OwnPodman
 from tests.system.fake_networkmanager import bus_daemon
 from tests.system.radios import Field, field_below
 
@@ -109,6 +111,31 @@ def workbench_image(services: Path, tmp_path_factory: pytest.TempPathFactory) ->
         tmp_path_factory.mktemp("images"),
         report=lambda _: None,
     )
+
+
+@pytest.fixture(scope="session")
+def podman() -> Iterator[OwnPodman]:
+    """A Podman of the tests' own."""
+    if why := podmans.why_not():
+        pytest.skip(why)
+    with podmans.own_podman() as engine:
+        yield engine
+
+
+@pytest.fixture(scope="session")
+def docker_images(services: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Images of the workbench and the vandal, as Docker and Podman take them."""
+    from upwash.missions.bundled import load_service_alone
+    from upwash.packaging.image import Recipe, package
+
+    return [
+        package(
+            Recipe(load_service_alone(f"{services}:{cls}"), format="docker"),
+            tmp_path_factory.mktemp("images"),
+            report=lambda _: None,
+        )
+        for cls in ("Workbench", "Vandal")
+    ]
 
 
 @pytest.fixture

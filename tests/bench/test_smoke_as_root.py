@@ -8,6 +8,7 @@ import shutil
 
 import pytest
 from tests.engines import OwnEngine
+from tests.podman import OwnPodman
 from tests.programs import printed
 
 pytestmark = [pytest.mark.root, pytest.mark.system]
@@ -16,11 +17,13 @@ needs_ip = pytest.mark.skipif(not shutil.which("ip"), reason="needs iproute2")
 
 
 @pytest.mark.xdist_group("lxd")
-def test_calls_into_a_container_stand_beside_those_into_a_process(lxd: OwnEngine) -> None:
-    said = printed("bench.containers", "--quick", "--engine", f"unix:{lxd.socket}")
-    for what in "process", "container, new", "container, stopped", "container, frozen":
+def test_calls_into_containers_stand_beside_those_into_a_process(lxd: OwnEngine, podman: OwnPodman) -> None:
+    engines = ("--lxd", f"unix:{lxd.socket}", "--docker", f"unix://{podman.socket}")
+    said = printed("bench.containers", "--quick", *engines)
+    for what in "process", "lxd, stopped", "lxd, frozen", "docker, stopped", "docker, frozen":
         assert re.search(rf"\n{what} +[\d.]+ s \(", said)
-    assert re.search(r"\n(PASS|MISS): container / process = [\d.]+", said)
+    for what in "process", "lxd, frozen", "docker, frozen":
+        assert re.search(rf"\n{what} +[\d.]+ ms +[\d.]+", said)
 
 
 @needs_root

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from upwash.config import DaemonConfig, ImageConfig, PeerConfig, read_daemon_config, read_drone_config
 from upwash.errors import ConfigError
@@ -53,7 +54,10 @@ def _revoked(tmp_path: Path, keys: str) -> Path | None:
 
 
 def test_what_a_file_leaves_out_has_the_printed_defaults(tmp_path: Path) -> None:
-    assert read(tmp_path, KEYS + REST) == read(tmp_path, FULL)
+    brief, full = read(tmp_path, KEYS + REST), read(tmp_path, FULL)
+    assert brief.runtime.engine_addresses == full.runtime.engine_addresses
+    engine = replace(full.runtime.engine, addresses=None)
+    assert brief == replace(full, runtime=replace(full.runtime, engine=engine))
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:0", "[::1]:7070", "localhost:7070", "unix:/run/upwash.sock"])
@@ -100,7 +104,7 @@ def test_without_certificates_it_may_not_listen_to_others(tmp_path: Path, addres
         ('name = "s2"', 'name = "local"', "server[1].name", "stands for the drone itself in results"),
         ('name = "counter"', 'name = "detector"', "service[1].name", 'a second service named "detector"'),
         ('name = "counter"', 'name = "count er"', "service[1].name", "letters, digits"),
-        ('kind = "process"', 'kind = "docker"', "runtime.kind", 'one of "lxd", "process"'),
+        ('kind = "process"', 'kind = "podman"', "runtime.kind", 'one of "docker", "lxd", "process"'),
         ("memory_bytes = 2_147_483_648", "memory_bytes = 2_147", "runtime.memory_bytes", "64 MiB"),
         ("unix:/var/lib", "ssh:/var/lib", "runtime.engine.addresses[0]", "https://host:port"),
         ("unix:/var/lib", "https://10.0.0.2", "runtime.engine.certificate", "missing"),
@@ -177,3 +181,33 @@ def test_a_service_may_stand_in_for_that_of_a_slower_computer(tmp_path: Path) ->
     detector, counter = read(tmp_path, paced).images
     assert (detector.pace_s, detector.start_pace_s) == ({"light": 0.2, "heavy": 0.6}, 0.0)
     assert (counter.pace_s, counter.start_pace_s) == ({"": 2.0}, 8.0)
+
+
+DOCKER = 'kind = "docker"\nengine.addresses = '
+
+
+@pytest.mark.parametrize(
+    ("runtime", "key", "named"),
+    [
+        (
+            'kind = "docker"\nengine.addresses = ["tcp://10.0.0.2:2375"]',
+            "engine.addresses[0]",
+            "an engine on this machine",
+        ),
+        (
+            'kind = "docker"\nengine.addresses = ["unix:/a", "unix:/b"]',
+            "engine.addresses",
+            "one address .* is enough",
+        ),
+        ('devices = ["/dev/dri"]', "devices", 'only instances with runtime.kind = "docker"'),
+    ],
+)
+def test_what_docker_cannot_do_is_refused(tmp_path: Path, runtime: str, key: str, named: str) -> None:
+    with pytest.raises(ConfigError, match=named) as refusal:
+        read(tmp_path, f"{KEYS}[runtime]\n{runtime}\n{REST}")
+    assert refusal.value.key == f"runtime.{key}"
+
+
+def test_docker_is_found_where_it_listens_by_itself(tmp_path: Path) -> None:
+    runtime = read(tmp_path, f'{KEYS}[runtime]\nkind = "docker"\n{REST}').runtime
+    assert runtime.engine_addresses == ("unix:/var/run/docker.sock",)

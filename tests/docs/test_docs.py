@@ -97,17 +97,21 @@ def test_whoever_cites_upwash_names_its_version_and_license() -> None:
     assert all(f"  - name: {author['name']}\n" in cited for author in project["authors"])
 
 
-def test_the_page_on_containers_shows_a_runtime_that_is_understood(tmp_path: Path) -> None:
-    (block,) = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/containers.md").read_text(), flags=re.DOTALL)
+def test_the_page_on_containers_shows_runtimes_that_are_understood(tmp_path: Path) -> None:
+    blocks = re.findall(r"```toml\n(.*?)```", (ROOT / "docs/containers.md").read_text(), flags=re.DOTALL)
     file = tmp_path / "server.toml"
-    file.write_text(
-        (ROOT / "tests/config/daemon.toml").read_text().partition("[runtime]")[0] + block + KEYS_AND_REST
-    )
-    runtime = read_daemon_config(file).runtime
-    written = set(re.findall(r"^#? ?(\w+) = ", block, flags=re.MULTILINE))
-    known = {
-        name for table in (runtime, runtime.engine, runtime.network) for name in msgspec.structs.asdict(table)
-    }
+    written, known = set[str](), set[str]()
+    for block in blocks:
+        table = "[runtime]" + block.partition("[runtime]")[2]
+        text = (ROOT / "tests/config/daemon.toml").read_text().partition("[runtime]")[0] + table
+        file.write_text(text + KEYS_AND_REST)
+        runtime = read_daemon_config(file).runtime
+        written |= set(re.findall(r"^#? ?(\w+) = ", table, flags=re.MULTILINE))
+        known |= {
+            name
+            for table in (runtime, runtime.engine, runtime.network)
+            for name in msgspec.structs.asdict(table)
+        }
     of_processes = {"sandbox", "sandbox_as_root", "readable"}
     assert written == known - {"engine", "network"} - of_processes
     servers = (ROOT / "docs/servers.md").read_text()

@@ -19,7 +19,7 @@ from upwash.launch.status import ask_status
 from upwash.ports import Program
 from upwash.real.authority import make_keys
 from upwash.real.lxd.engine import EngineImage, EngineInstance
-from upwash.real.lxd.image import ServiceImage
+from upwash.real.service_image import ServiceImage
 from upwash.real.service_manager import ServiceManager
 
 LANES = 3
@@ -74,7 +74,7 @@ class Told(ServiceManager):
 @pytest.fixture
 def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> DaemonConfig:
     make_keys(tmp_path, servers=[["s1"]], operators=["alice"])
-    monkeypatch.setattr(containers, "engine_of", lambda _: Engine())
+    monkeypatch.setattr(containers, "lxd_engine", lambda _: Engine())
     (tmp_path / "server.toml").write_text(CONFIG)
     return read_daemon_config(tmp_path / "server.toml")
 

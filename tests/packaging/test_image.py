@@ -14,7 +14,7 @@ import pytest
 from upwash.config import read_daemon_config
 from upwash.errors import UsageError
 from upwash.missions.bundled import load_service_alone
-from upwash.packaging.archive import write_archive
+from upwash.packaging.archive import write_packed
 from upwash.packaging.base import lay_base
 from upwash.packaging.contents import copy_distributions, copy_program, extra_of
 from upwash.packaging.image import Recipe, package
@@ -107,9 +107,9 @@ def test_links_and_rights_survive_the_archive_and_times_do_not(tmp_path: Path) -
     (folder / "program").write_text("#!/bin/sh\n")
     (folder / "program").chmod(0o700)
     (folder / "link").symlink_to("program")
-    write_archive(folder, tmp_path / "a")
+    write_packed(folder, tmp_path / "a")
     os.utime(folder / "program", (1, 1))
-    write_archive(folder, tmp_path / "b")
+    write_packed(folder, tmp_path / "b")
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
     with tarfile.open(tmp_path / "a") as archive:
         assert archive.getmember("program").mode == 0o755

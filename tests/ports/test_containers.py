@@ -23,7 +23,8 @@ from upwash.real.lxd.container import (
     new_container,
 )
 from upwash.real.lxd.engine import Engine, EngineAddress, EngineImage, EngineInstance
-from upwash.real.lxd.image import ServiceImage, newest_images
+from upwash.real.lxd.image import newest_images
+from upwash.real.service_image import ServiceImage
 
 SUBNET = IPv4Network("10.9.0.0/29")  # of six addresses
 SETTINGS = ContainerSettings(SUBNET)

@@ -25,7 +25,8 @@ from upwash.errors import InstanceError, Refused, Unreachable
 from upwash.ports import InstanceSpec, Program
 from upwash.real.credentials import Credentials, fingerprint
 from upwash.real.link import GrpcDialer, GrpcLink
-from upwash.real.runtime import ProcessInstance, ProcessRuntime
+from upwash.real.local_instance import LocalInstance
+from upwash.real.runtime import ProcessRuntime
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import load_service, spec_of
 from upwash.support.heat import Surroundings
@@ -53,7 +54,7 @@ def spec(
 class Bench:
     """A workbench that runs in a process, and a drone's link to it."""
 
-    def __init__(self, instance: ProcessInstance, link: GrpcLink, program: str) -> None:
+    def __init__(self, instance: LocalInstance, link: GrpcLink, program: str) -> None:
         self.instance = instance
         self.link = link
         self.called: list[str] = []  # by whom

@@ -24,7 +24,8 @@ from upwash.errors import InstanceError, LinkError, UsageError
 from upwash.ports import InstanceSpec, Program
 from upwash.real.limits import Limits
 from upwash.real.link import GrpcDialer
-from upwash.real.runtime import ProcessInstance, ProcessRuntime
+from upwash.real.local_instance import LocalInstance
+from upwash.real.runtime import ProcessRuntime
 from upwash.real.sandbox import Sandbox, code_of, files_in, find_sandbox
 from upwash.real.syscalls import call_filter
 from upwash.rpc.protocol import service_path
@@ -50,9 +51,7 @@ def sandbox() -> Sandbox:
         pytest.skip(str(error))
 
 
-def in_sandbox(
-    sandbox: Sandbox, folder: Path, do: Callable[[Call, ProcessInstance], Awaitable[None]]
-) -> None:
+def in_sandbox(sandbox: Sandbox, folder: Path, do: Callable[[Call, LocalInstance], Awaitable[None]]) -> None:
     """Does something with an instance of the mischief, beside a neighbour that must answer before and after."""
 
     async def run() -> None:
@@ -89,7 +88,7 @@ def in_sandbox(
 
 
 def test_it_gets_no_more_memory_than_its_limit_and_goes_on(sandbox: Sandbox, tmp_path: Path) -> None:
-    async def eat(call: Call, _: ProcessInstance) -> None:
+    async def eat(call: Call, _: LocalInstance) -> None:
         assert await call("eat_memory", 2**30) < LIMITS.memory_bytes
         assert await call("eat_memory", 2**25) == 2**25
 
@@ -119,7 +118,7 @@ def test_all_that_follows_holds_for_a_daemon_of_a_user_without_rights() -> None:
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="Linux does not limit the processes of root")
 def test_it_gets_no_more_processes_than_its_limit(sandbox: Sandbox, tmp_path: Path) -> None:
-    async def fork(call: Call, _: ProcessInstance) -> None:
+    async def fork(call: Call, _: LocalInstance) -> None:
         with contextlib.suppress(LinkError):  # gRPC in it could start no thread any more, or ended it
             assert await call("fork", 500) < LIMITS.processes
         assert await call("fork", 10, at=1) == 10, "its neighbour has processes of its own"
@@ -128,7 +127,7 @@ def test_it_gets_no_more_processes_than_its_limit(sandbox: Sandbox, tmp_path: Pa
 
 
 def test_processes_that_it_left_behind_end_with_it(sandbox: Sandbox, tmp_path: Path) -> None:
-    async def fork(call: Call, instance: ProcessInstance) -> None:
+    async def fork(call: Call, instance: LocalInstance) -> None:
         assert await call("fork", 10) == 10
         assert len(await call("processes")) >= 12
         await instance.stop()
@@ -153,7 +152,7 @@ def sleeping_here(folder: str) -> list[str]:
 def test_it_can_write_nowhere_but_into_its_own_tmp_and_no_more_than_its_limit(
     sandbox: Sandbox, tmp_path: Path
 ) -> None:
-    async def fill(call: Call, _: ProcessInstance) -> None:
+    async def fill(call: Call, _: LocalInstance) -> None:
         assert 0 < await call("fill", "/tmp", 2**26) <= LIMITS.disk_bytes
         assert await call("fill", "/dev/shm", 2**26) <= LIMITS.disk_bytes
         for folder in ("/", "/dev", "/usr", "/etc", str(Path(PROGRAM).parent), str(tmp_path), sys.prefix):
@@ -171,7 +170,7 @@ def test_it_reads_its_own_code_and_what_it_is_given_and_no_other_file_of_the_use
     model.write_text("weights")
     given = Sandbox(sandbox.bubblewrap, sandbox.limits, readable=(model,))
 
-    async def read(call: Call, _: ProcessInstance) -> None:
+    async def read(call: Call, _: LocalInstance) -> None:
         assert "class Mischief" in await call("read", PROGRAM.rpartition(":")[0])
         assert await call("read", str(model)) == "weights"
         for secret in (keys / "s1.key", keys / "authority.key", Path.home() / ".profile", Path(__file__)):
@@ -181,7 +180,7 @@ def test_it_reads_its_own_code_and_what_it_is_given_and_no_other_file_of_the_use
 
 
 def test_it_reaches_nobody(sandbox: Sandbox, tmp_path: Path) -> None:
-    async def connect(call: Call, _: ProcessInstance) -> None:
+    async def connect(call: Call, _: LocalInstance) -> None:
         with (
             socket.create_server(("127.0.0.1", 0)) as server,
             socket.socket(socket.AF_UNIX) as abstract,
@@ -201,7 +200,7 @@ def test_it_sees_no_process_and_no_variable_of_the_daemon(
 ) -> None:
     monkeypatch.setenv("SECRET_TOKEN", "1234")
 
-    async def look(call: Call, _: ProcessInstance) -> None:
+    async def look(call: Call, _: LocalInstance) -> None:
         assert len(await call("processes")) <= 3
         assert "SECRET_TOKEN" not in await call("environment")
 
@@ -213,7 +212,7 @@ def test_it_sees_nothing_of_the_daemons_environment_in_any_process(
 ) -> None:
     monkeypatch.setenv("SECRET_TOKEN", "1234")
 
-    async def look(call: Call, _: ProcessInstance) -> None:
+    async def look(call: Call, _: LocalInstance) -> None:
         for process in await call("processes"):
             assert not any("SECRET" in each for each in await call("environment_of", process)), process
         assert set(await call("environment_of", 1)) <= {""}
@@ -224,7 +223,7 @@ def test_it_sees_nothing_of_the_daemons_environment_in_any_process(
 def test_it_can_write_nothing_of_the_kernels_and_sees_none_of_its_secrets(
     sandbox: Sandbox, tmp_path: Path
 ) -> None:
-    async def write(call: Call, _: ProcessInstance) -> None:
+    async def write(call: Call, _: LocalInstance) -> None:
         assert await call("writable", "/proc/sys") == []
         assert [each for each in await call("writable", "/proc") if "/fd/" not in each] == []
         assert await call("writable", "/sys") == []
@@ -235,7 +234,7 @@ def test_it_can_write_nothing_of_the_kernels_and_sees_none_of_its_secrets(
 
 
 def test_it_inherits_what_it_needs_and_nothing_else(sandbox: Sandbox, tmp_path: Path) -> None:
-    async def look(call: Call, _: ProcessInstance) -> None:
+    async def look(call: Call, _: LocalInstance) -> None:
         files = [each for each in await call("open_files") if not each.startswith(("anon_inode:", "socket:"))]
         assert not [each for each in files if not each.startswith(("pipe:", "/dev/null", "/proc/"))]
         assert (await call("limits")) == [(1, 1), (4096, 4096)]
@@ -269,7 +268,7 @@ CLONE_NEWUSER = 0x10000000
 
 
 def test_it_may_not_ask_the_kernel_for_what_no_service_needs(sandbox: Sandbox, tmp_path: Path) -> None:
-    async def ask(call: Call, _: ProcessInstance) -> None:
+    async def ask(call: Call, _: LocalInstance) -> None:
         assert await call("ask_kernel", GETPID, []) == "done"
         for name, numbers in NUMBERS.items():
             arguments = [CLONE_NEWUSER if name == "unshare" else 0] * 6
@@ -285,7 +284,7 @@ def test_its_sockets_are_of_families_that_its_network_holds_in(sandbox: Sandbox,
     stream, raw = int(socket.SOCK_STREAM), int(socket.SOCK_RAW)
     vsock, alg, packet, netlink = 40, 38, 17, 16
 
-    async def open_sockets(call: Call, _: ProcessInstance) -> None:
+    async def open_sockets(call: Call, _: LocalInstance) -> None:
         for named in (socket.AF_UNIX, socket.AF_INET, socket.AF_INET6):
             assert await call("open_socket", int(named), stream, 0, pair=False) == "done"
         assert await call("open_socket", int(socket.AF_UNIX), stream, 0, pair=True) == "done"
@@ -302,7 +301,7 @@ def test_its_sockets_are_of_families_that_its_network_holds_in(sandbox: Sandbox,
 def test_it_gets_no_memory_that_its_limit_does_not_count(sandbox: Sandbox, tmp_path: Path) -> None:
     shared, private, grows_down = mmap.MAP_SHARED, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS, 0x100
 
-    async def take(call: Call, _: ProcessInstance) -> None:
+    async def take(call: Call, _: LocalInstance) -> None:
         assert await call("map_memory", shared | mmap.MAP_ANONYMOUS, "") == "ENOMEM"
         assert await call("map_memory", private | grows_down, "") == "ENOMEM"
         assert await call("map_memory", private, "") == "ENOMEM", "as much as its limit counts"

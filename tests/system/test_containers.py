@@ -10,21 +10,21 @@ import sys
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from ipaddress import IPv4Network
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.doors import led, reached
+from tests.doors import led
 from tests.engines import OwnEngine
+from tests.system.container_site import DISK_BYTES, MAX_MESSAGE_BYTES, MEMORY_BYTES, PROCESSES, Site
 from tests.system.daemons import Guest
 from tests.waiting import wait_for
 
 from upwash.errors import InstanceError, LinkError, Refused, ServiceError
 from upwash.missions.bundled import load_service_alone
 from upwash.packaging.image import Recipe, package
-from upwash.ports import Instance, InstanceSpec, Program
+from upwash.ports import InstanceSpec, Program
 from upwash.real.control_credentials import SERVICE_PORT
 from upwash.real.credentials import Credentials, fingerprint
 from upwash.real.door import Lead
@@ -33,51 +33,8 @@ from upwash.real.lxd.container import ContainerSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
 from upwash.real.lxd.instance import ContainerInstance
 from upwash.real.lxd.runtime import ContainerRuntime
-from upwash.rpc.protocol import service_path
-from upwash.rpc.service import load_service, spec_of
 
 pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group("lxd")]
-
-MAX_MESSAGE_BYTES = 1_000_000
-MEMORY_BYTES = 2**28
-PROCESSES = 100
-DISK_BYTES = 2**26
-
-
-@dataclass(frozen=True)
-class Site:
-    """A runtime with containers for two servers, and a drone that calls what runs in them."""
-
-    engine: Engine
-    runtime: ContainerRuntime
-    dialer: GrpcDialer
-    services: Path
-    heron: frozenset[str]  # what instances know the drone by
-
-    async def start(self, server: str, service: str) -> Instance:
-        instance = await self.runtime.start(self.spec(server, service), called=lambda _: None)
-        await instance.admit(self.heron)
-        return instance
-
-    def spec(self, server: str, service: str) -> InstanceSpec:
-        return InstanceSpec(server, service, Program(""))
-
-    async def call(
-        self, instance: Instance, server: str, name: str, *arguments: object, timeout_s: float = 20.0
-    ) -> Any:
-        cls = (
-            "Vandal"
-            if name in {"identity", "reach", "eat_memory", "fork_without_end", "fill_disk"}
-            else "Workbench"
-        )
-        method = spec_of(load_service(f"{self.services}:{cls}")).methods[name]
-        _, request = method.encode(arguments, {})
-        link = self.dialer.dial(reached(instance.endpoint), server=server)
-        try:
-            reply = await link.request(service_path(cls.lower(), name), request, timeout_s=timeout_s)
-        finally:
-            await link.close()
-        return method.result(method.decode(reply))
 
 
 OpenSite = Callable[..., Any]
@@ -127,7 +84,7 @@ def open_site(
             await runtime.prepare(["s1", "s2"], [("s1", "workbench"), ("s1", "vandal"), ("s2", "workbench")])
             heron = credentials("heron")
             dialer = GrpcDialer("heron", heron, max_message_bytes=MAX_MESSAGE_BYTES)
-            yield Site(engine, runtime, dialer, services, frozenset({fingerprint(heron.certificate)}))
+            yield Site(runtime, dialer, services, frozenset({fingerprint(heron.certificate)}))
         finally:
             await runtime.close()
 
@@ -326,7 +283,7 @@ def test_a_container_that_is_killed_from_outside_is_noticed_and_started_again(
 
 def test_an_image_of_another_release_is_refused(open_site: OpenSite, monkeypatch: pytest.MonkeyPatch) -> None:
     async def use(site: Site) -> None:
-        monkeypatch.setattr("upwash.real.lxd.runtime.version", lambda _: "9.9")
+        monkeypatch.setattr("upwash.real.service_image.version", lambda _: "9.9")
         with pytest.raises(InstanceError, match=r"made with upwash .*, and this is 9\.9: make it again"):
             await site.start("s1", "workbench")
 

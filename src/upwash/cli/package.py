@@ -10,6 +10,8 @@ from upwash.cli.arguments import announce
 
 if TYPE_CHECKING:
     from upwash.cli.arguments import Commands
+    from upwash.config import DaemonConfig
+    from upwash.packaging.image import Format
 
 
 def add(commands: Commands) -> None:
@@ -27,6 +29,10 @@ def add(commands: Commands) -> None:
     package.add_argument(
         "--include", action="append", default=[], type=Path, metavar="PATH",
         help="a file or folder to lie beside the service's program; repeatable",
+    )  # fmt: skip
+    package.add_argument(
+        "--format", choices=("docker", "lxd"),
+        help="for Docker and Podman, or for LXD and Incus; default: as the configuration's runtime.kind, or lxd",
     )  # fmt: skip
     package.add_argument(
         "--base", choices=("host", "debootstrap"), default="host",
@@ -50,16 +56,22 @@ def run(options: argparse.Namespace) -> bool:
     from upwash.packaging.shipping import find_service, import_image
 
     daemon = read_daemon_config(options.config) if options.config else None
+    chosen: Format = options.format or _format_of(daemon)
     recipe = Recipe(
         service=find_service(options.service, daemon),
         requirements=(*extra_of(options.service), *options.requires),
         beside=tuple(options.include),
         base=options.base,
+        format=chosen,
     )
     with Console(stderr=True).status("packaging") as status:
         file = package(recipe, options.output, report=status.update)
         if options.imports:
             status.update("importing")
-            asyncio.run(import_image(file, daemon))
+            asyncio.run(import_image(file, chosen, daemon))
     announce(str(file))
     return True
+
+
+def _format_of(daemon: DaemonConfig | None) -> Format:
+    return "docker" if daemon and daemon.runtime.kind == "docker" else "lxd"

@@ -58,7 +58,9 @@ class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     program: ImportPath | None = None
     """Its class, `path/to/file.py:Class` or `package.module:Class`; not needed for a bundled service."""
     settings: Settings | None = None
-    """What the constructor of its class takes."""
+    """What the constructor of its class takes; in a container that of its image counts."""
+    image: Text | None = None
+    """The image of Docker or Podman that it runs from; default: `upwash-NAME`, which `upwash package` makes."""
     pace_s: SecondsByKey = {}
     """The least time of a call, in seconds: stands in for a slower computer."""
     start_pace_s: NotNegative = 0.0

@@ -1,4 +1,4 @@
-"""What a daemon's services run in: processes of the daemon's, or containers of LXD or Incus."""
+"""What a daemon's services run in: processes of the daemon's, or containers."""
 
 from __future__ import annotations
 
@@ -19,18 +19,24 @@ EngineAddresses = Annotated[
     tuple[Text, ...], Meta(min_length=1, description='an array of "unix:/path" or "https://host:port"')
 ]
 
+Devices = Annotated[
+    tuple[Text, ...], Meta(description='an array of paths like "/dev/dri", or of device names')
+]
+_ADDRESSES = {"docker": "unix:/var/run/docker.sock", "lxd": "unix:/var/lib/lxd/unix.socket"}
+
 
 class EngineConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Which container engine, and what of it."""
 
-    addresses: EngineAddresses = ("unix:/var/lib/lxd/unix.socket",)
-    """Of the engine; several are those of one cluster's members."""
+    addresses: EngineAddresses | None = None
+    """Of the engine; several are those of one cluster's members. Default: `unix:/var/lib/lxd/unix.socket`, or with
+    `docker` `unix:/var/run/docker.sock`."""
     project: Name = "default"
-    """In which containers and images lie."""
+    """In which containers and images lie; of LXD or Incus."""
     pool: Name = "default"
-    """The storage pool."""
+    """The storage pool; of LXD or Incus."""
     profiles: Names = ()
-    """More profiles that containers get."""
+    """More profiles that containers get; of LXD or Incus."""
     certificate: FilePath | None = None
     """Shown to an engine at an https address."""
     key: FilePath | None = None
@@ -51,8 +57,8 @@ class ContainerNetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_f
 class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What services run in, and what each instance may use at most."""
 
-    kind: Literal["process", "lxd"] = "process"
-    """Processes, or [containers](containers.md) of LXD or Incus."""
+    kind: Literal["process", "docker", "lxd"] = "process"
+    """Processes, or [containers](containers.md) of Docker or Podman (`docker`), of LXD or Incus (`lxd`)."""
     sandbox: Literal["auto", "required", "off"] = "auto"
     """Of processes: where bubblewrap can make one; `required`: no start without one; `off`."""
     sandbox_as_root: bool = False
@@ -69,22 +75,35 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Of an instance in a container; default: all."""
     idle: Literal["stop", "freeze"] = "freeze"
     """What an instance in a container does that nobody uses."""
+    devices: Devices = ()
+    """Devices of this machine that instances of Docker or Podman may use: paths such as `/dev/dri`, or names of the
+    Container Device Interface such as `nvidia.com/gpu=all`."""
     engine: EngineConfig = EngineConfig()
     network: ContainerNetworkConfig = ContainerNetworkConfig()
+
+    @property
+    def engine_addresses(self) -> tuple[str, ...]:
+        """Where the container engine is."""
+        return self.engine.addresses or (_ADDRESSES.get(self.kind, _ADDRESSES["lxd"]),)
 
 
 def runtime_problems(runtime: RuntimeConfig) -> Iterator[Problem]:
     """What is wrong with a runtime's table beyond its types."""
     import ipaddress  # only needed where a daemon is configured
 
+    if runtime.devices and runtime.kind != "docker":
+        yield "runtime.devices", 'only instances with runtime.kind = "docker" can be given devices'
+    if runtime.kind == "docker":
+        yield from _docker_problems(runtime.engine_addresses)
+        return
     engine = runtime.engine
-    for index, address in enumerate(engine.addresses):
+    for index, address in enumerate(runtime.engine_addresses):
         if not address.startswith(("unix:/", "https://")):
             yield (
                 f"runtime.engine.addresses[{index}]",
                 f'expected "unix:/path" or "https://host:port", found "{address}"',
             )
-    if any(address.startswith("https://") for address in engine.addresses):
+    if any(address.startswith("https://") for address in runtime.engine_addresses):
         for name in ("certificate", "key", "engine_certificate"):
             if getattr(engine, name) is None:
                 yield (
@@ -98,3 +117,14 @@ def runtime_problems(runtime: RuntimeConfig) -> Iterator[Problem]:
     else:
         if not 16 <= subnet.prefixlen <= 30:
             yield "runtime.network.subnet", f'expected a subnet from /16 to /30, found "{subnet}"'
+
+
+def _docker_problems(addresses: tuple[str, ...]) -> Iterator[Problem]:
+    if len(addresses) > 1:
+        yield "runtime.engine.addresses", f"one address of Docker or Podman is enough, found {len(addresses)}"
+    for address in addresses:
+        if not address.startswith("unix:/"):
+            yield (
+                "runtime.engine.addresses[0]",
+                f'expected "unix:/path" of an engine on this machine, found "{address}"',
+            )

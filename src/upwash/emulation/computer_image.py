@@ -6,7 +6,7 @@ import json
 import platform
 from pathlib import Path
 
-from upwash.packaging.archive import write_archive
+from upwash.packaging.archive import write_packed
 
 _FOLDERS = (
     *("usr", "etc", "dev", "proc", "sys", "run", "tmp", "root", "mnt", "sbin", "etc/lxc"),
@@ -63,5 +63,5 @@ def write_computer_image(folder: Path) -> Path:
     metadata = {"architecture": platform.machine(), "creation_date": 1, "properties": {}}
     (folder / "tree" / "metadata.yaml").write_text(json.dumps(metadata))
     file = folder / "computer.tar.gz"
-    write_archive(folder / "tree", file)
+    write_packed(folder / "tree", file)
     return file

@@ -1,24 +1,30 @@
-"""Puts a daemon's services in containers: what [runtime] says, as the container runtime wants it."""
+"""Puts a daemon's services in containers: what [runtime] says, as each engine's runtime wants it."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncIterator
 from ipaddress import IPv4Network
+from pathlib import Path
 
 from upwash.config import DaemonConfig, RuntimeConfig
+from upwash.real.docker.container import ContainerSettings as DockerSettings
+from upwash.real.docker.engine import DockerEngine
+from upwash.real.docker.runtime import ContainerRuntime as DockerRuntime
 from upwash.real.door import Lead
-from upwash.real.lxd.container import ContainerSettings
+from upwash.real.lxd.container import ContainerSettings as LxdSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
-from upwash.real.lxd.runtime import ContainerRuntime
+from upwash.real.lxd.runtime import ContainerRuntime as LxdRuntime
+from upwash.real.runtime import sockets_in
+from upwash.real.service_image import reference_of
 
 
 @contextlib.asynccontextmanager
-async def container_runtime(config: DaemonConfig, lead: Lead) -> AsyncIterator[ContainerRuntime]:
+async def lxd_containers(config: DaemonConfig, lead: Lead) -> AsyncIterator[LxdRuntime]:
     """The containers of the daemon's services, made if they are not there; none runs after the block."""
-    runtime = ContainerRuntime(
-        engine_of(config.runtime),
-        ContainerSettings(
+    runtime = LxdRuntime(
+        lxd_engine(config.runtime),
+        LxdSettings(
             subnet=IPv4Network(config.runtime.network.subnet),
             interface=config.runtime.network.interface or "",
             pool=config.runtime.engine.pool,
@@ -42,13 +48,53 @@ async def container_runtime(config: DaemonConfig, lead: Lead) -> AsyncIterator[C
         await runtime.close()
 
 
-def engine_of(config: RuntimeConfig) -> Engine:
-    """The configured container engine."""
+@contextlib.asynccontextmanager
+async def docker_containers(
+    config: DaemonConfig, lead: Lead | None, sockets: Path
+) -> AsyncIterator[DockerRuntime]:
+    """What makes the containers of the daemon's services, of images that are there; none runs after the block."""
+    runtime = DockerRuntime(
+        docker_engine(config.runtime),
+        DockerSettings(
+            folder=sockets,
+            memory_bytes=config.runtime.memory_bytes,
+            processes=config.runtime.processes,
+            disk_bytes=config.runtime.disk_bytes,
+            cpus=config.runtime.cpus,
+            devices=config.runtime.devices,
+        ),
+        docker_images(config),
+        listen=sockets_in(sockets),
+        freezes=config.runtime.idle == "freeze",
+        lead=lead,
+        max_message_bytes=config.max_message_bytes,
+    )
+    try:
+        await runtime.prepare(
+            [identity.name for identity in config.identities], [image.name for image in config.images]
+        )
+        yield runtime
+    finally:
+        await runtime.close()
+
+
+def docker_images(config: DaemonConfig) -> dict[str, str]:
+    """The name of each service's image."""
+    return {image.name: image.image or reference_of(image.name) for image in config.images}
+
+
+def docker_engine(config: RuntimeConfig) -> DockerEngine:
+    """The configured engine, Docker or Podman."""
+    return DockerEngine(config.engine_addresses[0])
+
+
+def lxd_engine(config: RuntimeConfig) -> Engine:
+    """The configured engine, LXD or Incus."""
     engine = config.engine
     return Engine(
         [
             EngineAddress(url, engine.certificate, engine.key, engine.engine_certificate)
-            for url in engine.addresses
+            for url in config.engine_addresses
         ],
         project=engine.project,
     )

@@ -159,7 +159,7 @@ async def _answering(
 
 def _images(config: DaemonConfig) -> dict[str, Image]:
     """What each service is; in a container its program is the image's, and checks its settings there."""
-    if config.runtime.kind == "lxd":
+    if config.runtime.kind != "process":
         known = {
             each.name: Image(Program("", each.settings.values if each.settings else {}))
             for each in config.images
@@ -192,7 +192,7 @@ def _offers(config: DaemonConfig, images: Mapping[str, Image]) -> dict[str, Serv
 def _sandbox(config: DaemonConfig) -> tuple[Sandbox | None, str]:
     """The sandbox for services, and its weakness if any; raises UsageError where a required one is not to be had."""
     runtime = config.runtime
-    if runtime.kind == "lxd":
+    if runtime.kind != "process":
         return None, ""
     if runtime.sandbox == "off":
         return None, "services run without a sandbox, as runtime.sandbox says"
@@ -228,11 +228,16 @@ async def _runtime(
     """What runs instances, and the lanes of services by their images, where it runs them from images."""
     lead = leading(door, config.listen.rpartition(":")[0], _instance_ports(config)) if door else None
     if config.runtime.kind == "lxd":
-        from upwash.launch.containers import container_runtime
+        from upwash.launch.containers import lxd_containers
 
         assert lead is not None  # noqa: S101 - the configuration was checked for certificates
-        async with container_runtime(config, lead) as containers:
-            yield containers, containers.concurrency
+        async with lxd_containers(config, lead) as in_lxd:
+            yield in_lxd, in_lxd.concurrency
+    elif config.runtime.kind == "docker":
+        from upwash.launch.containers import docker_containers
+
+        async with docker_containers(config, lead, sockets) as in_docker:
+            yield in_docker, in_docker.concurrency
     else:
         processes = ProcessRuntime(
             sockets_in(sockets) if lead else _beside(config.listen, sockets),
@@ -359,7 +364,7 @@ def _refuse_restart(old: DaemonConfig, new: DaemonConfig) -> None:
         raise UsageError("another server cannot join a daemon that runs, nor leave it: restart it")
     if (old.keys is None) != (new.keys is None):
         raise UsageError("a daemon that runs cannot begin or cease to use certificates: restart it")
-    if old.runtime.kind == "lxd" and old.images != new.images:
+    if old.runtime.kind != "process" and old.images != new.images:
         raise UsageError("the services of containers are prepared at the start: restart it")
     for name in sorted(set(old.__struct_fields__) - {"images", "identities", "keys"}):
         if getattr(old, name) != getattr(new, name):

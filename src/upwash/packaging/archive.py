@@ -1,26 +1,44 @@
-"""A folder as one compressed file that is the same, byte for byte, whenever and by whomever it is made."""
+"""A folder as one file that is the same, byte for byte, whenever and by whomever it is made."""
 
 from __future__ import annotations
 
 import gzip
+import hashlib
 import os
 import stat
 import tarfile
 from pathlib import Path
+from typing import IO
 
 _LONG_AGO_S = 1_700_000_000  # the time of everything in it
 _COMPRESSION = 1  # higher saves a tenth and takes three times as long
 
 
-def write_archive(folder: Path, file: Path) -> None:
-    """Packs the folder's contents; what belongs to this user belongs to root in the archive."""
+def write_packed(folder: Path, file: Path) -> None:
+    """Packs the folder's contents, compressed; what belongs to this user belongs to root in the archive."""
     with (
         file.open("wb") as raw,
         gzip.GzipFile(
             filename="", mode="wb", fileobj=raw, compresslevel=_COMPRESSION, mtime=_LONG_AGO_S
         ) as packed,
-        tarfile.open(fileobj=packed, mode="w", format=tarfile.GNU_FORMAT) as archive,
     ):
+        _write(folder, packed)
+
+
+def write_plain(folder: Path, file: Path) -> None:
+    """The same, not compressed."""
+    with file.open("wb") as raw:
+        _write(folder, raw)
+
+
+def hash_of_contents(packed: Path) -> str:
+    """The SHA-256 of what a compressed file holds."""
+    with gzip.open(packed) as contents:
+        return hashlib.file_digest(contents, "sha256").hexdigest()
+
+
+def _write(folder: Path, to: IO[bytes] | gzip.GzipFile) -> None:
+    with tarfile.open(fileobj=to, mode="w", format=tarfile.GNU_FORMAT) as archive:
         for path in sorted(folder.rglob("*")):
             archive.add(path, arcname=str(path.relative_to(folder)), recursive=False, filter=_normal)
 

@@ -14,6 +14,14 @@ from upwash.errors import UsageError
 Base = Literal["host", "debootstrap"]
 
 PYTHON = "/usr/bin/python3"  # in the image, whatever runs here
+ENVIRONMENT = {
+    "PATH": "/usr/sbin:/usr/bin",
+    "HOME": "/tmp",  # noqa: S108 - its own
+    "LANG": "C.UTF-8",
+    "PYTHONPATH": "/opt/upwash/lib",
+    "PYTHONDONTWRITEBYTECODE": "1",
+    "PYTHONNOUSERSITE": "1",
+}
 
 _SUITES = {(3, 11): "bookworm", (3, 13): "trixie"}
 _PACKAGES = "python3,nftables,mount,libstdc++6"
@@ -21,21 +29,25 @@ _MOUNT_POINTS = ("usr", "dev", "proc", "sys", "run", "tmp", "root", "mnt", "etc"
 _FROM_USR = ("bin", "lib", "lib64")
 _INIT = f"""\
 #!/bin/sh
-export PATH=/usr/sbin:/usr/bin HOME=/tmp LANG=C.UTF-8
-export PYTHONPATH=/opt/upwash/lib PYTHONDONTWRITEBYTECODE=1 PYTHONNOUSERSITE=1
+export {" ".join(f"{name}={value}" for name, value in ENVIRONMENT.items())}
 exec {PYTHON} -m upwash.real.container_init
 """
 
 
 def lay_base(base: Base, root: Path) -> None:
-    """Makes the system in the empty folder `root`, which starts the service; raises UsageError with the remedy."""
+    """Makes the system in the empty folder `root`; raises UsageError with the remedy."""
     if base == "host":
         _refuse_other_python()
         _skeleton(root)
-        init = root / "sbin" / "init"
     else:
         _debian(root)
-        init = root / "usr" / "sbin" / "init"
+
+
+def lay_init(base: Base, root: Path) -> None:
+    """Adds what an engine starts that starts a system, LXD's or Incus's; raises UsageError with the remedy."""
+    if base == "host" and (shutil.which("nft") is None or shutil.which("setpriv") is None):
+        raise UsageError("--base host needs nft and setpriv: apt install nftables util-linux")
+    init = root / ("sbin" if base == "host" else "usr/sbin") / "init"
     init.unlink(missing_ok=True)
     init.write_text(_INIT)
     init.chmod(0o755)
@@ -45,6 +57,7 @@ def _skeleton(root: Path) -> None:
     """Mount points and links: programs and libraries come from the /usr of the host that the container runs on."""
     for name in _MOUNT_POINTS:
         (root / name).mkdir()
+    (root / "tmp").chmod(0o1777)  # engines give what they mount there the same rights
     for name in _FROM_USR:
         (root / name).symlink_to(f"usr/{name}")
     (root / "sbin").mkdir()
@@ -91,5 +104,3 @@ def _refuse_other_python() -> None:
             f"{PYTHON} is Python {'.'.join(found)}, but this is {'.'.join(here)}: run upwash with the former, "
             "or use --base debootstrap"
         )
-    if shutil.which("nft") is None or shutil.which("setpriv") is None:
-        raise UsageError("--base host needs nft and setpriv: apt install nftables util-linux")

@@ -8,22 +8,28 @@ import json
 import platform
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Literal
 
 from upwash.errors import UpwashError
 from upwash.missions.bundled import LoadedService
-from upwash.packaging.archive import write_archive
-from upwash.packaging.base import Base, lay_base
+from upwash.packaging.archive import hash_of_contents, write_packed, write_plain
+from upwash.packaging.base import ENVIRONMENT, Base, lay_base, lay_init
 from upwash.packaging.contents import LIBRARY, PROGRAM, copy_distributions, copy_program, copy_setting
 from upwash.ports import Program
-from upwash.real.lxd.image import ServiceImage
+from upwash.real.service_image import ServiceImage, reference_of
 from upwash.rpc.service import spec_of
 from upwash.rpc.settings import with_files
 
 _CREATED_S = 1_700_000_000  # a constant, as the same contents are the same image
+_CREATED = "2023-11-14T22:13:20Z"  # the same
+_ARCHITECTURES = {"x86_64": "amd64", "aarch64": "arm64"}  # as Go names them
+
+
+Format = Literal["lxd", "docker"]  # LXD's and Incus's, or Docker's and Podman's
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +40,7 @@ class Recipe:
     requirements: tuple[str, ...] = ()  # Python distributions, besides upwash's own
     beside: tuple[Path, ...] = ()  # files and folders that the program reads, put beside it
     base: Base = "host"
+    format: Format = "lxd"
 
     @property
     def name(self) -> str:
@@ -62,20 +69,18 @@ def package(recipe: Recipe, folder: Path, *, report: Callable[[str], None]) -> P
 def _package(recipe: Recipe, folder: Path, report: Callable[[str], None]) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="upwash-image-", dir=folder) as scratch:
-        tree = Path(scratch) / "tree"
-        root = tree / "rootfs"
-        root.mkdir(parents=True)
+        root = Path(scratch) / "root"
+        root.mkdir()
         report(f"laying the base: {recipe.base}")
         lay_base(recipe.base, root)
         report("copying the service and what it imports")
         program = _copy_service(recipe, root)
         distributions = copy_distributions(recipe.requirements, root)
+        (root / "opt" / "upwash" / "distributions.txt").write_text("\n".join(distributions) + "\n")
         _compile(root)
-        _describe(tree, recipe, program, distributions)
         report("packing")
-        packed = Path(scratch) / "image.tar.gz"
-        write_archive(tree, packed)
-        file = folder / f"{recipe.name}-{_hash(packed)[:12]}.tar.gz"
+        packed = _WRITERS[recipe.format](recipe, root, Path(scratch), _image(recipe, program).properties())
+        file = folder / f"{recipe.name}-{_hash(packed)[:12]}{''.join(packed.suffixes)}"
         return packed.rename(file)
 
 
@@ -100,10 +105,9 @@ def _compile(root: Path) -> None:
         )
 
 
-def _describe(tree: Path, recipe: Recipe, program: Program, distributions: Iterable[str]) -> None:
-    """What the engine shows of the image, and the daemon knows it by. JSON is YAML too."""
+def _image(recipe: Recipe, program: Program) -> ServiceImage:
     spec = spec_of(recipe.service.cls)
-    image = ServiceImage(
+    return ServiceImage(
         spec.name,
         program,
         recipe.base,
@@ -112,13 +116,54 @@ def _describe(tree: Path, recipe: Recipe, program: Program, distributions: Itera
         methods=frozenset(spec.methods),
         concurrency=spec.concurrency,
     )
+
+
+def _write_lxd(recipe: Recipe, root: Path, scratch: Path, properties: Mapping[str, str]) -> Path:
+    """The root beside what the engine shows of the image, and the daemon knows it by. JSON is YAML too."""
+    lay_init(recipe.base, root)
     metadata = {
         "architecture": platform.machine(),
         "creation_date": _CREATED_S,
-        "properties": image.properties(),
+        "properties": properties,
     }
+    tree = scratch / "tree"
+    tree.mkdir()
     (tree / "metadata.yaml").write_text(json.dumps(metadata, indent=1, sort_keys=True))
-    (tree / "rootfs" / "opt" / "upwash" / "distributions.txt").write_text("\n".join(distributions) + "\n")
+    root.rename(tree / "rootfs")
+    write_packed(tree, packed := scratch / "image.tar.gz")
+    return packed
+
+
+def _write_docker(recipe: Recipe, root: Path, scratch: Path, properties: Mapping[str, str]) -> Path:
+    """What `docker save` writes: one layer, and what the image is, by the OCI image specification's names.
+
+    The layer is compressed, not the file: Podman 4 loads no other.
+    """
+    tree = scratch / "tree"
+    tree.mkdir()
+    write_packed(root, layer := tree / "layer.tar.gz")
+    config = {
+        "architecture": _ARCHITECTURES.get(platform.machine(), platform.machine()),
+        "os": "linux",
+        "created": _CREATED,
+        "config": {
+            "Env": [f"{name}={value}" for name, value in ENVIRONMENT.items()],
+            "Labels": properties,
+        },
+        "rootfs": {"type": "layers", "diff_ids": [f"sha256:{hash_of_contents(layer)}"]},
+        "history": [{"created": _CREATED, "created_by": "upwash package"}],
+    }
+    about = {"Config": "config.json", "RepoTags": [reference_of(recipe.name)], "Layers": [layer.name]}
+    (tree / "config.json").write_text(json.dumps(config, sort_keys=True))
+    (tree / "manifest.json").write_text(json.dumps([about], sort_keys=True))
+    write_plain(tree, packed := scratch / "image.tar")
+    return packed
+
+
+_WRITERS: Mapping[Format, Callable[[Recipe, Path, Path, Mapping[str, str]], Path]] = {
+    "lxd": _write_lxd,
+    "docker": _write_docker,
+}
 
 
 def _hash(file: Path) -> str:

@@ -6,15 +6,21 @@ import contextlib
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from upwash.config import DaemonConfig, RuntimeConfig
 from upwash.errors import UsageError
-from upwash.launch.containers import engine_of
+from upwash.launch.containers import docker_engine, docker_images, lxd_engine
 from upwash.missions.bundled import LoadedService, bundled_service, load_service_alone, load_services
+from upwash.packaging.image import Format
+from upwash.real.docker.engine import DockerEngine
+from upwash.real.docker.image import labelled_image
 from upwash.real.lxd.engine import Engine
 from upwash.real.lxd.image import newest_images
+from upwash.real.service_image import ServiceImage
 
 _HASH_SHOWN = 12
+E = TypeVar("E", Engine, DockerEngine)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,31 +45,57 @@ def find_service(name: str, daemon: DaemonConfig | None) -> LoadedService:
     return load_services(wanted)[name]
 
 
-async def import_image(file: Path, daemon: DaemonConfig | None) -> None:
+async def import_image(file: Path, kind: Format, daemon: DaemonConfig | None) -> None:
     """Has the daemon's engine, or the one of this machine, take in the image."""
-    async with _connected(daemon) as engine:
-        await engine.import_image(file)
+    runtime = daemon.runtime if daemon and daemon.runtime.kind == kind else RuntimeConfig(kind=kind)
+    if kind == "docker":
+        async with _connected(docker_engine(runtime)) as docker:
+            await docker.load(file)
+    else:
+        async with _connected(lxd_engine(runtime)) as lxd:
+            await lxd.import_image(file)
 
 
 async def list_images(daemon: DaemonConfig) -> list[Offer]:
     """What the daemon has of each of its services."""
-    if daemon.runtime.kind == "process":
-        return [Offer(image.name, image.program or bundled_service(image.name)) for image in daemon.images]
-    async with _connected(daemon) as engine:
+    match daemon.runtime.kind:
+        case "process":
+            return [
+                Offer(image.name, image.program or bundled_service(image.name)) for image in daemon.images
+            ]
+        case "docker":
+            return await _docker_offers(daemon)
+        case "lxd":
+            return await _lxd_offers(daemon)
+
+
+async def _lxd_offers(daemon: DaemonConfig) -> list[Offer]:
+    async with _connected(lxd_engine(daemon.runtime)) as engine:
         newest = newest_images(await engine.images())
+    return [_offer(image.name, newest.get(image.name)) for image in daemon.images]
+
+
+async def _docker_offers(daemon: DaemonConfig) -> list[Offer]:
     offers = []
-    for service in (image.name for image in daemon.images):
-        if image := newest.get(service):
-            made_with = f"{image.base}, Python {image.python}, upwash {image.release}"
-            offers.append(Offer(service, image.program.path, image.fingerprint[:_HASH_SHOWN], made_with))
-        else:
-            offers.append(Offer(service, "", "missing", can_run=False))
+    async with _connected(docker_engine(daemon.runtime)) as engine:
+        for service, reference in docker_images(daemon).items():
+            held = await engine.image(reference)
+            image = labelled_image(held.labels, held.id) if held else None
+            offers.append(_offer(service, image, reference))
     return offers
 
 
+def _offer(service: str, image: ServiceImage | None, reference: str = "") -> Offer:
+    if image is None:
+        return Offer(service, "", f"{reference} missing".strip(), can_run=False)
+    made_with = (
+        f"{image.base}, Python {image.python}, upwash {image.release}" if image.release else "a Dockerfile"
+    )
+    return Offer(service, image.program.path, reference or image.fingerprint[:_HASH_SHOWN], made_with)
+
+
 @contextlib.asynccontextmanager
-async def _connected(daemon: DaemonConfig | None) -> AsyncIterator[Engine]:
-    engine = engine_of(daemon.runtime if daemon else RuntimeConfig())
+async def _connected(engine: E) -> AsyncIterator[E]:
     try:
         await engine.connect()
         yield engine

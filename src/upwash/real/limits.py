@@ -22,6 +22,11 @@ class Limits(msgspec.Struct, frozen=True):
         resource.setrlimit(resource.RLIMIT_DATA, (self.memory_bytes, self.memory_bytes))
         resource.setrlimit(resource.RLIMIT_NPROC, (self.processes, self.processes))
         resource.setrlimit(resource.RLIMIT_FSIZE, (self.disk_bytes, self.disk_bytes))
-        resource.setrlimit(resource.RLIMIT_CORE, (_NO_CORE, _NO_CORE))
-        most_files = min(_MOST_FILES, resource.getrlimit(resource.RLIMIT_NOFILE)[1])
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most_files, most_files))
+        limit_files()
+
+
+def limit_files() -> None:
+    """Lets this process and all that it will start leave no core files, and open few files at a time."""
+    resource.setrlimit(resource.RLIMIT_CORE, (_NO_CORE, _NO_CORE))
+    most = min(_MOST_FILES, resource.getrlimit(resource.RLIMIT_NOFILE)[1])
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))

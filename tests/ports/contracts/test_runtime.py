@@ -12,18 +12,23 @@ from typing import Any
 
 import pytest
 from tests.doors import led
+from tests.podman import OwnPodman
 
 from upwash.core.estimates import Operation
 from upwash.errors import LinkError, NoLease, UsageError
 from upwash.ports import AnsweredCall, Dialer, InstanceSpec, Program, Runtime
 from upwash.real.credentials import Credentials, fingerprint
+from upwash.real.docker.container import ContainerSettings as DockerSettings
+from upwash.real.docker.engine import DockerEngine
+from upwash.real.docker.runtime import ContainerRuntime as DockerRuntime
 from upwash.real.limits import Limits
 from upwash.real.link import GrpcDialer
 from upwash.real.lxd.container import ContainerSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
 from upwash.real.lxd.runtime import ContainerRuntime
-from upwash.real.runtime import ProcessRuntime
+from upwash.real.runtime import ProcessRuntime, sockets_in
 from upwash.real.sandbox import Sandbox, find_sandbox
+from upwash.real.service_image import reference_of
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import load_service, spec_of
 from upwash.sim.link import ModelDialer, Switchboard
@@ -114,7 +119,7 @@ def on(engine: str) -> tuple[pytest.MarkDecorator, ...]:
         pytest.param("sandbox", marks=pytest.mark.sandbox),
         *(
             pytest.param(f"{state} container of {engine}", marks=on(engine))
-            for engine in ("lxd", "incus")
+            for engine in ("podman", "lxd", "incus")
             for state in ("stopped", "frozen")
         ),
     ]
@@ -132,6 +137,12 @@ def use(request: pytest.FixtureRequest, services: Path, tmp_path: Path) -> Use:
                 return processes(spec, tmp_path)
             case "sandbox":
                 return processes(spec, tmp_path, found_sandbox())
+            case "stopped container of podman" | "frozen container of podman":
+                docker: tuple[OwnPodman, list[Path]] = (
+                    request.getfixturevalue("podman"),
+                    request.getfixturevalue("docker_images"),
+                )
+                return docker_containers(*docker, spec, tmp_path, freezes=request.param.startswith("frozen"))
             case other:
                 state, _, _, kind = other.split()
                 engine, image = (request.getfixturevalue(name) for name in (kind, "workbench_image"))
@@ -221,6 +232,30 @@ async def containers(
             yield Site(runtime, dialer, spec, frozenset({fingerprint(heron.certificate)}))
         finally:
             await runtime.close()
+
+
+@asynccontextmanager
+async def docker_containers(
+    podman: OwnPodman, images: list[Path], spec: InstanceSpec, folder: Path, *, freezes: bool
+) -> AsyncIterator[Site]:
+    engine = DockerEngine(f"unix://{podman.socket}")
+    runtime = DockerRuntime(
+        engine,
+        DockerSettings(folder),
+        {"workbench": reference_of("workbench")},
+        listen=sockets_in(folder),
+        freezes=freezes,
+        lead=None,
+        max_message_bytes=1_000_000,
+    )
+    try:
+        await engine.connect()
+        for image in images:
+            await engine.load(image)
+        await runtime.prepare(["s1"], ["workbench"])
+        yield Site(runtime, GrpcDialer("heron", None, max_message_bytes=1_000_000), spec)
+    finally:
+        await runtime.close()
 
 
 def test_an_instance_says_whose_a_call_was_and_what_it_took(use: Use) -> None:

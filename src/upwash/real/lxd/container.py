@@ -12,7 +12,7 @@ from upwash.errors import EngineError
 from upwash.real.container_init import CREDENTIALS, SCRATCH_BYTES
 from upwash.real.control_credentials import ControlCredentials, new_control_credentials
 from upwash.real.lxd.engine import EngineInstance
-from upwash.real.lxd.image import ServiceImage
+from upwash.real.service_image import ServiceImage
 
 _SERVER, _SERVICE, _IMAGE = "user.upwash.server", "user.upwash.service", "user.upwash.image"
 _NIC = "eth0"

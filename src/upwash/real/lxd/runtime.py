@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Collection, Sequence
-from importlib.metadata import version
 
 from upwash.errors import EngineError, InstanceError
 from upwash.ports import Answered, InstanceSpec, ignored
@@ -22,8 +21,9 @@ from upwash.real.lxd.container import (
     new_container,
 )
 from upwash.real.lxd.engine import THE_ONLY_ONE, Engine
-from upwash.real.lxd.image import ServiceImage, newest_images
+from upwash.real.lxd.image import newest_images
 from upwash.real.lxd.instance import ContainerInstance
+from upwash.real.service_image import ServiceImage
 
 _log = logging.getLogger("upwash.lxd")
 
@@ -110,12 +110,7 @@ class ContainerRuntime:
                 f"the container engine has no image of {service}: make one with `upwash package {service}`, "
                 "and import its file with `lxc image import FILE`"
             )
-        own = version("upwash")
-        if image.release != own:
-            raise EngineError(
-                f"the image of {service} was made with upwash {image.release}, and this is {own}: "
-                f"make it again with `upwash package {service}`"
-            )
+        image.require_release(f"make it again with `upwash package {service}`")
         return image
 
     async def _recover(self, container: Container, *, keep: bool) -> bool:

@@ -1,0 +1,211 @@
+"""One service instance on this machine, whatever runs it: it is spoken to over sockets that were handed to it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import msgspec
+
+from upwash.errors import InstanceError
+from upwash.ports import Answered, InstanceSpec
+from upwash.real.announced import announcing_at
+from upwash.real.control import Begin
+from upwash.real.door import Lead, Passage
+from upwash.real.instance_control import InstanceControl
+from upwash.real.output import Output, reading_pace
+from upwash.real.streams import endpoint_of, listening_socket
+
+STOP_GRACE_S = 2.0
+_CHUNK_BYTES = 65536
+_INSIDE = "unix:/tmp/instance.sock"  # in its own /tmp
+
+
+@dataclass(frozen=True, slots=True)
+class Handed:
+    """The instance's ends: its control line, what it prints to, and where callers come if it does not listen."""
+
+    control: socket.socket
+    output: socket.socket
+    outside: socket.socket | None
+
+
+class Running(Protocol):
+    """What runs an instance: a group of processes, or a container."""
+
+    async def ended(self) -> int:
+        """Returns its exit code, negative for a signal, when its first process has ended."""
+
+    async def end(self) -> None:
+        """Ends it with everything that it started; returns when it is gone."""
+
+
+Run = Callable[[InstanceSpec, Handed], Awaitable[Running]]
+
+
+class LocalInstance:
+    """An instance that `run` starts: the control line to it, its output, and the way of callers to it.
+
+    It prints into a socket pair instead of a pipe of asyncio's: the end of such a process is noticed only when its
+    pipes are closed too, and a child that it left behind would hold them open.
+    """
+
+    def __init__(
+        self,
+        spec: InstanceSpec,
+        run: Run,
+        *,
+        called: Callable[[str], None],
+        answered: Answered,
+        lead: Lead | None = None,
+    ) -> None:
+        self.endpoint = ""
+        self.spec = spec
+        self._run = run
+        self._lead = lead
+        self._called = called
+        self._answered = answered
+        self._passage: Passage | None = None
+        self._path = ""  # of the socket to which callers are led
+        self._running: Running | None = None
+        self._output = Output(spec.name)
+        self._prints: asyncio.StreamWriter | None = None  # kept, or the socket would be closed with it
+        self._listening: asyncio.Task[None] | None = None
+        self._control: InstanceControl | None = None
+
+    async def begin(self, begin: Begin, *, is_apart: bool) -> None:
+        """Starts it and tells it what to be; returns when it is ready, raises InstanceError.
+
+        One that `is_apart` has no address to listen at, and behind a door each connection has a first line: it
+        inherits the listening socket, and hands on what comes to it.
+        """
+        listen, endpoint = begin.listen, ""
+        with contextlib.ExitStack() as stack:
+            outside: socket.socket | None = None
+            if is_apart or self._lead is not None:
+                outside = stack.enter_context(self._listen_at(listen))
+                endpoint = endpoint_of(outside)
+                begin = msgspec.structs.replace(begin, listen=_INSIDE if is_apart else f"{listen}-inside")
+            control = await self._start(outside)
+        try:
+            address = await control.begin(begin)
+        except EOFError:
+            raise InstanceError(f"{self.spec.name} did not start: {await self.exited()}") from None
+        if self._lead is not None:
+            self._path = listen.removeprefix("unix:")
+            await self._open()
+        elif outside is not None:
+            self.endpoint = endpoint
+        else:
+            self.endpoint = address if address.startswith("unix:") else f":{address.rpartition(':')[2]}"
+
+    async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
+        """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
+        await self.control.admit(drones, finishing)
+
+    async def drain(self, why: str) -> None:
+        """Has every further call refused for that reason; returns when none is under way, or nothing is left."""
+        await self.control.drain(why)
+
+    async def exited(self) -> str:
+        """Returns how it ended, with its last words, when it does."""
+        assert self._running is not None and self._listening is not None  # noqa: S101 - it has begun
+        code = await self._end_of(self._running)
+        if code is None:
+            return self.control.fault or "it closed its control line"
+        await self._running.end()  # what a crashed service had started
+        await asyncio.wait([self._listening], timeout=STOP_GRACE_S)
+        return self.control.fault or self._output.explain(code)
+
+    async def stop(self) -> None:
+        """Ends it and everything that it started; returns when it is gone."""
+        await self._shut()
+        if self._running is not None:
+            await self._running.end()
+        if self._listening is not None:
+            self._listening.cancel()
+        if self._control is not None:
+            await self._control.close()
+        if self._prints is not None:
+            self._prints.close()
+            with contextlib.suppress(ConnectionError):
+                await self._prints.wait_closed()
+
+    @property
+    def control(self) -> InstanceControl:
+        """The control line to it, once it was started."""
+        assert self._control is not None  # noqa: S101 - it has begun
+        return self._control
+
+    async def _open(self) -> None:
+        """Leads callers to it, through the door."""
+        assert self._lead is not None  # noqa: S101 - there is a door
+        self._passage = await self._lead(self.spec.server, announcing_at(self._path))
+        self.endpoint = self._passage.endpoint
+
+    async def _shut(self) -> None:
+        if self._passage is not None:
+            await self._passage.close()
+            self._passage = None
+
+    async def _end_of(self, running: Running) -> int | None:
+        """Its code when it has ended; None for one that goes on although its control line is cut."""
+        ended = asyncio.create_task(running.ended())
+        cut = asyncio.create_task(self._cut())
+        try:
+            await asyncio.wait([ended, cut], return_when=asyncio.FIRST_COMPLETED)
+            return ended.result() if ended.done() else None
+        finally:
+            ended.cancel()
+            cut.cancel()
+
+    async def _cut(self) -> None:
+        """Returns when this end has hung up, or the other end has for longer than it needs to end."""
+        await self.control.ended()
+        if not self.control.fault:
+            await asyncio.sleep(STOP_GRACE_S)
+
+    def _listen_at(self, address: str) -> socket.socket:
+        try:
+            return listening_socket(address)
+        except OSError as error:
+            raise InstanceError(f"{self.spec.name} cannot listen at {address}: {error}") from error
+
+    async def _start(self, outside: socket.socket | None) -> InstanceControl:
+        control, their_control = socket.socketpair()
+        output, their_output = socket.socketpair()
+        try:
+            reports, orders = await asyncio.open_connection(sock=control)
+            self._control = InstanceControl(
+                self.spec.name,
+                self._called,
+                self._output,
+                answered=self._answered,
+                methods=self.spec.methods,
+                reports=reports,
+                orders=orders,
+            )
+            prints, self._prints = await asyncio.open_connection(sock=output)
+            self._running = await self._run(self.spec, Handed(their_control, their_output, outside))
+        except OSError as error:
+            raise InstanceError(f"{self.spec.name} did not start: {error}") from error
+        finally:
+            their_control.close()
+            their_output.close()
+            if self._control is None:
+                control.close()
+            if self._prints is None:
+                output.close()
+        self._listening = asyncio.create_task(self._listen(prints))
+        return self._control
+
+    async def _listen(self, prints: asyncio.StreamReader) -> None:
+        pace, now_s = reading_pace(), asyncio.get_running_loop().time
+        with contextlib.suppress(ConnectionError):
+            while chunk := await prints.read(_CHUNK_BYTES):
+                self._output.add(chunk)
+                await asyncio.sleep(pace.take_anyway_s(len(chunk), now_s=now_s()))
