@@ -175,6 +175,10 @@ class InstanceError(UpwashError):
     """A service instance did not start, or crashed."""
 
 
+class OutcomeUnknown(InstanceError):
+    """A call that must not run twice may have run: the drone's service crashed in it, or gave no answer."""
+
+
 class EngineError(InstanceError):
     """The container engine refused what it was asked, failed at it, or does not answer."""
 

@@ -15,7 +15,7 @@ import pytest
 from tests.children import expect_no_child
 
 from upwash.drone.onboard import OnboardServices
-from upwash.errors import InstanceError
+from upwash.errors import InstanceError, OutcomeUnknown
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.ports import InstanceSpec, Program
@@ -122,7 +122,7 @@ def test_what_must_run_once_is_not_repeated(
     services: Path, tmp_path: Path, name: str, timeout_s: float
 ) -> None:
     async def use(drone: Onboard) -> None:
-        with pytest.raises(InstanceError, match=f"{name}, which may have run and must not run twice"):
+        with pytest.raises(OutcomeUnknown, match=f"{name}, which may have run and must not run twice"):
             await drone.call(name, str(tmp_path / "failed"), timeout_s=timeout_s, once=True)
         assert await drone.call("echo", b"photo") == b"photo"
 

@@ -88,8 +88,8 @@ def test_what_was_copied_is_enough_to_import_an_instance(services: Path, tmp_pat
 
 
 def test_a_service_of_upwashs_own_brings_what_its_extra_requires() -> None:
-    assert any(requirement.startswith("numpy") for requirement in extra_of("detector"))
-    assert extra_of("workbench") == []
+    assert any(requirement.startswith("numpy") for requirement in extra_of("detector", "docker"))
+    assert extra_of("workbench", "docker") == []
 
 
 def test_what_cannot_be_packaged_is_named(services: Path, tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ sys.meta_path.insert(0, Hidden())
 MODULES = {
     "campaign": {"distributed"},
     "detector": {"cv2", "numpy", "onnx", "onnxruntime"},
+    "docker": {"docker", "packaging"},
     "emulation": {"tomli_w"},
     "figures": {"matplotlib"},
     "lxd": {"packaging", "pylxd"},
@@ -74,6 +75,12 @@ runtime.kind = "lxd"
 keys = { authority = "keys/authority.pem", certificate = "keys/s1.pem", key = "keys/s1.key" }
 """
     ),
+    "docker.toml": DAEMON.format(
+        settings="""
+runtime.kind = "docker"
+allow_without_certificates = true
+"""
+    ),
     "photos/1.jpg": "",
 }
 # Each command, and the extra that it needs so; none where it needs none at all.
@@ -90,8 +97,11 @@ COMMANDS = [
     ("serve --config containers.toml", "lxd"),
     ("status 127.0.0.1:1", ""),
     ("keys more --server s2", ""),
+    ("serve --config docker.toml", "docker"),
     ("package detector --output images", "lxd"),
+    ("package detector --output images --format docker", "docker"),
     ("images --config containers.toml", "lxd"),
+    ("images --config docker.toml", "docker"),
     ("profile detector --photos photos", "detector"),
     ("vehicle --listen nowhere", ""),
     ("init project", ""),

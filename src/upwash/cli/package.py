@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> bool:
     chosen: Format = options.format or _format_of(daemon)
     recipe = Recipe(
         service=find_service(options.service, daemon),
-        requirements=(*extra_of(options.service), *options.requires),
+        requirements=(*extra_of(options.service, chosen), *options.requires),
         beside=tuple(options.include),
         base=options.base,
         format=chosen,

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from upwash.core.places import ON_DRONE
-from upwash.errors import InstanceError, LinkError, Refused
+from upwash.errors import InstanceError, LinkError, OutcomeUnknown, Refused
 from upwash.eventlog import schema
 from upwash.ports import Dialer, Instance, InstanceSpec, Journal, Link, Runtime
 from upwash.rpc.protocol import service_path
@@ -38,7 +38,7 @@ class OnboardServices:
     ) -> bytes:
         """Runs one call; a service that crashes or hangs in it is restarted and the call repeated, unless `once`.
 
-        Raises InstanceError when that fails too.
+        Raises InstanceError when that fails too, and OutcomeUnknown where it must not be repeated.
         """
         return await self._services[service].call(method, request, timeout_s=timeout_s, once=once)
 
@@ -82,7 +82,7 @@ class _OnboardService:
                 schema.LocalFailed(service=self._spec.service, method=method, why=str(error))
             )
             if once:
-                raise InstanceError(
+                raise OutcomeUnknown(
                     f"{self._spec.service} failed on the drone in {method}, which may have run and must not run "
                     f"twice: {error}"
                 ) from error

@@ -90,7 +90,7 @@ class ContainerComputers:
 
     def _image(self, service: str, daemon: DaemonConfig) -> Path:
         if service not in self._packaged:
-            recipe = Recipe(find_service(service, daemon), tuple(extra_of(service)))
+            recipe = Recipe(find_service(service, daemon), tuple(extra_of(service, "lxd")))
             self._packaged[service] = package(recipe, _SERVICES_IMAGES, report=lambda _: None)
         return self._packaged[service]
 

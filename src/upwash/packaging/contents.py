@@ -64,9 +64,12 @@ def copy_distributions(requirements: Iterable[str], root: Path) -> list[str]:
     return sorted({f"{each.name} {each.version}" for each in found.values()})
 
 
-def extra_of(service: str) -> list[str]:
-    """What the extra of upwash with the service's name requires; nothing where there is no such extra."""
-    with extra("lxd"):
+def extra_of(service: str, engine: str) -> list[str]:
+    """What the extra of upwash with the service's name requires; nothing where there is no such extra.
+
+    It takes a library that the extra of the engine brings.
+    """
+    with extra(engine):
         from packaging.requirements import Requirement
     own = map(Requirement, distribution("upwash").requires or ())
     return [

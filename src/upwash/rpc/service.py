@@ -30,7 +30,7 @@ from msgspec import UNSET, UnsetType
 from upwash.core.estimates import Operation
 from upwash.errors import DeclarationError, GarbledReply, ServiceError, UpwashError, UsageError
 from upwash.rpc.settings import describe_settings
-from upwash.rpc.wire import decode, require_sendable
+from upwash.rpc.wire import decode, decoder, encode, require_sendable
 from upwash.support.loading import load
 from upwash.support.text import printable
 
@@ -74,7 +74,7 @@ class Method:
         """The profile key and the request of a call with these arguments; raises TypeError as the call would."""
         bound = self.signature.bind(*args, **kwargs)
         bound.apply_defaults()
-        return self._key(bound.arguments), msgspec.msgpack.encode(bound.arguments)
+        return self._key(bound.arguments), encode(bound.arguments)
 
     def perform(self, target: object, request: bytes) -> tuple[str, bytes]:
         """Runs the call on a service object; returns its profile key, and its value or exception as a reply."""
@@ -85,7 +85,7 @@ class Method:
         key = self._key(arguments)
         try:
             value = getattr(target, self.name)(**arguments)
-            return key, msgspec.msgpack.encode(self.reply_type(value=value))
+            return key, encode(self.reply_type(value=value))
         except BaseException as error:  # noqa: BLE001 - whatever the service raises, sys.exit() too, is the caller's
             return key, _encode_fault(error)
 
@@ -96,9 +96,7 @@ class Method:
     def under(self, key: str, request: bytes) -> bytes:
         """The same request under another profile key; raises ValueError where there is no such argument."""
         arguments = decode(request, self.request)
-        return msgspec.msgpack.encode(
-            msgspec.structs.replace(arguments, **{str(self.profile_by): self.argument(key)})
-        )
+        return encode(msgspec.structs.replace(arguments, **{str(self.profile_by): self.argument(key)}))
 
     def argument(self, key: str) -> object:
         """The argument that has that profile key; raises ValueError where its type hint has none."""
@@ -318,9 +316,9 @@ def _describe_method(
         name=function.__name__,
         signature=signature.replace(parameters=parameters),
         profile_by=profile_by if profile_by in types else None,
-        request=msgspec.msgpack.Decoder(request_type),
+        request=decoder(request_type),
         reply_type=reply_type,
-        reply=msgspec.msgpack.Decoder(reply_type),
+        reply=decoder(reply_type),
         once=getattr(function, _ONCE, False),
         key_type=types.get(profile_by or ""),
     )

@@ -21,7 +21,7 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from upwash.errors import DeclarationError, UsageError
-from upwash.rpc.wire import require_sendable
+from upwash.rpc.wire import require_plain
 
 T = TypeVar("T")
 PlainSettings = Mapping[str, object]
@@ -36,7 +36,7 @@ def describe_settings(cls: type) -> type[msgspec.Struct]:
             raise DeclarationError(f"{where} has no type hint, so a configuration cannot give it")
         if parameter.kind is parameter.POSITIONAL_ONLY:
             raise DeclarationError(f"{where} must be passable by its name")
-        require_sendable(hint, where, besides=(Path,))
+        require_plain(hint, where, is_meant=lambda cls: cls is Path)
         if parameter.default is parameter.empty:
             fields.append((parameter.name, hint))
         else:

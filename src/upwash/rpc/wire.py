@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 import msgspec
 from msgspec import inspect as types
 
 from upwash.errors import DeclarationError
+from upwash.rpc.arrays import from_wire, is_array, require_arrays, to_wire
 from upwash.support.text import printable
 
 T = TypeVar("T")
+
+
+_encoder = msgspec.msgpack.Encoder(enc_hook=to_wire)
+
+
+def encode(value: object) -> bytes:
+    """The value as MessagePack; raises TypeError for what has no encoding."""
+    return _encoder.encode(value)
+
+
+def decoder(hint: type[T]) -> msgspec.msgpack.Decoder[T]:
+    """What decodes values of that type."""
+    return msgspec.msgpack.Decoder(hint, dec_hook=from_wire)
 
 
 def decode(data: bytes, decoder: msgspec.msgpack.Decoder[T]) -> T:
@@ -29,8 +43,14 @@ def decode(data: bytes, decoder: msgspec.msgpack.Decoder[T]) -> T:
         raise msgspec.DecodeError("nested too deeply") from error
 
 
-def require_sendable(hint: Any, what: str, *, besides: tuple[type, ...] = ()) -> None:
-    """Raises DeclarationError for a type, other than `besides`, that would not arrive as it was sent."""
+def require_sendable(hint: Any, what: str) -> None:
+    """Raises DeclarationError for a type that would not arrive as it was sent."""
+    require_plain(hint, what, is_meant=is_array)
+    require_arrays(hint, what)
+
+
+def require_plain(hint: Any, what: str, *, is_meant: Callable[[type], bool]) -> None:
+    """Raises DeclarationError for a type that has no encoding and is not meant to have any of these."""
     try:
         found = types.type_info(hint)
     except TypeError as error:
@@ -38,7 +58,7 @@ def require_sendable(hint: Any, what: str, *, besides: tuple[type, ...] = ()) ->
     for part in _parts(found, set()):
         if isinstance(part, types.AnyType):
             raise DeclarationError(f"{what} cannot be sent as {hint}: say which types it may have")
-        if isinstance(part, types.CustomType) and part.cls in besides:
+        if isinstance(part, types.CustomType) and is_meant(part.cls):
             continue
         if isinstance(part, (types.CustomType, types.RawType, types.ExtType)):
             raise DeclarationError(

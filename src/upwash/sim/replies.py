@@ -56,7 +56,7 @@ def _empty(found: types.Type) -> Any:
             return None
         case types.ListType() | types.VarTupleType() | types.SetType() | types.FrozenSetType():
             return []
-        case types.DictType():
+        case types.DictType() | types.CustomType():  # which is an array, and this the smallest
             return {}
         case types.BoolType():
             return False
