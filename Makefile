@@ -50,6 +50,7 @@ format: $(READY)
 docs: $(READY)
 	$(BIN)/python site/api.py
 	$(BIN)/python site/event_log.py
+	$(BIN)/python site/wire.py
 	$(BIN)/python site/configuration.py
 	$(BIN)/python site/commands.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict -f site/mkdocs.yml

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -136,6 +138,31 @@ def docker_images(services: Path, tmp_path_factory: pytest.TempPathFactory) -> l
         )
         for cls in ("Workbench", "Vandal")
     ]
+
+
+@pytest.fixture(scope="session")
+def detail(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The example's program, compiled."""
+    if shutil.which("g++") is None:
+        pytest.skip("no g++ here: tests/system/install-packages installs it")
+    program = tmp_path_factory.mktemp("program") / "detail"
+    made = subprocess.run(
+        (
+            "g++",
+            "-std=c++17",
+            "-O1",
+            str(SCENARIOS.parent / "examples/other-languages/detail.cpp"),
+            "-o",
+            str(program),
+        ),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if "nlohmann/json.hpp: No such file" in made.stderr:
+        pytest.skip("no nlohmann/json.hpp here: tests/system/install-packages installs it")
+    assert made.returncode == 0, made.stderr
+    return program
 
 
 @pytest.fixture

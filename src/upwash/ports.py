@@ -275,10 +275,14 @@ class Journal(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A service class by its import path, and plain values, such as JSON has, for its constructor."""
+    """A service class by its import path, and plain values, such as JSON has, for its constructor.
+
+    Where there is a `command`, that program computes the calls, in whatever language it is written.
+    """
 
     path: str
     settings: Mapping[str, object] = field(default_factory=dict)
+    command: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

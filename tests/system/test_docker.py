@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -269,6 +271,39 @@ def configured(folder: Path, podman: OwnPodman, keys: Path, runtime: str = "") -
         """
     )
     return config
+
+
+def test_a_program_in_cpp_answers_in_a_container(
+    podman: OwnPodman, detail: Path, tmp_path: Path, keys: Path, credentials: Callable[[str], Credentials]
+) -> None:
+    example = Path(__file__).parents[2] / "examples" / "other-languages"
+    shutil.copy(example / "detail.py", tmp_path)
+    shutil.copy(detail, tmp_path / "detail")
+    config = configured(tmp_path, podman, keys)
+    service = '[{ name = "detail", program = "detail.py:Detail", command = ["detail"] }]'
+    written = re.sub(r"service = .*", f"service = {service}", config.read_text())
+    config.write_text(re.sub(r"server = .*", 'server = [{ name = "s1" }]', written))
+    made = ["package", "detail", "--config", str(config), "--output", str(tmp_path / "images"), "--import"]
+    assert main(made) == 0
+
+    async def visit(address: str) -> None:
+        dialer = GrpcDialer("heron", credentials("heron"), max_message_bytes=MAX_MESSAGE_BYTES)
+        guest = Guest(dialer, "s1", address, f"{tmp_path}/detail.py:Detail")
+        endpoint = (await guest.start("detail")).endpoint
+        assert (await guest.call(endpoint, "measure", bytes(range(256)))).bits_per_byte == 8.0
+        await guest.leave()
+        await guest.close()
+
+    with subprocess.Popen(
+        [sys.executable, "-m", "upwash", "serve", "--config", str(config)], stdout=subprocess.PIPE, text=True
+    ) as daemon:
+        assert daemon.stdout is not None
+        try:
+            asyncio.run(visit(daemon.stdout.readline().split()[-1]))
+        finally:
+            daemon.terminate()
+    assert daemon.returncode == 0
+    assert podman.there() == []
 
 
 # --- images -------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from upwash.config.reading import convert, read_document
 from upwash.config.runtime import RuntimeConfig, runtime_problems
 from upwash.config.shorthand import image_written_out
 from upwash.config.values import (
+    Command,
     FilePath,
     ImportPath,
     KeysConfig,
@@ -57,6 +58,8 @@ class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """As its class is declared."""
     program: ImportPath | None = None
     """Its class, `path/to/file.py:Class` or `package.module:Class`; not needed for a bundled service."""
+    command: Command = ()
+    """A program in any language that computes its calls, and its arguments: [other languages](other-languages.md)."""
     settings: Settings | None = None
     """What the constructor of its class takes; in a container that of its image counts."""
     image: Text | None = None

@@ -9,6 +9,7 @@ from msgspec import Meta, Struct
 
 from upwash.config.values import (
     Bytes,
+    Command,
     Count,
     CountFromZero,
     FilePath,
@@ -275,6 +276,8 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """As its class is declared."""
     program: ImportPath | None = None
     """Its class, `path/to/file.py:Class` or `package.module:Class`; not needed for a bundled service."""
+    command: Command = ()
+    """A program in any language that computes its calls, and its arguments: [other languages](other-languages.md)."""
     request_bytes: Bytes = 425_000
     """Of a request, on average."""
     reply_bytes: Bytes = 500

@@ -53,12 +53,24 @@ def with_program_from(table: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def image_written_out(image: dict[str, Any], folder: Path) -> dict[str, Any]:
     """A daemon's service with its times by profile key and its program's file as a path from the folder."""
-    return with_program_from(image, folder) | _by_key(image, "pace_s")
+    return with_program_from(image, folder) | _by_key(image, "pace_s") | _with_files_of_command(image, folder)
+
+
+def _with_files_of_command(image: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The words of its command that name files of the folder as their paths."""
+    command = image.get("command")
+    if not isinstance(command, list):
+        return {}
+    return {"command": [_file_of(word, folder) if isinstance(word, str) else word for word in command]}
+
+
+def _file_of(word: str, folder: Path) -> str:
+    return str(folder / word) if word and (folder / word).is_file() else word
 
 
 def _service(service: dict[str, Any], folder: Path) -> dict[str, Any]:
     by_key = _by_key(service, "local_call_s", "local_pace_s", "local_joining_slowdown")
-    return with_program_from(service, folder) | by_key
+    return with_program_from(service, folder) | by_key | _with_files_of_command(service, folder)
 
 
 def _by_key(table: dict[str, Any], *names: str) -> dict[str, Any]:

@@ -35,6 +35,7 @@ Text = Annotated[
         description="a string that is not empty, without control characters",
     ),
 ]
+Command = Annotated[tuple[Text, ...], Meta(description="an array of words, the program first")]
 Names = Annotated[tuple[str, ...], Meta(description="an array of names")]
 ImportPath = Annotated[
     str,

@@ -57,6 +57,10 @@ class ConfiguredService(Protocol):
     def settings(self) -> SettingsTable | None:
         """What its constructor gets."""
 
+    @property
+    def command(self) -> tuple[str, ...]:
+        """A program in another language that computes its calls; empty where its class does."""
+
 
 @dataclass(frozen=True, slots=True)
 class LoadedService:
@@ -100,11 +104,11 @@ def _load_service(configured: ConfiguredService, key: str) -> LoadedService:
             raise UsageError(
                 f"service {spec.name!r} needs {', '.join(needed)}: add them in [service.settings]"
             )
-        return LoadedService(cls, Program(path))
+        return LoadedService(cls, Program(path, command=configured.command))
     settings = convert(
         table.values, spec.settings, file=table.file, as_written=table.values, at=f"{key}.settings"
     )
-    return LoadedService(cls, Program(path, plain(settings)))
+    return LoadedService(cls, Program(path, plain(settings), configured.command))
 
 
 def bundled_service(name: str) -> str:

@@ -47,6 +47,16 @@ def copy_setting(file: Path, root: Path) -> Path:
     return Path("/") / target
 
 
+def copy_word(word: str, root: Path) -> str:
+    """A word of a command as it is in the image: a file that it names is copied, unless it is the system's."""
+    file = Path(word)
+    if not file.is_absolute() or file.is_relative_to("/usr") or not file.is_file():
+        return word
+    copied = copy_setting(file, root)
+    (root / copied.relative_to("/")).chmod(file.stat().st_mode & 0o777)
+    return str(copied)
+
+
 def copy_distributions(requirements: Iterable[str], root: Path) -> list[str]:
     """Copies upwash and what is required, with all that these require; returns name and version of each, sorted."""
     library = root / LIBRARY

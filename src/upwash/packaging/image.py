@@ -18,7 +18,14 @@ from upwash.errors import UpwashError
 from upwash.missions.bundled import LoadedService
 from upwash.packaging.archive import hash_of_contents, write_packed, write_plain
 from upwash.packaging.base import ENVIRONMENT, Base, lay_base, lay_init
-from upwash.packaging.contents import LIBRARY, PROGRAM, copy_distributions, copy_program, copy_setting
+from upwash.packaging.contents import (
+    LIBRARY,
+    PROGRAM,
+    copy_distributions,
+    copy_program,
+    copy_setting,
+    copy_word,
+)
 from upwash.ports import Program
 from upwash.real.service_image import ServiceImage, reference_of
 from upwash.rpc.service import spec_of
@@ -89,7 +96,9 @@ def _copy_service(recipe: Recipe, root: Path) -> Program:
     given = recipe.service.program
     path = copy_program(given.path, root, beside=recipe.beside)
     kind = spec_of(recipe.service.cls).settings
-    return Program(path, with_files(kind, given.settings, lambda file: copy_setting(file, root)))
+    settings = with_files(kind, given.settings, lambda file: copy_setting(file, root))
+    command = tuple(copy_word(word, root) for word in given.command)
+    return Program(path, settings, command)
 
 
 def _compile(root: Path) -> None:

@@ -39,6 +39,7 @@ class Begin(msgspec.Struct, frozen=True, tag="begin"):
     outside: str = ""
     credentials: str = msgspec.field(default="", name="leash")  # as images of earlier versions read it
     limits: Limits | None = None  # in a sandbox
+    command: tuple[str, ...] = ()  # of a program in another language
 
 
 class Admit(msgspec.Struct, frozen=True, tag="admit"):

@@ -17,6 +17,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from queue import SimpleQueue
 from typing import BinaryIO, NoReturn
@@ -40,6 +41,7 @@ from upwash.real.control import (
     to_instance,
 )
 from upwash.real.control_credentials import ControlCredentials
+from upwash.real.foreign import ForeignProgram
 from upwash.real.listener import Caller, Health, Listener
 from upwash.real.socket_proxy import SocketProxy
 from upwash.real.streams import listening_socket
@@ -63,7 +65,14 @@ class ServiceInstance:
     def __init__(self, begin: Begin, control: socket.socket) -> None:
         cls = load_service(begin.program)
         spec = spec_of(cls)
-        self._target: object = construct(cls, spec.settings, begin.settings)
+        self._compute: Callable[[Method, bytes], tuple[str, bytes]]
+        if begin.command:
+            self._compute = ForeignProgram(
+                begin.command, begin.settings, max_message_bytes=begin.max_message_bytes
+            ).perform
+        else:
+            target: object = construct(cls, spec.settings, begin.settings)
+            self._compute = lambda method, request: method.perform(target, request)
         self._methods: dict[str, Method] = {
             service_path(begin.service, method.name): method for method in spec.methods.values()
         }
@@ -140,7 +149,7 @@ class ServiceInstance:
             raise Refused("nobody waits for this call any more")
         drone, began_s = caller.client.key, time.monotonic()
         self._report_caller(drone, began_s)
-        key, reply = method.perform(self._target, body)
+        key, reply = self._compute(method, body)
         short_s = self._least_s(key, method.name, began_s) - (time.monotonic() - began_s)
         if short_s > 0:
             time.sleep(short_s)

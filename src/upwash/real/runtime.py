@@ -65,6 +65,7 @@ class ProcessRuntime:
         return Begin(
             program=spec.program.path,
             settings=dict(spec.program.settings),
+            command=spec.program.command,
             service=spec.service,
             listen=self._listen(spec),
             max_message_bytes=self._max_message_bytes,

@@ -74,7 +74,7 @@ class Sandbox:
 
         `call_filter` is a file descriptor of `open_call_filter` that it inherits.
         """
-        own = [*code_of(program.path), *files_in(program.settings)] if program else []
+        own = _files_of(program) if program else []
         shown = [Path(sys.prefix), Path(sys.base_prefix), Path(__file__).parents[1], *self.readable, *own]
         size = str(self.limits.disk_bytes)
         return [
@@ -132,6 +132,11 @@ def open_call_filter() -> Iterator[int]:
         yield reading
     finally:
         os.close(reading)
+
+
+def _files_of(program: Program) -> list[Path]:
+    """Its code, and the files that its settings and its command name."""
+    return [*code_of(program.path), *files_in(program.settings), *files_in(program.command)]
 
 
 def code_of(program: str) -> list[Path]:

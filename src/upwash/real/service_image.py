@@ -14,6 +14,7 @@ from upwash.ports import Program
 
 _PREFIX = "upwash."
 _plain = msgspec.json.Decoder(dict[str, object])
+_words = msgspec.json.Decoder(tuple[str, ...])
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +41,7 @@ class ServiceImage:
             f"{_PREFIX}service": self.service,
             f"{_PREFIX}program": self.program.path,
             f"{_PREFIX}settings": msgspec.json.encode(self.program.settings, order="sorted").decode(),
+            f"{_PREFIX}command": msgspec.json.encode(self.program.command).decode(),
             f"{_PREFIX}base": self.base,
             f"{_PREFIX}python": self.python,
             f"{_PREFIX}release": self.release,
@@ -69,11 +71,12 @@ def image_of(properties: Mapping[str, str], fingerprint: str) -> ServiceImage | 
         return None
     try:
         settings = _plain.decode(said.get("settings") or "{}")
+        command = _words.decode(said.get("command") or "[]")
     except msgspec.MsgspecError:
         return None
     return ServiceImage(
         said["service"],
-        Program(said.get("program", ""), settings),
+        Program(said.get("program", ""), settings, command),
         said.get("base", ""),
         said.get("python", ""),
         said.get("release", ""),

@@ -142,6 +142,7 @@ class ContainerRuntime:
         return Begin(
             program=image.program.path,
             settings=dict(image.program.settings),
+            command=image.program.command,
             service=spec.service,
             listen=self._listen(spec),
             max_message_bytes=self._max_message_bytes,

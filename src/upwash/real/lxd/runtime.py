@@ -218,6 +218,7 @@ class ContainerRuntime:
         return Begin(
             program=image.program.path,
             settings=dict(image.program.settings),
+            command=image.program.command,
             service=spec.service,
             listen=_INSIDE,
             outside=f"0.0.0.0:{SERVICE_PORT}",

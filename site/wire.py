@@ -1,0 +1,53 @@
+"""Writes the test vectors of docs/other-languages.md from the code: `python site/wire.py`."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+import msgspec
+
+from upwash.real.foreign import Answer, Call, Settings, frame
+from upwash.rpc.service import Fault, spec_of
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "other-languages.md"
+BEGIN, END = "<!-- written by site/wire.py -->\n", "<!-- end -->"
+PHOTO = bytes([0, 0, 255, 255])
+
+
+def vectors() -> list[tuple[str, bytes]]:
+    """What is written in a short conversation with the program of the example, frame by frame, and by whom."""
+    example = runpy.run_path(str(ROOT / "examples" / "other-languages" / "detail.py"))
+    method = spec_of(example["Detail"]).methods["measure"]
+    _, asked = method.encode((PHOTO,), {})
+    _, nothing = method.encode((b"",), {})
+    value = msgspec.msgpack.encode(example["Detail"]().measure(PHOTO))
+    fault = Fault("builtins:ValueError", "the photo is empty")
+    return [
+        ("instance", frame(Settings({"blank_below": 0.5}))),
+        ("program", frame(Answer(0, msgspec.Raw(msgspec.msgpack.encode(None))))),
+        ("instance", frame(Call(1, "measure", msgspec.Raw(asked)))),
+        ("program", frame(Answer(1, msgspec.Raw(value)))),
+        ("instance", frame(Call(2, "measure", msgspec.Raw(nothing)))),
+        ("program", frame(Answer(2, fault=fault))),
+    ]
+
+
+def page() -> str:
+    """The page as it should be."""
+    head, _, rest = PAGE.read_text().partition(BEGIN)
+    return head + BEGIN + "".join(_block()) + END + rest.partition(END)[2]
+
+
+def _block() -> list[str]:
+    lines = []
+    for who, sent in vectors():
+        shown = msgspec.json.encode(msgspec.msgpack.decode(sent[4:])).decode()
+        written = "\n".join(sent.hex()[at : at + 96] for at in range(0, len(sent.hex()), 96))
+        lines.append(f"\nThe {who} writes `{shown}`\n\n```\n{written}\n```\n")
+    return [*lines, "\n"]
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page())
