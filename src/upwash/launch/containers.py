@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from ipaddress import IPv4Network
 from pathlib import Path
 
 from upwash.config import DaemonConfig, RuntimeConfig
+from upwash.ports import InstanceSpec
 from upwash.real.docker.container import ContainerSettings as DockerSettings
 from upwash.real.docker.engine import DockerEngine
 from upwash.real.docker.runtime import ContainerRuntime as DockerRuntime
@@ -15,7 +16,6 @@ from upwash.real.door import Lead
 from upwash.real.lxd.container import ContainerSettings as LxdSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
 from upwash.real.lxd.runtime import ContainerRuntime as LxdRuntime
-from upwash.real.runtime import sockets_in
 from upwash.real.service_image import reference_of
 
 
@@ -50,7 +50,7 @@ async def lxd_containers(config: DaemonConfig, lead: Lead) -> AsyncIterator[LxdR
 
 @contextlib.asynccontextmanager
 async def docker_containers(
-    config: DaemonConfig, lead: Lead | None, sockets: Path
+    config: DaemonConfig, lead: Lead | None, sockets: Path, listen: Callable[[InstanceSpec], str]
 ) -> AsyncIterator[DockerRuntime]:
     """What makes the containers of the daemon's services, of images that are there; none runs after the block."""
     runtime = DockerRuntime(
@@ -64,7 +64,7 @@ async def docker_containers(
             devices=config.runtime.devices,
         ),
         docker_images(config),
-        listen=sockets_in(sockets),
+        listen=listen,
         freezes=config.runtime.idle == "freeze",
         lead=lead,
         max_message_bytes=config.max_message_bytes,

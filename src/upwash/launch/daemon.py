@@ -227,6 +227,7 @@ async def _runtime(
 ) -> AsyncIterator[tuple[Runtime, Mapping[str, int]]]:
     """What runs instances, and the lanes of services by their images, where it runs them from images."""
     lead = leading(door, config.listen.rpartition(":")[0], _instance_ports(config)) if door else None
+    listen = sockets_in(sockets) if lead else _beside(config.listen, sockets)
     if config.runtime.kind == "lxd":
         from upwash.launch.containers import lxd_containers
 
@@ -236,11 +237,11 @@ async def _runtime(
     elif config.runtime.kind == "docker":
         from upwash.launch.containers import docker_containers
 
-        async with docker_containers(config, lead, sockets) as in_docker:
+        async with docker_containers(config, lead, sockets, listen) as in_docker:
             yield in_docker, in_docker.concurrency
     else:
         processes = ProcessRuntime(
-            sockets_in(sockets) if lead else _beside(config.listen, sockets),
+            listen,
             lead=lead,
             max_message_bytes=config.max_message_bytes,
             sandbox=sandbox,

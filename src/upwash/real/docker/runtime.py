@@ -23,7 +23,7 @@ _log = logging.getLogger("upwash.docker")
 class ContainerRuntime:
     """Starts each instance in a container of its own, of the image that `images` names for its service.
 
-    Callers come to a unix socket for each, at `listen(spec)`.
+    Callers come to a socket that listens at `listen(spec)`, through the door if there is a way to `lead` them.
     """
 
     def __init__(
