@@ -14,6 +14,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
 from upwash.errors import EngineError, InstanceError
 from upwash.ports import InstanceSpec
 from upwash.real.docker.engine import DockerEngine, last_line
@@ -26,11 +28,14 @@ _log = logging.getLogger("upwash.docker")
 
 SERVER = "upwash.server"  # the label by which a daemon knows its containers again
 _USER = "1000:1000"
+_LOG_SIZE = "64k"  # of what is printed before the daemon hands over another place for it
 _FIRST_KILLED = 1000  # when the machine runs out of memory, as services in a sandbox
 _TAKES_OVER_S = 20.0
 _LOOK_S = 0.5
 _ENDS_S = 5.0
+_LONGEST_CODE = 8  # bytes: a service that means harm might write there too
 _NANO = 10**9
+_told = msgspec.json.Decoder(dict[str, str])
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +92,7 @@ def definition(
             "pids_limit": settings.processes,
             "nano_cpus": settings.cpus * _NANO if settings.cpus else None,
             "oom_score_adj": _FIRST_KILLED,
+            "log_config": {"Type": "json-file", "Config": {"max-size": _LOG_SIZE}},
             "binds": binds,
             "tmpfs": {"/tmp": scratch, "/var/tmp": scratch},  # noqa: S108 - its own
             "shm_size": settings.disk_bytes,
@@ -138,7 +144,7 @@ class Container:
         """By its process 1; by the engine, where that could not say it."""
         loop, said = asyncio.get_running_loop(), b""
         with contextlib.suppress(OSError):
-            while chunk := await loop.sock_recv(self._line, 64):
+            while len(said) <= _LONGEST_CODE and (chunk := await loop.sock_recv(self._line, _LONGEST_CODE)):
                 said += chunk
         if re.fullmatch(rb"-?\d{1,3}\n", said):
             return int(said)
@@ -185,13 +191,11 @@ def _handoff(folder: Path) -> socket.socket:
 
 
 async def describe(
-    engine: DockerEngine, image: ServiceImage, settings: ContainerSettings
+    engine: DockerEngine, image: ServiceImage, settings: ContainerSettings, *, server: str
 ) -> Mapping[str, str]:
     """What the image's program says of its service, run alone in a container; raises EngineError."""
-    import json
-
     name = await engine.create(
-        definition(image, settings, server="", command=(*COMMAND, image.program.path), folder=None)
+        definition(image, settings, server=server, command=(*COMMAND, image.program.path), folder=None)
     )
     try:
         await engine.start(name)
@@ -202,15 +206,12 @@ async def describe(
     try:
         if code != 0:
             raise ValueError(last_line(output, errors))
-        told = json.loads(last_line(output))
-        if not isinstance(told, dict) or not all(isinstance(value, str) for value in told.values()):
-            raise ValueError("it printed something else")
-    except ValueError as error:
+        return _told.decode(last_line(output))
+    except (ValueError, msgspec.MsgspecError) as error:
         raise EngineError(
             f"the image of {image.service} does not say what {image.program.path} declares: {error}; it needs "
             "python3 with upwash, and the program that its label upwash.program names"
         ) from error
-    return told
 
 
 async def _taken_over(

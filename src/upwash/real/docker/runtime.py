@@ -46,6 +46,7 @@ class ContainerRuntime:
         self._max_message_bytes = max_message_bytes
         self._frozen: dict[tuple[str, str], ContainerInstance] = {}
         self._images: dict[str, ServiceImage] = {}  # by service, as their programs describe them
+        self._server = ""  # by which containers that only describe their image are known again
         self.concurrency: dict[str, int] = {}  # of each service's image, once it is prepared
 
     async def prepare(self, servers: Collection[str], services: Collection[str]) -> None:
@@ -59,8 +60,9 @@ class ContainerRuntime:
             if container.labels[SERVER] in servers:
                 _log.info("container %s was left by an earlier daemon: removing it", container.id[:12])
                 await self._engine.remove(container.id)
-        for image in await asyncio.gather(*map(self._image, services)):
-            self.concurrency[image.service] = image.concurrency
+        self._server = min(servers, default="")
+        for service in services:
+            self.concurrency[service] = (await self._image(service)).concurrency
 
     async def start(
         self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
@@ -130,7 +132,7 @@ class ContainerRuntime:
                 f"{reference} is no image of a service: give it labels upwash.service={service} and "
                 "upwash.program=PATH:CLASS"
             )
-        told = await describe(self._engine, labelled, self._settings)
+        told = await describe(self._engine, labelled, self._settings, server=self._server)
         image = image_of({**dict(labels), **told, "upwash.service": labelled.service}, fingerprint)
         if image is None or told.get("upwash.service") != service or image.service != service:
             raise EngineError(f"{reference} is an image of {told.get('upwash.service')}, not of {service}")
