@@ -200,7 +200,7 @@ async def docker_containers(
     try:
         await engine.connect()
         image = package(Recipe(load_service_alone(PROGRAM), format="docker"), folder, report=lambda _: None)
-        await engine.load(image)
+        await engine.import_image(image)
         await runtime.prepare([], ["echo"])
         yield runtime
     finally:

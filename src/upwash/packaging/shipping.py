@@ -20,7 +20,7 @@ from upwash.real.lxd.image import newest_images
 from upwash.real.service_image import ServiceImage
 
 _HASH_SHOWN = 12
-E = TypeVar("E", Engine, DockerEngine)
+E = TypeVar("E", bound=Engine | DockerEngine)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +48,8 @@ def find_service(name: str, daemon: DaemonConfig | None) -> LoadedService:
 async def import_image(file: Path, kind: Format, daemon: DaemonConfig | None) -> None:
     """Has the daemon's engine, or the one of this machine, take in the image."""
     runtime = daemon.runtime if daemon and daemon.runtime.kind == kind else RuntimeConfig(kind=kind)
-    if kind == "docker":
-        async with _connected(docker_engine(runtime)) as docker:
-            await docker.load(file)
-    else:
-        async with _connected(lxd_engine(runtime)) as lxd:
-            await lxd.import_image(file)
+    async with _connected(docker_engine(runtime) if kind == "docker" else lxd_engine(runtime)) as engine:
+        await engine.import_image(file)
 
 
 async def list_images(daemon: DaemonConfig) -> list[Offer]:

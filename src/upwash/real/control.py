@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 
+from upwash.ports import InstanceSpec, Program
 from upwash.real.limits import Limits
 from upwash.support.heat import Surroundings
 
@@ -40,6 +41,32 @@ class Begin(msgspec.Struct, frozen=True, tag="begin"):
     credentials: str = msgspec.field(default="", name="leash")  # as images of earlier versions read it
     limits: Limits | None = None  # in a sandbox
     command: tuple[str, ...] = ()  # of a program in another language
+
+
+def begin_of(
+    spec: InstanceSpec,
+    program: Program,
+    *,
+    listen: str,
+    max_message_bytes: int,
+    is_announced: bool,
+    outside: str = "",
+    limits: Limits | None = None,
+) -> Begin:
+    """What an instance of the spec is to be, with the program as it is where the instance runs."""
+    return Begin(
+        program=program.path,
+        settings=dict(program.settings),
+        command=program.command,
+        service=spec.service,
+        listen=listen,
+        outside=outside,
+        is_announced=is_announced,
+        max_message_bytes=max_message_bytes,
+        pace_s=spec.pace_s,
+        heats=spec.heats,
+        limits=limits,
+    )
 
 
 class Admit(msgspec.Struct, frozen=True, tag="admit"):

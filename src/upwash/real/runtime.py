@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from upwash.ports import Answered, InstanceSpec, ignored
-from upwash.real.control import Begin
+from upwash.real.control import Begin, begin_of
 from upwash.real.door import Lead
 from upwash.real.local_instance import STOP_GRACE_S, Handed, LocalInstance
 from upwash.real.sandbox import Sandbox, open_call_filter
@@ -62,15 +62,11 @@ class ProcessRuntime:
         return instance
 
     def _begin(self, spec: InstanceSpec) -> Begin:
-        return Begin(
-            program=spec.program.path,
-            settings=dict(spec.program.settings),
-            command=spec.program.command,
-            service=spec.service,
+        return begin_of(
+            spec,
+            spec.program,
             listen=self._listen(spec),
             max_message_bytes=self._max_message_bytes,
-            pace_s=spec.pace_s,
-            heats=spec.heats,
             is_announced=self._lead is not None,
             limits=self._sandbox.limits if self._sandbox else None,
         )

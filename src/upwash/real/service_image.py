@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -11,6 +10,7 @@ import msgspec
 
 from upwash.errors import EngineError
 from upwash.ports import Program
+from upwash.real.containers import slug
 
 _PREFIX = "upwash."
 _plain = msgspec.json.Decoder(dict[str, object])
@@ -60,7 +60,7 @@ class ServiceImage:
 
 def reference_of(service: str) -> str:
     """The name by which Docker or Podman knows the image that is packaged of a service."""
-    return f"upwash-{re.sub(r'[^a-z0-9]+', '-', service.lower()).strip('-')}:latest"
+    return f"upwash-{slug(service)}:latest"
 
 
 def image_of(properties: Mapping[str, str], fingerprint: str) -> ServiceImage | None:

@@ -251,7 +251,7 @@ async def docker_containers(
     try:
         await engine.connect()
         for image in images:
-            await engine.load(image)
+            await engine.import_image(image)
         await runtime.prepare(["s1"], ["workbench"])
         yield Site(runtime, GrpcDialer("heron", None, max_message_bytes=1_000_000), spec)
     finally:

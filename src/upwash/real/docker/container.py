@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import logging
 import re
-import secrets
 import signal
 import socket
 import tempfile
@@ -18,6 +17,7 @@ import msgspec
 
 from upwash.errors import EngineError, InstanceError
 from upwash.ports import InstanceSpec
+from upwash.real.containers import container_name
 from upwash.real.docker.engine import DockerEngine, last_line
 from upwash.real.docker.inside import COMMAND, HANDOFF
 from upwash.real.local_instance import STOP_GRACE_S, Handed
@@ -74,7 +74,7 @@ def definition(
     named = [device for device in settings.devices if not device.startswith("/")]
     return {
         "image": image.fingerprint,
-        "name": f"upwash-{_slug(image.service)}-{_slug(server)}-{secrets.token_hex(3)}",
+        "name": container_name(image.service, server),
         "entrypoint": list(command),
         "command": [],
         "user": _USER,
@@ -239,8 +239,3 @@ async def _taken_over(
 
 def _code(status: int) -> int:
     return SIGNALLED - status if SIGNALLED < status < SIGNALLED + signal.NSIG else status
-
-
-def _slug(name: str) -> str:
-    """The name as it may stand in a container's."""
-    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:16] or "x"

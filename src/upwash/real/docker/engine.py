@@ -93,8 +93,8 @@ class DockerEngine:
             return str(error)
         return next((str(each["error"]) for each in said if "error" in each), "fetched")
 
-    async def load(self, file: Path) -> None:
-        """Takes in the images of an archive."""
+    async def import_image(self, file: Path) -> None:
+        """Takes in an image file."""
 
         def post(api: Any) -> None:
             with file.open("rb") as content:

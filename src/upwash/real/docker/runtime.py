@@ -7,9 +7,10 @@ import logging
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 
-from upwash.errors import EngineError, InstanceError
+from upwash.errors import EngineError
 from upwash.ports import Answered, InstanceSpec, ignored
-from upwash.real.control import Begin
+from upwash.real.containers import FrozenInstances
+from upwash.real.control import Begin, begin_of
 from upwash.real.docker.container import SERVER, ContainerSettings, describe, run
 from upwash.real.docker.engine import DockerEngine
 from upwash.real.docker.image import labelled_image
@@ -44,7 +45,7 @@ class ContainerRuntime:
         self._freezes = freezes
         self._lead = lead
         self._max_message_bytes = max_message_bytes
-        self._frozen: dict[tuple[str, str], ContainerInstance] = {}
+        self._frozen: FrozenInstances[ContainerInstance] = FrozenInstances(_log)
         self._images: dict[str, ServiceImage] = {}  # by service, as their programs describe them
         self._server = ""  # by which containers that only describe their image are known again
         self.concurrency: dict[str, int] = {}  # of each service's image, once it is prepared
@@ -70,16 +71,9 @@ class ContainerRuntime:
         """Returns when the instance is ready to serve; raises InstanceError, leaving nothing behind."""
         loop = asyncio.get_running_loop()
         image = await self._image(spec.service)
-        frozen = self._frozen.pop((spec.server, spec.service), None)
+        frozen = await self._frozen.thawed(spec, image.fingerprint, called=called, answered=answered)
         if frozen is not None:
-            if frozen.image == image.fingerprint:
-                try:
-                    await frozen.resume(called=called, answered=answered)
-                except InstanceError as error:
-                    _log.warning("%s cannot be thawed and is started anew: %s", spec.name, error)
-                else:
-                    return frozen
-            await frozen.end()
+            return frozen
         paced_until_s = loop.time() + spec.start_pace_s
         instance = ContainerInstance(
             replace(spec, methods=image.methods),
@@ -100,9 +94,7 @@ class ContainerRuntime:
 
     async def close(self) -> None:
         """Ends what was kept frozen; nothing runs afterwards."""
-        for instance in self._frozen.values():
-            await instance.end()
-        self._frozen.clear()
+        await self._frozen.close()
         await self._engine.close()
 
     async def _image(self, service: str) -> ServiceImage:
@@ -141,17 +133,13 @@ class ContainerRuntime:
 
     def _begin(self, spec: InstanceSpec, image: ServiceImage) -> Begin:
         """What to be is the image's to say: the daemon need not have the service's program."""
-        return Begin(
-            program=image.program.path,
-            settings=dict(image.program.settings),
-            command=image.program.command,
-            service=spec.service,
+        return begin_of(
+            spec,
+            image.program,
             listen=self._listen(spec),
             max_message_bytes=self._max_message_bytes,
-            pace_s=spec.pace_s,
-            heats=spec.heats,
             is_announced=self._lead is not None,
         )
 
     def _keep(self, instance: ContainerInstance) -> None:
-        self._frozen[instance.spec.server, instance.spec.service] = instance
+        self._frozen.keep(instance.spec.server, instance.spec.service, instance)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import secrets
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from ipaddress import IPv4Network
 
 from upwash.errors import EngineError
 from upwash.real.container_init import CREDENTIALS, SCRATCH_BYTES
+from upwash.real.containers import container_name
 from upwash.real.control_credentials import ControlCredentials, new_control_credentials
 from upwash.real.lxd.engine import EngineInstance
 from upwash.real.service_image import ServiceImage
@@ -58,7 +58,7 @@ def new_container(
 ) -> Container:
     """A container that is not there yet, with an address that is not taken; raises EngineError."""
     return Container(
-        name=f"upwash-{_slug(image.service)}-{_slug(server)}-{secrets.token_hex(3)}",
+        name=container_name(image.service, server),
         server=server,
         service=image.service,
         image=image.fingerprint,
@@ -149,8 +149,3 @@ def _free_address(subnet: IPv4Network, taken: Collection[str]) -> str:
     if not free:
         raise EngineError(f"every address of {subnet} is taken: give runtime.network a larger subnet")
     return secrets.choice(free)
-
-
-def _slug(name: str) -> str:
-    """The name as it may stand in a host's name."""
-    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:16] or "x"

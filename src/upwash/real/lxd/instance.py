@@ -63,6 +63,11 @@ class ContainerInstance:
         self._control: InstanceControl | None = None
         self._stopped = asyncio.Event()
 
+    @property
+    def image(self) -> str:
+        """The id of that of which its container is made."""
+        return self.container.image
+
     async def begin(
         self, begin: Begin, *, called: Callable[[str], None], answered: Answered, methods: frozenset[str]
     ) -> None:

@@ -6,9 +6,10 @@ import asyncio
 import logging
 from collections.abc import Callable, Collection, Sequence
 
-from upwash.errors import EngineError, InstanceError
+from upwash.errors import EngineError
 from upwash.ports import Answered, InstanceSpec, ignored
-from upwash.real.control import Begin
+from upwash.real.containers import FrozenInstances
+from upwash.real.control import Begin, begin_of
 from upwash.real.control_credentials import SERVICE_PORT
 from upwash.real.door import Lead
 from upwash.real.lxd.container import (
@@ -50,7 +51,7 @@ class ContainerRuntime:
         self._freezes = freezes
         self._lead = lead
         self._max_message_bytes = max_message_bytes
-        self._frozen: dict[tuple[str, str], ContainerInstance] = {}
+        self._frozen: FrozenInstances[ContainerInstance] = FrozenInstances(_log)
         self._containers: list[Container] = []  # not asked for again: a cluster waits for its lost members
         self._taken: set[str] = set()  # addresses
         self.concurrency: dict[str, int] = {}  # of each service's image, once it is prepared
@@ -84,23 +85,14 @@ class ContainerRuntime:
     ) -> ContainerInstance:
         """Returns when the instance is healthy; raises InstanceError, with nothing left running."""
         image = await self._image(spec.service)
-        frozen = self._frozen.pop((spec.server, spec.service), None)
-        if frozen is not None and frozen.container.image == image.fingerprint:
-            try:
-                await frozen.resume(called=called, answered=answered)
-            except InstanceError as error:
-                _log.warning("%s cannot be thawed and is started anew: %s", spec.name, error)
-            else:
-                return frozen
+        frozen = await self._frozen.thawed(spec, image.fingerprint, called=called, answered=answered)
         if frozen is not None:
-            await frozen.end()
+            return frozen
         return await self._start_somewhere(spec, image, called, answered)
 
     async def close(self) -> None:
         """Ends what was kept frozen; nothing runs afterwards."""
-        for instance in self._frozen.values():
-            await instance.end()
-        self._frozen.clear()
+        await self._frozen.close()
         await self._engine.close()
 
     async def _image(self, service: str) -> ServiceImage:
@@ -211,19 +203,15 @@ class ContainerRuntime:
         return instance
 
     def _keep(self, instance: ContainerInstance) -> None:
-        self._frozen[instance.container.server, instance.container.service] = instance
+        self._frozen.keep(instance.container.server, instance.container.service, instance)
 
     def _begin(self, spec: InstanceSpec, image: ServiceImage) -> Begin:
         """What to be is the image's to say: the daemon need not have the service's program."""
-        return Begin(
-            program=image.program.path,
-            settings=dict(image.program.settings),
-            command=image.program.command,
-            service=spec.service,
+        return begin_of(
+            spec,
+            image.program,
             listen=_INSIDE,
             outside=f"0.0.0.0:{SERVICE_PORT}",
-            is_announced=True,
             max_message_bytes=self._max_message_bytes,
-            pace_s=spec.pace_s,
-            heats=spec.heats,
+            is_announced=True,
         )
