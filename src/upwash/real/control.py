@@ -10,13 +10,15 @@ what can be so, and hangs up on an instance that says more than `MOST_REPORTS_PE
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from upwash.ports import InstanceSpec, Program
 from upwash.real.limits import Limits
 from upwash.support.heat import Surroundings
+
+if TYPE_CHECKING:  # an instance has no use for it
+    from upwash.ports import InstanceSpec, Program
 
 MOST_REPORTS_PER_S = 1000  # one for each call, and one a second for each drone
 
