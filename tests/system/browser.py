@@ -23,6 +23,7 @@ _OPTIONS = (
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 )  # fmt: skip
 _PATIENCE_S = 30.0
+_LOADS_MOST = 5
 Seen = TypeVar("Seen")
 
 
@@ -37,19 +38,25 @@ class Browser:
 
     def __init__(self, driver: webdriver.Chrome) -> None:
         self.driver = driver
+        self._errors: list[str] = []
 
     def open(
         self, address: str, *, width: int = 1280, height: int = 900, scheme: str = "light", scale: int = 1
     ) -> None:
         """Opens the address in a window of that size, for somebody who prefers that colour scheme.
 
-        Each CSS pixel is `scale` pixels wide.
+        Each CSS pixel is `scale` pixels wide. Where a network interface of the machine comes or goes, as with each
+        container that another test starts, Chromium drops what it is loading: the page is then loaded again.
         """
         metrics = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 500}
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
         self.prefer(scheme)
-        self.errors()  # of the page before
-        self.driver.get(address)
+        for _ in range(_LOADS_MOST):
+            self.errors()  # of the page before
+            self.driver.get(address)
+            self._errors = self.errors()
+            if not any("ERR_NETWORK_CHANGED" in error for error in self._errors):
+                return
 
     def prefer(self, scheme: str) -> None:
         """What the system prefers from now on: light or dark."""
@@ -85,7 +92,8 @@ class Browser:
     def errors(self) -> list[str]:
         """What the console complained about since it was asked last."""
         entries: list[dict[str, str]] = self.driver.get_log("browser")  # type: ignore[no-untyped-call]
-        return [entry["message"] for entry in entries]
+        errors, self._errors = [*self._errors, *(entry["message"] for entry in entries)], []
+        return errors
 
     def violations(self) -> list[str]:
         """What axe-core finds wrong with the page for people who do not see, hear or point."""
