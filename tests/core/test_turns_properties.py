@@ -128,8 +128,8 @@ lies = st.lists(
 
 
 def unaware_s(turn_s: float) -> float:
-    """A turn that is shorter than a drone is silent is over before it knows."""
-    return RENEWED_S if turn_s < RENEWED_S else 0.0
+    """A turn shorter than a drone is silent is over before it knows, and another has begun before it asks again."""
+    return RENEWED_S + ASK_AGAIN_S if turn_s < RENEWED_S else 0.0
 
 
 def no_wait_is_too_long(slots: int, turn_s: float, drones: list[list[tuple[float, float]]]) -> None:
@@ -163,6 +163,12 @@ def no_lie_pays(
         assert not had_s or had_s.pop("liar") - min(had_s.values()) <= most_s
 
     world.run({**drones, "liar": liar(told, comes_s=comes_s or 0.0)}, until_s=400.0, look=look)
+
+
+def test_a_turn_that_ends_unnoticed_costs_the_pause_before_the_next_question_too() -> None:
+    no_lie_pays(
+        2, 5.0, [0.0, 0.0], [(5.9, "")], None
+    )  # 17.9 s more, in the first 400 s and in the first 32,000
 
 
 def test_all_turns_that_are_over_end_at_the_next_questions_of_those_that_wait() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shlex
@@ -13,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tests.children import is_alive
 from tests.waiting import wait_for
 
 pytestmark = pytest.mark.system
@@ -37,6 +39,7 @@ class Machine:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.daemon: subprocess.Popen[str] | None = None
+        self.process = 0  # the daemon's, or its successor's
         self.address = ""
         (folder / "etc/systemd/system").mkdir(parents=True)
         (folder / "upwash").symlink_to(ROOT)
@@ -54,6 +57,8 @@ class Machine:
                 return ""
             case ["systemctl", "reload"]:
                 return self.reload()
+            case ["systemctl", "kill"]:
+                return self.change()
         here = self._here(command.replace(" -g upwash", "")).replace("127.0.0.1:7070", self.address)
         done = subprocess.run(
             here, shell=True, cwd=self.folder, capture_output=True, text=True, timeout=60, check=False
@@ -72,20 +77,32 @@ class Machine:
         assert self.daemon.stdout is not None
         self.address = self.daemon.stdout.readline().strip().removeprefix("s1 ready at ")
         assert self.address, (self.folder / "log").read_text()
+        self.process = self.daemon.pid
 
     def reload(self) -> str:
         """Does as the unit's ExecReload, and returns what the log says of it."""
         assert self.daemon is not None
         log = self.folder / "log"
         known = len(log.read_text())
-        self.daemon.send_signal(signal.SIGHUP)
+        os.kill(self.process, signal.SIGHUP)
         wait_for(lambda: "configuration" in log.read_text()[known:], within_s=20.0, seen=log.read_text)
         return log.read_text()[known:]
+
+    def change(self) -> str:
+        """Has another process take the daemon's place, and returns what the log says of it."""
+        assert self.daemon is not None
+        self.daemon.send_signal(signal.SIGUSR2)
+        assert self.daemon.wait(timeout=60.0) == 0
+        said = (self.folder / "log").read_text()
+        (process,) = re.findall(r"process (\d+) has taken this daemon's place", said)
+        self.process = int(process)
+        return said
 
     def stop(self) -> None:
         """Ends the daemon if it runs."""
         if self.daemon is not None:
-            self.daemon.terminate()
+            os.kill(self.process, signal.SIGTERM)
+            wait_for(lambda: not is_alive(self.process), within_s=20.0)
             assert self.daemon.wait(timeout=20.0) == 0
             assert self.daemon.stdout is not None
             self.daemon.stdout.close()
@@ -102,7 +119,9 @@ def machine(tmp_path: Path) -> Iterator[Machine]:
         yield made
     finally:
         if made.daemon is not None:
-            made.daemon.kill()
+            for process in {made.process, made.daemon.pid}:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(process, signal.SIGKILL)
             made.daemon.communicate()
 
 

@@ -30,6 +30,9 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Serves until it is told to stop."""
+    from upwash.real.hand_over import handed_over
+
+    before = handed_over(os.environ)
     service_manager = os.environ.pop("NOTIFY_SOCKET", "")  # instances have nothing to tell it
     import resource
 
@@ -53,6 +56,7 @@ def run(options: argparse.Namespace) -> bool:
             read_again=lambda: _say_if_none_is_refused(read_daemon_config(options.config)),
             ready=lambda address: announce(f"{names} ready at {address}"),
             manager=ServiceManager(service_manager),
+            before=before,
         )
     )
     return True

@@ -254,6 +254,21 @@ class AdmissionController:
         state.turns.gave_up(drone.name)
         return [*state.leases.end(lambda lease: lease.drone == drone, now_s=now_s)]
 
+    def take_up(
+        self, server: str, drones: Iterable[Client], services: Iterable[str], *, now_s: float
+    ) -> list[Command]:
+        """Serves whom another daemon served in this one's place, with the services that ran there."""
+        state = self._servers.get(server)
+        if state is None:
+            return []
+        commands: list[Command] = []
+        for drone in drones:
+            if not self._mistrust(drone):
+                commands += self._renew(server, drone, now_s)
+        for service in sorted(state.offer.images & frozenset(services)):
+            commands += state.instances.begin(service)
+        return commands
+
     # --- what peers ask and answer --------------------------------------------------------------------------
 
     def not_held(self, peer: str, drone: Client) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NoReturn
 
@@ -68,6 +68,7 @@ class ServerSession:
         self._daemon: Link | None = None
         self._instances: dict[str, Link] = {}
         self._addresses: dict[str, str] = {}  # that they lead to
+        self._former: list[Link] = []  # to instances in whose place there are others
         self._lease_s = LEAST_LEASE_S
         self.round_trip_s: float | None = None  # of the last question to the daemon
         self._joined = False
@@ -166,7 +167,21 @@ class ServerSession:
                 raise
             except UpwashError:
                 continue  # whether the server can still be used, the next call tells
+            await self._follow(answer.endpoints)
             renewed(answer.waiting)
+
+    async def _follow(self, endpoints: Mapping[str, str]) -> None:
+        """Calls go to where the services are now; the links to where they were stay for the calls under way there."""
+        if self._quiet.is_set():
+            for link in self._former:
+                await link.close()
+            self._former.clear()
+        for service in self._instances.keys() & endpoints.keys():
+            address = resolve(endpoints[service], self._server.address)
+            if address != self._addresses[service]:
+                self._former.append(self._instances[service])
+                self._instances[service] = self._dialer.dial(address, server=self._server.name)
+                self._addresses[service] = address
 
     async def call(self, service: str, method: str, request: bytes, *, deadline_s: float) -> bytes:
         """Runs one call there; raises LinkError."""
@@ -210,7 +225,7 @@ class ServerSession:
         self._instances, self._daemon, self._expected = {}, None, False
 
     async def _hang_up(self) -> None:
-        for link in (*self._instances.values(), self._daemon):
+        for link in (*self._instances.values(), *self._former, self._daemon):
             if link is not None:
                 await link.close()
 

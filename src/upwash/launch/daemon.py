@@ -6,9 +6,10 @@ import asyncio
 import contextlib
 import logging
 import os
+import signal
 import socket
 import tempfile
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -16,18 +17,20 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from upwash.config import DaemonConfig
 from upwash.core.admission import AdmissionController, AdmissionSettings, ServerOffer
 from upwash.core.clients import Client
+from upwash.core.instances import InstanceState
 from upwash.errors import Refused, UpwashError, UsageError
 from upwash.launch.daemon_keys import DaemonKeys, watch_expiry
 from upwash.missions.bundled import load_services
 from upwash.ports import InstanceSpec, Program, Runtime
 from upwash.real.announced import Inside
 from upwash.real.door import Door, Seen, door_limits, leading, opened_door, raise_limit_of_files
+from upwash.real.hand_over import HandedOver, Served, hand_over
 from upwash.real.limits import Limits
 from upwash.real.listener import Caller, Health, Listener, cannot_listen
 from upwash.real.runtime import ProcessRuntime, sockets_in
 from upwash.real.sandbox import Sandbox, find_sandbox
 from upwash.real.service_manager import ServiceManager
-from upwash.real.signals import ending_in_time, on_hangup, stopping_politely
+from upwash.real.signals import ending_in_time, on_signal, stopping_politely
 from upwash.real.streams import listening_socket
 from upwash.rpc.service import spec_of
 from upwash.server.daemon import EdgeServer, Image
@@ -43,6 +46,9 @@ _CONCURRENT_REQUESTS = 128  # most take no time, a start as long as the service 
 _REQUESTS_PER_DRONE = 8
 _LONGEST_REQUEST_BYTES = 2**20  # photos go to instances
 _LONGEST_ANSWER_S = 600.0  # to who sets no deadline
+_LAST_ANSWERS_S = 5.0
+_COMING_S = 30.0  # for a daemon to come up, beside its services
+_METRICS_S = 0.5  # between two looks at whether the daemon before still offers its metrics
 _ENDING_S = 30.0  # for all that follows the calls under way
 _ROOT = (
     "the daemon is root, and so is whatever breaks out of a sandbox that root made: "
@@ -57,10 +63,12 @@ async def serve(
     read_again: Callable[[], DaemonConfig],
     ready: Callable[[str], None],
     manager: ServiceManager,
+    before: HandedOver | None = None,
 ) -> None:
     """Runs the daemon until SIGTERM or Ctrl-C, by which calls under way get `drain_s`; `ready` is told the address.
 
-    SIGHUP has the configuration read again.
+    SIGHUP has the configuration read again, and SIGUSR2 has this program, as it is on the disk by then, take the
+    daemon's place. It takes that of the daemon `before`, if there was one.
     """
     images = _images(config)
     keys = DaemonKeys(config)
@@ -72,7 +80,7 @@ async def serve(
 
     async with contextlib.AsyncExitStack() as stack:
         in_time = stack.enter_context(ending_in_time())
-        outside = stack.enter_context(_listening(config.listen)) if keys.credentials else None
+        outside = stack.enter_context(_listening(config, before)) if keys.credentials else None
         sockets = Path(stack.enter_context(_folder_for_sockets(config)))
         door = await stack.enter_async_context(_door(keys, seen))
         runtime, lanes = await stack.enter_async_context(_runtime(config, door, sockets, sandbox))
@@ -80,15 +88,22 @@ async def serve(
         metrics = _metrics(config)
         edge = await _edge_server(config, images, metrics.runtime(runtime) if metrics else runtime, keys)
         handle = metrics.daemon(edge.handle) if metrics else edge.handle
-        hung_up, stopped = asyncio.Event(), asyncio.Event()
+        hung_up, asked_to_go, stopped = asyncio.Event(), asyncio.Event(), asyncio.Event()
         stack.enter_context(stopping_politely(lambda _: stopped.set()))
-        stack.enter_context(on_hangup(hung_up.set))
+        stack.enter_context(on_signal(signal.SIGHUP, hung_up.set))
+        stack.enter_context(on_signal(signal.SIGUSR2, asked_to_go.set))
         stack.push_async_callback(edge.close)
-        address = await stack.enter_async_context(
+        await _take_up(edge, before)
+        answering = await stack.enter_async_context(contextlib.AsyncExitStack())
+        address = await answering.enter_async_context(
             _answering(config, door, outside, sockets, handle, serving=lambda: not stopped.is_set())
         )
+        if before is not None:
+            before.ready()
         if metrics and config.metrics:
-            await stack.enter_async_context(_exposed(metrics, edge, config.metrics))
+            await answering.enter_async_context(
+                _exposed(metrics, edge, config.metrics, patient=before is not None)
+            )
         if weakness:
             _log.warning("%s", weakness)
         ready(address)
@@ -105,10 +120,26 @@ async def serve(
         )
         for work in (edge.run(), reloading, watch_expiry(keys)):
             stack.callback(asyncio.create_task(work).cancel)
-        await stopped.wait()
+        going = asyncio.create_task(_hand_over(asked_to_go, config, outside, edge, manager))
+        stack.callback(going.cancel)
+        await _first(stopped.wait(), going)
+        if going.done() and not stopped.is_set():
+            await answering.aclose()
+            await _first(stopped.wait(), edge.emptied())
         in_time(config.drain_s + _ENDING_S)
         manager.stopping("waiting for the calls under way")
         await edge.drain(_CLOSING)
+
+
+async def _first(*waits: Awaitable[Any]) -> None:
+    """Returns when one of them does."""
+    waiting = [asyncio.ensure_future(each) for each in waits]
+    try:
+        await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for each in waiting:
+            if not each.done():
+                each.cancel()
 
 
 async def _edge_server(
@@ -154,7 +185,7 @@ async def _answering(
         else:
             yield listener.address
     finally:
-        await asyncio.to_thread(listener.stop)
+        await asyncio.to_thread(listener.stop, grace_s=_LAST_ANSWERS_S)
 
 
 def _images(config: DaemonConfig) -> dict[str, Image]:
@@ -272,11 +303,67 @@ def _beside(listen: str, sockets: Path) -> Callable[[InstanceSpec], str]:
     return lambda _: f"{host}:0"
 
 
-def _listening(address: str) -> socket.socket:
+def _listening(config: DaemonConfig, before: HandedOver | None) -> socket.socket:
+    """The socket of the daemon before, or one of its own."""
+    if before is not None:
+        if before.listen != config.listen:
+            raise UsageError("listen cannot change while the daemon runs: restart it")
+        return before.listening()
     try:
-        return listening_socket(address)
+        return listening_socket(config.listen)
     except OSError:
-        raise cannot_listen(address) from None
+        raise cannot_listen(config.listen) from None
+
+
+# --- another program ----------------------------------------------------------------------------------------
+
+
+async def _take_up(edge: EdgeServer, before: HandedOver | None) -> None:
+    """Serves whom the daemon before served, with what ran there."""
+    for server, served in (before.servers if before is not None else {}).items():
+        drones = [Client(name, certificate) for name, certificate in served.drones]
+        await edge.take_up(server, drones, served.services)
+
+
+async def _hand_over(
+    asked: asyncio.Event,
+    config: DaemonConfig,
+    outside: socket.socket | None,
+    edge: EdgeServer,
+    manager: ServiceManager,
+) -> None:
+    """Returns once another daemon has taken this one's place, when asked for; what keeps it from that is logged."""
+    while True:
+        await asked.wait()
+        asked.clear()
+        if outside is None or config.runtime.kind != "process":
+            _log.error(
+                "no other daemon can take this one's place, as that needs certificates, and services that are "
+                "processes: restart it"
+            )
+            continue
+        served = {
+            each.name: Served(
+                [(lease.drone, lease.certificate) for lease in each.leases if not lease.held_by],
+                [instance.service for instance in each.instances if instance.state == InstanceState.RUNNING],
+            )
+            for each in edge.standing().servers
+        }
+        _log.info("another daemon is to take this one's place")
+        try:
+            process = await hand_over(
+                outside,
+                config.listen,
+                served,
+                environment=manager.environment,
+                timeout_s=config.start_timeout_s + _COMING_S,
+            )
+        except (UpwashError, OSError) as error:
+            _log.error("this daemon stays: %s", error)
+            continue
+        manager.main_is(process)
+        _log.info("process %d has taken this daemon's place, which ends when its last lease does", process)
+        return
 
 
 # --- requests -----------------------------------------------------------------------------------------------
@@ -315,12 +402,31 @@ def _metrics(config: DaemonConfig) -> DaemonMetrics | None:
 
 
 @contextlib.asynccontextmanager
-async def _exposed(metrics: DaemonMetrics, edge: EdgeServer, listen: str) -> AsyncIterator[None]:
+async def _exposed(
+    metrics: DaemonMetrics, edge: EdgeServer, listen: str, *, patient: bool
+) -> AsyncIterator[None]:
+    """Offers the metrics until the end of the block; with `patient` once the daemon before does so no more."""
     from upwash.metrics.exposition import exposed
 
     metrics.look_at(edge)
-    async with exposed(metrics.registry, listen):
+
+    async def offer() -> None:
+        while True:
+            with contextlib.suppress(UsageError):
+                async with exposed(metrics.registry, listen):
+                    await asyncio.get_running_loop().create_future()
+            await asyncio.sleep(_METRICS_S)
+
+    if not patient:
+        async with exposed(metrics.registry, listen):
+            yield
+        return
+    offering = asyncio.create_task(offer())
+    try:
         yield
+    finally:
+        offering.cancel()
+        await asyncio.wait([offering])
 
 
 # --- another configuration ----------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import logging
 import socket
 import time
 
+_VARIABLE = "NOTIFY_SOCKET"
 _log = logging.getLogger("upwash.service_manager")
 
 
@@ -18,6 +19,11 @@ class ServiceManager:
     def __init__(self, address: str) -> None:
         self._address = address
 
+    @property
+    def environment(self) -> dict[str, str]:
+        """What a program needs that is to tell it how it is doing."""
+        return {_VARIABLE: self._address} if self._address else {}
+
     def ready(self) -> None:
         """The program serves, with the configuration that it read last."""
         self._tell("READY=1")
@@ -25,6 +31,10 @@ class ServiceManager:
     def reloading(self) -> None:
         """The program reads its configuration again; `ready` ends it."""
         self._tell(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
+
+    def main_is(self, process: int) -> None:
+        """From now on that process is the service."""
+        self._tell(f"MAINPID={process}")
 
     def stopping(self, status: str) -> None:
         """The program is ending, and this is what it waits for."""

@@ -62,14 +62,14 @@ def ending_in_time() -> Iterator[Callable[[float], None]]:
 
 
 @contextlib.contextmanager
-def on_hangup(do: Callable[[], None]) -> Iterator[None]:
-    """Does it at each SIGHUP."""
+def on_signal(number: signal.Signals, do: Callable[[], None]) -> Iterator[None]:
+    """Does it each time that this signal comes."""
     loop = asyncio.get_running_loop()
-    loop.add_signal_handler(signal.SIGHUP, do)
+    loop.add_signal_handler(number, do)
     try:
         yield
     finally:
-        loop.remove_signal_handler(signal.SIGHUP)
+        loop.remove_signal_handler(number)
 
 
 @contextlib.contextmanager
@@ -83,5 +83,5 @@ def outliving_the_terminal() -> Iterator[None]:
             os.dup2(nowhere, handle)
         os.close(nowhere)
 
-    with on_hangup(let_go):
+    with on_signal(signal.SIGHUP, let_go):
         yield

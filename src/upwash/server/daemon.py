@@ -152,6 +152,16 @@ class EdgeServer:
         await self._perform(self._host.revoke(revoked, now_s=self._now_s()))
         await self._perform(self._host.offer(offers, replaced=replaced))
 
+    async def take_up(self, server: str, drones: Sequence[Client], services: Sequence[str]) -> None:
+        """Serves whom another daemon served before; returns when the services run that ran there, or cannot."""
+        await self._perform(self._host.take_up(server, drones, services, now_s=self._now_s()))
+        await asyncio.gather(*self._settled.values())
+
+    async def emptied(self) -> None:
+        """Returns once no drone has a slot any more."""
+        while any(self._host.leases(each.name) for each in self.standing().servers):  # noqa: ASYNC110 - they end by time
+            await asyncio.sleep(_LEAST_LOOK_S)
+
     def standing(self) -> Snapshot:
         """How it stands now."""
         return Snapshot(

@@ -1,0 +1,118 @@
+"""A daemon has the next one take its place, so that its program can be changed while drones fly.
+
+    the old daemon                                   the new one, its child
+    starts it, with the listening socket             reads the configuration, takes up the leases
+    and with who is served                           starts the same services, accepts connections, says so
+    accepts no more connections, hangs up            is asked to renew every lease, and answers with its own endpoints
+    serves whom it served, until their leases end
+
+Both accept for a moment, and none is refused: a connection waits in the socket until one of them takes it. Where the
+new one does not come up, the old one goes on as if nothing had been.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+
+import msgspec
+from msgspec import Struct
+
+from upwash.errors import UpwashError
+
+_VARIABLE = "UPWASH_HANDED_OVER"
+_READY = b"ready"
+
+
+class Served(Struct, frozen=True):
+    """Whom one server serves, by name and certificate, and the services that run there."""
+
+    drones: Sequence[tuple[str, str]]
+    services: Sequence[str]
+
+
+class HandedOver(Struct, frozen=True):
+    """What the new daemon is given: its files are numbers of open ones."""
+
+    listen: str
+    socket_file: int
+    ready_file: int
+    servers: Mapping[str, Served]
+
+    def listening(self) -> socket.socket:
+        """The socket at which drones connect."""
+        return socket.socket(fileno=self.socket_file)
+
+    def ready(self) -> None:
+        """Tells the old daemon that it may go."""
+        with contextlib.suppress(OSError):  # it has gone already: then nobody is left to be told
+            os.write(self.ready_file, _READY)
+        with contextlib.suppress(OSError):
+            os.close(self.ready_file)
+
+
+def handed_over(environment: MutableMapping[str, str]) -> HandedOver | None:
+    """What this daemon is given, where it was started to take another one's place."""
+    told = environment.pop(_VARIABLE, "")
+    return msgspec.json.decode(told, type=HandedOver) if told else None
+
+
+async def hand_over(
+    listening: socket.socket,
+    listen: str,
+    servers: Mapping[str, Served],
+    *,
+    environment: Mapping[str, str],
+    timeout_s: float,
+) -> int:
+    """Starts this program anew, as it is on the disk now, with that environment; returns
+    its process once it is ready. Raises UpwashError where that ends before, or takes longer.
+    """
+    with _pipe() as (reading, writing):
+        told = HandedOver(listen, listening.fileno(), writing, servers)
+        new = subprocess.Popen(  # noqa: ASYNC220, S603 - asyncio's own would end it together with the loop
+            [sys.executable, *sys.orig_argv[1:]],
+            stderr=sys.stderr,  # where file descriptor 2 leads to a log that ends with this daemon
+            pass_fds=(listening.fileno(), writing),
+            env={**os.environ, **environment, _VARIABLE: msgspec.json.encode(told).decode()},
+        )
+        os.close(writing)
+        try:
+            async with asyncio.timeout(timeout_s):
+                await _readable(reading)
+        except TimeoutError:
+            new.kill()
+            await asyncio.to_thread(new.wait)
+            raise UpwashError(f"the new daemon was not ready within {timeout_s:g} s: it was ended") from None
+        except asyncio.CancelledError:
+            new.kill()
+            raise
+        if os.read(reading, len(_READY)) != _READY:
+            code = await asyncio.to_thread(new.wait)
+            raise UpwashError(f"the new daemon ended with code {code}: its own log says why")
+    return new.pid
+
+
+@contextlib.contextmanager
+def _pipe() -> Iterator[tuple[int, int]]:
+    """Its writing end is closed by whoever has given it away."""
+    reading, writing = os.pipe()
+    try:
+        yield reading, writing
+    finally:
+        os.close(reading)
+
+
+async def _readable(file: int) -> None:
+    loop = asyncio.get_running_loop()
+    readable = asyncio.Event()
+    loop.add_reader(file, readable.set)
+    try:
+        await readable.wait()
+    finally:
+        loop.remove_reader(file)
