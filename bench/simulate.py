@@ -21,10 +21,9 @@ from upwash.config import (
     GridConfig,
     ServerConfig,
     read_drone_config,
-    server_position,
+    server_areas,
     waypoints,
 )
-from upwash.core.geo import Circle
 from upwash.lab.campaign import in_processes, run_campaign
 from upwash.lab.campaign_file import CampaignFile
 from upwash.lab.run import simulate
@@ -138,7 +137,7 @@ def copy_of(server: ServerConfig, number: int, east_m: float) -> ServerConfig:
 
 def mean_in_range(config: DroneConfig) -> float:
     """How many servers are in range of a waypoint, on average."""
-    areas = [Circle(server_position(each, config.mission.home), each.range_m) for each in config.servers]
+    areas = server_areas(config).values()
     places = waypoints(config.mission)
     return sum(area.contains(place.position) for area in areas for place in places) / len(places)
 

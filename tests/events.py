@@ -36,7 +36,7 @@ def written(events: Iterable[Event]) -> list[dict[str, Any]]:
 
 
 @functools.cache
-def _blanks(kind: type[Event]) -> dict[str, object]:
+def _blanks(kind: type[msgspec.Struct]) -> dict[str, object]:
     return {field.name: _blank(field.type) for field in msgspec.structs.fields(kind) if field.required}
 
 
@@ -47,4 +47,6 @@ def _blank(hint: object) -> object:
         except msgspec.ValidationError:
             continue
         return blank
+    if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
+        return _blanks(hint)
     return {"east_m": 0.0, "north_m": 0.0}

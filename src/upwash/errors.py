@@ -150,6 +150,9 @@ class DeadlineExceeded(LinkError):
     """No answer came in time."""
 
 
+UNREACHED = (NetworkError, Unreachable, DeadlineExceeded)  # errors that say something of the way to a server
+
+
 class Refused(LinkError):
     """The other side said no, with its reason."""
 

@@ -234,11 +234,21 @@ def test_listed_waypoints_are_flown_as_listed(tmp_path: Path) -> None:
 REFUSED = [
     ('metrics = "127.0.0.1:9100"', 'metrics = "127.0.0.1"', "metrics", "host:port"),
     # old text, new text, key, what the message has to name
-    ("range_m = 100.0", "range_m = 0", "server[0].range_m", "a number above 0, found 0"),
-    ("range_m = 100.0", "range_m = -5.5", "server[0].range_m", "a number above 0, found -5.5"),
+    ("range_m = 100.0", "range_m = 0", "server[0].range_m", 'above 0, in metres, or "measured", found 0'),
+    (
+        "range_m = 100.0",
+        "range_m = -5.5",
+        "server[0].range_m",
+        'above 0, in metres, or "measured", found -5.5',
+    ),
     ("range_m = 100.0", "range_m = inf", "server[0].range_m", "a finite number"),
     ("range_m = 100.0", "range_m = nan", "server[0].range_m", "a finite number"),
-    ("range_m = 100.0", 'range_m = "far"', "server[0].range_m", 'a number above 0, found "far"'),
+    (
+        "range_m = 100.0",
+        'range_m = "far"',
+        "server[0].range_m",
+        'above 0, in metres, or "measured", found "far"',
+    ),
     ("range_m = 100.0", "", "server[0].range_m", "missing: add a number above 0"),
     ("range_m = 100.0", "rangem = 100.0", "server[0].rangem", 'did you mean "range_m"?'),
     ("range_m = 100.0", "quux = 1", "server[0].quux", "allowed: name, east_m, north_m"),

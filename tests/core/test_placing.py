@@ -39,14 +39,14 @@ def test_a_check_begins_as_a_range_is_entered_and_goes_on_while_the_drone_comput
     ahead = placing()
     places = list(ahead.places([call(5.0, s1=2.0), call(1.0, s1=1.0)]))
     assert places == [Place("s1", CHECK_S - 2.0), Place("s1", 0.0)]
-    assert [ahead.delay_s(place, HEAVY) for place in places] == [LOCAL_S, REMOTE_S]
+    assert [ahead.delay_s(place, call(0.0)) for place in places] == [LOCAL_S, REMOTE_S]
 
 
 def test_a_check_that_is_nearly_over_is_waited_for() -> None:
     ahead = placing(Place("s1", 8.0))
     (place,) = ahead.places([call(3.0, s1=3.0)])
     assert place == Place("s1", 5.0)
-    assert ahead.delay_s(place, HEAVY) == 5.0 + REMOTE_S
+    assert ahead.delay_s(place, call(0.0)) == 5.0 + REMOTE_S
 
 
 def test_services_run_on_a_server_that_was_checked_before() -> None:
@@ -71,4 +71,4 @@ def test_the_policy_has_its_say() -> None:
 
 
 def test_a_call_of_which_nothing_is_known_takes_no_time() -> None:
-    assert placing().delay_s(Place("s1"), UNKNOWN) == 0.0
+    assert placing().delay_s(Place("s1"), call(0.0), UNKNOWN) == 0.0

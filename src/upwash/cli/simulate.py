@@ -26,6 +26,10 @@ def add(commands: Commands) -> None:
         "--log", type=Path, metavar="FILE",
         help="where the event log goes, or those of several drones as FILE-NAME (default: nowhere)",
     )  # fmt: skip
+    simulate.add_argument(
+        "--keep-coverage", action="store_true",
+        help="write what was measured of servers without a range to network.coverage_map, as a flight does",
+    )  # fmt: skip
     add_figures(simulate, "the map and the call delays")
     simulate.set_defaults(run=run)
 
@@ -43,7 +47,9 @@ def _run_one(options: argparse.Namespace) -> bool:
     from upwash.cli.simulated import print_json, print_simulation, write_log
 
     figures = figures_of(options)
-    simulation = simulate(options.scenario, policy=options.policy, seed=options.seed)
+    simulation = simulate(
+        options.scenario, policy=options.policy, seed=options.seed, keep_coverage=options.keep_coverage
+    )
     if options.json:
         print_json(simulation)
     else:
@@ -61,6 +67,8 @@ def _run_fleet(options: argparse.Namespace) -> bool:
     from upwash import simulate_fleet
     from upwash.cli.simulated import print_fleet, print_fleet_json
 
+    if options.keep_coverage:
+        raise UsageError("--keep-coverage keeps one drone's map, and this scenario has several drones")
     if options.figures is not None:
         raise UsageError(
             "--figures draws one mission, and this scenario has several drones: --log keeps their logs, "

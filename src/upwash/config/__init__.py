@@ -41,13 +41,18 @@ from upwash.config.fleet import Presence, fleet_of, presences
 from upwash.config.fleet_checks import refuse_several
 from upwash.config.offers import never_offloaded
 from upwash.config.places import (
+    coverage_kept,
+    coverage_of,
     ending,
     geofence,
+    measured_servers,
     movable_waypoints,
     server_areas,
     server_position,
     stands,
     sweeps_of,
+    true_areas,
+    true_range_m,
     waypoints,
 )
 from upwash.config.problems import Document
@@ -59,6 +64,7 @@ from upwash.config.values import KeysConfig, SettingsTable, is_address, is_on_th
 __all__ = [
     "AutopilotConfig",
     "CameraConfig",
+    "CoverageFile",
     "DaemonConfig",
     "DaemonKeysConfig",
     "Document",
@@ -91,6 +97,8 @@ __all__ = [
     "TruthConfig",
     "VehicleConfig",
     "convert",
+    "coverage_kept",
+    "coverage_of",
     "drone_config",
     "ending",
     "finish_by_s",
@@ -99,6 +107,7 @@ __all__ = [
     "impossible_values",
     "is_address",
     "is_on_this_machine",
+    "measured_servers",
     "movable_waypoints",
     "never_offloaded",
     "presences",
@@ -112,6 +121,8 @@ __all__ = [
     "server_truth",
     "stands",
     "sweeps_of",
+    "true_areas",
+    "true_range_m",
     "unsigned_port",
     "usable_s",
     "waypoints",

@@ -20,7 +20,7 @@ from upwash.config.drone import (
     ServiceConfig,
     TruthConfig,
 )
-from upwash.config.places import geofence, planned_home, sweeps_of, waypoints
+from upwash.config.places import geofence, measured_servers, planned_home, sweeps_of, waypoints
 from upwash.config.problems import Problem, listed, metrics_problems, unknown
 from upwash.config.truth import server_truth
 from upwash.config.values import is_address, repeated
@@ -58,6 +58,7 @@ def problems(config: DroneConfig) -> Iterator[Problem]:
                 f'"{ON_DRONE}" stands for the drone itself in results: rename the server',
             )
     yield from _network_problems(config.network)
+    yield from _coverage_problems(config)
     for index, service in enumerate(config.services):
         yield from _key_problems(f"service[{index}].local_pace_s", service, service.local_pace_s)
         yield from _key_problems(
@@ -260,10 +261,42 @@ def _place_problems(server: ServerConfig, mission: MissionConfig) -> Iterator[Pr
     metres = [server.east_m, server.north_m]
     degrees = [server.latitude_deg, server.longitude_deg]
     given = [value is not None for value in metres + degrees]
-    if given not in ([True, True, False, False], [False, False, True, True]):
+    needed = _why_placed(server)
+    if not any(given) and not needed:
+        return
+    if not any(given) and server.range_m == "measured":
+        yield "east_m", f"missing, with north_m: {needed} counts from where the server stands"
+    elif given not in ([True, True, False, False], [False, False, True, True]):
         yield "east_m", "no single place: give either east_m and north_m, or latitude_deg and longitude_deg"
     elif mission.home is None and server.east_m is None:
         yield "latitude_deg", "degrees need mission.home: add it, or give east_m and north_m"
+
+
+def _why_placed(server: ServerConfig) -> str:
+    """The key for which the server's place has to be known; "" where nobody needs to know it."""
+    if server.range_m != "measured":
+        return "range_m"
+    if server.truth.range_m is not None:
+        return "truth.range_m"
+    return "" if server.truth.radio == "fixed" else "truth.radio"
+
+
+def _coverage_problems(config: DroneConfig) -> Iterator[Problem]:
+    known, home = config.network.coverage_map, config.mission.home
+    if known is None:
+        return
+    if not measured_servers(config):
+        yield (
+            "network.coverage_map",
+            'no server has range_m = "measured", so there is nothing to keep: leave it out',
+        )
+    elif not known.is_empty and known.has_home != (home is not None):
+        its, ours = ("a", "none") if known.has_home else ("no", "one")
+        yield (
+            "network.coverage_map",
+            f"{known.file} was measured around {its} home, and the mission has {ours}: "
+            "name a map of this field, or give mission.home as it was then",
+        )
 
 
 def times_problems(

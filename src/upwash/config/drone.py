@@ -12,6 +12,7 @@ from upwash.config.values import (
     Command,
     Count,
     CountFromZero,
+    CoveragePath,
     FilePath,
     FlightOrder,
     Fraction,
@@ -30,6 +31,7 @@ from upwash.config.values import (
     PlanPath,
     Positive,
     Quantile,
+    Range,
     SecondsByKey,
     SecondsByService,
     SecondsOfEachKey,
@@ -162,12 +164,14 @@ class NetworkConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """How servers' networks are joined. A simulation models joining in any case."""
 
     kind: Literal["stand-in", "wired", "networkmanager"] = "wired"
-    """`wired`: nothing is joined; `networkmanager`: by [NetworkManager](networks.md); `stand-in`: by the drone's
-    position, for the desk."""
+    """`wired`: nothing is joined, as with LTE, 5G or a mesh; `networkmanager`: by
+    [NetworkManager](networks.md); `stand-in`: by the drone's position, for the desk."""
     interfaces: Annotated[tuple[InterfaceName, ...], Meta(description="an array of interfaces")] = ()
     """The only interfaces on which NetworkManager joins networks."""
     radios: Radios = 1
     """With 2, the next server is checked while the one before is used; each radio has an interface."""
+    coverage_map: CoveragePath | None = None
+    """A file, kept between flights, of what servers without a range came to at each place."""
 
 
 class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -310,6 +314,8 @@ class TruthConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """A call, in seconds."""
     first_extra_s: NotNegative = 0.0
     """How much longer the first call after a start takes, in seconds."""
+    range_m: Positive | None = None
+    """How far it is reached, in metres; default: as believed, or everywhere where that is `"measured"`."""
     radio: Text = "fixed"
     """Goodput by distance: `fixed`, `disc54`, `disc12` or a csv file."""
     slots: Slots = "auto"
@@ -337,8 +343,9 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """In place of `east_m` and `north_m`."""
     longitude_deg: Longitude | None = None
     """In place of `east_m` and `north_m`."""
-    range_m: Positive
-    """How far it is reached, in metres."""
+    range_m: Range
+    """How far it is reached, in metres; or `"measured"`: [servers without a
+    range](networks.md#servers-without-a-range)."""
     network: Text
     """Its NetworkManager profile; default: the server's name."""
     address: Text | None = None

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container
 from dataclasses import replace
 
 import msgspec
 
 from upwash.config.drone import DroneConfig, GridConfig, HomeConfig, MissionConfig, ServerConfig
+from upwash.core.coverage import Coverage
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.geofence import Fence
 from upwash.core.sweeps import Sweep, sweeps
@@ -89,9 +91,55 @@ def server_position(server: ServerConfig, home: HomeConfig | None) -> Position:
 
 
 def server_areas(config: DroneConfig) -> dict[str, Circle]:
-    """Where each server is in radio range, by its name."""
-    home = config.mission.home
-    return {server.name: Circle(server_position(server, home), server.range_m) for server in config.servers}
+    """Where each server is believed to be in range, by its name: everywhere, for one without a range."""
+    return {server.name: _area(server, config, _believed_m(server)) for server in config.servers}
+
+
+def true_areas(config: DroneConfig) -> dict[str, Circle]:
+    """Where each simulated server is really in range, by its name."""
+    return {server.name: _area(server, config, true_range_m(server)) for server in config.servers}
+
+
+def true_range_m(server: ServerConfig) -> float:
+    """How far the simulated server is reached, in metres; infinite where the file does not say."""
+    return _believed_m(server) if server.truth.range_m is None else server.truth.range_m
+
+
+def measured_servers(config: DroneConfig) -> tuple[str, ...]:
+    """The servers without a range."""
+    return tuple(server.name for server in config.servers if server.range_m == "measured")
+
+
+def coverage_of(config: DroneConfig) -> Coverage | None:
+    """What earlier flights measured of the servers without a range; None where there are none."""
+    servers, file = measured_servers(config), config.network.coverage_map
+    if not servers:
+        return None
+    known = file.places(_around(config.mission)) if file is not None else {}
+    return Coverage({server: known.get(server, ()) for server in servers})
+
+
+def coverage_kept(config: DroneConfig, coverage: Coverage) -> None:
+    """Writes the map to its file, where the configuration names one; raises NotWritten."""
+    file = config.network.coverage_map
+    if file is not None:
+        file.keep(coverage, _around(config.mission))
+
+
+def _believed_m(server: ServerConfig) -> float:
+    return math.inf if server.range_m == "measured" else server.range_m
+
+
+def _area(server: ServerConfig, config: DroneConfig, radius_m: float) -> Circle:
+    """A server whose place nobody needs to know stands at home."""
+    if server.range_m == "measured" and server.east_m is None and server.latitude_deg is None:
+        return Circle(Position(0.0, 0.0), radius_m)
+    return Circle(server_position(server, config.mission.home), radius_m)
+
+
+def _around(mission: MissionConfig) -> GeoPosition | None:
+    home = mission.home
+    return GeoPosition(home.latitude_deg, home.longitude_deg) if home is not None else None
 
 
 def _frame(home: HomeConfig | None) -> LocalFrame:

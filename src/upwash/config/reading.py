@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import msgspec
 
+from upwash.config.coverage import CoverageFile
 from upwash.config.problems import Document, Problem, refuse_first
 from upwash.config.values import PlanFile, SettingsTable
 from upwash.errors import ConfigError
@@ -56,12 +57,13 @@ def convert(
     """
     folder = file.absolute().parent
 
-    def resolve(kind: type, value: object) -> Path | PlanFile | SettingsTable:
+    def resolve(kind: type, value: object) -> Path | CoverageFile | PlanFile | SettingsTable:
         if kind is SettingsTable and isinstance(value, dict):
             return SettingsTable(file, value)
-        if kind not in (Path, PlanFile) or not isinstance(value, str) or not value:
+        if kind not in (Path, CoverageFile, PlanFile) or not isinstance(value, str) or not value:
             raise ValueError
-        return folder / value if kind is Path else PlanFile(folder / value)
+        of_file: type[Path | CoverageFile | PlanFile] = kind
+        return of_file(folder / value)
 
     try:
         return msgspec.convert(document, kind, dec_hook=resolve)

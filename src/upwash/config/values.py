@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from upwash.config.coverage import CoverageFile
 from upwash.core.sweeps import SWEEPS
 from upwash.plans import Plan, read_plan
 
@@ -67,6 +68,9 @@ class SettingsTable:
         self.values = values
 
 
+CoveragePath = Annotated[
+    CoverageFile, Meta(description="a coverage map's path, absolute or from this file's folder")
+]
 Settings = Annotated[SettingsTable, Meta(description="a table of what the service's constructor takes")]
 PlanPath = Annotated[PlanFile, Meta(description="a plan's path, absolute or from this file's folder")]
 
@@ -91,6 +95,10 @@ FlightOrder = Annotated[
 ]
 TurnSeconds = Annotated[
     float, Meta(ge=5, description="a number of at least 5, in seconds, or inf for turns that never end")
+]
+Range = Annotated[
+    Annotated[float, Meta(gt=0)] | Literal["measured"],
+    Meta(description='a number above 0, in metres, or "measured"'),
 ]
 GridCount = Annotated[int, Meta(ge=1, le=1000, description="an integer from 1 to 1000")]
 Seed = Annotated[int, Meta(ge=0, description="an integer of at least 0")]

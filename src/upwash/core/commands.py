@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from upwash.core.coverage import MeasuredPlace
 from upwash.core.recovery import Probing
 from upwash.core.servers import Change
 
@@ -85,5 +86,13 @@ class Foreseen:
     finish_by_s: float | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Mapped:
+    """To be logged: what is known now of a server at a place."""
+
+    server: str
+    place: MeasuredPlace
+
+
 Command = Check | Probe | Start | Prepare | Leave
-Effect = Change | Full | Foreseen | Command
+Effect = Change | Full | Foreseen | Mapped | Command

@@ -5,9 +5,15 @@ Symbols of Table 3.1: `Call` is `local_s`, `Call_s` is `remote_s`, `Check_s` and
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
+
+from upwash.core.geo import Position
+
+if TYPE_CHECKING:
+    from upwash.core.coverage import Coverage
 
 WINDOW_LENGTH = 3
 _CALLS_BEFORE_WEIGHING = 3  # until then every operation counts the same
@@ -74,6 +80,9 @@ class Estimates:
     With `slow_apart` a call that took longer than one on the drone does not enter the mean: it stands beside it, as
     the least that the next one will take, until one is faster or `forget_slow_calls` drops it. A call that was cut
     short then teaches nothing at all.
+
+    What `coverage` says of a server at a place stands before what is believed of it everywhere. Where a method takes
+    a place, none is where the drone is (`locate`).
     """
 
     def __init__(
@@ -82,7 +91,13 @@ class Estimates:
         local_s: Mapping[Operation, float],
         servers: Mapping[str, Beliefs],
         slow_apart: bool = False,
+        coverage: Coverage | None = None,
     ) -> None:
+        self.coverage = coverage
+        self._here: Position | None = None
+        self._seen: Sequence[object] = (
+            [None for _ in coverage.servers] if coverage else ()
+        )  # what the coverage says of the servers, where the drone is
         self._beliefs = dict(servers)
         self._slow_apart = slow_apart
         self._slow_s: dict[str, dict[Operation, float]] = {server: {} for server in servers}
@@ -110,22 +125,37 @@ class Estimates:
         """The operations with an offline estimate: the only ones that may be offloaded."""
         return self._local.keys()
 
+    def locate(self, position: Position) -> bool:
+        """The drone is there now; returns whether servers were measured otherwise there than where it was."""
+        if self.coverage is None:
+            return False
+        self._here = position
+        before, coverage = self._seen, self.coverage
+        self._seen = [coverage.at(server, position) for server in coverage.servers]
+        return any(one is not other for one, other in zip(before, self._seen, strict=True))
+
     def local_s(self, operation: Operation) -> float | None:
         """Delay of a local call (`Call`); None for an operation without an offline estimate."""
         window = self._local.get(operation)
         return window.mean_s if window else None
 
-    def remote_s(self, server: str, operation: Operation) -> float | None:
+    def remote_s(self, server: str, operation: Operation, at: Position | None = None) -> float | None:
         """Delay of a remote call, transfer included (`Call_s`); None where the server does not host it."""
         window = self._remote[server].get(operation)
         if window is None:
             return None
-        return max(window.mean_s, self._slow_s[server].get(operation, 0.0))
+        measured_s = self._measured_s(server, operation, at)
+        return (
+            max(window.mean_s, self._slow_s[server].get(operation, 0.0)) if measured_s is None else measured_s
+        )
 
     def usual_s(self, server: str, operation: Operation) -> float | None:
         """As `remote_s`, whatever the last call there took."""
         window = self._remote[server].get(operation)
-        return window.mean_s if window else None
+        if window is None:
+            return None
+        measured_s = self._measured_s(server, operation, None)
+        return window.mean_s if measured_s is None else measured_s
 
     def is_first_call(self, server: str, operation: Operation) -> bool:
         """Whether no call of the service is known to have been computed there since the service was started."""
@@ -139,18 +169,26 @@ class Estimates:
         """What starting the services adds to a check."""
         return max(0.0, self.check_s(server, running=False) - self.check_s(server, running=True))
 
-    def mean_call_s(self, server: str | None = None) -> float:
+    def mean_call_s(self, server: str | None = None, at: Position | None = None) -> float:
         """Mean delay of this drone's calls with the server ready, or without any.
 
         Each call runs where it is faster; operations are weighted by how often they were called. With a single
         operation this is min(Call, Call_s), so that a policy that compares these means is the thesis's.
         """
+        if server is not None and self.is_measured(server):
+            return sum(
+                weight * self._faster_s(operation, server, at) for operation, weight in self._weights.items()
+            )
         mean_s = self._mean_call_s.get(server)
         if mean_s is None:
             mean_s = self._mean_call_s[server] = sum(
                 weight * self._faster_s(operation, server) for operation, weight in self._weights.items()
             )
         return mean_s
+
+    def is_measured(self, server: str) -> bool:
+        """Whether the server has no range, so that its delays depend on the place."""
+        return self.coverage is not None and server in self.coverage.servers
 
     def observe_local(self, operation: Operation, delay_s: float) -> None:
         """Learns from a local call."""
@@ -204,9 +242,20 @@ class Estimates:
             forgot = True
         return forgot
 
-    def _faster_s(self, operation: Operation, server: str | None) -> float:
+    def _measured_s(self, server: str, operation: Operation, at: Position | None) -> float | None:
+        """What a call from that place comes to by the coverage; None where that knows nothing of it."""
+        position = at or self._here
+        if self.coverage is None or position is None:
+            return None
+        place = self.coverage.at(server, position)
+        if place is None:
+            return None
+        known_s = place.call_s(operation)
+        return self._local[operation].mean_s if known_s is None and not place.reached else known_s
+
+    def _faster_s(self, operation: Operation, server: str | None, at: Position | None = None) -> float:
         call_s = self._local[operation].mean_s
-        remote_s = self.remote_s(server, operation) if server else None
+        remote_s = self.remote_s(server, operation, at) if server else None
         return call_s if remote_s is None else min(call_s, remote_s)
 
     def _learn_remote(self, server: str, operation: Operation, delay_s: float, *, now_s: float) -> None:

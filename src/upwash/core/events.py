@@ -68,10 +68,14 @@ class ServicesStarted:
 
 @dataclass(frozen=True, slots=True)
 class CheckFailed:
-    """The server could not be joined, did not answer in time, is unavailable or could not start a service."""
+    """The server could not be joined, did not answer in time, is unavailable or could not start a service.
+
+    The first two leave it `unreached`.
+    """
 
     check: int
     why: str
+    unreached: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +84,13 @@ class ProbeAnswered:
 
     check: int
     running: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeUnanswered:
+    """A server that had failed has given no sign of life until the next question is due."""
+
+    check: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +173,21 @@ class RemoteCallCut:
 
 
 @dataclass(frozen=True, slots=True)
+class Reached:
+    """Whether a server without a range answered a call from that position, as far as its link is concerned.
+
+    It answered, or was given up, after `delay_s`; request and reply have so many bytes.
+    """
+
+    server: str
+    position: Position
+    answered: bool
+    operation: Operation
+    delay_s: float
+    size_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
 class LegBegun:
     """The drone leaves for a place, at that ground speed; None for the one it flew at before.
 
@@ -198,6 +224,7 @@ Event = (
     | ServicesStarted
     | CheckFailed
     | ProbeAnswered
+    | ProbeUnanswered
     | NetworkLost
     | Prepared
     | LocalCallEnded
@@ -206,6 +233,7 @@ Event = (
     | RemoteCallRaised
     | RemoteFaultTested
     | RemoteCallCut
+    | Reached
     | LegBegun
     | Arrived
     | TargetUnknown

@@ -42,7 +42,7 @@ def make_forecast(
     """
     local_s = estimates.mean_call_s()
     seen = dict.fromkeys(name for call in expected for name in call.in_range_s)
-    gaining = {name: servers[name] for name in seen if estimates.mean_call_s(name) < local_s}
+    gaining = {name: servers[name] for name in seen if _gains(name, expected, estimates, local_s)}
     banned_s = {name: banned_s.get(name, -math.inf) for name in gaining}
     rests_s = {server.name: rest_of_check_s(server, estimates, now_s) for server in selected}
     checks = {name: _check_times(server, estimates, now_s, idle_s) for name, server in gaining.items()}
@@ -56,6 +56,13 @@ def make_forecast(
         rests_s[selected[0].name] if selected else 0.0,
         {name: server.peers for name, server in gaining.items() if server.peers},
     )
+
+
+def _gains(name: str, expected: Sequence[ExpectedCall], estimates: Estimates, local_s: float) -> bool:
+    """Whether a call there is faster than on the drone, at one of the places where calls are expected."""
+    if not estimates.is_measured(name):
+        return estimates.mean_call_s(name) < local_s
+    return any(estimates.mean_call_s(name, call.position) < local_s for call in expected)
 
 
 def rest_of_check_s(server: Server, estimates: Estimates, now_s: float) -> float:
@@ -86,7 +93,10 @@ def _calls(
         for server, in_range_s in call.in_range_s.items():
             allowed_s = at_s - banned_s.get(server, math.inf)
             if allowed_s > 0:
-                offers.append(Offer(server, its_delays_s[server], min(in_range_s, allowed_s)))
+                call_s = its_delays_s[server]
+                if estimates.is_measured(server):
+                    call_s = estimates.remote_s(server, call.operation, call.position) or call_s
+                offers.append(Offer(server, call_s, min(in_range_s, allowed_s)))
         yield ComingCall(local_s, call.gap_s, offers)
 
 

@@ -71,9 +71,9 @@ class Lighter:
         places = list(placing.places(calls))
         if on_drone:
             places[0] = Place()
-        takes_s = [placing.delay_s(place, call.operation) for place, call in zip(places, calls, strict=True)]
+        takes_s = [placing.delay_s(place, call) for place, call in zip(places, calls, strict=True)]
         lighter_s = [
-            placing.delay_s(place, self._lighter_of(call.operation))
+            placing.delay_s(place, call, self._lighter_of(call.operation))
             for place, call in zip(places, calls, strict=True)
         ]
         forecast_s = now_s - self._begun_s + sum(call.gap_s for call in calls) + sum(takes_s) + self._home_s

@@ -29,12 +29,14 @@ class Step:
 class ExpectedCall:
     """A call to come, `gap_s` after the end of the one before, or after now for the first.
 
-    `in_range_s` says of each server in range of it for how much of that time, up to the call, it will have been.
+    `in_range_s` says of each server in range of it for how much of that time, up to the call, it will have been. It
+    is made at that position; None: where the drone is.
     """
 
     operation: Operation
     gap_s: float
     in_range_s: Mapping[str, float]
+    position: Position | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,6 +203,7 @@ class MissionModel:
                 step.operation,
                 max(0.0, stop.gap_s + step.pause_s),
                 {server: max(0.0, time_s + step.pause_s) for server, time_s in stop.in_range_s.items()},
+                place,
             )
 
     def _rest_of_way(self, way: _LegUnderWay, position: Position) -> _Stop:

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from upwash.core.estimates import Estimates, Operation
+from upwash.core.geo import Position
 from upwash.core.mission_model import ExpectedCall
 from upwash.core.policy import CallInputs, Local, Option, Policy, Remote, Situation
 from upwash.core.servers import State
@@ -48,8 +49,10 @@ class Placing:
         self._running = set(running)
         self._unusable_s = unusable_s
         self._local_mean_s = estimates.mean_call_s()
-        self._choices: dict[tuple[str | None, tuple[str, ...]], str | None] = {}
-        self._delays_s: dict[tuple[str | None, Operation], float] = {}  # where no check is under way
+        self._choices: dict[tuple[str | None, tuple[str, ...], Position | None], str | None] = {}
+        self._delays_s: dict[
+            tuple[str | None, Operation, Position | None], float
+        ] = {}  # with no check under way
 
     def places(self, calls: Iterable[ExpectedCall]) -> Iterator[Place]:
         """The place of each call in turn."""
@@ -66,22 +69,25 @@ class Placing:
                 here = Place(server, max(0.0, check_s - call.in_range_s[server]))
                 self._running.add(server)
             yield here
-            delay_s = self.delay_s(here, call.operation)
+            delay_s = self.delay_s(here, call)
             at_s += delay_s
             here = Place(here.server, max(0.0, here.ready_in_s - delay_s))
 
-    def delay_s(self, place: Place, operation: Operation) -> float:
-        """What a call takes there, the wait for a check included."""
+    def delay_s(self, place: Place, call: ExpectedCall, operation: Operation | None = None) -> float:
+        """What the call takes there, as that operation where one is given; the wait for a check is included."""
+        operation = operation or call.operation
+        measured = place.server is not None and self._estimates.is_measured(place.server)
+        at = call.position if measured else None  # elsewhere the delay is the same at all places
         if place.ready_in_s > 0:
-            return self._decided_s(place, operation)
-        delay_s = self._delays_s.get((place.server, operation))
+            return self._decided_s(place, operation, at)
+        delay_s = self._delays_s.get((place.server, operation, at))
         if delay_s is None:
-            delay_s = self._delays_s[place.server, operation] = self._decided_s(place, operation)
+            delay_s = self._delays_s[place.server, operation, at] = self._decided_s(place, operation, at)
         return delay_s
 
-    def _decided_s(self, place: Place, operation: Operation) -> float:
+    def _decided_s(self, place: Place, operation: Operation, at: Position | None) -> float:
         server, local_s = place.server, self._estimates.local_s(operation) or 0.0
-        remote_s = self._estimates.remote_s(server, operation) if server is not None else None
+        remote_s = self._estimates.remote_s(server, operation, at) if server is not None else None
         if server is None or remote_s is None:
             return local_s
         state = State.CHECK if place.ready_in_s > 0 else State.READY
@@ -101,10 +107,11 @@ class Placing:
         """The server that the policy has selected when the call is made."""
         usable = [name for name in call.in_range_s if self._unusable_s.get(name, 0.0) <= at_s]
         usable.sort(key=lambda name: -call.in_range_s[name])
-        seen = current if current in usable else None, tuple(usable)
+        at = call.position if any(self._estimates.is_measured(name) for name in usable) else None
+        seen = current if current in usable else None, tuple(usable), at
         if seen not in self._choices:
             options = [
-                Option(name, self._estimates.mean_call_s(name), in_range_since_s=rank)
+                Option(name, self._estimates.mean_call_s(name, at), in_range_since_s=rank)
                 for rank, name in enumerate(usable)
             ]
             self._choices[seen] = self._policy.choose(Situation(options, seen[0], self._local_mean_s)).server

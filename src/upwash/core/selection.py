@@ -21,7 +21,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from upwash.core.commands import Effect, Full, Start
+from upwash.core.commands import Effect, Full, Mapped, Start
+from upwash.core.coverage import MeasuredPlace
 from upwash.core.energy import EnergyFacts
 from upwash.core.estimates import Estimates, Operation
 from upwash.core.events import (
@@ -37,6 +38,8 @@ from upwash.core.events import (
     NetworkLost,
     Prepared,
     ProbeAnswered,
+    ProbeUnanswered,
+    Reached,
     RemoteCallCut,
     RemoteCallEnded,
     RemoteCallFailed,
@@ -131,6 +134,7 @@ class Selection:
         )
         self._lighter = Lighter(settings.lighter, planning) if settings.lighter else None
         self._ended = False
+        self._probed_at: dict[str, MeasuredPlace] = {}  # where the server was last probed in vain
 
     @property
     def servers(self) -> Mapping[str, Server]:
@@ -233,7 +237,7 @@ class Selection:
         return [foreseen] if foreseen else []
 
     def _locate(self, position: Position, now_s: float) -> None:
-        if self._table.locate(position, now_s):
+        if self._table.locate(position, now_s) | self.estimates.locate(position):
             self._planning.changed = True
 
     # --- what arrives ---------------------------------------------------------------------------------------
@@ -244,8 +248,8 @@ class Selection:
             # What the radios report concerns the mission only once a server changes its state.
             case Tick():  # the first case, as it is by far the most frequent
                 return []
-            case CheckAnswered():
-                return self._check_answered(event, now_s)
+            case CheckAnswered(check):
+                return self._asked(check, position, answered=True) + self._check_answered(event, now_s)
             case ServicesStarted(check):
                 server = self._radios.selected_by(check, CHECKING)
                 return [self._ready(server, Trigger.STARTED, now_s)] if server else []
@@ -258,12 +262,16 @@ class Selection:
                 server.contended_s = now_s if waiting else -math.inf
             case TurnOver():
                 return self._turn_over(event, now_s)
-            case CheckFailed(check, why):
-                return self._server_failed(check, CHECKING, Trigger.CHECK_FAILED, why, now_s)
+            case CheckFailed(check, why, unreached):
+                asked = self._asked(check, position, answered=False) if unreached else []
+                return asked + self._server_failed(check, CHECKING, Trigger.CHECK_FAILED, why, now_s)
             case NetworkLost(check, why):
-                return self._server_failed(check, SELECTED, Trigger.NETWORK_LOST, why, now_s)
+                asked = self._asked(check, position, answered=False)
+                return asked + self._server_failed(check, SELECTED, Trigger.NETWORK_LOST, why, now_s)
             case ProbeAnswered():
                 return self._probe_answered(event, now_s)
+            case ProbeUnanswered(check):
+                return self._probed_in_vain(check, position)
             case Prepared(name, by):
                 return self._prepared(self.servers[name], by, now_s)
             case LegBegun(target, ground_speed_m_s, back):
@@ -295,6 +303,9 @@ class Selection:
                 if not confirmed:
                     return self._call_failed(name, check, why, now_s)
                 self._learn_remote(name, operation, delay_s, now_s, late=True)
+            case Reached():
+                self._planning.changed = True
+                return self._reached(event)
         self._planning.changed = True
         return []
 
@@ -392,6 +403,39 @@ class Selection:
             self._recovery.answered(name, operation, delay_s, local_s=local_s, now_s=now_s)
         self.servers[name].turns_lost = 0
         self.estimates.observe_remote(name, operation, delay_s, now_s=now_s, late=late)
+
+    def _probed_in_vain(self, check: int, position: Position) -> list[Effect]:
+        """Enters it on the map once for a place, however often the server is probed from there."""
+        server, coverage = self._radios.probed_by(check), self.estimates.coverage
+        if server is None or coverage is None or server.name not in coverage.servers:
+            return []
+        here = coverage.at(server.name, position)
+        if here is not None and here is self._probed_at.get(server.name):
+            return []
+        place = coverage.asked(server.name, position, answered=False)
+        self._probed_at[server.name] = place
+        self._planning.changed = True
+        return [Mapped(server.name, place)]
+
+    def _asked(self, check: int, position: Position, *, answered: bool) -> list[Effect]:
+        """Enters on its map whether the server answered a check there, where it has no range."""
+        server, coverage = self._radios.selected_by(check), self.estimates.coverage
+        if server is None or coverage is None or server.name not in coverage.servers:
+            return []
+        return [Mapped(server.name, coverage.asked(server.name, position, answered=answered))]
+
+    def _reached(self, event: Reached) -> list[Effect]:
+        """Enters on its map what a call came to there; one in vain costs the drone's own computing too."""
+        coverage = self.estimates.coverage
+        if coverage is None:
+            return []
+        place = coverage.asked(event.server, event.position, answered=event.answered)
+        if event.answered:
+            place.note(event.operation, event.delay_s)
+            place.carry(event.size_bytes, event.delay_s)
+        else:
+            place.note(event.operation, event.delay_s + (self.estimates.local_s(event.operation) or 0.0))
+        return [Mapped(event.server, place)]
 
     # --- which server now? ----------------------------------------------------------------------------------
 

@@ -81,5 +81,5 @@ class Timetable:
             at_s += call.gap_s
             if number % len(stop) == 0:
                 reached_s.append(at_s - stop[0].pause_s)
-            at_s += placing.delay_s(place, call.operation)
+            at_s += placing.delay_s(place, call)
         return reached_s, at_s + self.home_s

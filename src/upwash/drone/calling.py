@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeAlias
 
 from upwash.core.estimates import Operation
 from upwash.core.events import (
+    Reached,
     RemoteCallCut,
     RemoteCallEnded,
     RemoteCallFailed,
@@ -15,6 +16,7 @@ from upwash.core.events import (
     RemoteFaultTested,
     TurnOver,
 )
+from upwash.core.geo import Position
 from upwash.core.hedging import Hedging
 from upwash.core.policy import Lightened
 from upwash.drone.decisions import Decisions, now_s
@@ -22,7 +24,7 @@ from upwash.drone.onboard import OnboardServices
 from upwash.drone.radio_worker import RadioWorker
 from upwash.drone.radios import Radios
 from upwash.drone.server_session import ServerSession
-from upwash.errors import DeadlineExceeded, LinkError, NoLease
+from upwash.errors import UNREACHED, DeadlineExceeded, LinkError, NoLease
 from upwash.eventlog import schema
 from upwash.ports import Journal
 from upwash.rpc.service import Method
@@ -67,6 +69,7 @@ class Attempt:
     session: ServerSession
     check: int
     deadline_s: float
+    position: Position  # of the drone when it was made
     reply: asyncio.Task[Any] | None = None  # where it is not simply waited for
     rival: asyncio.Task[Any] | None = None  # the drone's own service
     said: Said | None = None
@@ -99,18 +102,25 @@ class Calling:
         """An attempt at the server, which is READY; it is not begun."""
         worker = self._radios.worker_at(server)
         assert worker.session is not None  # noqa: S101 - a server is READY only by its session
-        return Attempt(call, server, worker, worker.session, self._decisions.check_of(server), deadline_s)
+        return Attempt(
+            call,
+            server,
+            worker,
+            worker.session,
+            self._decisions.check_of(server),
+            deadline_s,
+            self._decisions.position,
+        )
 
     async def at_server(self, attempt: Attempt) -> Any | None:
         """The decoded reply of a server that carries a value, or None where it gave no such reply."""
         call, server, began_s = attempt.call, attempt.server, now_s()
         operation, method = call.operation, call.method
         try:
-            reply = method.decode(
-                await attempt.session.call(
-                    operation.service, operation.method, call.request, deadline_s=attempt.deadline_s
-                )
+            answer = await attempt.session.call(
+                operation.service, operation.method, call.request, deadline_s=attempt.deadline_s
             )
+            reply = method.decode(answer)
         except NoLease as error:
             self._decisions.tell(TurnOver(attempt.check, str(error), in_call=True))
             return None
@@ -119,17 +129,21 @@ class Calling:
             if isinstance(error, DeadlineExceeded):
                 attempt.worker.cut = RemoteCallCut(server, operation, now_s() - began_s)
             self._decisions.tell(RemoteCallFailed(server, attempt.check, str(error), attempt.late))
+            if isinstance(error, UNREACHED):
+                self._reached(attempt, now_s() - began_s, None)
             return None
         delay_s = now_s() - began_s
         if raised := method.raised(reply):
             attempt.said = Said(raised, delay_s)
             self._doubt(attempt, attempt.said)
+            self._reached(attempt, delay_s, len(answer))
             return None
         if attempt.late:
             self._journal.record(schema.Dropped(operation=str(operation), place=server))
         if self._hedging is not None:
             self._hedging.answered(server, operation, delay_s)
         self._decisions.tell(RemoteCallEnded(server, operation, delay_s, attempt.late))
+        self._reached(attempt, delay_s, len(answer))
         return reply
 
     async def onboard(self, call: Call) -> Any:
@@ -162,6 +176,15 @@ class Calling:
         self._decisions.tell(
             RemoteFaultTested(server, attempt.check, operation, said.delay_s, why, confirmed)
         )
+
+    def _reached(self, attempt: Attempt, delay_s: float, answer_bytes: int | None) -> None:
+        """Tells with how much the server answered where the drone was, if it did, after all else of the call."""
+        call, server = attempt.call, attempt.server
+        if not self._decisions.estimates.is_measured(server):
+            return
+        size_bytes = len(call.request) + (answer_bytes or 0)
+        answered = answer_bytes is not None
+        self._decisions.tell(Reached(server, attempt.position, answered, call.operation, delay_s, size_bytes))
 
     def _doubt(self, attempt: Attempt, said: Said) -> None:
         """Notes what the server says that the service raised; the mission hears only what the drone's own raises."""

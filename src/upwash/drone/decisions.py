@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
-from upwash.core.commands import Command, Effect, Foreseen, Full
+from upwash.core.commands import Command, Effect, Foreseen, Full, Mapped
 from upwash.core.estimates import Estimates, Operation
 from upwash.core.events import Event
 from upwash.core.geo import Position
@@ -55,6 +55,11 @@ class Decisions:
         """The server that calls go to once it is READY."""
         current = self._selection.current
         return current.name if current is not None else None
+
+    @property
+    def position(self) -> Position:
+        """Where the drone is."""
+        return self._autopilot.position
 
     def outlook(self) -> Outlook | None:
         """What going on before the call that is under way is over would come to; None where nothing is known."""
@@ -154,6 +159,8 @@ class Decisions:
                     self._record_change(effect)
                 case Full(server, check, waiting):
                     self._journal.record(schema.NoSlot(server=server, check=check, waiting=waiting))
+                case Mapped(server, place):
+                    self._journal.record(schema.PlaceMeasured(server=server, place=schema.Measured.of(place)))
                 case Foreseen(reached_s, as_asked_s, lightest_s, finish_by_s):
                     self._journal.record(
                         schema.Foreseen(

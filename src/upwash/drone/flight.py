@@ -8,10 +8,11 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from upwash.config import DroneConfig, ending, geofence, server_areas
+from upwash.config import DroneConfig, ending, geofence, measured_servers, server_areas
 from upwash.core.control import Control
-from upwash.core.geo import GeoPosition, Waypoint
+from upwash.core.geo import GeoPosition
 from upwash.core.order import Order
+from upwash.core.selection import Selection
 from upwash.core.stay_or_go import StayOrGo
 from upwash.drone.api import Drone, Mission, Photographer, User, Vehicle, rounded
 from upwash.drone.contingency import end_safely, follow
@@ -50,7 +51,7 @@ from upwash.ports import (
     VehicleSetting,
     VehicleText,
 )
-from upwash.rpc.service import ServiceSpec, spec_of
+from upwash.rpc.service import spec_of
 from upwash.support.heat import Surroundings
 
 _WORDS_KEPT = 8  # of the vehicle's, to say with whom it was lost to
@@ -103,8 +104,10 @@ class Flight:
         self._stop_following = asyncio.Event()
         self._last_words: deque[tuple[float, VehicleText]] = deque(maxlen=_WORDS_KEPT)  # with their times
         self._onboard = _onboard_services(config, programs, ports)
+        selection = make_selection(config, specs, self._plan)
+        self.coverage = selection.estimates.coverage  # what is known of servers without a range
         self._offloading = FailSafeOffloading(
-            _offloading(config, specs, self._plan, ports, self._onboard), ports.journal
+            _offloading(config, selection, ports, self._onboard), ports.journal
         )
         self._vehicle = Vehicle(
             ports.autopilot,
@@ -163,7 +166,17 @@ class Flight:
             altitudes_m=[places[index].altitude_m for index in sorted(order)],
             order=order if self._order.why else [],
             order_why=self._order.why,
-            ranges=server_areas(self._config),
+            ranges={
+                name: area
+                for name, area in server_areas(self._config).items()
+                if name not in measured_servers(self._config)
+            },
+            measured={
+                server: [schema.Measured.of(place) for place in self.coverage.places(server)]
+                for server in self.coverage.servers
+            }
+            if self.coverage is not None
+            else {},
             paced=any(service.local_pace_s for service in self._config.services),
         )
 
@@ -373,13 +386,8 @@ def _onboard_services(config: DroneConfig, programs: Mapping[str, Program], port
 
 
 def _offloading(
-    config: DroneConfig,
-    specs: Mapping[str, ServiceSpec],
-    plan: Sequence[Waypoint],
-    ports: Ports,
-    onboard: OnboardServices,
+    config: DroneConfig, selection: Selection, ports: Ports, onboard: OnboardServices
 ) -> Offloading:
-    selection = make_selection(config, specs, plan)
     return Offloading(
         selection,
         endpoints(config, selection.estimates),

@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from upwash.config import DroneConfig, ServerConfig, ServiceConfig, ending, finish_by_s, server_areas
+from upwash.config import (
+    DroneConfig,
+    ServerConfig,
+    ServiceConfig,
+    coverage_of,
+    ending,
+    finish_by_s,
+    server_areas,
+)
 from upwash.core.estimates import Beliefs, Estimates, Operation, offline_remote_s
 from upwash.core.geo import Waypoint
 from upwash.core.hedging import Hedging
@@ -91,6 +99,7 @@ def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Est
             for server in config.servers
         },
         slow_apart=config.policy.probing is not None,
+        coverage=coverage_of(config),
     )
 
 

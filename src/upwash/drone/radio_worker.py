@@ -16,13 +16,14 @@ from upwash.core.events import (
     NetworkLost,
     Prepared,
     ProbeAnswered,
+    ProbeUnanswered,
     RemoteCallCut,
     ServicesStarted,
     SlotRefused,
     TurnOver,
 )
 from upwash.drone.server_session import ServerEndpoint, ServerSession
-from upwash.errors import LinkError, NetworkError, NoSlot
+from upwash.errors import UNREACHED, LinkError, NetworkError, NoSlot
 from upwash.eventlog import schema
 from upwash.ports import Dialer, Journal, Network
 
@@ -128,7 +129,7 @@ class RadioWorker:
             self._watch = asyncio.create_task(self._notice_loss(session, check))
             answer = await self._with_slot(session.ask, check)
         except (NetworkError, LinkError) as error:
-            self._tell(CheckFailed(check, str(error)))
+            self._tell(CheckFailed(check, str(error), isinstance(error, UNREACHED)))
             return
         self._tell(CheckAnswered(check, answer.running, answer.peers, answer.waiting))
         if answer.running:
@@ -166,12 +167,16 @@ class RadioWorker:
     async def _probe(self, session: ServerSession, command: Probe) -> None:
         """Returns at the first sign of life; a question that is not answered yet keeps the next one from nothing."""
         asking: set[asyncio.Task[ProbeAnswered]] = set()
+        asked = False
         try:
             for pause_s in command.probing.pauses_s(alone_s=command.alone_s):
                 answered = await _first_success(asking, within_s=pause_s)
                 if answered is not None:
                     self._tell(answered)
                     return
+                if asked:
+                    self._tell(ProbeUnanswered(command.check))
+                asked = True
                 asking = {task for task in asking if not task.done()}
                 try:
                     await self._join(session, command)
@@ -194,7 +199,7 @@ class RadioWorker:
         try:
             await self._with_slot(start, command.check)
         except LinkError as error:
-            self._tell(CheckFailed(command.check, str(error)))
+            self._tell(CheckFailed(command.check, str(error), isinstance(error, UNREACHED)))
             return
         self._tell(ServicesStarted(command.check))
         await self._keep_lease(session, command.check)

@@ -20,6 +20,7 @@ from upwash.config import (
     ServerConfig,
     server_truth,
 )
+from upwash.config.coverage import CoverageFile
 from upwash.config.values import PlanFile
 from upwash.emulation.request import server_paces
 from upwash.support.output_files import write_file
@@ -67,7 +68,7 @@ def _write(file: Path, config: DroneConfig | DaemonConfig) -> None:
 
 
 def _as_text(value: object) -> str:
-    if isinstance(value, PlanFile):
+    if isinstance(value, CoverageFile | PlanFile):
         return str(value.file.absolute())
     if isinstance(value, Path):
         return str(value)

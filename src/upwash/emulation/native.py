@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from upwash.config import ServerConfig
+from upwash.config import ServerConfig, true_range_m
 from upwash.errors import UsageError
 
 _BUILT = Path(__file__).parents[3] / "native" / "build"
@@ -54,7 +54,7 @@ def wifi_of(server: ServerConfig) -> WifiSettings:
             f'server {server.name}: ns-3 cannot simulate the radio "{server.truth.radio}": '
             f"write radio = one of {', '.join(WIFI)} in [server.truth], or use --radio table"
         )
-    return settings.ending_at(server.range_m)
+    return settings.ending_at(true_range_m(server))
 
 
 def native_program(name: str) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from upwash.config import true_range_m
 from upwash.core.geo import Position, ground_distance_m
 from upwash.emulation.field import Link
 from upwash.emulation.namespaces import End, join_by_cable
@@ -55,7 +56,7 @@ class _ShapedLink:
 
     def _goodput_bit_s(self, distance_m: float) -> float:
         server = self._link.server
-        if distance_m > server.range_m:
+        if distance_m > true_range_m(server):
             return 0.0
         if self._table is not None:
             return self._table.at(distance_m)

@@ -29,6 +29,7 @@ _FAILURES = (
     schema.DeadManFailed,
     schema.BatteryWatchFailed,
     schema.BorderWatchFailed,
+    schema.CoverageNotKept,
     schema.OffloadingFailed,
 )
 _OWNERS = {

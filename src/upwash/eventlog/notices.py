@@ -145,6 +145,8 @@ def _defects(event: Event) -> Iterator[Notice]:
             yield Notice("battery", f"The battery is not watched: {why}")
         case schema.BorderWatchFailed(why=why):
             yield Notice("border", f"Borders of ranges are noticed late: {why}")
+        case schema.CoverageNotKept(why=why):
+            yield Notice("coverage", f"The coverage map is as it was before the flight: {why}")
         case schema.EventsLost(count=count):
             yield Notice("events", f"{counted(count, 'event')} of the log could not be kept")
 

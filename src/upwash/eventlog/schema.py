@@ -17,11 +17,12 @@ from typing import Annotated, Literal, TypeAlias
 import msgspec
 
 from upwash.core.control import Owner
+from upwash.core.coverage import MeasuredPlace
 from upwash.core.geo import Circle, GeoPosition, Position
 from upwash.core.places import server_of
 from upwash.core.servers import State, Trigger
 
-VERSION = 2  # of the log; logs of earlier releases have none
+VERSION = 3  # of the log; logs of earlier releases have none
 SEVERITIES = (
     "emergency",
     "alert",
@@ -100,11 +101,46 @@ class EventsLost(Event, frozen=True, kw_only=True):
 # --- the mission --------------------------------------------------------------------------------------------
 
 
+class Measured(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What is known of a server at a place: how often it was asked something there, and how often it answered.
+
+    A call of each operation comes to `call_s`, with the drone's own computing where it was in vain. `goodput_bit_s`
+    is that of the answered calls, computing included. The last time was so many flights ago.
+    """
+
+    east_m: float
+    north_m: float
+    tried: int
+    answered: int
+    call_s: Mapping[str, float] = {}
+    goodput_bit_s: float | None = None
+    flights_ago: int = 0
+
+    @classmethod
+    def of(cls, place: MeasuredPlace) -> Measured:
+        """The place as the map has it."""
+        goodput_bit_s = place.goodput_bit_s
+        return cls(
+            east_m=round(place.position.east_m, 1),
+            north_m=round(place.position.north_m, 1),
+            tried=place.tried,
+            answered=place.answered,
+            call_s={
+                str(operation): round(call_s, 3)
+                for operation in place.came_to_s
+                if (call_s := place.call_s(operation)) is not None
+            },
+            goodput_bit_s=None if goodput_bit_s is None else round(goodput_bit_s),
+            flights_ago=place.flights_ago,
+        )
+
+
 class Planned(Event, frozen=True, kw_only=True):
     """Home, the waypoints in metres east and north of it, the ranges of the servers, and whether calls are paced.
 
     The waypoints' altitudes are above home, and absent in logs that were written before there were any.
     With `mission.order`, the indices of the waypoints in the `order` in which they are flown, and why in that one.
+    Of servers without a range, what earlier flights have `measured`.
     """
 
     home: GeoPosition | None = None
@@ -114,6 +150,7 @@ class Planned(Event, frozen=True, kw_only=True):
     paced: bool = False
     order: Sequence[int] = []
     order_why: str = ""
+    measured: Mapping[str, Sequence[Measured]] = {}
 
     @property
     def way_m(self) -> Sequence[tuple[float, float]]:
@@ -434,6 +471,12 @@ class FollowingEnded(Event, frozen=True, kw_only=True):
     why: str
 
 
+class CoverageNotKept(Event, frozen=True, kw_only=True):
+    """The coverage map could not be written: what this flight measured is in its log only."""
+
+    why: str
+
+
 class BorderWatchFailed(Event, frozen=True, kw_only=True):
     """The vehicle is silent: until it is heard again, ranges are looked at once a period only."""
 
@@ -565,6 +608,13 @@ class NoSlot(Event, frozen=True, kw_only=True):
     server: str
     check: int
     waiting: int
+
+
+class PlaceMeasured(Event, frozen=True, kw_only=True):
+    """A server without a range was asked something at a place, of which this is known now."""
+
+    server: str
+    place: Measured
 
 
 class BlacklistExpired(Step, frozen=True, kw_only=True):

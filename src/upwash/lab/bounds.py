@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
-from upwash.config import DroneConfig, ServerTruth, ServiceConfig, server_areas, server_truth
+from upwash.config import DroneConfig, ServerTruth, ServiceConfig, server_truth, true_areas
 from upwash.core.bound import Bound, FleetBound, SharedMission, bound, shared_s
 from upwash.core.estimates import Operation
 from upwash.core.geo import Position, ground_distance_m
@@ -174,7 +174,7 @@ def _made(
     specs = load_specs(config.services)
     operations = {str(operation): operation for operation in make_estimates(config, specs).operations}
     services = {service.name: service for service in config.services}
-    areas = server_areas(config)
+    areas = true_areas(config)
     ended_s, position, decided = 0.0, Position(0.0, 0.0), False
     number = 0
     for event in run.events:

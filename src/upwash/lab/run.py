@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,13 +16,17 @@ from upwash.config import (
     HeatConfig,
     Presence,
     VehicleConfig,
+    coverage_of,
     fleet_of,
     presences,
-    server_areas,
     server_truth,
     stands,
+    true_areas,
+    true_range_m,
     waypoints,
 )
+from upwash.core.coverage import Coverage
+from upwash.core.geo import Position
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import Cell, PositionNetwork
 from upwash.errors import MissionFailed, UpwashError, UsageError
@@ -61,6 +66,7 @@ class Run:
     """One simulated mission: its events, what they came to, and what was in range when.
 
     `failure` says why it was not completed; `vanished` is whether that is because the scenario has it vanish.
+    `coverage` is what is known after it of servers without a range.
     """
 
     events: list[Event]
@@ -68,6 +74,7 @@ class Run:
     range_intervals: list[RangeInterval]
     failure: str = ""
     vanished: bool = False
+    coverage: Coverage | None = None
 
     def log(self) -> bytes:
         """The event log, as the flying drone would have written it."""
@@ -75,10 +82,11 @@ class Run:
 
 
 class _End(NamedTuple):
-    """Why a mission was not completed, "" for one that was; and whether its drone has vanished."""
+    """Why a mission was not completed, "" for one that was; whether its drone has vanished; and what it knew then."""
 
     failure: str = ""
     vanished: bool = False
+    coverage: Coverage | None = None
 
 
 def simulate(config: DroneConfig) -> Run:
@@ -134,7 +142,7 @@ def simulate_fleet(
     except UpwashError as error:
         ends = [_End(str(error)) for _ in fleet]
     return [
-        Run(journal.events, read_result(journal.events), its_intervals, end.failure, end.vanished)
+        Run(journal.events, read_result(journal.events), its_intervals, *end)
         for journal, its_intervals, end in zip(journals, range_intervals, ends, strict=True)
     ]
 
@@ -233,21 +241,21 @@ async def _fly_one(
         programs=software.programs,
         ports=_ports(config, autopilot, radios, journal, software=software, chance=chance, observer=observer),
     )
-    watching = observe(autopilot, server_areas(config), range_intervals)
+    watching = observe(autopilot, true_areas(config), range_intervals)
     watch = asyncio.create_task(watching, name="observer of ranges")
     try:
         await lived(flight.run(), life, until_s=presence.vanishes_s)
     except MissionFailed:
         raise
     except UpwashError as error:
-        return _End(str(error))
+        return _End(str(error), coverage=flight.coverage)
     finally:
         watch.cancel()
         saw(lambda: Seen(event="flight_over", altitude_m=autopilot.position.altitude_m))
         await autopilot.close()
     if life.is_over:
         return _End(f"the drone vanished at {presence.vanishes_s:g} s, as its vanishes_s says", True)
-    return _End()
+    return _End(coverage=flight.coverage)
 
 
 def _ports(
@@ -312,7 +320,7 @@ def _radios(
     life: Life,
 ) -> tuple[list[Network], Dialer]:
     """The networks in the drone's reach, for each of its radios, and the way to whoever is there."""
-    areas = server_areas(config)
+    areas = true_areas(config)
     truths = {server.name: server_truth(server, config.services) for server in config.servers}
     radio = Radio(
         areas,
@@ -321,6 +329,7 @@ def _radios(
         faults=faults,
         position=lambda: autopilot.position,
         energy=energy,
+        reached=functools.partial(_is_reached, coverage_of(config), _truly_limited(config)),
     )
     cells: dict[str, list[Cell]] = {}
     for server in config.servers:
@@ -338,6 +347,17 @@ def _radios(
         PositionNetwork(cells, lambda: autopilot.position) for _ in range(config.network.radios)
     ]
     return networks, ModelDialer(config.name, switchboard, radio, life=life)
+
+
+def _truly_limited(config: DroneConfig) -> frozenset[str]:
+    """The servers of which the scenario says how far they are reached."""
+    return frozenset(each.name for each in config.servers if math.isfinite(true_range_m(each)))
+
+
+def _is_reached(known: Coverage | None, limited: frozenset[str], server: str, position: Position) -> bool:
+    """Whether a server answers there, of which nothing else is said than what earlier flights measured."""
+    place = known.at(server, position) if known is not None and server not in limited else None
+    return place is None or place.reached
 
 
 def _camera(config: DroneConfig, chance: Chance) -> Camera:

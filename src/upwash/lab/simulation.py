@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from upwash.config import Document, DroneConfig, drone_config, impossible_values, read_document
+from upwash.config import Document, DroneConfig, coverage_kept, drone_config, impossible_values, read_document
 from upwash.config.problems import refuse_first
 from upwash.core.bound import Bound
 from upwash.errors import ConfigError, UsageError
@@ -47,12 +47,14 @@ def simulate(
     policy: str | None = None,
     seed: int | None = None,
     overrides: Mapping[str, object] | None = None,
+    keep_coverage: bool = False,
 ) -> Simulation:
     """Simulates one mission on virtual time: the same scenario and seed give the same mission.
 
     The scenario is a TOML file, or its tables as a dict, whose paths count from the current folder. A policy or a
     seed stands in for the scenario's, and `overrides` for other values of it, by keys such as `server.s1.range_m`:
-    those of `upwash campaign --set`.
+    those of `upwash campaign --set`. With `keep_coverage` the scenario's `network.coverage_map` is written at the
+    end, as by a flight.
 
     ConfigError for a scenario that cannot be flown, UsageError for what cannot be simulated, and MissionFailed for a
     mission program with a bug. What else ends a mission early is the result's `failure`. A scenario of several drones
@@ -64,7 +66,11 @@ def simulate(
             f"{name_of(scenario)} has [[drone]] tables ({len(config.drones)}), and one mission is to be simulated: "
             "call simulate_fleet"
         )
+    if keep_coverage and config.network.coverage_map is None:
+        raise UsageError(f"{name_of(scenario)} names no file for its coverage map: give network.coverage_map")
     run = fly(config)
+    if keep_coverage and run.coverage is not None:
+        coverage_kept(config, run.coverage)
     return simulation_of(run, config, bound_of(run, config), scenario=name_of(scenario))
 
 

@@ -8,9 +8,10 @@ import tempfile
 from collections.abc import AsyncIterator
 from pathlib import Path
 
-from upwash.config import DroneConfig, unsigned_port
+from upwash.config import DroneConfig, coverage_kept, unsigned_port
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.resumption import order_begun, waypoints_done
+from upwash.errors import NotWritten
 from upwash.eventlog import schema
 from upwash.launch.cameras import opened_camera
 from upwash.launch.drone import (
@@ -86,7 +87,19 @@ async def fly(
         await stack.enter_async_context(_tracking(flight, journal))
         stack.enter_context(stopping_politely(flight.stop))
         stack.enter_context(outliving_the_terminal())
-        await flight.run()
+        try:
+            await flight.run()
+        finally:
+            _keep_coverage(config, flight, journal)
+
+
+def _keep_coverage(config: DroneConfig, flight: Flight, journal: Journal) -> None:
+    """What the flight has learnt of servers without a range, for the next one."""
+    try:
+        if flight.coverage is not None:
+            coverage_kept(config, flight.coverage)
+    except NotWritten as error:
+        journal.record(schema.CoverageNotKept(why=str(error)))
 
 
 async def _autopilot(

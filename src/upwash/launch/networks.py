@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 
-from upwash.config import DroneConfig, server_areas, server_truth
+from upwash.config import DroneConfig, server_truth, true_areas
 from upwash.drone.networks import Cell, NoNetwork, PositionNetwork
 from upwash.ports import Autopilot, Journal, Network
 from upwash.support.loading import extra
@@ -22,7 +22,7 @@ async def opened_networks(
         return [
             await _managed_network(interfaces, config, journal, stack) for interfaces in _per_radio(config)
         ]
-    areas = server_areas(config)
+    areas = true_areas(config)
     cells: dict[str, list[Cell]] = {}
     for server in config.servers:
         truth = server_truth(server, config.services)

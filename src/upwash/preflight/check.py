@@ -12,6 +12,7 @@ from msgspec import UNSET, Struct, UnsetType
 from upwash.config import (
     Document,
     DroneConfig,
+    coverage_of,
     drone_config,
     read_document,
     server_areas,
@@ -87,6 +88,7 @@ def check(plan: CheckInput, *, seeds: int, fly: Fly, flown: Callable[[int], None
         server_areas(plan.config),
         alone.range_intervals,
         ended_s=alone.result.mission_time_s,
+        known=coverage_of(plan.config),
     )
     predictions = predict(
         dict(cases(plan.document, plan.config)), plan.file, seeds=seeds, fly=fly, flown=flown

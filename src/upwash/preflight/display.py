@@ -120,9 +120,13 @@ def _coverage_table(servers: tuple[Coverage, ...], waypoints: int) -> Table:
             Text(each.server),
             f"{len(each.waypoints)} of {waypoints}",
             spans(each.waypoints),
-            f"{each.longest_stay_s:.0f} s",
+            f"{each.longest_stay_s:.0f} s" if each.range_m is not None else _measured(each, waypoints),
         )
     return table
+
+
+def _measured(server: Coverage, waypoints: int) -> str:
+    return f"no range: measured at {len(server.measured)} of {waypoints}"
 
 
 def _prediction_table(found: Check) -> Table:

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from upwash.config import Document, DroneConfig, drone_config, fleet_of, server_areas, waypoints
+from upwash.config import Document, DroneConfig, coverage_of, drone_config, fleet_of, server_areas, waypoints
 from upwash.drone.order import order_of
 from upwash.eventlog import schema
 from upwash.lab import processes
@@ -111,7 +111,13 @@ def _forecast(config: DroneConfig, flown: Sequence[_Flown]) -> DroneForecast:
     runs = {case: [each.runs[config.name] for each in flown if each.case == case] for case in cases}
     alone = runs[LOCAL_ONLY][0]
     places = [waypoint.position for waypoint in waypoints(config.mission)]
-    covered = coverage(places, server_areas(config), alone.range_intervals, ended_s=alone.events[-1].t)
+    covered = coverage(
+        places,
+        server_areas(config),
+        alone.range_intervals,
+        ended_s=alone.events[-1].t,
+        known=coverage_of(config),
+    )
     predictions = tuple(_prediction(config, case, its_runs) for case, its_runs in runs.items())
     found = warnings(config, covered, list(beliefs(config, alone)), predictions)
     return DroneForecast(

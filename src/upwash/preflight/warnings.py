@@ -92,7 +92,13 @@ def _range_concerns(
     checks = {server.name: server for server in servers}
     for each in covered:
         server = checks[each.server]
-        if not each.waypoints:
+        if each.range_m is None or each.nearest_m is None:
+            if not each.waypoints:
+                yield PreflightWarning(
+                    "covers-nothing",
+                    f"{each.server} did not answer at any waypoint on earlier flights, by network.coverage_map",
+                )
+        elif not each.waypoints:
             yield PreflightWarning(
                 "covers-nothing",
                 f"{each.server} covers no waypoint: the nearest is {each.nearest_m:.0f} m away, its range is "

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from upwash.core.geo import Position
+from upwash.eventlog import schema
 from upwash.eventlog.narration import named
 from upwash.report.axes import figure, label, round_step
 from upwash.report.delays import MANY, in_short
@@ -19,6 +20,11 @@ _SIDE, _MARGIN = 560.0, 28.0
 _SCALE_BAR = 0.25  # of the width, at most
 _FARTHEST = 1e5  # from the map, of what is drawn
 _FARTHEST_M = 1e8  # from home, of what the map is to show
+_MEASURED_PX, _FULL, _MOSTLY = (
+    9.0,
+    0.35,
+    0.5,
+)  # a disc's radius, how opaque one is at most, and with a whole rim
 _MOST = 3000  # marks, waypoints or corners of a line that are drawn, more or less
 
 
@@ -82,6 +88,7 @@ def draw_map(record: Record, places: Places, view: View) -> Markup:
         view.width,
         view.height,
         *_ranges(record, places, view),
+        *_measured(record, places, view),
         _line(record.plan.way_m, view, "plan"),
         _line(((fix.position.east_m, fix.position.north_m) for fix in record.track), view, "track"),
         *_waypoints(record, view),
@@ -103,6 +110,30 @@ def _ranges(record: Record, places: Places, view: View) -> Iterator[Markup]:
             element("circle", about, cx=x, cy=y, r=area.radius_m * view.per_m, class_=style),
             element("path", d=f"M{x - 6:.1f} {y:.1f}h12M{x:.1f} {y - 6:.1f}v12", class_=f"mast {style}"),
         )
+
+
+def _measured(record: Record, places: Places, view: View) -> Iterator[Markup]:
+    """Where a server without a range was asked something: the fuller, the more was answered."""
+    for server, place in record.measured[:_MOST]:
+        x, y = view.point(place.east_m, place.north_m)
+        share = place.answered / place.tried if place.tried else 0.0
+        style = "measured" if share >= _MOSTLY else "measured vain"
+        yield element(
+            "circle",
+            element("title", f"{server}: {_said(place)}"),
+            cx=x,
+            cy=y,
+            r=_MEASURED_PX,
+            fill_opacity=round(_FULL * share, 2),
+            class_=f"{style} {places.colour(server)}",
+        )
+
+
+def _said(place: schema.Measured) -> str:
+    """What is known of a server at a place."""
+    calls = "".join(f", {operation} {call_s:.2f} s" for operation, call_s in place.call_s.items())
+    goodput = "" if place.goodput_bit_s is None else f", {place.goodput_bit_s / 1e6:.1f} Mbit/s"
+    return f"answered {place.answered} of {place.tried}{calls}{goodput}"
 
 
 def _names(record: Record, view: View) -> Iterator[Markup]:

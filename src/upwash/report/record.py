@@ -105,7 +105,8 @@ class Record:
 
     `opened` is the time of day at second 0 of the event log, None for a simulated one; `began_s` is the second of the
     log at which the mission began. `simulated` is the simulation's own first line, None for a flight. `answers` are
-    those that the drone went on before, `worst` the calls that took longest, the longest first.
+    those that the drone went on before, `worst` the calls that took longest, the longest first. `measured` is what
+    was known in the end of servers without a range, place by place.
     """
 
     name: str
@@ -122,6 +123,7 @@ class Record:
     notices: Notices
     findings: Sequence[Finding] = ()
     answers: Sequence[OpenAnswer] = ()
+    measured: Sequence[tuple[str, schema.Measured]] = ()
 
     @property
     def turns(self) -> Iterator[tuple[int | None, Position]]:
@@ -137,7 +139,7 @@ class Record:
     @property
     def servers(self) -> list[str]:
         """The servers that the run knows of, by name."""
-        return sorted({*self.plan.ranges, *self.stretches, *self.result.totals.remote})
+        return sorted({*self.plan.ranges, *self.plan.measured, *self.stretches, *self.result.totals.remote})
 
     @property
     def saved_s(self) -> float | None:
@@ -176,7 +178,12 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
         tally, calls, track = Tally(), _Calls(), _Track(events.began_s)
         answers, findings = OpenAnswers(events.began_s), Findings(events.began_s)
         notices = NoticesTaken(events.began_s)
-        states = _States(plan.ranges, began_s=events.began_s)
+        measured = {
+            (server, each.east_m, each.north_m): each
+            for server, known in plan.measured.items()
+            for each in known
+        }
+        states = _States((*plan.ranges, *plan.measured), began_s=events.began_s)
         for event in events:
             tally.take(event)
             calls.take(event)
@@ -184,6 +191,8 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
             answers.take(event)
             findings.take(event)
             notices.take(event)
+            if isinstance(event, schema.PlaceMeasured):
+                measured[event.server, event.place.east_m, event.place.north_m] = event.place
             track.take(event)  # whether it can be read is known from here on
         result = tally.result()
         reported = calls.with_results(result.calls)
@@ -201,6 +210,7 @@ def _record(events: MissionEvents, log: Path, name: str) -> Record:
             stretches=states.stretches(),
             notices=notices.notices(result),
             findings=findings.found,
+            measured=[(server, place) for (server, _, _), place in measured.items()],
             answers=answers.found,
         )
     except (KeyError, TypeError, ValueError) as error:  # msgspec's ValidationError is a ValueError

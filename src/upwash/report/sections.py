@@ -73,7 +73,12 @@ def _map(records: Sequence[Record], scales: Scales) -> Markup:
         drawing = draw_map(record, scales.places, scales.view)
         return joined(
             tables.scrolled(drawing, f"Map, {record.name}", style="scroll map"),
-            tables.folded("The map as tables", tables.map_places(record), tables.waypoints(record)),
+            tables.folded(
+                "The map as tables",
+                tables.map_places(record),
+                tables.measured_places(record),
+                tables.waypoints(record),
+            ),
         )
 
     most = max(len(record.findings) for record in records)
@@ -81,10 +86,16 @@ def _map(records: Sequence[Record], scales: Scales) -> Markup:
         f"the first {MOST_PICTURED} findings; rings: later ones" if most > MOST_PICTURED else "the findings"
     )
     numbers = f" Numbers: {later}." if most else ""
+    measured = (
+        " Discs: where servers without a range were asked something; the fuller, the more was answered."
+        if any(record.measured for record in records)
+        else ""
+    )
     turns = " Hooked arrows: where the drone turned back for an answer."
     note = _note(
         "Marks: where each call was made, by the place where it ran. Dotted: the plan. Solid: the way "
         "flown. Dashed circles: the ranges of the servers, as configured. North is up."
+        + measured
         + numbers
         + _where_it_goes(records, turns)
     )

@@ -7,6 +7,7 @@ from typing import TypeVar
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.core.servers import State
+from upwash.eventlog import schema
 from upwash.eventlog.results import CallResult, mean_local_delay_s
 from upwash.report.findings import Finding
 from upwash.report.going import OpenAnswer
@@ -213,6 +214,26 @@ def map_places(record: Record) -> Markup:
         for name, area in record.plan.ranges.items()
     ]
     return table("Ranges of the servers, from home", ["server", "east", "north", "range"], rows)
+
+
+def measured_places(record: Record) -> Markup:
+    """What calls to servers without a range came to at each place; empty where there are none."""
+    if not record.measured:
+        return Markup("")
+
+    def row(known: tuple[str, schema.Measured]) -> list[str]:
+        server, place = known
+        return [
+            server,
+            f"{place.east_m:.0f} m",
+            f"{place.north_m:.0f} m",
+            f"{place.answered} of {place.tried}",
+            ", ".join(f"{operation} {call_s:.2f} s" for operation, call_s in place.call_s.items()),
+            "" if place.goodput_bit_s is None else f"{place.goodput_bit_s / 1e6:.1f} Mbit/s",
+        ]
+
+    heads = ["server", "east", "north", "answered", "a call came to", "goodput"]
+    return _long("Servers without a range, by place", heads, record.measured, row, rest=_IN_THE_LOG)
 
 
 def waypoints(record: Record) -> Markup:

@@ -41,8 +41,10 @@ class Radio:
         faults: Faults,
         position: Callable[[], Position],
         energy: EnergyMeter | None = None,
+        reached: Callable[[str, Position], bool] = lambda _server, _position: True,
     ) -> None:
         self._areas = areas
+        self._reached = reached  # whether a server in whose range a position is answers there too
         self._goodputs = {
             (server, service.name): goodput_of(truth, service.name)
             for server, truth in truths.items()
@@ -62,7 +64,8 @@ class Radio:
         """Whether the drone is in range and the link is not down."""
         fault = self._faults.now(f"link:{server}")
         down = fault is not None and fault.kind != "slow"
-        return not down and self._areas[server].contains(self._position())
+        position = self._position()
+        return not down and self._areas[server].contains(position) and self._reached(server, position)
 
     def is_up(self, server: str) -> bool:
         """Whether the server's network can be joined, as far as its link is concerned."""

@@ -138,6 +138,15 @@ class Turn(Fact, frozen=True):
     north_m: float
 
 
+class Measured(Fact, frozen=True):
+    """A server without a range was asked something here, on this flight or before; such a share was answered."""
+
+    server: str
+    east_m: float
+    north_m: float
+    answered: float
+
+
 class Answer(Fact, frozen=True):
     """The mission has the answer of a waypoint that the drone had left; so much of the call's delay was hidden."""
 

@@ -115,12 +115,16 @@ class Story:
                 yield facts.Opened(at_s=self._now_s, epoch_s=time.timestamp())
             case schema.Planned():
                 yield self._plan(event)
+                for server, known in event.measured.items():
+                    yield from (self._measured(server, place) for place in known)
             case schema.LogResumed():
                 self.ended = False
                 for server in sorted(self._servers):  # a program that begins anew knows of no server's state
                     yield self._step(server, State.AVL, "taken up again")
             case schema.MissionStarted(drone=drone, policy=policy):
                 self.drone, self._policy = drone, policy
+            case schema.PlaceMeasured(server=server, place=place):
+                yield self._measured(server, place)
             case schema.Foreseen():
                 yield facts.Forecast(
                     at_s=self._now_s,
@@ -141,8 +145,17 @@ class Story:
             yield facts.Doing(at_s=self._now_s, words=doing[0], reached=doing[1])
             self._doing = doing
 
+    def _measured(self, server: str, place: schema.Measured) -> facts.Measured:
+        return facts.Measured(
+            at_s=self._now_s,
+            server=server,
+            east_m=place.east_m,
+            north_m=place.north_m,
+            answered=place.answered / place.tried if place.tried else 0.0,
+        )
+
     def _plan(self, plan: schema.Planned) -> facts.Plan:
-        self._servers |= set(plan.ranges)
+        self._servers |= {*plan.ranges, *plan.measured}
         home = plan.home
         return facts.Plan(
             at_s=self._now_s,

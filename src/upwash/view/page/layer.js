@@ -3,7 +3,7 @@
 import * as L from "./leaflet/leaflet-src.esm.js";
 import { styleOf } from "./badge.js";
 import { droneIcon, turn } from "./icons.js";
-import { Marks, STILL, paintStar, paintTurn } from "./marks.js";
+import { Marks, STILL, paintMeasured, paintStar, paintTurn } from "./marks.js";
 import { Track } from "./track.js";
 import { Waypoints } from "./waypoints.js";
 
@@ -73,6 +73,10 @@ export class FlightLayer {
   show(moment) {
     const { position } = moment;
     this.track.show(moment.story.fix, moment.count("fix"), position, moment.atS);
+    const paper = this.places.colours.of("paper");
+    this.#showMarks(moment, "measured", ({ server, answered }, _, context, x, y) => {
+      paintMeasured(context, this.places.colour(server), paper, answered, x, y);
+    });
     this.#showMarks(moment, "call", (call, index, context, x, y) => {
       const [right, down] = [this.#aside[index] % IN_A_ROW, Math.floor(this.#aside[index] / IN_A_ROW)];
       const step = STACKED * this.#radius;

@@ -2,6 +2,7 @@
 
 import * as L from "./leaflet/leaflet-src.esm.js";
 
+const MEASURED_PX = 9;
 export const STILL = { interactive: false, keyboard: false };
 
 // As a layer, the first so many of the marks that `place` has an index for; `paint` draws one at a point, and no
@@ -61,6 +62,23 @@ export function paintDot(context, colour, x, y) {
   context.beginPath();
   context.arc(x, y, 2, 0, 2 * Math.PI);
   context.fill();
+}
+
+// Where a server without a range was asked something: the fuller, the more was answered.
+export function paintMeasured(context, colour, paper, answered, x, y) {
+  context.beginPath();
+  context.arc(x, y, MEASURED_PX, 0, 2 * Math.PI);
+  for (const [style, alpha] of [[paper, 1], [colour, 0.35 * answered]]) {
+    context.globalAlpha = alpha;
+    context.fillStyle = style;
+    context.fill();
+  }
+  context.globalAlpha = 1;
+  context.strokeStyle = colour;
+  context.lineWidth = 1;
+  context.setLineDash(answered < 0.5 ? [2, 3] : []);
+  context.stroke();
+  context.setLineDash([]);
 }
 
 // The middle of a server's range.

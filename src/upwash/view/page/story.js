@@ -2,7 +2,7 @@
 
 import { Totals, countUntil } from "./totals.js";
 
-const SERIES = ["fix", "battery", "motion", "link", "doing", "notice", "decision", "call", "going", "turn", "answer", "shot", "told", "said"];
+const SERIES = ["fix", "battery", "motion", "link", "doing", "notice", "decision", "call", "going", "turn", "measured", "answer", "shot", "told", "said"];
 const MOVED_M = 0.5; // less may be the position's noise
 
 export class Story {
@@ -61,6 +61,10 @@ export class Story {
         break;
       case "ended":
         this.ended = fact;
+        break;
+      case "measured":
+        this.known.add(fact.server);
+        this.measured.push(fact);
         break;
       case "step":
         this.known.add(fact.server);

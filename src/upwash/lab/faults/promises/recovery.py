@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from upwash.config import FaultConfig, ProbeConfig, ServerConfig, server_areas, server_truth
+from upwash.config import FaultConfig, ProbeConfig, ServerConfig, server_truth, true_areas
 from upwash.core.geo import Position
 from upwash.core.recovery import REST_S
 from upwash.core.servers import State
@@ -91,7 +91,7 @@ def _left_unused(history: History) -> Iterator[Breach]:
     events, spells = history.run.events, spells_of(history)
     ends = (each.t for each in events if isinstance(each, (schema.MissionEnded, schema.MissionCompleted)))
     end_s = next(ends, events[-1].t)
-    areas = server_areas(history.config)
+    areas = true_areas(history.config)
     for server in _joinable(history):
         area = areas[server.name]
         outside_s = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from upwash.config import ProbeConfig, server_areas
+from upwash.config import ProbeConfig, true_areas
 from upwash.core.servers import SELECTED, TRANSITIONS, State, Trigger
 from upwash.eventlog import schema
 from upwash.lab.faults.promises.history import ROUNDING_S, Breach, History
@@ -60,7 +60,7 @@ def _used_out_of_turn(history: History) -> Iterator[Breach]:
 
 def in_range(history: History) -> Iterator[Breach]:
     """No call is sent from outside the server's range."""
-    areas = server_areas(history.config)
+    areas = true_areas(history.config)
     remote = (
         each for each in history.run.events if isinstance(each, schema.Decided) and each.decision == "remote"
     )
