@@ -107,6 +107,17 @@ class Tuned:
 
 
 @service
+class Tuner:
+    """Uses another service."""
+
+    def __init__(self, tuned: Tuned, *, note: str) -> None:
+        self._tuned, self._note = tuned, note
+
+    def made(self) -> str:
+        return f"{self._note}: {self._tuned.made()}"
+
+
+@service
 class Unstartable:
     def __init__(self) -> None:
         raise OSError("model.onnx is missing")

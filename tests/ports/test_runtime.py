@@ -152,8 +152,17 @@ def test_an_instance_with_certificates_is_told_by_its_port(
     asyncio.run(use())
 
 
-def test_an_instance_is_made_with_its_settings(services: Path, tmp_path: Path) -> None:
-    what = spec(services, "Tuned", settings={"gain": 2.5, "table": "/etc/table"})
+@pytest.mark.parametrize(
+    ("cls", "settings", "made"),
+    [
+        ("Tuned", {"gain": 2.5, "table": "/etc/table"}, "2.5 light /etc/table"),
+        ("Tuner", {"note": "a", "tuned": {"gain": 2.5, "mode": "heavy"}}, "a: 2.5 heavy None"),
+    ],
+)
+def test_an_instance_is_made_with_its_settings_and_those_of_what_it_uses(
+    services: Path, tmp_path: Path, cls: str, settings: dict[str, object], made: str
+) -> None:
+    what = spec(services, cls, settings=settings)
 
     async def use() -> None:
         instance = await runtime(tmp_path).start(what, called=lambda _: None)
@@ -164,9 +173,9 @@ def test_an_instance_is_made_with_its_settings(services: Path, tmp_path: Path) -
         try:
             await instance.admit(HERON)
             reply = await link.request(
-                service_path("tuned", "made"), method.encode((), {})[1], timeout_s=10.0
+                service_path(cls.lower(), "made"), method.encode((), {})[1], timeout_s=10.0
             )
-            assert method.result(method.decode(reply)) == "2.5 light /etc/table"
+            assert method.result(method.decode(reply)) == made
         finally:
             await link.close()
             await instance.stop()

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from upwash.config import read_daemon_config, read_drone_config
 from upwash.errors import ConfigError, DeclarationError, UsageError
 from upwash.missions.bundled import LoadedService, load_services
-from upwash.rpc.service import service, spec_of
+from upwash.rpc.service import once, service, spec_of
 from upwash.rpc.settings import construct, describe_settings, plain
 
 
@@ -270,3 +270,92 @@ def test_a_service_declared_in_the_usual_way_knows_its_settings() -> None:
         def read(self) -> None: ...
 
     assert [field.name for field in msgspec.structs.fields(spec_of(Meter).settings)] == ["gain"]
+
+
+# --- services that use services -----------------------------------------------------------------------------
+
+
+@service
+class Scale:
+    def __init__(self, factor: float = 2.0, *, table: Path | None = None) -> None:
+        self._factor = factor
+
+    def apply(self, value: float) -> float:
+        if value < 0:
+            raise ValueError("nothing weighs less than nothing")
+        return self._factor * value
+
+
+@service
+class Balance:
+    def __init__(self, left: Scale, right: Scale, *, spare: Scale | None = None, offset: float = 0.0) -> None:
+        self._left, self._right, self._offset = left, right, offset
+        self.spare = spare
+
+    def difference(self, value: float) -> float:
+        return self._right.apply(value) - self._left.apply(value) + self._offset
+
+
+@service
+class Needy:
+    def __init__(self, name: str) -> None: ...
+
+    def nothing(self) -> None: ...
+
+
+def balance(settings: dict[str, Any]) -> Balance:
+    kind = spec_of(Balance).settings
+    return construct(Balance, kind, plain(msgspec.convert(settings, kind)))
+
+
+def test_a_service_that_another_one_uses_is_made_with_it_of_its_own_settings() -> None:
+    made = balance({"right": {"factor": 5.0}, "offset": 1.0})
+    assert made.difference(3.0) == 5.0 * 3.0 - 2.0 * 3.0 + 1.0
+    assert made.spare is None
+    spare = balance({"spare": {"factor": 7.0}}).spare
+    assert spare is not None
+    assert spare.apply(1.0) == 7.0
+
+
+def test_what_a_used_service_raises_is_the_callers_to_raise() -> None:
+    with pytest.raises(ValueError, match="nothing weighs less"):
+        balance({}).difference(-1.0)
+
+
+def test_the_settings_of_a_used_service_are_checked_by_its_own_types(tmp_path: Path) -> None:
+    kind = spec_of(Balance).settings
+    with pytest.raises(msgspec.ValidationError, match=r"\$\.left\.factor"):
+        msgspec.convert({"left": {"factor": "much"}}, kind)
+    with pytest.raises(msgspec.ValidationError, match="weight"):
+        msgspec.convert({"left": {"weight": 1.0}}, kind)
+
+
+def test_a_used_service_that_needs_a_setting_makes_its_user_need_it() -> None:
+    @service
+    class User:
+        def __init__(self, needy: Needy) -> None: ...
+
+        def nothing(self) -> None: ...
+
+    assert [field.name for field in msgspec.structs.fields(spec_of(User).settings) if field.required] == [
+        "needy"
+    ]
+
+
+def test_a_service_that_acts_on_the_drone_cannot_be_used_by_another_one() -> None:
+    @service
+    class Arm:
+        @once
+        def drop_parcel(self) -> None: ...
+
+    class Delivery:
+        def __init__(self, arm: Arm) -> None: ...
+
+        def deliver(self) -> None: ...
+
+    Delivery.__init__.__annotations__["arm"] = Arm
+    with pytest.raises(
+        DeclarationError,
+        match=r"uses arm, whose drop_parcel runs once, and on the drone alone, .*: have the mission call arm itself",
+    ):
+        service(Delivery)

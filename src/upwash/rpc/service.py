@@ -268,7 +268,22 @@ def _describe(cls: type, name: str, profile_by: str | None, concurrency: int) ->
         raise DeclarationError(
             f"service {cls.__name__}: no method has the parameter {profile_by!r} of profile_by"
         )
-    return ServiceSpec(name, MappingProxyType(methods), describe_settings(cls), concurrency)
+    settings = describe_settings(cls, lambda hint: _used_by(cls, hint))
+    return ServiceSpec(name, MappingProxyType(methods), settings, concurrency)
+
+
+def _used_by(cls: type, hint: Any) -> type[msgspec.Struct] | None:
+    """The settings of the service that the type hint is, or of which it says that it may be None."""
+    parts = [each for each in typing.get_args(hint) if each is not type(None)] or [hint]
+    spec = vars(parts[0]).get(_SPEC) if len(parts) == 1 and isinstance(parts[0], type) else None
+    if not isinstance(spec, ServiceSpec):
+        return None
+    if acting := [method.name for method in spec.methods.values() if method.once]:
+        raise DeclarationError(
+            f"service {cls.__name__} uses {spec.name}, whose {', '.join(acting)} runs once, and on the drone alone, "
+            f"but {cls.__name__} may run on a server: have the mission call {spec.name} itself"
+        )
+    return spec.settings
 
 
 def _public_method(cls: type, name: str) -> Callable[..., object] | None:

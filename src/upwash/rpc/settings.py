@@ -5,6 +5,12 @@
 
 Settings are checked by the type hints wherever they come from, and travel as plain values: what JSON has. A relative
 path counts from the configuration's file, so what travels is absolute.
+
+A parameter whose type is a service is another one that this one uses. It is made in the same instance, of a table of
+its own settings, so that its calls never leave the computer that this one runs on:
+
+    class Inspection:
+        def __init__(self, detector: Detector) -> None: ...               # [service.settings.detector]
 """
 
 from __future__ import annotations
@@ -25,9 +31,11 @@ from upwash.rpc.wire import require_plain
 
 T = TypeVar("T")
 PlainSettings = Mapping[str, object]
+Used = Callable[[Any], type[msgspec.Struct] | None]  # the settings of a type hint that is a service
+_MAKES = "__upwash_makes__"  # on settings: the class that is made of them
 
 
-def describe_settings(cls: type) -> type[msgspec.Struct]:
+def describe_settings(cls: type, used: Used = lambda _: None) -> type[msgspec.Struct]:
     """The settings of a class, a field for each; raises DeclarationError where one cannot be configured."""
     fields: list[Any] = []
     for parameter, hint in _parameters(cls):
@@ -36,12 +44,23 @@ def describe_settings(cls: type) -> type[msgspec.Struct]:
             raise DeclarationError(f"{where} has no type hint, so a configuration cannot give it")
         if parameter.kind is parameter.POSITIONAL_ONLY:
             raise DeclarationError(f"{where} must be passable by its name")
-        require_plain(hint, where, is_meant=lambda cls: cls is Path)
-        if parameter.default is parameter.empty:
+        if (settings := used(hint)) is not None:
+            hint = settings  # noqa: PLW2901 - what a configuration gives for it
+        else:
+            require_plain(hint, where, is_meant=lambda cls: cls is Path)
+        if settings is not None and parameter.default is parameter.empty and not required_settings(settings):
+            fields.append((parameter.name, hint, msgspec.field(default_factory=settings)))
+        elif parameter.default is parameter.empty:
             fields.append((parameter.name, hint))
         else:
             fields.append((parameter.name, hint | UnsetType, UNSET))
-    return msgspec.defstruct(f"{cls.__name__}_settings", fields, kw_only=True, forbid_unknown_fields=True)
+    return msgspec.defstruct(
+        f"{cls.__name__}_settings",
+        fields,
+        kw_only=True,
+        forbid_unknown_fields=True,
+        namespace={_MAKES: cls},
+    )
 
 
 def required_settings(kind: type[msgspec.Struct]) -> list[str]:
@@ -75,7 +94,17 @@ def construct(cls: type[T], kind: type[msgspec.Struct], settings: PlainSettings)
         checked = msgspec.convert(settings, kind, dec_hook=_path, str_keys=True)
     except msgspec.ValidationError as error:
         raise UsageError(f"{cls.__name__} cannot be made with its settings: {error}") from error
-    given = {name: value for name in kind.__struct_fields__ if (value := getattr(checked, name)) is not UNSET}
+    return _made(cls, checked)
+
+
+def _made(cls: type[T], settings: msgspec.Struct) -> T:
+    """An object of the class, and of each service that it uses."""
+    given = {}
+    for name in settings.__struct_fields__:
+        value = getattr(settings, name)
+        used = vars(type(value)).get(_MAKES)
+        if value is not UNSET:
+            given[name] = value if used is None else _made(used, value)
     try:
         return cls(**given)
     except Exception as error:
