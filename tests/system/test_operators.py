@@ -17,6 +17,9 @@ import pytest
 from tests.children import is_alive
 from tests.waiting import wait_for
 
+from upwash.config import read_daemon_config
+from upwash.real.authority import make_keys
+
 pytestmark = pytest.mark.system
 
 ROOT = Path(__file__).parents[2]
@@ -169,3 +172,73 @@ def test_the_unit_is_understood_by_systemd(tmp_path: Path) -> None:
         check=False,
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+# --- the script ---------------------------------------------------------------------------------------------
+
+STUBS = {
+    "apt-get": 'echo "apt-get $*" >> "$TOLD"',
+    "useradd": 'echo "useradd $*" >> "$TOLD"',
+    "python3": 'echo "python3 $*" >> "$TOLD"; mkdir -p "$3/bin"; cp "$(dirname "$0")/pip" "$3/bin/pip"',
+    "pip": 'echo "pip $*" >> "$TOLD"',
+}
+
+
+def install(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Runs the script below a folder, without a package manager, users, or a network."""
+    stubs = folder / "stubs"
+    stubs.mkdir(exist_ok=True)
+    for name, does in STUBS.items():
+        (stubs / name).write_text(f"#!/bin/sh\n{does}\n")
+        (stubs / name).chmod(0o755)
+    return subprocess.run(
+        [ROOT / "deploy" / "install.sh", *arguments],
+        cwd=folder,
+        env={
+            "PATH": f"{stubs}:{os.environ['PATH']}",
+            "DESTDIR": str(folder / "root"),
+            "TOLD": str(folder / "told"),
+        },
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def test_the_script_installs_a_server_that_can_be_configured_and_changes_nothing_of_that_again(
+    tmp_path: Path,
+) -> None:
+    make_keys(tmp_path / "keys", servers=[["s9"]], drones=["d1"])
+    done = install(tmp_path, "s9", "keys")
+    assert done.returncode == 0, done.stderr
+    root = tmp_path / "root"
+    config = read_daemon_config(root / "etc/upwash/server.toml")
+    assert [each.name for each in config.identities] == ["s9"]
+    keys = root / "etc/upwash/keys"
+    assert sorted(file.name for file in keys.iterdir()) == [
+        "authority.pem",
+        "revoked.txt",
+        "s9.key",
+        "s9.pem",
+    ]
+    assert (keys / "s9.key").stat().st_mode & 0o777 == 0o640
+    assert (root / "etc/systemd/system/upwash.service").read_text() == UNIT.read_text()
+    told = (tmp_path / "told").read_text()
+    assert "apt-get install --yes python3-venv bubblewrap" in told
+    assert re.search(r"^pip install --upgrade .*\[detector,metrics\]$", told, re.MULTILINE)
+
+    mine = (root / "etc/upwash/server.toml").read_text().replace("7070", "7171")
+    (root / "etc/upwash/server.toml").write_text(mine)
+    assert install(tmp_path, "s9", "keys").returncode == 0
+    assert (root / "etc/upwash/server.toml").read_text() == mine
+
+
+def test_without_keys_the_script_says_how_to_make_them_and_installs_nothing(tmp_path: Path) -> None:
+    done = install(tmp_path, "s9", "keys")
+    assert done.returncode == 1
+    assert (
+        "no keys/authority.pem: make the keys on your own computer, with upwash keys keys --server s9"
+        in done.stderr
+    )
+    assert not (tmp_path / "told").exists()

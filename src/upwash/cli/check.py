@@ -27,7 +27,12 @@ def add(commands: Commands) -> None:
     )
     add_figures(check, "the coverage")
     what = check.add_mutually_exclusive_group()
-    what.add_argument("--json", action="store_true", help="print what was found as one JSON object")
+    check.add_argument("--json", action="store_true", help="print what was found as one JSON object")
+    what.add_argument(
+        "--capacity",
+        action="store_true",
+        help="only fly the mission with more and more drones at once, and say how many the servers carry",
+    )
     what.add_argument(
         "--networks", action="store_true", help="only see whether each server's network can be joined"
     )
@@ -52,6 +57,8 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Checks and prints what it found; whether there is nothing to warn of."""
+    if options.json and (options.networks or options.servers or options.vehicle or options.install_dead_man):
+        raise UsageError("--json prints predictions and capacity only: leave it out")
     if options.networks or options.servers or options.vehicle or options.install_dead_man:
         return _look(options)
     import msgspec
@@ -62,6 +69,10 @@ def run(options: argparse.Namespace) -> bool:
 
     plan = read_plan(options.config)
     plan = msgspec.structs.replace(plan, config=flown_by(plan.config, options.autopilot))
+    if options.capacity:
+        from upwash.preflight.capacity_display import show_capacity
+
+        return show_capacity(plan.config, str(plan.file), as_json=options.json)
     if plan.config.drones:
         return _check_fleet(plan, options)
     return show_check(

@@ -1,0 +1,81 @@
+#!/bin/sh
+# Makes a Debian machine (12 or newer) an edge server, under systemd. Run it again for another version of upwash: it leaves
+# the configuration and the keys as they are.
+#
+#   sudo deploy/install.sh NAME KEYS
+#
+# NAME is the server's, as in its certificate, and KEYS the folder of `upwash keys KEYS --server NAME ...`, made before on
+# a computer of your own: of it the server gets authority.pem, NAME.pem, NAME.key and revoked.txt.
+set -eu
+
+name=${1:?usage: install.sh NAME KEYS}
+keys=${2:?usage: install.sh NAME KEYS}
+source=$(dirname "$(dirname "$(readlink -f "$0")")")
+root=${DESTDIR:-}  # where a package is made of what this installs
+settings=$root/etc/upwash
+unit=$root/etc/systemd/system/upwash.service
+
+fail() {
+    echo "install.sh: $1" >&2
+    exit 1
+}
+
+[ -n "$root" ] || [ "$(id -u)" -eq 0 ] || fail "this needs root: sudo $0 $name $keys"
+command -v apt-get >/dev/null || fail "no apt-get here: this is for Debian; docs/operators.md has the steps for others"
+case $name in *[!A-Za-z0-9._-]* | "") fail "the name of a server has letters, digits, '.', '_' and '-', not \"$name\"" ;; esac
+for file in authority.pem "$name.pem" "$name.key"; do
+    [ -f "$keys/$file" ] || [ -f "$settings/keys/$file" ] ||
+        fail "no $keys/$file: make the keys on your own computer, with upwash keys $keys --server $name --drone d1"
+done
+
+apt-get install --yes python3-venv bubblewrap
+[ -x "$root/opt/upwash/bin/pip" ] || python3 -m venv "$root/opt/upwash"
+"$root/opt/upwash/bin/pip" install --upgrade "$source[detector,metrics]"
+
+id upwash >/dev/null 2>&1 || useradd --system --home-dir /nonexistent --shell /usr/sbin/nologin upwash
+group=$(id -gn upwash 2>/dev/null || id -gn)
+install -d -m 750 -g "$group" "$settings" "$settings/keys"
+for file in authority.pem "$name.pem" "$name.key" revoked.txt; do
+    [ -f "$settings/keys/$file" ] || [ ! -f "$keys/$file" ] ||
+        install -m 640 -g "$group" "$keys/$file" "$settings/keys"
+done
+[ -f "$settings/keys/revoked.txt" ] || install -m 640 -g "$group" /dev/null "$settings/keys/revoked.txt"
+
+if [ ! -f "$settings/server.toml" ]; then
+    cat >"$settings/server.toml" <<TOML
+listen = "0.0.0.0:7070"
+instance_ports = [7100, 7119]
+
+[runtime]
+sandbox = "required"
+
+[keys]
+authority = "keys/authority.pem"
+certificate = "keys/$name.pem"
+key = "keys/$name.key"
+revoked = "keys/revoked.txt"
+
+[[service]]
+name = "detector"
+
+[[server]]
+name = "$name"
+TOML
+    chmod 644 "$settings/server.toml"
+fi
+
+was_there=$([ -f "$unit" ] && echo yes || echo no)
+install -d "$root/etc/systemd/system"
+install -m 644 "$source/deploy/upwash.service" "$unit"
+if [ -n "$root" ]; then
+    echo "installed below $root: nothing was started"
+    exit 0
+fi
+systemctl daemon-reload
+if [ "$was_there" = yes ] && systemctl is-active --quiet upwash; then
+    systemctl kill --kill-whom=main --signal=SIGUSR2 upwash
+    echo "upwash has been told to take its own place: drones call on; journalctl --unit upwash says what came of it"
+else
+    systemctl enable --now upwash
+    echo "$name is ready at port 7070; its settings are in /etc/upwash/server.toml"
+fi

@@ -1,0 +1,101 @@
+"""How many drones the servers of a configuration carry: its mission, flown by more and more drones at the same time.
+
+All fly the same way over the same field, and set off within a minute, one after the other. That is what servers find
+hardest: they are needed at the same places, and so at the same time.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+
+import msgspec
+from msgspec import Struct
+
+from upwash.config import DroneConfig, Presence
+from upwash.errors import UpwashError, UsageError
+from upwash.lab.run import Run, simulate_fleet
+from upwash.lab.simulation import with_policy
+from upwash.preflight.prediction import LOCAL_ONLY
+
+SLOWER = 1.05  # so much longer, at most, a mission takes on average of drones that are carried
+_NUMBERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
+_WITHIN_S = 60.0
+_WORTH = 0.5  # of what one drone alone saves: with less, more drones are not asked for
+
+
+class Load(Struct, frozen=True, kw_only=True):
+    """So many drones at once: how long their missions take, what share of their calls ran where, and how many."""
+
+    drones: int
+    mean_s: float
+    worst_s: float
+    saved: float
+    remote_share: float
+    calls_per_min: Mapping[str, float]
+
+
+class Capacity(Struct, frozen=True, kw_only=True):
+    """What was found; `carried` drones are the most of those tried whose missions take hardly longer than one's."""
+
+    config: str
+    local_only_s: float
+    loads: tuple[Load, ...]
+    carried: int
+
+
+def capacity_of(config: DroneConfig, name: str, flown: Callable[[Load], None] = lambda _: None) -> Capacity:
+    """Flies the mission of a configuration of one drone; raises UsageError where nothing is offloaded."""
+    if config.drones:
+        raise UsageError("capacity is asked of one drone's mission, and this file has [[drone]] tables")
+    if config.policy.name == LOCAL_ONLY or not config.servers:
+        raise UsageError("every call runs on the drone: name servers, and another policy than local-only")
+    (alone,) = simulate_fleet([with_policy(config, LOCAL_ONLY)])
+    local_only_s = _completed([alone])[0].result.mission_time_s
+    loads: list[Load] = []
+    for load in _loads(config, local_only_s):
+        loads.append(load)
+        flown(load)
+    carried = max((each.drones for each in loads if each.mean_s <= SLOWER * loads[0].mean_s), default=1)
+    return Capacity(config=name, local_only_s=local_only_s, loads=tuple(loads), carried=carried)
+
+
+def _loads(config: DroneConfig, local_only_s: float) -> Iterator[Load]:
+    """More and more drones, for as long as more of them are worth asking for."""
+    first: Load | None = None
+    for drones in _NUMBERS:
+        load = _load(config, drones, local_only_s)
+        yield load
+        first = first or load
+        if load.saved < _WORTH * first.saved:
+            return
+
+
+def _load(config: DroneConfig, drones: int, local_only_s: float) -> Load:
+    fleet = [
+        msgspec.structs.replace(config, name=f"{config.name}-{number}", seed=config.seed + number)
+        for number in range(drones)
+    ]
+    departs_s = [_WITHIN_S * number / drones for number in range(drones)]
+    runs = _completed(simulate_fleet(fleet, there=[Presence(each_s) for each_s in departs_s]))
+    times_s = [run.result.mission_time_s for run in runs]
+    remote = Counter[str]()
+    for run in runs:
+        remote.update(run.result.totals.remote)
+    lasted_s = max(begun_s + time_s for begun_s, time_s in zip(departs_s, times_s, strict=True))
+    mean_s = sum(times_s) / drones
+    return Load(
+        drones=drones,
+        mean_s=mean_s,
+        worst_s=max(times_s),
+        saved=1 - mean_s / local_only_s,
+        remote_share=remote.total() / sum(run.result.totals.calls for run in runs),
+        calls_per_min={server.name: 60 * remote[server.name] / lasted_s for server in config.servers},
+    )
+
+
+def _completed(runs: list[Run]) -> list[Run]:
+    for run in runs:
+        if run.failure:
+            raise UpwashError(f"the mission is not completed in simulation: {run.failure}")
+    return runs
