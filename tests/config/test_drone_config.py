@@ -312,8 +312,8 @@ REFUSED = [
     ('authority = "keys/authority.pem"', "authority = 3", "keys.authority", "a file's path"),
     ('authority = "keys/authority.pem"', 'authority = ""', "keys.authority", "a file's path"),
     ("photo_s = 1.0", "photo_s = -1.0", "camera.photo_s", "at least 0"),
-    ("photo_s = 1.0", "device = -1", "camera.device", "a video device's number, such as 0, or the URL"),
-    ("photo_s = 1.0", "device = true", "camera.device", "a video device's number, such as 0, or the URL"),
+    ("photo_s = 1.0", "device = -1", "camera.device", "a video device's number, such as 0, or its path"),
+    ("photo_s = 1.0", "device = true", "camera.device", "a video device's number, such as 0, or its path"),
     ("photo_s = 1.0", "park_seed = 1.5", "camera.park_seed", "an integer of at least 0"),
     (
         "photo_s = 1.0",

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from upwash.core.geo import Position
-from upwash.errors import CameraError
+from upwash.errors import CameraError, UsageError
 from upwash.ports import Photo
 from upwash.real import video
 from upwash.real.video import VideoCamera
@@ -114,6 +114,31 @@ def test_a_photo_knows_when_its_frame_came(stream: Stream) -> None:
     asked_s, photo, got_s = asyncio.run(shoot())
     assert asked_s <= photo.captured_s <= got_s
     assert photo.source == stream.address
+
+
+def test_of_a_late_stream_a_photo_is_what_was_there_when_it_was_asked_for(stream: Stream) -> None:
+    async def shoot() -> tuple[float, Photo, float]:
+        with contextlib.closing(await VideoCamera.open(stream.address, latency_s=0.5)) as camera:
+            clock = asyncio.get_running_loop().time
+            asked_s = clock()
+            return asked_s, await camera.take_photo(HERE), clock()
+
+    asked_s, photo, got_s = asyncio.run(shoot())
+    assert asked_s <= photo.captured_s <= got_s - 0.5
+
+
+@pytest.mark.skipif(video._has_gstreamer(), reason="this OpenCV has GStreamer")
+def test_a_pipeline_without_gstreamer_is_refused_with_the_remedy() -> None:
+    with pytest.raises(
+        UsageError, match="this OpenCV was built without GStreamer: use Debian's python3-opencv"
+    ):
+        asyncio.run(VideoCamera.open("videotestsrc ! videoconvert ! appsink"))
+
+
+def test_a_device_may_be_named_by_its_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(video, "_FIRST_FRAME_S", 0.5)
+    with pytest.raises(CameraError, match=r"/dev/video99.*no frame within 0\.5 s"):
+        asyncio.run(VideoCamera.open("/dev/video99"))
 
 
 def test_a_stream_that_hangs_is_an_error_in_bounded_time(

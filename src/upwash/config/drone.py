@@ -182,7 +182,9 @@ class CameraConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     folder: FilePath | None = None
     """A folder whose JPEG files are the photos, in turn."""
     device: VideoSource | None = None
-    """A video device's number or a stream's URL."""
+    """A video device's number or path, a stream's URL, or GStreamer's pipeline."""
+    latency_s: NotNegative = 0.0
+    """So long after it was captured a device's frame arrives, in seconds: a stream's may be a second late."""
     park_seed: Seed | None = None
     """Photos are rendered: what lies below the drone in the solar park of that seed."""
 

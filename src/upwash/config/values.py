@@ -104,7 +104,7 @@ GridCount = Annotated[int, Meta(ge=1, le=1000, description="an integer from 1 to
 Seed = Annotated[int, Meta(ge=0, description="an integer of at least 0")]
 VideoSource = Annotated[
     Annotated[int, Meta(ge=0)] | Annotated[str, Meta(min_length=1)],
-    Meta(description="a video device's number, such as 0, or the URL of a stream"),
+    Meta(description="a video device's number, such as 0, or its path, the URL of a stream, or a pipeline"),
 ]
 _MOST_BYTES = 2**31 - 1  # gRPC counts a message's bytes in 32 bits
 MessageBytes = Annotated[

@@ -36,5 +36,7 @@ async def opened_camera(config: CameraConfig, stack: contextlib.AsyncExitStack) 
     camera = camera_without_device(config)
     if camera is None:
         assert config.device is not None  # noqa: S101
-        camera = stack.enter_context(contextlib.closing(await VideoCamera.open(config.device)))
+        camera = stack.enter_context(
+            contextlib.closing(await VideoCamera.open(config.device, latency_s=config.latency_s))
+        )
     return camera

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from upwash.core.geo import Position
-from upwash.errors import CameraError
+from upwash.errors import CameraError, UsageError
 from upwash.ports import Photo
 from upwash.support.loading import extra
 
@@ -30,14 +30,16 @@ class _Wish:
 
 
 class VideoCamera:
-    """A Camera that reads a video device (0, 1, ...), a stream (a URL) or a video file, over and over.
+    """A Camera that reads a video device (0, "/dev/video0"), a stream (a URL), GStreamer's pipeline, or a video file.
 
-    A thread reads every frame, so that none waits in a buffer; a photo is the first one that arrives after it was
-    asked for. A source that fails is opened again, once a second.
+    A thread reads every frame, so that none waits in a buffer; a photo is the first that was captured after it was
+    asked for. That is `latency_s` before it arrives. A source that fails is opened again, once a second, and a file
+    that has ended begins again.
     """
 
-    def __init__(self, source: int | str) -> None:
+    def __init__(self, source: int | str, *, latency_s: float = 0.0) -> None:
         self._source = source
+        self._latency_s = latency_s
         self._name = _without_password(source)
         self._loop = asyncio.get_running_loop()
         self._trouble = "it has not been opened yet"
@@ -47,22 +49,27 @@ class VideoCamera:
         self._thread = threading.Thread(target=self._read, name=f"camera {self._name}", daemon=True)
 
     @classmethod
-    async def open(cls, source: int | str) -> VideoCamera:
+    async def open(cls, source: int | str, *, latency_s: float = 0.0) -> VideoCamera:
         """The camera, once it has shown a frame; raises CameraError if it does not, UsageError without OpenCV."""
         with extra("detector"):
             await asyncio.to_thread(_silence_opencv)
-        camera = cls(source)
+        if _is_pipeline(source) and not _has_gstreamer():
+            raise UsageError(
+                "camera.device is a pipeline, and this OpenCV was built without GStreamer: use Debian's "
+                "python3-opencv (a virtual environment with --system-site-packages), or the URL of a stream"
+            )
+        camera = cls(source, latency_s=latency_s)
         camera._thread.start()
         try:
-            await camera._frame(_FIRST_FRAME_S)
+            await camera._frame(_FIRST_FRAME_S + latency_s)
         except BaseException:
             camera.close()
             raise
         return camera
 
     async def take_photo(self, at: Position) -> Photo:
-        """Returns the next frame as a JPEG; raises CameraError if none comes within 5 s."""
-        return await self._frame(_FRAME_S)
+        """Returns the next frame as a JPEG; raises CameraError if none comes within 5 s, and the latency."""
+        return await self._frame(_FRAME_S + self._latency_s)
 
     def close(self) -> None:
         """Stops reading; the device is free as soon as its driver returns."""
@@ -98,7 +105,7 @@ class VideoCamera:
             if not capture.next():
                 self._trouble = "its frames have come to an end"
                 return
-            captured_s = self._loop.time()
+            captured_s = self._loop.time() - self._latency_s
             if self._wishes and (jpeg := capture.jpeg()) is not None:
                 photo = Photo(jpeg, captured_s, source=self._name)
                 with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
@@ -118,9 +125,15 @@ class _Capture:
     def __init__(self, source: int | str) -> None:
         import cv2
 
-        if isinstance(source, int):
-            self._capture = cv2.VideoCapture(source)
+        if isinstance(source, int) or source.startswith("/dev/"):
+            self._capture = (
+                cv2.VideoCapture(source)
+                if isinstance(source, int)
+                else cv2.VideoCapture(source, cv2.CAP_V4L2)
+            )
             self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        elif _is_pipeline(source):
+            self._capture = cv2.VideoCapture(source, cv2.CAP_GSTREAMER)
         else:
             limit_ms = int(1000 * _FRAME_S)
             limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, limit_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, limit_ms]
@@ -146,6 +159,17 @@ class _Capture:
 
     def close(self) -> None:
         self._capture.release()
+
+
+def _is_pipeline(source: int | str) -> bool:
+    """Whether it is one as gst-launch has them, such as "v4l2src ! videoconvert ! appsink"."""
+    return isinstance(source, str) and " ! " in source
+
+
+def _has_gstreamer() -> bool:
+    import cv2
+
+    return re.search(r"GStreamer:\s+YES", cv2.getBuildInformation()) is not None
 
 
 def _without_password(source: int | str) -> str:
