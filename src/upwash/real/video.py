@@ -19,6 +19,7 @@ _JPEG_QUALITY = 95
 _FIRST_FRAME_S = 10.0  # a USB camera takes a second or two, a stream may have to wait for a key frame
 _FRAME_S = 5.0
 _REOPEN_S = 1.0
+_LAST_FRAME_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +73,10 @@ class VideoCamera:
         return await self._frame(_FRAME_S + self._latency_s)
 
     def close(self) -> None:
-        """Stops reading; the device is free as soon as its driver returns."""
+        """Stops reading; the device is free as soon as its driver returns, for which this waits a second at most."""
         self._closed.set()
+        if self._thread.is_alive():
+            self._thread.join(_LAST_FRAME_S)  # GStreamer aborts a program that ends while it reads
 
     async def _frame(self, timeout_s: float) -> Photo:
         wish = _Wish(self._loop.time(), self._loop.create_future())
@@ -182,6 +185,8 @@ def _silence_opencv() -> None:
     os.environ.setdefault(
         "OPENCV_FFMPEG_LOGLEVEL", "-8"
     )  # the only way to tell it; read at the first opening
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # all that there is before OpenCV 4.7; read at the import
     import cv2
 
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    if hasattr(cv2.utils, "logging"):
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
