@@ -7,7 +7,7 @@ times are seconds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol, TypeAlias
 
@@ -229,6 +229,9 @@ class Link(Protocol):
 
     async def close(self) -> None:
         """Breaks the connection off, with every request under way."""
+
+
+Finder = Callable[[str], Awaitable[str]]  # the address of the server of that name; raises Unreachable
 
 
 class Dialer(Protocol):

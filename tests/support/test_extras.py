@@ -31,6 +31,7 @@ sys.meta_path.insert(0, Hidden())
 MODULES = {
     "campaign": {"distributed"},
     "detector": {"cv2", "numpy", "onnx", "onnxruntime"},
+    "discovery": {"ifaddr", "zeroconf"},
     "docker": {"docker", "packaging"},
     "emulation": {"tomli_w"},
     "figures": {"matplotlib"},
@@ -62,6 +63,19 @@ FILES = {
     "filmed.toml": "camera.device = 0" + DRONE,
     "measured.toml": 'metrics = "127.0.0.1:0"\ncamera.folder = "photos"' + DRONE,
     "networked.toml": 'network = { kind = "networkmanager", interfaces = ["wlan1"] }' + DRONE,
+    "announced.toml": DAEMON.format(
+        settings="""
+announce = true
+runtime.sandbox_as_root = true
+keys = { authority = "keys/authority.pem", certificate = "keys/s1.pem", key = "keys/s1.key" }
+"""
+    ),
+    "found.toml": """
+keys = { authority = "keys/authority.pem", certificate = "keys/drone.pem", key = "keys/drone.key" }
+camera.folder = "photos"
+server = [{ name = "s1", range_m = "measured", address = "mdns", remote_call_s = 0.1 }]
+"""
+    + DRONE,
     "daemon.toml": DAEMON.format(
         settings="""
 metrics = "127.0.0.1:0"
@@ -93,6 +107,8 @@ COMMANDS = [
     (f"check {THESIS}", ""),
     (f"check {THESIS} --figures figures", "figures"),
     ("check networked.toml --networks", "network"),
+    ("check found.toml --servers", "discovery"),
+    ("serve --config announced.toml", "discovery"),
     ("serve --config daemon.toml", "metrics"),
     ("serve --config containers.toml", "lxd"),
     ("status 127.0.0.1:1", ""),

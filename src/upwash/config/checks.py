@@ -23,7 +23,7 @@ from upwash.config.drone import (
 from upwash.config.places import geofence, measured_servers, planned_home, sweeps_of, waypoints
 from upwash.config.problems import Problem, listed, metrics_problems, unknown
 from upwash.config.truth import server_truth
-from upwash.config.values import is_address, repeated
+from upwash.config.values import MDNS, is_address, repeated
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.geofence import breached_by_leg, breached_by_position, breached_by_way
 from upwash.core.places import ON_DRONE
@@ -223,8 +223,14 @@ def order_problems(config: DroneConfig) -> Iterator[Problem]:
 
 def _server_problems(server: ServerConfig, config: DroneConfig) -> Iterator[Problem]:
     yield from _place_problems(server, config.mission)
-    if server.address is not None and not is_address(server.address):
-        yield "address", f'expected "host:port" or "unix:path", found "{server.address}"'
+    if server.address == MDNS:
+        if config.keys is None:
+            yield (
+                "address",
+                'without [keys] anybody could announce this server: give them, or its "host:port"',
+            )
+    elif server.address is not None and not is_address(server.address):
+        yield "address", f'expected "host:port", "unix:path" or "mdns", found "{server.address}"'
     if server.check_s < server.check_running_s:
         problem = f"{server.check_s:g} is less than check_running_s = {server.check_running_s:g}"
         yield "check_s", f"{problem}: a check that starts the service takes at least as long"

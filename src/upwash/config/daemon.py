@@ -124,6 +124,8 @@ class DaemonConfig(
     """Calls under way get so long to end when the daemon or their service stops, in seconds."""
     hold_s: Positive = 60.0
     """A slot that a peer asks for is held for a drone for at most so long, in seconds."""
+    announce: bool = False
+    """Drones find the servers by multicast DNS: their configurations say `address = "mdns"`."""
     allow_without_certificates: bool = False
     """For trying things out, on loopback or a unix socket only."""
     metrics: Text | None = None
@@ -250,6 +252,8 @@ def _peer_problems(config: DaemonConfig) -> Iterator[Problem]:
 
 
 def _access_problems(config: DaemonConfig) -> Iterator[Problem]:
+    if config.announce and (config.keys is None or config.listen.startswith("unix:")):
+        yield "announce", 'needs [keys], by which drones know the server, and a "host:port" to listen on'
     if not is_address(config.listen):
         yield "listen", f'expected "host:port" or "unix:path", found "{config.listen}"'
     elif config.keys is None and not config.allow_without_certificates:

@@ -351,7 +351,8 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     network: Text
     """Its NetworkManager profile; default: the server's name."""
     address: Text | None = None
-    """Of its daemon, `host:port` or `unix:path`; needed to fly."""
+    """Of its daemon, `host:port` or `unix:path`; or `mdns`: it is [found in its network](networks.md#addresses).
+    Needed to fly."""
     bandwidth_bit_s: Positive | None = None
     """With `processing_s`: the first estimate of a call (equation 3.1) where `remote_call_s` is not given."""
     check_s: NotNegative = 11.5

@@ -145,6 +145,9 @@ class KeysConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The private key of that certificate."""
 
 
+MDNS = "mdns"  # in place of an address: it is found by multicast DNS
+
+
 def is_address(text: str) -> bool:
     """Whether the text is `host:port` or `unix:path`."""
     host, _, port = text.rpartition(":")

@@ -40,6 +40,7 @@ from upwash.ports import (
     Autopilot,
     Camera,
     Dialer,
+    Finder,
     InstanceSpec,
     Journal,
     LinkChanged,
@@ -70,6 +71,7 @@ class Ports:
     camera: Camera
     notifier: Notifier
     journal: Journal
+    finder: Finder | None = None
 
 
 class Flight:
@@ -390,7 +392,7 @@ def _offloading(
 ) -> Offloading:
     return Offloading(
         selection,
-        endpoints(config, selection.estimates),
+        endpoints(config, selection.estimates, ports.finder),
         period_s=config.policy.period_s,
         autopilot=ports.autopilot,
         networks=ports.networks,

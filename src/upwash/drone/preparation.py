@@ -14,6 +14,7 @@ from upwash.config import (
     finish_by_s,
     server_areas,
 )
+from upwash.config.values import MDNS
 from upwash.core.estimates import Beliefs, Estimates, Operation, offline_remote_s
 from upwash.core.geo import Waypoint
 from upwash.core.hedging import Hedging
@@ -24,6 +25,7 @@ from upwash.core.recovery import Probing
 from upwash.core.selection import Selection, SelectionSettings
 from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import UsageError
+from upwash.ports import Finder
 from upwash.rpc.service import ServiceSpec
 
 
@@ -103,13 +105,19 @@ def make_estimates(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Est
     )
 
 
-def endpoints(config: DroneConfig, estimates: Estimates) -> dict[str, ServerEndpoint]:
-    """How each server is reached, and the services wanted there: those whose delay there is believed known."""
+def endpoints(
+    config: DroneConfig, estimates: Estimates, finder: Finder | None = None
+) -> dict[str, ServerEndpoint]:
+    """How each server is reached, and the services wanted there: those whose delay there is believed known.
+
+    The finder is for those whose address is to be found.
+    """
     return {
         server.name: ServerEndpoint(
             name=server.name,
             network=server.network,
             address=server.address or "",
+            finder=finder if server.address == MDNS else None,
             services=tuple(
                 service.name
                 for service in config.services

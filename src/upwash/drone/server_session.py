@@ -11,7 +11,7 @@ from typing import NoReturn
 import msgspec
 
 from upwash.errors import LinkError, NoSlot, Refused, Unreachable, UpwashError
-from upwash.ports import Dialer, Link, Network
+from upwash.ports import Dialer, Finder, Link, Network
 from upwash.rpc.protocol import (
     AVAILABILITY,
     HEALTH_CHECK,
@@ -38,12 +38,16 @@ _LEAST_ASK_S, _LONGEST_ASK_S = 0.5, 30.0  # between two questions for a slot, wh
 
 @dataclass(frozen=True, slots=True)
 class ServerEndpoint:
-    """How a server is reached, and which of the drone's services are wanted there."""
+    """How a server is reached, and which of the drone's services are wanted there.
+
+    With a `finder` its address is looked for in the network that was joined.
+    """
 
     name: str
     network: str
     address: str
     services: tuple[str, ...]
+    finder: Finder | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +69,7 @@ class ServerSession:
         self._server = endpoint
         self._network = network
         self._dialer = dialer
+        self._address = endpoint.address
         self._daemon: Link | None = None
         self._instances: dict[str, Link] = {}
         self._addresses: dict[str, str] = {}  # that they lead to
@@ -98,7 +103,7 @@ class ServerSession:
     async def ask(self) -> Answer:
         """Asks for the services; raises LinkError where the server is not available, NoSlot where it is full."""
         if self._daemon is None:
-            self._daemon = self._dialer.dial(self._server.address, server=self._server.name)
+            self._daemon = await self._dial_daemon()
         answer = await self._availability()
         for service in self._server.services:
             if service in answer.endpoints:
@@ -111,7 +116,7 @@ class ServerSession:
 
         Asks over connections of its own, as those of before may be dead without showing it. Raises LinkError.
         """
-        daemon = self._dialer.dial(self._server.address, server=self._server.name)
+        daemon = await self._dial_daemon()
         links = [daemon]
         try:
             try:
@@ -120,7 +125,7 @@ class ServerSession:
                 return False
             for service in self._server.services:
                 if service in answer.endpoints:
-                    address = resolve(answer.endpoints[service], self._server.address)
+                    address = resolve(answer.endpoints[service], self._address)
                     links.append(self._dialer.dial(address, server=self._server.name))
                     with contextlib.suppress(Refused):  # which is an answer too
                         await links[-1].request(HEALTH_CHECK, b"", timeout_s=_ANSWER_S)
@@ -177,7 +182,7 @@ class ServerSession:
                 await link.close()
             self._former.clear()
         for service in self._instances.keys() & endpoints.keys():
-            address = resolve(endpoints[service], self._server.address)
+            address = resolve(endpoints[service], self._address)
             if address != self._addresses[service]:
                 self._former.append(self._instances[service])
                 self._instances[service] = self._dialer.dial(address, server=self._server.name)
@@ -210,7 +215,7 @@ class ServerSession:
         if in_range:
             await self._quiet.wait()  # each has its deadline
             if self._daemon is None and self._expected:  # a probe asked, over a connection of its own
-                self._daemon = self._dialer.dial(self._server.address, server=self._server.name)
+                self._daemon = self._dialer.dial(self._address, server=self._server.name)
             if self._daemon is not None:
                 with contextlib.suppress(LinkError):
                     await self._tell(LEAVE, LeaveRequest(self._server.name), timeout_s=_FAREWELL_S)
@@ -218,6 +223,12 @@ class ServerSession:
         await self._hang_up()
         await self._network.leave()
         return answered
+
+    async def _dial_daemon(self) -> Link:
+        """A link to the daemon, where it is now; raises Unreachable where that is not known."""
+        if self._server.finder is not None:
+            self._address = await self._server.finder(self._server.name)
+        return self._dialer.dial(self._address, server=self._server.name)
 
     async def hang_up(self) -> None:
         """Drops the calls under way and every connection, and stays on the network."""
@@ -258,7 +269,7 @@ class ServerSession:
 
     async def _dial(self, service: str, endpoint: str) -> None:
         """Has a link to the instance; the one that there is stays, if it leads there."""
-        address = resolve(endpoint, self._server.address)
+        address = resolve(endpoint, self._address)
         if address == self._addresses.get(service) and service in self._instances:
             return
         if service in self._instances:

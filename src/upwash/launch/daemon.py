@@ -70,6 +70,9 @@ async def serve(
     SIGHUP has the configuration read again, and SIGUSR2 has this program, as it is on the disk by then, take the
     daemon's place. It takes that of the daemon `before`, if there was one.
     """
+    if config.announce:
+        with extra("discovery"):
+            import upwash.real.discovery  # noqa: F401 - before anything is begun
     images = _images(config)
     keys = DaemonKeys(config)
     sandbox, weakness = await asyncio.to_thread(_sandbox, config)
@@ -104,6 +107,8 @@ async def serve(
             await answering.enter_async_context(
                 _exposed(metrics, edge, config.metrics, patient=before is not None)
             )
+        if config.announce:
+            await answering.enter_async_context(_announcing(config, address))
         if weakness:
             _log.warning("%s", weakness)
         ready(address)
@@ -427,6 +432,22 @@ async def _exposed(
     finally:
         offering.cancel()
         await asyncio.wait([offering])
+
+
+@contextlib.asynccontextmanager
+async def _announcing(config: DaemonConfig, address: str) -> AsyncIterator[None]:
+    """Has drones find the servers in their networks; a daemon that cannot do that serves all the same."""
+    from upwash.real.discovery import announcing
+
+    host, _, port = address.rpartition(":")
+    async with contextlib.AsyncExitStack() as announced:
+        try:
+            await announced.enter_async_context(
+                announcing([each.name for each in config.identities], host, int(port))
+            )
+        except UpwashError as error:
+            _log.error("the servers are not announced: %s", error)
+        yield
 
 
 # --- another configuration ----------------------------------------------------------------------------------

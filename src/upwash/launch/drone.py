@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 
 from upwash.config import DroneConfig, ServerConfig, is_on_this_machine
+from upwash.config.values import MDNS
 from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.errors import CredentialsError, UsageError
 from upwash.mavlink.signing import Signing
+from upwash.ports import Finder
 from upwash.real.credentials import Credentials, read_credentials
 from upwash.real.link import GrpcDialer
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopilot
 from upwash.real.mavlink.signing import read_signing
 from upwash.real.runtime import ProcessRuntime, sockets_in
+from upwash.support.loading import extra
 
 _DEFAULTS = FlightSettings()
+_FOUND_WITHIN_S = 3.0  # an answer to a multicast question takes a second at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +97,15 @@ def require_certificates(server: ServerConfig, config: DroneConfig) -> None:
 def server_dialer(config: DroneConfig, credentials: Credentials | None) -> GrpcDialer:
     """Dials the drone's servers."""
     return GrpcDialer(config.name, credentials, max_message_bytes=config.max_message_bytes)
+
+
+def server_finder(config: DroneConfig) -> Finder | None:
+    """How the addresses of servers are found, where some are to be; raises UsageError without the library for it."""
+    if all(server.address != MDNS for server in config.servers):
+        return None
+    with extra("discovery"):
+        from upwash.real.discovery import find
+    return functools.partial(find, within_s=_FOUND_WITHIN_S)
 
 
 def drone_credentials(config: DroneConfig, *, valid_now: bool = True) -> Credentials | None:

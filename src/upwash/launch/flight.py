@@ -20,6 +20,7 @@ from upwash.launch.drone import (
     onboard_dialer,
     onboard_runtime,
     server_dialer,
+    server_finder,
     vehicle_link,
 )
 from upwash.launch.networks import opened_networks
@@ -137,6 +138,7 @@ async def _ports(
         camera=camera,
         notifier=JournalNotifier(journal),
         journal=journal,
+        finder=server_finder(config),
     )
 
 

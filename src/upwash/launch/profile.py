@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from upwash.config import DroneConfig, ServerConfig
+from upwash.config.values import MDNS
 from upwash.drone.networks import NoNetwork
 from upwash.drone.server_session import ServerEndpoint
 from upwash.launch.drone import (
@@ -16,6 +17,7 @@ from upwash.launch.drone import (
     require_address,
     require_certificates,
     server_dialer,
+    server_finder,
 )
 from upwash.missions.bundled import LoadedService
 from upwash.ports import InstanceSpec
@@ -59,5 +61,6 @@ async def profile_at(
     require_certificates(server, config)
     dialer = server_dialer(config, drone_credentials(config))
     services = tuple(dict.fromkeys(sample.operation.service for sample in found))
-    endpoint = ServerEndpoint(server.name, server.network, server.address or "", services)
+    finder = server_finder(config) if server.address == MDNS else None
+    endpoint = ServerEndpoint(server.name, server.network, server.address or "", services, finder)
     return await profile_server(endpoint, found, calls=calls, network=NoNetwork(), dialer=dialer, watch=watch)

@@ -15,6 +15,7 @@ from upwash.launch.drone import (
     require_address,
     require_certificates,
     server_dialer,
+    server_finder,
     vehicle_link,
 )
 from upwash.missions.bundled import load_specs
@@ -64,7 +65,7 @@ async def survey_servers(config: DroneConfig) -> list[Finding]:
     """
     dialer = server_dialer(config, drone_credentials(config))
     specs = load_specs(config.services)
-    wanted = endpoints(config, make_estimates(config, specs))
+    wanted = endpoints(config, make_estimates(config, specs), server_finder(config))
     return await asyncio.gather(
         *(_survey_server(server, wanted[server.name], config, dialer) for server in config.servers)
     )

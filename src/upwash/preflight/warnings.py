@@ -17,6 +17,7 @@ from upwash.config import (
     unsigned_port,
     usable_s,
 )
+from upwash.config.values import MDNS
 from upwash.core.policy import WaitRule
 from upwash.preflight.coverage import Coverage
 from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, without
@@ -305,7 +306,7 @@ def _stage_concerns(config: DroneConfig) -> Iterator[PreflightWarning]:
 def _address_concerns(servers: Sequence[ServerConfig]) -> Iterator[PreflightWarning]:
     by_address: dict[str, list[str]] = {}
     for server in servers:
-        if server.address:
+        if server.address and server.address != MDNS:
             by_address.setdefault(server.address, []).append(server.name)
     for address, names in by_address.items():
         if len(names) > 1:

@@ -185,7 +185,9 @@ def _silence_opencv() -> None:
     os.environ.setdefault(
         "OPENCV_FFMPEG_LOGLEVEL", "-8"
     )  # the only way to tell it; read at the first opening
-    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # all that there is before OpenCV 4.7; read at the import
+    os.environ.setdefault(
+        "OPENCV_LOG_LEVEL", "SILENT"
+    )  # all that there is before OpenCV 4.7; read at the import
     import cv2
 
     if hasattr(cv2.utils, "logging"):
