@@ -154,8 +154,11 @@ class RadioWorker:
                 self._tell(LeaseRenewed(check, waiting))
             before = waiting
 
+        def moved(service: str) -> None:
+            self._journal.record(schema.ServiceMoved(server=session.server, check=check, service=service))
+
         try:
-            await session.keep_lease(renewed)
+            await session.keep_lease(renewed, moved)
         except NoSlot as refusal:
             self._tell(TurnOver(check, str(refusal)))
 

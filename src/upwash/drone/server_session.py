@@ -73,6 +73,7 @@ class ServerSession:
         self._daemon: Link | None = None
         self._instances: dict[str, Link] = {}
         self._addresses: dict[str, str] = {}  # that they lead to
+        self._moved: set[str] = set()  # services, since the server was asked
         self._former: list[Link] = []  # to instances in whose place there are others
         self._lease_s = LEAST_LEASE_S
         self.round_trip_s: float | None = None  # of the last question to the daemon
@@ -82,6 +83,11 @@ class ServerSession:
         self._calls = 0
         self._quiet = asyncio.Event()
         self._quiet.set()
+
+    @property
+    def server(self) -> str:
+        """The name of the server."""
+        return self._server.name
 
     async def join(self, *, timeout_s: float) -> bool:
         """Joins the server's network; whether it had to be joined. Raises NetworkError."""
@@ -105,6 +111,7 @@ class ServerSession:
         if self._daemon is None:
             self._daemon = await self._dial_daemon()
         answer = await self._availability()
+        self._moved.clear()
         for service in self._server.services:
             if service in answer.endpoints:
                 await self._dial(service, answer.endpoints[service])
@@ -159,31 +166,39 @@ class ServerSession:
         if not reply.held:
             raise Refused(reply.reason)
 
-    async def keep_lease(self, renewed: Callable[[int], None] = lambda _: None) -> NoReturn:
+    async def keep_lease(
+        self, renewed: Callable[[int], None] = lambda _: None, moved: Callable[[str], None] = lambda _: None
+    ) -> NoReturn:
         """Renews the lease, as the drone may be busy flying for longer than it lasts; NoSlot once its turn is over.
 
-        `renewed` is told each time how many others wait for a slot.
+        `renewed` is told each time how many others wait for a slot, and `moved` of a service that is elsewhere now.
         """
         while True:
             await asyncio.sleep(self._lease_s / 3)
             try:
                 answer = await self._availability()
+                await self._follow(answer.endpoints, moved)
             except NoSlot:
                 raise
             except UpwashError:
                 continue  # whether the server can still be used, the next call tells
-            await self._follow(answer.endpoints)
             renewed(answer.waiting)
 
-    async def _follow(self, endpoints: Mapping[str, str]) -> None:
-        """Calls go to where the services are now; the links to where they were stay for the calls under way there."""
+    async def _follow(self, endpoints: Mapping[str, str], moved: Callable[[str], None]) -> None:
+        """Calls go to where the services are now; the links to where they were stay for the calls under way there.
+
+        A service moves once until the server is asked anew, so that no server leads the drone from port to port.
+        Raises GarbledReply for endpoints that are not the server's own.
+        """
         if self._quiet.is_set():
             for link in self._former:
                 await link.close()
             self._former.clear()
-        for service in self._instances.keys() & endpoints.keys():
+        for service in sorted((self._instances.keys() & endpoints.keys()) - self._moved):
             address = resolve(endpoints[service], self._address)
             if address != self._addresses[service]:
+                self._moved.add(service)
+                moved(service)
                 self._former.append(self._instances[service])
                 self._instances[service] = self._dialer.dial(address, server=self._server.name)
                 self._addresses[service] = address

@@ -610,6 +610,14 @@ class NoSlot(Event, frozen=True, kw_only=True):
     waiting: int
 
 
+class ServiceMoved(Event, frozen=True, kw_only=True):
+    """The server, which is READY, has the service elsewhere now, as where its daemon was changed: calls go there."""
+
+    server: str
+    check: int
+    service: str
+
+
 class PlaceMeasured(Event, frozen=True, kw_only=True):
     """A server without a range was asked something at a place, of which this is known now."""
 

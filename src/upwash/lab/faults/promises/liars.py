@@ -28,8 +28,16 @@ def unswayed(history: History) -> Iterator[Breach]:
 
 
 def _dialled_elsewhere(history: History) -> Iterator[Breach]:
-    """At each visit, probe, or turn, the daemon, and a port of its host for each service that is wanted."""
+    """At each visit, probe, or turn, the daemon, and a port of its host for each service that is wanted.
+
+    And one more for each that moves, which it does once.
+    """
     services = len(history.config.services)
+    moves = deque(event for event in history.run.events if isinstance(event, schema.ServiceMoved))
+    moved = Counter((event.server, event.check, event.service) for event in moves)
+    for (server, check, service), times in moved.items():
+        if times > 1:
+            yield moves[0], f"{server} had {service} move {times} times in check {check}"
     turns_over = deque(event for event in history.run.events if isinstance(event, schema.TurnOver))
     dialled: Counter[str] = Counter()  # of a server, since its daemon was
     allowed: Counter[str] = Counter()
@@ -38,6 +46,8 @@ def _dialled_elsewhere(history: History) -> Iterator[Breach]:
         server, address = fact.server, fact.address
         while turns_over and turns_over[0].t <= fact.t:
             allowed[turns_over.popleft().server] += services  # its daemon is not dialled again
+        while moves and moves[0].t <= fact.t:
+            allowed[moves.popleft().server] += 1
         if address == daemon_address(server):
             if fact.t - last_s.get(server, -math.inf) > ANSWER_S:  # else an earlier probe may be under way
                 dialled[server] = allowed[server] = 0
