@@ -345,6 +345,7 @@ class Flights(RuleBasedStateMachine):
         self.carry_out(commands)
         self.nothing_is_remembered_too_long()
         self.nothing_better_is_left()
+        self.a_look_before_the_next_one_finds_nothing()
 
     def is_at(self, check: int, states: Collection[State]) -> bool:
         """Whether that check is the server's latest, and the server, selected still, in one of the states."""
@@ -496,6 +497,15 @@ class Flights(RuleBasedStateMachine):
         )
 
     # ---- what always holds
+
+    def a_look_before_the_next_one_finds_nothing(self) -> None:
+        next_s = self.selection.next_look_s(now_s=self.now_s)
+        if next_s <= self.now_s:
+            return
+        early_s = min(next_s - 0.001, self.now_s + 1000.0)
+        looked = copy.deepcopy(self.selection)
+        assert looked.handle(Tick(), now_s=early_s, position=self.position) == []
+        assert looked.next_look_s(now_s=early_s) == next_s
 
     @invariant()
     def the_selected_servers_are_those_that_are_joined(self) -> None:

@@ -5,6 +5,7 @@ Symbols of Table 3.1: `Call` is `local_s`, `Call_s` is `remote_s`, `Check_s` and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -241,6 +242,18 @@ class Estimates:
             self._mean_call_s.clear()
             forgot = True
         return forgot
+
+    def next_forgetting_s(self, server: str, *, retry_s: float) -> float:
+        """When `forget_slow_calls` next has something to forget; infinite where it has not."""
+        windows, slow_s = self._remote[server], self._slow_s[server]
+        return min(
+            (
+                last_s + retry_s
+                for operation, last_s in self._last_remote_call_s[server].items()
+                if operation in slow_s or windows[operation].mean_s >= self._local[operation].mean_s
+            ),
+            default=math.inf,
+        )
 
     def _measured_s(self, server: str, operation: Operation, at: Position | None) -> float | None:
         """What a call from that place comes to by the coverage; None where that knows nothing of it."""

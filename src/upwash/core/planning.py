@@ -100,12 +100,26 @@ class Planning:
 
     def forget_slow_calls(self, now_s: float) -> None:
         """Gives servers in range that were slow another chance, where it is time for that."""
-        retry_s = self._retry_s
-        if self._recovery is not None and self._radios.in_use is None:
-            retry_s = min(retry_s, REST_S)
         for server in self._table.in_range:
-            if self._estimates.forget_slow_calls(server.name, now_s=now_s, retry_s=retry_s):
+            if self._estimates.forget_slow_calls(server.name, now_s=now_s, retry_s=self._slow_for_s):
                 self.changed = True
+
+    @property
+    def _slow_for_s(self) -> float:
+        """How long after its last slow call a server gets another chance."""
+        if self._recovery is not None and self._radios.in_use is None:
+            return min(self._retry_s, REST_S)
+        return self._retry_s
+
+    def next_look_s(self, now_s: float) -> float:
+        """Before this time the policy need not be asked where nothing happens."""
+        if self.changed:
+            return now_s
+        look_s = self._prewarm.due_s
+        for server in self._table.in_range:
+            slow_until_s = self._estimates.next_forgetting_s(server.name, retry_s=self._slow_for_s)
+            look_s = min(look_s, slow_until_s, *server.asked_again_s(now_s))
+        return look_s
 
     def is_due(self, now_s: float) -> bool:
         """Whether the policy has to be asked."""

@@ -16,12 +16,12 @@ class PrewarmNotifier:
     """Knows what was announced where, and when it is time for the next announcement."""
 
     def __init__(self) -> None:
-        self._due_s = math.inf
+        self.due_s = math.inf  # when an announcement is to be made that was too early before
         self._held_until_s: dict[str, float] = {}
 
     def is_due(self, now_s: float) -> bool:
         """Whether it is time for an announcement that was too early before."""
-        return now_s >= self._due_s
+        return now_s >= self.due_s
 
     def has_announced(self, server: str, *, at_s: float) -> bool:
         """Whether the server should have held a slot then, and may have begun to start its services."""
@@ -34,7 +34,7 @@ class PrewarmNotifier:
 
         `start_s` is how long the coming server needs to start its services.
         """
-        self._due_s = math.inf
+        self.due_s = math.inf
         if coming is None or current is None or current.state is not State.READY:
             return []
         if coming.server not in current.peers:
@@ -43,7 +43,7 @@ class PrewarmNotifier:
             now_s + coming.in_s - start_s - _EARLY_S, self._held_until_s.get(coming.server, -math.inf)
         )
         if due_s > now_s:
-            self._due_s = due_s
+            self.due_s = due_s
             return []
         self._held_until_s[coming.server] = now_s + coming.in_s + _HOLD_S
         return [Prepare(current.name, current.check, coming.server, coming.in_s, _HOLD_S)]

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 from upwash.core.geo import Circle, Position, ground_distance_m
 
+_HAIR_M = 0.01
 _ROUNDING_M = 1e-6  # many small steps add up to a little more or less than the way
 
 
@@ -23,6 +24,11 @@ class Ranges:
         self._position: Position | None = None
         self._travelled_m = 0.0
         self._due = [(0.0, name) for name in areas]  # a heap: look at it again when so far has been travelled
+
+    @property
+    def is_on_border(self) -> bool:
+        """Whether a border may be so near that rounding decides on which side of it the drone is."""
+        return bool(self._due) and self._due[0][0] <= self._travelled_m + _HAIR_M
 
     def crossed(self, position: Position) -> list[str]:
         """The areas, each once, that the drone has entered or left since the last position."""

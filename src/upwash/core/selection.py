@@ -179,6 +179,12 @@ class Selection:
             effects += radios.probe(now_s)
         return effects
 
+    def next_look_s(self, *, now_s: float) -> float:
+        """Before this time a `Tick` changes nothing where nothing else happens, as by crossing a border."""
+        if self.estimates.coverage is not None or self._table.is_on_border:
+            return now_s  # what is known of a server changes with the place, or a border is crossed unseen
+        return min(self._planning.next_look_s(now_s), self._table.next_expiry_s(probed=self._radios.probed))
+
     def decide(
         self, operation: Operation, *, now_s: float, position: Position
     ) -> tuple[Decision, list[Effect]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 
 from upwash.core.geo import Circle, Position
@@ -29,6 +30,11 @@ class ServerTable:
             self.in_range = [server for server in self.servers.values() if server.in_range]
         return bool(crossed)
 
+    @property
+    def is_on_border(self) -> bool:
+        """Whether the drone was on the border of a range at the last position given."""
+        return self._ranges.is_on_border
+
     def meet(self) -> None:
         """A server has left AVL, so that time may change its state from now on."""
         self._met = [server for server in self.servers.values() if server.state is not State.AVL]
@@ -37,6 +43,17 @@ class ServerTable:
     def blacklisted(self) -> list[Server]:
         """The servers that failed lately."""
         return [server for server in self._met if server.state is State.BLACKLISTED]
+
+    def next_expiry_s(self, *, probed: Collection[Server]) -> float:
+        """Before this time nothing expires; infinite where nothing will."""
+        return min(
+            (
+                server.since_s + (server.left_alone_s if server.state is State.BLACKLISTED else self._idle_s)
+                for server in self._met
+                if server.state is State.AVL_R or (server.state is State.BLACKLISTED and server not in probed)
+            ),
+            default=math.inf,
+        )
 
     def expire(self, now_s: float, *, probed: Collection[Server]) -> list[Change]:
         """Ends the blacklisting of servers, but for the probed ones, and the belief that idle services still run."""

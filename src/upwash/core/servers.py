@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -131,6 +132,12 @@ class Server:
     def is_contended(self, now_s: float) -> bool:
         """Whether others waited for a slot, the last time that the server said so."""
         return now_s - self.contended_s < _REMEMBERED_S
+
+    def asked_again_s(self, now_s: float) -> Iterator[float]:
+        """When what it said of its slots is forgotten, as far as it is remembered."""
+        for said_s in (self.full_s, self.contended_s):
+            if now_s - said_s < _REMEMBERED_S:
+                yield said_s + _REMEMBERED_S
 
     def apply(self, event: Trigger, *, now_s: float, why: str = "") -> Change:
         """Takes the step that the table names; raises TransitionError, with the history, where it names none."""

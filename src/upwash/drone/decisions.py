@@ -33,6 +33,9 @@ class Decisions:
         self, selection: Selection, *, autopilot: Autopilot, journal: Journal, send: Callable[[Command], None]
     ) -> None:
         self.server_left = asyncio.Event()  # by a decision on a call, which selects no other server
+        self.looked_after: Callable[[], object] = lambda: (
+            None
+        )  # is told after whatever may move the next look
         self._selection = selection
         self._autopilot = autopilot
         self._journal = journal
@@ -61,6 +64,10 @@ class Decisions:
         """Where the drone is."""
         return self._autopilot.position
 
+    def next_look_s(self) -> float:
+        """Before this time a `Tick` changes nothing where nothing else happens, as by crossing a border."""
+        return self._selection.next_look_s(now_s=now_s())
+
     def outlook(self) -> Outlook | None:
         """What going on before the call that is under way is over would come to; None where nothing is known."""
         return self._selection.outlook(now_s=now_s(), position=self._autopilot.position)
@@ -75,6 +82,7 @@ class Decisions:
         self._perform(effects)
         self._told.set()
         self._told = asyncio.Event()
+        self.looked_after()
 
     def decide(self, operation: Operation) -> Decision:
         """Where a call runs that the mission wants now, and whether as a lighter operation."""
@@ -131,6 +139,7 @@ class Decisions:
         self._perform(effects)
         if effects:
             self.server_left.set()
+        self.looked_after()
         known = decision.inputs
         self._journal.record(
             schema.Decided(
