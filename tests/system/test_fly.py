@@ -327,3 +327,37 @@ def test_prometheus_finds_a_flights_numbers_while_it_flies(
     told = Path("metrics.txt").read_text().splitlines()
     assert "upwash_mission_under_way 1.0" in told
     assert "upwash_waypoints 2.0" in told
+
+
+PATIENT = """
+import time
+
+def look(drone):
+    drone.autopilot.arm()
+    time.sleep(1.0)
+    drone.autopilot.disarm()
+"""
+
+WITHOUT_RANGE = """
+[network]
+coverage_map = "lte.coverage.json"
+[[server]]
+name = "s1"
+range_m = "measured"
+address = "127.0.0.1:1"
+remote_call_s = 0.2
+"""
+
+
+@pytest.mark.parametrize("ends", ["well", "badly"])
+def test_what_a_flight_measured_of_a_server_without_a_range_is_kept_however_it_ends(
+    fly: Fly, ends: str
+) -> None:
+    Path("patient.py").write_text(PATIENT + ("" if ends == "well" else "    raise ValueError('no idea')\n"))
+    Path("drone.toml").write_text(CONFIG + WITHOUT_RANGE)
+    assert flown("patient.py:look") == (0 if ends == "well" else 1)
+    kept = json.loads(Path("lte.coverage.json").read_text())
+    (place,) = kept["servers"]["s1"]
+    assert place["tried"] > 0
+    assert place["answered"] == 0
+    assert kept["home"] == {"latitude_deg": 39.3666, "longitude_deg": 22.9507}
