@@ -388,6 +388,11 @@ class AdmissionController:
                 commands += server.instances.stop_idle(self.settings.idle_stop_s, now_s=now_s)
         return commands
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether nobody has a slot and nothing runs, so that nothing comes to its end until somebody asks."""
+        return not any(server.leases or server.instances.any_running for server in self._servers.values())
+
     def next_end_s(self, *, now_s: float) -> float:
         """Before this time nothing comes to its end by itself, but for a slot that a peer has held from now on."""
         settings = self.settings

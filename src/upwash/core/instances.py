@@ -121,6 +121,11 @@ class Instances:
         idle = [service for service, each in self._running() if now_s - each.used_s >= idle_s]
         return [command for service in idle for command in self.stop(service)]
 
+    @property
+    def any_running(self) -> bool:
+        """Whether there is an instance that runs."""
+        return bool(self._running())
+
     def used_s(self) -> list[float]:
         """When each instance that runs became ready or was last called."""
         return [each.used_s for _, each in self._running()]

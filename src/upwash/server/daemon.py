@@ -115,6 +115,7 @@ class EdgeServer:
         self._certificates = certificates
         self._began_s = self._now_s()
         self._held = asyncio.Event()  # a slot, perhaps for less than a lease
+        self._used = asyncio.Event()  # by somebody, since nobody had a slot and nothing ran
         self._instances: dict[StartInstance, Instance] = {}
         self._lives: dict[int, asyncio.Task[None]] = {}  # by instance number, from start to end
         self._endings: dict[int, asyncio.Task[None]] = {}  # of those that have to stop
@@ -181,6 +182,9 @@ class EdgeServer:
         """Ends leases and idle instances as their time comes, until cancelled."""
         looked_s = self._now_s()
         while True:
+            if self._host.is_idle:
+                self._used.clear()
+                await self._used.wait()
             due_s = max(looked_s + _LEAST_LOOK_S, self._host.next_end_s(now_s=self._now_s()))
             try:
                 async with asyncio.timeout_at(due_s):
@@ -299,6 +303,7 @@ class EdgeServer:
         )
 
     async def _perform(self, commands: Sequence[Command]) -> None:
+        self._used.set()
         for command in commands:
             match command:
                 case Admit():

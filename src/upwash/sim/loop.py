@@ -8,10 +8,13 @@ hanging.
 from __future__ import annotations
 
 import asyncio
+import heapq
+import itertools
 import threading
 from asyncio import base_events
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import Context
 from typing import Any, NoReturn, TypeVar
 
 from upwash.errors import UpwashError
@@ -57,6 +60,19 @@ def _run(main: Coroutine[Any, Any, T]) -> T:
         return runner.run(main)
 
 
+class _Timer(asyncio.TimerHandle):
+    """Else which of two runs first would follow from timers that have nothing to do with either."""
+
+    __slots__ = ("number",)
+    number: int
+
+    def __lt__(self, other: object) -> bool:
+        if not isinstance(other, _Timer):
+            return NotImplemented
+        mine_s, others_s = self.when(), other.when()
+        return mine_s < others_s or (mine_s == others_s and self.number < other.number)
+
+
 class VirtualLoop(base_events.BaseEventLoop):
     """Runs what is ready in the order in which it became so, timers by their time."""
 
@@ -65,6 +81,7 @@ class VirtualLoop(base_events.BaseEventLoop):
         self._now_s = 0.0
         self._turns = 0  # of the loop since time last went on
         self._stuck = False  # a mission kept its turn
+        self._numbers = itertools.count()  # of timers
         self._clock_resolution = 1e-9  # the base class runs what is due before now plus this
         self._selector = self  # the base class asks its selector for events: here, time is the only one
 
@@ -76,6 +93,16 @@ class VirtualLoop(base_events.BaseEventLoop):
         """Lets a mission's code run while time does not: returns when the event is set, or it takes for ever."""
         if not until.wait(_LONGEST_TURN_S):
             self._stuck = True
+
+    def call_at(  # type: ignore[override]
+        self, when: float, callback: Callable[..., object], *args: Any, context: Context | None = None
+    ) -> asyncio.TimerHandle:
+        """A timer; of those of the same instant the one that was set first runs first."""
+        timer = _Timer(when, callback, args, self, context)
+        timer.number = next(self._numbers)
+        heapq.heappush(self._scheduled, timer)  # type: ignore[attr-defined]
+        timer._scheduled = True  # type: ignore[attr-defined]
+        return timer
 
     # --- what the base class calls --------------------------------------------------------------------------
 
