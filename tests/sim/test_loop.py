@@ -13,7 +13,7 @@ from tests.scenarios import scenario
 
 from upwash.config import DroneConfig
 from upwash.lab.run import simulate
-from upwash.sim import loop as loop_module
+from upwash.sim import turns
 from upwash.sim.loop import DeadlockError, LivelockError, OutsideWorldError, run_virtually
 from upwash.sim.sleeping import sleeps_reported
 
@@ -108,7 +108,7 @@ def test_a_mission_that_keeps_its_turn_ends_with_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     let_go = threading.Event()
-    monkeypatch.setattr(loop_module, "_LONGEST_TURN_S", 0.1)
+    monkeypatch.setattr(turns, "_LONGEST_TURN_S", 0.1)
     monkeypatch.setattr(threading, "let_go", let_go, raising=False)
     run = simulate(flying(tmp_path, "import threading; threading.let_go.wait()"))
     let_go.set()

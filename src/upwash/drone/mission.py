@@ -2,7 +2,8 @@
 
 A mission is plain Python that calls blocking verbs. Each verb is a coroutine on the loop; the mission's thread
 sleeps until it has ended. On a loop of virtual time the two take turns: the loop stands still while mission code
-runs, so that the code takes no time and every run is the same. See docs/decisions/blocking-missions.md.
+runs, so that the code takes no time and every run is the same; and the thread runs the loop while it waits. See
+docs/decisions/blocking-missions.md.
 """
 
 from __future__ import annotations
@@ -28,12 +29,28 @@ _OTHER_THREAD = (
 _GRACE_S = 5.0  # for a mission's own last words, once it has been stopped
 
 
+class Turn(Protocol):
+    """The turn of a mission's thread on a loop of virtual time; `sim/turns.py` has it."""
+
+    def give(self) -> None:
+        """In a callback of the loop: when that has run, the mission's code goes on, before anything else does."""
+
+    def begin(self) -> None:
+        """In the mission's thread, first of all: returns when its code shall run."""
+
+    def wait(self) -> None:
+        """In the mission's thread, whose code waits for something: returns when it may go on."""
+
+    def end(self) -> None:
+        """In the mission's thread, last of all."""
+
+
 @runtime_checkable
 class TurnTaking(Protocol):
     """An event loop whose clock stands still while a mission's code runs."""
 
-    def stand_still(self, until: threading.Event) -> None:
-        """Does nothing, on the loop's own thread, until the event is set by another."""
+    def mission_turn(self) -> Turn:
+        """The turn of a mission's thread, which is to begin."""
 
 
 class MissionThread:
@@ -47,8 +64,7 @@ class MissionThread:
         self._stopped = ""  # why, once it is
         self._verb: asyncio.Task[Any] | None = None
         self._ended_verbs: SimpleQueue[asyncio.Task[Any]] = SimpleQueue()
-        self._stand_still = self._loop.stand_still if isinstance(self._loop, TurnTaking) else None
-        self._turn_over = threading.Event()  # the mission's code has come to its next verb, or to its end
+        self._turn = self._loop.mission_turn() if isinstance(self._loop, TurnTaking) else None
 
     def call(self, verb: Coroutine[Any, Any, T]) -> T:
         """Runs a verb on the loop and returns its result.
@@ -62,7 +78,8 @@ class MissionThread:
             verb.close()
             raise
         self._loop.call_soon_threadsafe(self._begin, verb)
-        self._turn_over.set()
+        if self._turn is not None:
+            self._turn.wait()
         ended = self._ended_verbs.get()
         if ended.cancelled():
             raise MissionStopped(self._stopped or "the program is ending")
@@ -77,6 +94,8 @@ class MissionThread:
         """Runs the program to its end, but not for long once it is stopped; raises what it raises."""
 
         def body() -> None:
+            if self._turn is not None:
+                self._turn.begin()
             failure: Exception | None = None
             try:
                 program()
@@ -86,12 +105,14 @@ class MissionThread:
                 failure = MissionStopped(f"the mission raised {error!r}")
             with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
                 self._loop.call_soon_threadsafe(self._settle, failure)
-            self._turn_over.set()
+            if self._turn is not None:
+                self._turn.end()
 
         self._thread = threading.Thread(
             target=body, name="mission", daemon=True
         )  # it cannot hold up the exit
-        self._give_turn(self._thread.start)
+        self._thread.start()
+        self._give_turn()
         try:
             failure = await self._ended
         except asyncio.CancelledError:
@@ -129,13 +150,12 @@ class MissionThread:
 
     def _end(self, verb: asyncio.Task[Any]) -> None:
         self._verb = None
-        self._give_turn(lambda: self._ended_verbs.put(verb))
+        self._ended_verbs.put(verb)
+        self._give_turn()
 
-    def _give_turn(self, wake: Callable[[], None]) -> None:
-        self._turn_over.clear()
-        wake()
-        if self._stand_still is not None:
-            self._stand_still(self._turn_over)
+    def _give_turn(self) -> None:
+        if self._turn is not None:
+            self._turn.give()
 
 
 def mission_failed(error: Exception) -> MissionFailed:

@@ -1,8 +1,10 @@
 """An asyncio event loop on virtual time: instead of waiting for the next timer, its clock jumps there.
 
-Everything else is asyncio's own. What would wait for the outside world (sockets, processes, threads) is refused,
-as the clock would have jumped past it; and where nothing is scheduled at all, the loop says so instead of
-hanging.
+What would wait for the outside world (sockets, processes, threads) is refused, as the clock would have jumped past
+it; and where nothing is scheduled at all, the loop says so instead of hanging.
+
+Threads take turns (turns.py): the one that waits for something runs the loop meanwhile, so that a mission's verb
+changes no thread. Tasks, futures and everything else are asyncio's own.
 """
 
 from __future__ import annotations
@@ -10,19 +12,21 @@ from __future__ import annotations
 import asyncio
 import heapq
 import itertools
-import threading
 from asyncio import base_events
+from collections import deque
 from collections.abc import Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import Context
 from typing import Any, NoReturn, TypeVar
 
 from upwash.errors import UpwashError
+from upwash.sim.turns import MissionTurn, OverstayedError, Turn, Turns
 
 T = TypeVar("T")
 
-_LONGEST_TURN_S = 300.0  # of real time: a mission's code that takes longer between two verbs never ends
-_MOST_TURNS = 100_000  # without time going on: a thousand times what a flight with a hundred servers needs
+_ALIKE_S = 1e-9  # timers that are no further apart are due together
+_FEW_TIMERS = 100  # as many as may be cancelled before they are looked through
+_MOST_ROUNDS = 100_000  # without time going on: a thousand times what a flight with a hundred servers needs
 
 
 class DeadlockError(UpwashError):
@@ -60,74 +64,112 @@ def _run(main: Coroutine[Any, Any, T]) -> T:
         return runner.run(main)
 
 
-class _Timer(asyncio.TimerHandle):
-    """Else which of two runs first would follow from timers that have nothing to do with either."""
-
-    __slots__ = ("number",)
-    number: int
-
-    def __lt__(self, other: object) -> bool:
-        if not isinstance(other, _Timer):
-            return NotImplemented
-        mine_s, others_s = self.when(), other.when()
-        return mine_s < others_s or (mine_s == others_s and self.number < other.number)
-
-
 class VirtualLoop(base_events.BaseEventLoop):
-    """Runs what is ready in the order in which it became so, timers by their time."""
+    """Runs what is ready in the order in which it became so, timers by their time, then by when they were set."""
 
     def __init__(self) -> None:
         super().__init__()
         self._now_s = 0.0
-        self._turns = 0  # of the loop since time last went on
-        self._stuck = False  # a mission kept its turn
+        self._ready: deque[asyncio.Handle]  # the base class's: what is to be run, in order
+        self._left = 0  # of them, those of this round: what they make ready is the next one's
+        self._timers: list[tuple[float, int, asyncio.TimerHandle]] = []  # a heap
         self._numbers = itertools.count()  # of timers
-        self._clock_resolution = 1e-9  # the base class runs what is due before now plus this
-        self._selector = self  # the base class asks its selector for events: here, time is the only one
+        self._cancelled = 0  # timers that are still in the heap
+        self._rounds = 0  # since time last went on
+        self._turns = Turns()
 
     def time(self) -> float:
         """The virtual time in seconds."""
         return self._now_s
 
-    def stand_still(self, until: threading.Event) -> None:
-        """Lets a mission's code run while time does not: returns when the event is set, or it takes for ever."""
-        if not until.wait(_LONGEST_TURN_S):
-            self._stuck = True
+    def mission_turn(self) -> MissionTurn:
+        """The turn of a mission's thread, which is to begin."""
+        return MissionTurn(self._turns, self, self._run_until)
 
     def call_at(  # type: ignore[override]
         self, when: float, callback: Callable[..., object], *args: Any, context: Context | None = None
     ) -> asyncio.TimerHandle:
         """A timer; of those of the same instant the one that was set first runs first."""
-        timer = _Timer(when, callback, args, self, context)
-        timer.number = next(self._numbers)
-        heapq.heappush(self._scheduled, timer)  # type: ignore[attr-defined]
+        timer = asyncio.TimerHandle(when, callback, args, self, context)
+        heapq.heappush(self._timers, (when, next(self._numbers), timer))
         timer._scheduled = True  # type: ignore[attr-defined]
         return timer
 
-    # --- what the base class calls --------------------------------------------------------------------------
+    # --- rounds ---------------------------------------------------------------------------------------------
 
-    def select(self, timeout: float | None) -> list[NoReturn]:
-        """Jumps to the next timer instead of waiting for it."""
-        if self._stuck:
-            self._stuck = False  # so that what is cancelled now can end
-            raise LivelockError(
-                f"the mission's own code has run for {_LONGEST_TURN_S:.0f} s without calling a verb, "
-                f"and at {self._now_s:.3f} s everything else waits for it"
-            )
-        if timeout is None:
+    def _run_once(self) -> None:
+        """Called by the base class in the loop's own thread: one round, or what a mission's thread runs instead."""
+        if not self._run_round(self._turns.own):
+            return
+        try:
+            self._turns.wait_for_own()
+        except OverstayedError as error:
+            raise LivelockError(f"{error}, and at {self._now_s:.3f} s everything else waits for it") from None
+
+    def _run_until(self, turn: Turn) -> None:
+        """Runs rounds in this thread until it is its turn to do something else, or the loop is stopped."""
+        while not self._run_round(turn):
+            if self._stopping:  # type: ignore[attr-defined]
+                self._turns.next = self._turns.own
+                return
+
+    def _run_round(self, turn: Turn) -> bool:
+        """Runs what is ready now, and returns early, and True, where a turn has been given."""
+        if not self._left:
+            self._begin_round()
+        ready, turns = self._ready, self._turns
+        while self._left:
+            self._left -= 1
+            handle = ready.popleft()
+            if not handle._cancelled:
+                handle._run()
+                if turns.next is not None:
+                    return True
+        return False
+
+    def _begin_round(self) -> None:
+        """Lets time go on to the next timer where nothing is ready; makes ready what is due."""
+        timers = self._timers
+        while timers and timers[0][2]._cancelled:
+            self._pop_timer()
+        if self._ready or self._stopping:  # type: ignore[attr-defined]
+            self._count_round()
+        elif not timers:
             raise DeadlockError(f"everything waits and nothing is scheduled: {self._waiting()}")
-        if timeout == 0:
-            self._turns += 1
-            if self._turns > _MOST_TURNS:
-                self._turns = 0
-                raise LivelockError(
-                    f"after {_MOST_TURNS} turns it is still {self._now_s:.3f} s: a mission that loops over verbs "
-                    f"which take no time, or programs that answer each other at once; {self._waiting()}"
-                )
         else:
-            self._turns = 0
-            self._now_s = max(self._now_s, self._scheduled[0].when())  # type: ignore[attr-defined]
-        return []
+            self._rounds = 0
+            self._now_s = max(self._now_s, timers[0][0])
+        due_s = self._now_s + _ALIKE_S
+        while timers and timers[0][0] < due_s:
+            self._ready.append(self._pop_timer())
+        self._left = len(self._ready)
+
+    def _count_round(self) -> None:
+        self._rounds += 1
+        if self._rounds > _MOST_ROUNDS:
+            self._rounds = 0
+            raise LivelockError(
+                f"after {_MOST_ROUNDS} turns it is still {self._now_s:.3f} s: a mission that loops over verbs "
+                f"which take no time, or programs that answer each other at once; {self._waiting()}"
+            )
+
+    def _pop_timer(self) -> asyncio.TimerHandle:
+        timer = heapq.heappop(self._timers)[2]
+        timer._scheduled = False  # type: ignore[attr-defined]
+        self._cancelled -= timer._cancelled
+        return timer
+
+    def _timer_handle_cancelled(self, handle: asyncio.TimerHandle) -> None:
+        """Called by a timer that is cancelled; those are thrown away once they are most of the heap."""
+        if not handle._scheduled:  # type: ignore[attr-defined]
+            return
+        self._cancelled += 1
+        if self._cancelled > _FEW_TIMERS and 2 * self._cancelled > len(self._timers):
+            self._timers = [each for each in self._timers if not each[2]._cancelled]
+            heapq.heapify(self._timers)
+            self._cancelled = 0
+
+    # --- what the base class calls --------------------------------------------------------------------------
 
     def _process_events(self, events: list[NoReturn]) -> None:
         pass

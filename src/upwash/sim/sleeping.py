@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import sys
 import threading
@@ -40,7 +41,7 @@ class _SleepWatch:
 
         A mission that imports the name while a simulation runs keeps this for good, so it looks each time.
         """
-        if self._simulations == 0 or threading.current_thread().name != _MISSION_THREAD:
+        if self._simulations == 0 or not _is_missions_code():
             self._sleep(seconds)
             return
         caller = sys._getframe(1)
@@ -51,6 +52,11 @@ class _SleepWatch:
             RuntimeWarning,
             stacklevel=2,
         )
+
+
+def _is_missions_code() -> bool:
+    """Whether this is a mission's thread, and it runs no loop."""
+    return threading.current_thread().name == _MISSION_THREAD and asyncio._get_running_loop() is None
 
 
 _watch = _SleepWatch()

@@ -1,0 +1,164 @@
+"""Which thread of a simulation runs: the loop's own, or a mission's, one at a time.
+
+A mission's thread begins a verb and then runs the loop itself until the verb has ended, instead of waking another
+thread and waiting: a change of thread costs more than all else that a verb does. Only where the verb of another
+mission ends first do two threads change. The loop's own thread waits meanwhile, and watches that missions go on:
+
+    loop's own      runs ──give──┐                                     ┌─end── runs
+    mission 1                    code ─wait─ runs ─give─ code ─wait─ ──┘
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import threading
+from collections.abc import Callable
+
+from upwash.errors import UpwashError
+
+_LONGEST_TURN_S = 300.0  # of real time: a mission's code that takes longer between two verbs never ends
+_LOOK_AGAIN_S = 0.1  # whether the thread that runs the loop has noticed that it is to stop
+
+
+class OverstayedError(UpwashError):
+    """A mission's code goes on for ever."""
+
+
+class Turn:
+    """The turn of one thread."""
+
+    __slots__ = ("come",)
+
+    def __init__(self) -> None:
+        self.come = threading.Lock()  # to be had once the turn has come
+        self.come.acquire()
+
+
+class Turns:
+    """Hands the turn from thread to thread; `next` is whose turn it is after the callback that runs now."""
+
+    def __init__(self) -> None:
+        self.own = Turn()
+        self.next: Turn | None = None
+        self._holder = self.own
+        self._runs_loop = True  # the holder does, rather than a mission's code
+        self._begun = 0  # turns of missions' code
+        self._failure: BaseException | None = None  # of the loop in a mission's thread
+        self._changing = threading.Lock()
+
+    def wait_for_own(self) -> None:
+        """In the loop's own thread: has the next one go on; returns when it is its own turn again.
+
+        Raises what the loop raised meanwhile, and OverstayedError for a mission that keeps its turn.
+        """
+        self._pass_on()
+        try:
+            begun = -1
+            while not self.own.come.acquire(timeout=_LONGEST_TURN_S):
+                if not self._runs_loop and begun == self._begun:
+                    raise OverstayedError(
+                        f"the mission's own code has run for {_LONGEST_TURN_S:.0f} s without calling a verb"
+                    )
+                begun = self._begun
+        except BaseException:
+            self._take_back()
+            raise
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
+    def begin_code(self) -> None:
+        """In a mission's thread whose turn it is: its code runs now."""
+        self._runs_loop = False
+        self._begun += 1
+
+    def end_code(self, turn: Turn) -> bool:
+        """In a mission's thread: the loop may run; False where the turn was taken from it."""
+        with self._changing:
+            if self._holder is not turn:
+                return False
+            self._runs_loop = True
+            return True
+
+    def leave(self, turn: Turn) -> None:
+        """In a mission's thread that ran the loop: has the next one go on; returns when it is its own turn again."""
+        if self.next is turn:
+            self.next = None
+        else:
+            self._pass_on()
+            turn.come.acquire()
+
+    def leave_for_good(self) -> None:
+        """In a mission's thread that is over: the loop's own goes on."""
+        self.next = self.own
+        self._pass_on()
+
+    def fail(self, failure: BaseException) -> None:
+        """In a mission's thread that ran the loop, which raised this: the loop's own thread is to raise it."""
+        self._failure, self.next = failure, self.own
+
+    def _pass_on(self) -> None:
+        with self._changing:
+            turn = self.next or self.own
+            self.next, self._holder = None, turn
+        turn.come.release()
+
+    def _take_back(self) -> None:
+        """Ends the turn of whoever has it: at once where its code runs, else after the callback that runs now."""
+        while True:
+            with self._changing:
+                if self._holder is self.own:
+                    break
+                if not self._runs_loop:
+                    self._holder, self._runs_loop, self.next = self.own, True, None
+                    return
+                self.next = self.own
+            if self.own.come.acquire(timeout=_LOOK_AGAIN_S):
+                return
+        self.own.come.acquire()
+
+
+class MissionTurn(Turn):
+    """The turn of a mission's thread, which is outside the loop while its code runs."""
+
+    __slots__ = ("_loop", "_run_until", "_turns")
+
+    def __init__(self, turns: Turns, loop: asyncio.BaseEventLoop, run_until: Callable[[Turn], None]) -> None:
+        super().__init__()
+        self._turns = turns
+        self._loop = loop
+        self._run_until = run_until
+
+    def give(self) -> None:
+        """In a callback of the loop: when that has run, the mission's code goes on, before anything else does."""
+        self._turns.next = self
+
+    def begin(self) -> None:
+        """In the mission's thread, first of all: returns when its code shall run."""
+        self.come.acquire()
+        sys.set_asyncgen_hooks(
+            firstiter=self._loop._asyncgen_firstiter_hook,  # type: ignore[attr-defined]
+            finalizer=self._loop._asyncgen_finalizer_hook,  # type: ignore[attr-defined]
+        )
+        self._turns.begin_code()
+
+    def wait(self) -> None:
+        """In the mission's thread, whose code waits for something: runs the loop; returns when it may go on."""
+        if self._turns.end_code(self):
+            asyncio._set_running_loop(self._loop)
+            try:
+                self._run_until(self)
+            except BaseException as error:  # noqa: BLE001 - raised where the loop was started
+                self._turns.fail(error)
+            finally:
+                asyncio._set_running_loop(None)
+            self._turns.leave(self)
+        else:
+            self.come.acquire()
+        self._turns.begin_code()
+
+    def end(self) -> None:
+        """In the mission's thread, last of all."""
+        if self._turns.end_code(self):
+            self._turns.leave_for_good()
