@@ -17,6 +17,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+import msgspec
+
 from upwash.errors import AutopilotOverruled
 
 
@@ -90,8 +92,7 @@ class Control:
         return f"{_WHO[self.owner]}: {self.why}"
 
 
-@dataclass(frozen=True, slots=True)
-class Report:
+class Report(msgspec.Struct, frozen=True, gc=False):
     """What one heartbeat says; `failsafe` is why a fail-safe may have chosen the mode, or empty."""
 
     mode: str

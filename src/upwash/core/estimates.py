@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from upwash.core.geo import Position
 
 if TYPE_CHECKING:
@@ -20,8 +22,7 @@ WINDOW_LENGTH = 3
 _CALLS_BEFORE_WEIGHING = 3  # until then every operation counts the same
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Operation:
+class Operation(msgspec.Struct, frozen=True, order=True, gc=False):
     """What an estimate belongs to: a service's method, split further by the value of its profile argument."""
 
     service: str

@@ -10,21 +10,25 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import msgspec
+
 _EQUATORIAL_RADIUS_M = 6_378_137.0  # WGS 84
 _ECCENTRICITY_SQUARED = 6.694_379_990_141e-3
 
 
-@dataclass(frozen=True, slots=True)
-class Position:
+class Position(msgspec.Struct, frozen=True, gc=False):
     """A place relative to the mission's home: metres east and north of it, and above it."""
 
     east_m: float
     north_m: float
     altitude_m: float = 0.0
 
+    def at_altitude(self, altitude_m: float) -> Position:
+        """The place at that altitude above, or below, this one."""
+        return Position(self.east_m, self.north_m, altitude_m)
 
-@dataclass(frozen=True, slots=True)
-class Velocity:
+
+class Velocity(msgspec.Struct, frozen=True, gc=False):
     """Where to and how fast."""
 
     east_m_s: float = 0.0

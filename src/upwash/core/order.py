@@ -50,7 +50,7 @@ class Forecaster:
         """From the first leg to the ground."""
         first, last = waypoints[0].position, waypoints[-1].position
         model = MissionModel(replace(self.beliefs, plan=waypoints), self.areas)
-        start = replace(self.stands, altitude_m=first.altitude_m)
+        start = self.stands.at_altitude(first.altitude_m)
         model.leg_begun(start, first, waypoints[0].ground_speed_m_s, now_s=0.0)
         calls = len(waypoints) * len(self.beliefs.stop)
         forecast = make_forecast(

@@ -12,6 +12,7 @@ from typing import TypeGuard
 
 from upwash.core.commands import Prepare
 from upwash.core.estimates import Estimates, Operation
+from upwash.core.events import Arrived, LegBegun, TargetUnknown
 from upwash.core.forecast import Forecast, make_forecast, rest_of_check_s
 from upwash.core.geo import Position
 from upwash.core.legs import left_m
@@ -83,6 +84,19 @@ class Planning:
         """The mission has the answer to its call."""
         self.mission.call_ends(now_s)
         self.under_way = None
+
+    def mission_goes_on(
+        self, event: LegBegun | Arrived | TargetUnknown, position: Position, now_s: float
+    ) -> None:
+        """Follows the mission, of which only a policy with a horizon is shown anything."""
+        match event:
+            case LegBegun(target, ground_speed_m_s, back):
+                self.mission.leg_begun(position, target, ground_speed_m_s, now_s=now_s, back=back)
+            case Arrived():
+                self.mission.arrived(now_s=now_s)
+            case TargetUnknown():
+                self.mission.lost()
+        self.changed = self.changed or self._policy.horizon > 0
 
     def outlook(self, now_s: float) -> Outlook | None:
         """What going on before the call under way is over would come to; None where there is none, or no next leg."""

@@ -280,12 +280,9 @@ class Selection:
                 return self._probed_in_vain(check, position)
             case Prepared(name, by):
                 return self._prepared(self.servers[name], by, now_s)
-            case LegBegun(target, ground_speed_m_s, back):
-                self._planning.mission.leg_begun(position, target, ground_speed_m_s, now_s=now_s, back=back)
-            case Arrived():
-                self._planning.mission.arrived(now_s=now_s)
-            case TargetUnknown():
-                self._planning.mission.lost()
+            case LegBegun() | Arrived() | TargetUnknown():
+                self._planning.mission_goes_on(event, position, now_s)
+                return []
             case MissionEnded():
                 self._ended = True
             case LocalCallEnded(operation, delay_s):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 
 from upwash.config import (
     DroneConfig,
@@ -140,7 +139,7 @@ def _lighter(
     if by_s is None:
         return None
     operations = {
-        operation: replace(operation, key=mission.lighter[operation.key])
+        operation: Operation(operation.service, operation.method, mission.lighter[operation.key])
         for operation in estimates.operations
         if operation.key in mission.lighter and not specs[operation.service].methods[operation.method].once
     }

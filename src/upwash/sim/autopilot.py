@@ -400,8 +400,9 @@ class ModelAutopilot:
 
         How near that it has crept depends on how long it was left alone, thus on the policy; a leg's time must not.
         """
-        from_here = way(self.position)
-        if self._waypoint is None:
+        here = self.position
+        from_here = way(here)
+        if self._waypoint is None or self._waypoint == here:
             return from_here
         planned_s, real_s = takes_s(way(self._waypoint)), takes_s(from_here)
         return stretched(from_here, planned_s / real_s) if planned_s > 0 and real_s > 0 else from_here

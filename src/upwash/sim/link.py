@@ -77,19 +77,14 @@ class ModelLink:
         exchange = asyncio.create_task(self._exchange(path, body))
         self._requests.add(exchange)
         try:
-            async with asyncio.timeout(timeout_s):
-                return await asyncio.shield(exchange)  # which _give_up ends, if anything does
-        except TimeoutError:
-            raise DeadlineExceeded(
-                f"{self._server} at {self._address}: no answer within {timeout_s:.1f} s"
-            ) from None
-        except asyncio.CancelledError:
-            caller = asyncio.current_task()
-            if (
-                self._closed and caller is not None and not caller.cancelling()
-            ):  # close() cancelled the exchange
-                raise Unreachable(f"{self._server} at {self._address}: the link was closed") from None
-            raise
+            await asyncio.wait((exchange,), timeout=timeout_s)
+            if not exchange.done():
+                raise DeadlineExceeded(
+                    f"{self._server} at {self._address}: no answer within {timeout_s:.1f} s"
+                )
+            if exchange.cancelled():
+                raise Unreachable(f"{self._server} at {self._address}: the link was closed")
+            return exchange.result()
         finally:
             self._give_up(exchange)
             self._requests.discard(exchange)

@@ -199,7 +199,11 @@ def _now_s() -> float:
 
 async def _until(time_s: float) -> None:
     """Returns at that time, or at once where it is past."""
-    if time_s - _now_s() > _NEGLIGIBLE_S:
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout_at(time_s):
-                await asyncio.get_running_loop().create_future()
+    loop = asyncio.get_running_loop()
+    if time_s - loop.time() > _NEGLIGIBLE_S:
+        come = loop.create_future()
+        timer = loop.call_at(time_s, come.set_result, None)
+        try:
+            await come
+        finally:
+            timer.cancel()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from enum import Enum, auto
 
 from upwash.core.geo import Position, Velocity, distance_m, ground_distance_m
@@ -154,7 +153,7 @@ class Flight:
         self._target = None
         self._speed_m_s = self._default_speed_m_s()
         here = self.position(now_s)
-        self._takeoff_target = replace(here, altitude_m=altitude_m)
+        self._takeoff_target = here.at_altitude(altitude_m)
         begun_s = max(self._armed_s, now_s - min(_ARMING_S, self._airframe.spool_up_s))
         self._lifts_off_s = begun_s + self._airframe.spool_up_s
         self._move(begun_s, self._airframe.takeoff(here, altitude_m), self._takeoff_target)
@@ -193,14 +192,14 @@ class Flight:
         down = Phase(here, Velocity(up_m_s=-1.0), 0.0, _GRAVITY_M_S2, fall_s)
         self._doing = _Doing.FALLING
         self._target = None
-        self._move(now_s, (down,), replace(here, altitude_m=0.0))
+        self._move(now_s, (down,), here.at_altitude(0.0))
 
     def shift(self, now_s: float, north_m: float) -> None:
         """Its estimate of its place jumps, and it flies on to its target from where it believes to be."""
         if north_m == 0:
             return
         here = self.position(now_s)
-        believed = replace(here, north_m=here.north_m + north_m)
+        believed = Position(here.east_m, here.north_m + north_m, here.altitude_m)
         if self._doing is _Doing.FLYING and self.mode is Mode.GUIDED:
             target = self._target or here
             self._redirect(now_s, believed, target)
@@ -225,7 +224,7 @@ class Flight:
                 ground_speed_m_s=self._return_speed_m_s(),
                 altitude_m=self._return_altitude_m(),
             )
-            here = replace(_GROUND, altitude_m=(stretches[-1].end if stretches else here).altitude_m)
+            here = _GROUND.at_altitude((stretches[-1].end if stretches else here).altitude_m)
         else:
             stretches = self._airframe.brake(here, velocity)
             here = stretches[-1].end if stretches else here
@@ -233,7 +232,7 @@ class Flight:
                 stretches = *stretches, Phase(here, Velocity(), 0.0, 0.0, left_s)
         self._descends_s = now_s + (duration_s(stretches) if mode is Mode.RTL else 0.0)
         stretches = *stretches, *self._airframe.landing(here)
-        self._move(now_s, stretches, replace(here, altitude_m=0.0))
+        self._move(now_s, stretches, here.at_altitude(0.0))
 
     def _return_altitude_m(self) -> float:
         """As high as it returns, no higher than its fence allows."""

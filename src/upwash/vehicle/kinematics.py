@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
+import msgspec
+
 from upwash.core.geo import Position, Velocity, distance_m
 
 NO_LENGTH_M = 1e-9  # shorter is no way at all: its share of a speed would be nothing
@@ -34,8 +36,7 @@ class Stretch(Protocol):
         """How it moves, so long after the start of the stretch."""
 
 
-@dataclass(frozen=True, slots=True)
-class Phase:
+class Phase(msgspec.Struct, frozen=True):
     """A straight stretch along `heading`, a vector of length 1, from `speed_m_s` on; it never flies backwards.
 
     `acceleration_m_s2` is the one at its start, which grows by `jerk_m_s3`.
@@ -256,6 +257,8 @@ def steadily(start: Position, end: Position, *, duration_s: float) -> tuple[Phas
 
 def stretched(phases: Iterable[Phase], factor: float) -> tuple[Phase, ...]:
     """The same way, flown in so many times the time."""
+    if factor == 1:
+        return tuple(phases)
     return tuple(
         Phase(
             phase.start,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from upwash.core.geo import Position, Velocity, distance_m, ground_distance_m
 from upwash.vehicle.kinematics import Phase, braking, heading_of, leg
@@ -21,7 +21,7 @@ class Symmetric:
 
     def takeoff(self, ground: Position, altitude_m: float) -> tuple[Phase, ...]:
         """Straight up, at once."""
-        return self._leg(ground, replace(ground, altitude_m=altitude_m), cruise_m_s=self.climb_m_s)
+        return self._leg(ground, ground.at_altitude(altitude_m), cruise_m_s=self.climb_m_s)
 
     def waypoint_leg(self, start: Position, end: Position, *, ground_speed_m_s: float) -> tuple[Phase, ...]:
         """From rest to rest."""
@@ -67,7 +67,7 @@ class Symmetric:
         braked = self.brake(start, velocity)
         start = braked[-1].end if braked else start
         top_m = max(start.altitude_m, altitude_m)
-        above_start, above_home = replace(start, altitude_m=top_m), replace(home, altitude_m=top_m)
+        above_start, above_home = start.at_altitude(top_m), home.at_altitude(top_m)
         return (
             *braked,
             *self._leg(start, above_start, cruise_m_s=self.climb_m_s),
@@ -76,7 +76,7 @@ class Symmetric:
 
     def landing(self, start: Position) -> tuple[Phase, ...]:
         """Straight down to the ground."""
-        return self._leg(start, replace(start, altitude_m=0.0), cruise_m_s=self.descent_m_s)
+        return self._leg(start, start.at_altitude(0.0), cruise_m_s=self.descent_m_s)
 
     def _leg(
         self, start: Position, end: Position, *, cruise_m_s: float, speed_m_s: float = 0.0

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -111,7 +110,7 @@ class MavlinkAutopilot(ABC):
     def energy(self) -> EnergyFacts:
         """Its home; a subclass adds its battery's stages and how it returns."""
         home = self._telemetry.home
-        return EnergyFacts(home=replace(self._frame.position(home), altitude_m=0.0) if home else None)
+        return EnergyFacts(home=self._frame.position(home).at_altitude(0.0) if home else None)
 
     @property
     def unix_s(self) -> float | None:
@@ -223,7 +222,7 @@ class MavlinkAutopilot(ABC):
         """Its home; a subclass adds its fence."""
         await self._know_home()
         home = self._telemetry.home
-        return VehicleLimits(replace(self._frame.position(home), altitude_m=0.0) if home else None)
+        return VehicleLimits(self._frame.position(home).at_altitude(0.0) if home else None)
 
     @abstractmethod
     async def arm(self) -> None:

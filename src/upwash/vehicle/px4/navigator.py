@@ -33,7 +33,7 @@ class Reposition:
     def target(self, here: Position) -> Position:
         """The place that it means, told there."""
         target = Position(*(self.east_north_m or (here.east_m, here.north_m)), here.altitude_m)
-        return target if self.altitude_m is None else replace(target, altitude_m=self.altitude_m)
+        return target if self.altitude_m is None else target.at_altitude(self.altitude_m)
 
 
 class _Returning(Enum):
@@ -65,7 +65,7 @@ class Navigator:
     @property
     def target(self) -> Position | None:
         """Where it flies to, if anywhere."""
-        return replace(self._place, altitude_m=self._altitude_m) if self._place else None
+        return self._place.at_altitude(self._altitude_m) if self._place else None
 
     @property
     def lands_at_home(self) -> bool:
@@ -173,7 +173,7 @@ class Navigator:
         if self._returning is _Returning.CLIMBS:
             if abs(self._altitude_m - self._body.altitude_m) > ALTITUDE_REACHED_M:
                 return self.holding(now_s)
-            self._returning, self._place = _Returning.FLIES, replace(_HOME, altitude_m=self._altitude_m)
+            self._returning, self._place = _Returning.FLIES, _HOME.at_altitude(self._altitude_m)
         if self._returning is _Returning.FLIES:
             if ground_distance_m(self._body.position, _HOME) > _LANDS_WITHIN_M:
                 return self.holding(now_s)
