@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import itertools
 import math
 import os
 import signal
@@ -20,7 +21,15 @@ from upwash.cli.main import main
 from upwash.config import drone_config, read_document, read_drone_config
 from upwash.errors import ConfigError, UsageError
 from upwash.lab import processes
-from upwash.lab.campaign import Chunk, CombinationSummary, fly_chunk, in_processes, on_cluster, run_campaign
+from upwash.lab.campaign import (
+    Chunk,
+    CombinationSummary,
+    Cost,
+    fly_chunk,
+    in_processes,
+    on_cluster,
+    run_campaign,
+)
 from upwash.lab.campaign_file import CampaignFile, Row
 from upwash.lab.run import simulate
 from upwash.lab.sweep import Sweep, read_setting, read_sweep, with_value
@@ -320,6 +329,37 @@ def test_an_interrupted_campaign_flies_the_rest_and_ends_the_same(scenario: Path
     assert parts.read_bytes() == whole.read_bytes()
 
 
+def test_what_the_rest_costs_is_measured_on_missions_of_all_of_it(scenario: Path, tmp_path: Path) -> None:
+    sweep = read_sweep(scenario, ["policy.gain_wait=0.1,0.25,0.3,0.4"], seeds=10)
+    out, costs, told = tmp_path / "out.csv", list[Cost](), list[int]()
+    left: list[Chunk] = []
+
+    @contextlib.contextmanager
+    def note(chunks: Sequence[Chunk]) -> Generator[Iterator[list[Row]]]:
+        left.extend(chunks)
+        with here(chunks) as rows:
+            yield rows
+
+    run_campaign(CampaignFile.open(out, sweep), fly=note, flown=told.append, costs=costs.append)
+    (cost,) = costs
+    assert cost.missions == sum(len(chunk.seeds) for chunk in left) == 32, "eight were flown to measure"
+    assert cost.mission_s > 0
+    assert {
+        seeds: len(list(group)) for seeds, group in itertools.groupby(sorted(_flown_of(left, sweep)))
+    } == {8: 4}, "two of each combination"
+    assert sum(told) == 40
+    run_here(sweep, tmp_path / "at-once.csv")
+    assert out.read_bytes() == (tmp_path / "at-once.csv").read_bytes()
+
+
+def _flown_of(chunks: Sequence[Chunk], sweep: Sweep) -> list[int]:
+    """How many runs of each combination are in the chunks."""
+    return [
+        sum(len(chunk.seeds) for chunk in chunks if chunk.values == each.values)
+        for each in sweep.combinations
+    ]
+
+
 def test_more_seeds_are_added_to_a_finished_campaign_but_none_are_dropped(
     scenario: Path, tmp_path: Path
 ) -> None:
@@ -372,6 +412,22 @@ def test_any_number_of_processes_writes_the_same_file(scenario: Path, tmp_path: 
         run_campaign(CampaignFile.open(out, sweep), fly=fly)
         written.append(out.read_bytes())
     assert written[0] == written[1] == written[2]
+
+
+def test_of_many_parts_a_few_are_handed_out_at_a_time() -> None:
+    asked = 0
+
+    class Parts(list[int]):
+        def __iter__(self) -> Iterator[int]:
+            nonlocal asked
+            for part in range(len(self)):
+                asked += 1
+                yield part
+
+    with processes.in_processes(_process_of, Parts(range(60)), workers=2) as results:
+        next(results)
+        assert asked < 30
+        assert len(list(results)) == 59
 
 
 @pytest.mark.parametrize(("worth_s", "here_alone"), [(3600.0, True), (1e-9, False)])

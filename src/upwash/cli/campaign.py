@@ -36,9 +36,10 @@ def run(options: argparse.Namespace) -> bool:
     """Flies them all and prints the means; whether each mission was completed."""
     from upwash.lab.campaign import in_processes, on_cluster
     from upwash.lab.campaign_display import show_campaign
+    from upwash.lab.processes import cores
     from upwash.lab.sweep import read_sweep
 
     sweep = read_sweep(options.scenario, options.settings, seeds=options.seeds)
-    fly = on_cluster(options.cluster) if options.cluster else in_processes(options.workers)
-    figures = figures_of(options)
-    return show_campaign(sweep, options.out, fly=fly, figures=figures)
+    workers = None if options.cluster else options.workers or cores()
+    fly = on_cluster(options.cluster) if options.cluster else in_processes(workers)
+    return show_campaign(sweep, options.out, fly=fly, workers=workers, figures=figures_of(options))

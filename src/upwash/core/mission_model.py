@@ -7,11 +7,13 @@ expected to go on calling around the place that it flies to, as nothing else is 
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import fmean
 
+from upwash.core.area_index import AreaIndex
 from upwash.core.estimates import WINDOW_LENGTH, Operation
 from upwash.core.geo import Circle, Position, Waypoint, distance_m
 from upwash.core.legs import Leg, acceleration_m_s2, entered_m
@@ -81,7 +83,8 @@ class MissionModel:
 
     def __init__(self, beliefs: MissionBeliefs, areas: Mapping[str, Circle]) -> None:
         self._plan = beliefs.plan
-        self._areas = areas
+        self._areas = list(areas.items())
+        self._index_of_areas = AreaIndex(list(areas.values()))
         self._ground_speed_m_s = beliefs.ground_speed_m_s
         self._accelerations_m_s2 = deque([beliefs.acceleration_m_s2], maxlen=WINDOW_LENGTH)
         self._routine = tuple(beliefs.stop)
@@ -245,7 +248,7 @@ class MissionModel:
     def _find(self, target: Position) -> int | None:
         """The waypoint that is flown to: the next one there, or an earlier one."""
         following = 0 if self._index is None else self._index + 1
-        order = [*range(following, len(self._plan)), *range(following)]
+        order = itertools.chain(range(following, len(self._plan)), range(following))
         return next((index for index in order if self._plan[index].position == target), None)
 
     def _near(self, place: Position) -> list[str]:
@@ -255,7 +258,8 @@ class MissionModel:
         """The servers in whose range a leg ends, each with how far from the start the range is entered."""
         entries = self._entries.get((start, end))
         if entries is None:
-            found = ((server, entered_m(start, end, area)) for server, area in self._areas.items())
+            ends_in = (self._areas[number] for number in self._index_of_areas.near(end))
+            found = ((server, entered_m(start, end, area)) for server, area in ends_in)
             entries = self._entries[start, end] = [
                 (server, way_m) for server, way_m in found if way_m is not None
             ]

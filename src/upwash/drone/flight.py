@@ -158,7 +158,7 @@ class Flight:
 
     def _planned(self) -> schema.Planned:
         """What a reader of the log needs to draw the flight on a map."""
-        mission = self._config.mission
+        mission, measured = self._config.mission, measured_servers(self._config)
         home = mission.home
         order = [each.index for each in self._order.waypoints]
         places = {each.index: each.position for each in self._order.waypoints}
@@ -169,9 +169,7 @@ class Flight:
             order=order if self._order.why else [],
             order_why=self._order.why,
             ranges={
-                name: area
-                for name, area in server_areas(self._config).items()
-                if name not in measured_servers(self._config)
+                name: area for name, area in server_areas(self._config).items() if name not in measured
             },
             measured={
                 server: [schema.Measured.of(place) for place in self.coverage.places(server)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,11 @@ from upwash.support.loading import extra
 _CHUNK_RUNS = (
     5  # so few that little is lost by an interruption, and enough that handing them out costs nothing
 )
+_CHUNK_S = 2.0  # likewise, where it is known what a run costs
+_MOST_CHUNK_RUNS = 100
+_SAMPLE_RUNS = 8
+_SAMPLE_S = 1.0
+_CHUNKS_OF_A_THREAD = 4  # of a cluster, handed out before they are needed
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,18 +55,37 @@ class CombinationSummary:
     failures: dict[int, str]  # reason by seed
 
 
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What is still to be flown, and what one mission costs: seconds of one processor's time."""
+
+    missions: int
+    mission_s: float
+
+
 Fly = Callable[[Sequence[Chunk]], contextlib.AbstractContextManager[Iterator[list[Row]]]]
 
 
 def run_campaign(
-    file: CampaignFile, *, fly: Fly, flown: Callable[[int], None] = lambda _: None
+    file: CampaignFile,
+    *,
+    fly: Fly,
+    flown: Callable[[int], None] = lambda _: None,
+    costs: Callable[[Cost], None] | None = None,
 ) -> list[CombinationSummary]:
     """Flies what is not yet in the file, and sorts it; returns a summary per combination, in the sweep's order.
 
-    `flown` is told how many runs have come in, first those that were there.
+    `flown` is told how many runs have come in, first those that were there. `costs`, if given, is told what the rest
+    costs, once some missions of the campaign have been flown here for that.
     """
     flown(len(file.rows))
-    with fly(list(_chunks(file.sweep, file.rows))) as chunks:
+    chunk_runs = _CHUNK_RUNS
+    if costs is not None and (sample := _sample(file.sweep, file.rows)):
+        cost = _measure(file, sample, flown)
+        if cost.missions:
+            costs(cost)
+        chunk_runs = max(1, min(_MOST_CHUNK_RUNS, round(_CHUNK_S / cost.mission_s)))
+    with fly(list(_chunks(file.sweep, file.rows, chunk_runs))) as chunks:
         for rows in chunks:
             file.append(rows)
             flown(len(rows))
@@ -68,12 +93,32 @@ def run_campaign(
     return _summaries(file.sweep, file.rows)
 
 
+def _measure(file: CampaignFile, sample: Sequence[Chunk], flown: Callable[[int], None]) -> Cost:
+    """Flies these, as many as there is time for, and enters them."""
+    took_s: list[float] = []
+    for chunk in sample:
+        began_s = time.process_time()
+        file.append(fly_chunk(chunk))
+        took_s.append(time.process_time() - began_s)
+        flown(1)
+        if sum(took_s) > _SAMPLE_S:
+            break
+    left = len(file.sweep.combinations) * file.sweep.seeds - len(file.rows)
+    return Cost(left, fmean(took_s[1:] or took_s))  # the first one loads what all need
+
+
+def _sample(sweep: Sweep, done: Iterable[Row]) -> list[Chunk]:
+    """Some runs, spread over all that are left to be flown."""
+    left = list(_chunks(sweep, done, 1))
+    return left[:: max(1, len(left) // _SAMPLE_RUNS)][:_SAMPLE_RUNS]
+
+
 def fly_sweep(
     sweep: Sweep, *, fly: Fly, flown: Callable[[int], None] = lambda _: None
 ) -> list[CombinationSummary]:
     """Flies the whole sweep and keeps no file of it; returns and tells what `run_campaign` does."""
     rows: list[Row] = []
-    with fly(list(_chunks(sweep, ()))) as chunks:
+    with fly(list(_chunks(sweep, (), _CHUNK_RUNS))) as chunks:
         for some in chunks:
             rows += some
             flown(len(some))
@@ -104,11 +149,22 @@ def on_cluster(address: str, *, answer_s: float = 10.0) -> Fly:
         except (OSError, ValueError) as error:
             raise UsageError(f"no Dask scheduler answers at {address}: {error}") from error
         with client:
-            futures = client.map(fly_chunk, chunks, pure=False)
-            flown = distributed.as_completed(  # type: ignore[no-untyped-call]
-                futures, loop=client.loop, with_results=True
+            left = iter(chunks)
+            threads = sum(client.nthreads().values())  # type: ignore[no-untyped-call]
+            first = client.map(
+                fly_chunk, list(itertools.islice(left, _CHUNKS_OF_A_THREAD * max(1, threads))), pure=False
             )
-            yield (rows for _, rows in flown)
+            flown = distributed.as_completed(  # type: ignore[no-untyped-call]
+                first, loop=client.loop, with_results=True
+            )
+
+            def results() -> Iterator[list[Row]]:
+                for _, rows in flown:
+                    for chunk in itertools.islice(left, 1):
+                        flown.add(client.submit(fly_chunk, chunk, pure=False))  # type: ignore[no-untyped-call]
+                    yield rows
+
+            yield results()
 
     return fly
 
@@ -162,20 +218,22 @@ def _one_line(text: str) -> str:
     return " ".join(text.split())
 
 
-def _chunks(sweep: Sweep, done: Iterable[Row]) -> Iterator[Chunk]:
+def _chunks(sweep: Sweep, done: Iterable[Row], runs: int) -> Iterator[Chunk]:
     flown = {(row.values, row.seed) for row in done}
     for combination in sweep.combinations:
         missing = (seed for seed in range(1, sweep.seeds + 1) if (combination.values, seed) not in flown)
-        while seeds := tuple(itertools.islice(missing, _CHUNK_RUNS)):
+        while seeds := tuple(itertools.islice(missing, runs)):
             yield Chunk(str(sweep.file), combination.values, combination.document, seeds)
 
 
 def _summaries(sweep: Sweep, rows: Sequence[Row]) -> list[CombinationSummary]:
-    return [_summary(combination, rows) for combination in sweep.combinations]
+    by_values: dict[tuple[str, ...], list[Row]] = {each.values: [] for each in sweep.combinations}
+    for row in rows:
+        by_values[row.values].append(row)
+    return [_summary(combination, by_values[combination.values]) for combination in sweep.combinations]
 
 
-def _summary(combination: Combination, rows: Iterable[Row]) -> CombinationSummary:
-    own = [row for row in rows if row.values == combination.values]
+def _summary(combination: Combination, own: Sequence[Row]) -> CombinationSummary:
     completed = [row for row in own if row.completed]
     bounds_s = [row.bound_s if row.bound_shared_s is None else row.bound_shared_s for row in completed]
     known_s = [bound_s for bound_s in bounds_s if bound_s is not None]

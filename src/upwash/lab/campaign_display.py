@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+from rich.progress import MofNCompleteColumn, Progress, ProgressColumn, Task, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
 from upwash.eventlog.narration import counted
-from upwash.lab.campaign import CombinationSummary, Fly, run_campaign
+from upwash.lab.campaign import CombinationSummary, Cost, Fly, run_campaign
 from upwash.lab.campaign_file import CampaignFile
 from upwash.lab.figures import Wanted
 from upwash.lab.sweep import Sweep
@@ -20,20 +20,39 @@ from upwash.support.sentences import say
 
 _LONGEST_SETTING = 14  # columns that it has in any case
 _FAILURES_SHOWN = 10  # of each combination: the file has them all
+_FEW_MINUTES_S, _FEW_HOURS_S = 100.0, 6_000.0  # below these a time is said in seconds, in minutes
 
 
-def show_campaign(sweep: Sweep, out: Path | None, *, fly: Fly, figures: Wanted | None = None) -> bool:
-    """Runs the campaign, prints what it came to and draws it; returns whether every run was completed."""
+class _Rate(ProgressColumn):
+    """How many missions come in a minute."""
+
+    def render(self, task: Task) -> Text:
+        speed = task.finished_speed or task.speed
+        return Text(f"{60 * speed:,.0f}/min" if speed else "", style="progress.data.speed")
+
+
+def show_campaign(
+    sweep: Sweep, out: Path | None, *, fly: Fly, workers: int | None, figures: Wanted | None = None
+) -> bool:
+    """Runs the campaign, prints what it came to and draws it; returns whether every run was completed.
+
+    `workers` is how many missions fly at a time, None where that is not known.
+    """
     if figures is not None:
         import upwash.lab.figures.campaign  # noqa: F401 - a missing matplotlib is reported before, not after
     out = out or Path("runs") / f"{sweep.file.stem}-{sweep.fingerprint}.csv"
     file = CampaignFile.open(out, sweep)
     console = Console()
-    columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (*Progress.get_default_columns()[:-1], MofNCompleteColumn(), _Rate(), TimeRemainingColumn())
     try:
         with Progress(*columns, console=console) as progress:
             task = progress.add_task("missions", total=len(sweep.combinations) * sweep.seeds)
-            summaries = run_campaign(file, fly=fly, flown=lambda runs: progress.advance(task, runs))
+            summaries = run_campaign(
+                file,
+                fly=fly,
+                flown=lambda runs: progress.advance(task, runs),
+                costs=lambda cost: say(_planned(cost, workers), progress.console),
+            )
     except KeyboardInterrupt:
         say(f"interrupted; the same command with --out {out} continues it", console)
         raise
@@ -48,6 +67,21 @@ def show_campaign(sweep: Sweep, out: Path | None, *, fly: Fly, figures: Wanted |
 
         draw_campaign(sweep, summaries, file.rows, figures.files("campaign"))
     return not any(summary.failures for summary in summaries)
+
+
+def _planned(cost: Cost, workers: int | None) -> str:
+    """How long the rest takes."""
+    what = f"{counted(cost.missions, 'mission')} to fly, each {cost.mission_s:.3g} s of a processor's time"
+    if workers is None:
+        return f"{what}: {_duration(cost.missions * cost.mission_s)} of it in all"
+    processes = "one process" if workers == 1 else f"{workers} processes"
+    return f"{what}: about {_duration(cost.missions * cost.mission_s / workers)} in {processes}"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < _FEW_MINUTES_S:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < _FEW_HOURS_S else f"{seconds / 3600:.1f} h"
 
 
 def _verdict(sweep: Sweep, summaries: Sequence[CombinationSummary]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import multiprocessing
 import os
 import signal
@@ -10,7 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
@@ -19,6 +20,7 @@ from upwash.errors import UpwashError
 T = TypeVar("T")
 R = TypeVar("R")
 
+_AHEAD = 4  # parts for each process that are handed out before they are needed
 _WORTH_STARTING_S = 2.0  # of computing: what two processes need before they are ready
 
 
@@ -30,20 +32,34 @@ def in_processes(
 
     Leaving early gives up the parts that have not begun.
     """
+    processes = max(1, min(workers or cores(), len(parts)))
     pool = ProcessPoolExecutor(
-        max(1, min(workers or _cores(), len(parts))),
+        processes,
         mp_context=multiprocessing.get_context("spawn"),  # forking a process with threads is not safe
         initializer=_begin,
     )
     try:
-        futures = [pool.submit(do, part) for part in parts]
-        yield (future.result() for future in as_completed(futures))
+        yield _results(pool, do, parts, at_once=_AHEAD * processes)
     except BrokenProcessPool:
         raise UpwashError(
             "a process was killed, perhaps for want of memory; --workers 1 needs less of it"
         ) from None
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _results(
+    pool: ProcessPoolExecutor, do: Callable[[T], R], parts: Sequence[T], *, at_once: int
+) -> Iterator[R]:
+    """The results as they come in; of many parts a few are handed out at a time, so that none waits in memory."""
+    left = iter(parts)
+    under_way = {pool.submit(do, part) for part in itertools.islice(left, at_once)}
+    while under_way:
+        done: set[Future[R]]
+        done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
+        under_way |= {pool.submit(do, part) for part in itertools.islice(left, len(done))}
+        for future in done:
+            yield future.result()
 
 
 @contextlib.contextmanager
@@ -68,7 +84,7 @@ def here_first(
         yield all_of_them
 
 
-def _cores() -> int:
+def cores() -> int:
     """Those that this process may use: fewer than there are, in a container or under taskset."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

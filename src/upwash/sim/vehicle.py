@@ -8,6 +8,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol
 
+from upwash.core.area_index import AreaIndex
 from upwash.core.control import Report
 from upwash.core.energy import WayHome
 from upwash.core.geo import Circle, Position, Velocity, ground_distance_m
@@ -72,6 +73,7 @@ class ModelVehicle:
         self._manner = manner
         self._motion: Motion[Phase] = Motion(0.0, (), hovers_at or ground)
         self._crossings: list[tuple[Sequence[Circle], list[float]]] = []  # of this motion, for each who asked
+        self._asked: list[tuple[Sequence[Circle], AreaIndex]] = []  # for, ever
         self._touchdown: asyncio.TimerHandle | None = None  # of a landing by itself or by a person
         self._failsafe = ""
         self._commanded = commanded
@@ -184,10 +186,33 @@ class ModelVehicle:
         """Just after its present motion next crosses one of the circles; None where it crosses none."""
         crossings_s = next((times_s for asked, times_s in self._crossings if asked is circles), None)
         if crossings_s is None:
-            crossings_s = sorted(_all_crossings_s(self._motion, circles))
+            crossings_s = sorted(self._all_crossings_s(circles))
             self._crossings.append((circles, crossings_s))
         later = bisect_right(crossings_s, self._loop.time())
         return crossings_s[later] if later < len(crossings_s) else None
+
+    def _all_crossings_s(self, circles: Sequence[Circle]) -> Iterator[float]:
+        """Just after each time at which the motion crosses one of the circles."""
+        phases, begun_s = self._motion.phases, self._motion.begun_s
+        if not phases:
+            return
+        way_m = sum(phase.travelled_m(phase.duration_s) for phase in phases) + _ROUNDING_M
+        near = self._index_of(circles).near(phases[0].start, way_m)
+        within_reach = [
+            each for each in (circles[number] for number in near) if _is_near(phases[0].start, each, way_m)
+        ]
+        for phase in phases:
+            for circle in within_reach:
+                for crossing_s in _crossings_s(phase, circle):
+                    yield begun_s + crossing_s + _PAST_THE_BORDER_S
+            begun_s += phase.duration_s
+
+    def _index_of(self, circles: Sequence[Circle]) -> AreaIndex:
+        index = next((index for asked, index in self._asked if asked is circles), None)
+        if index is None:
+            index = AreaIndex(circles)
+            self._asked.append((circles, index))
+        return index
 
 
 def _falling(start: Position) -> tuple[Phase, ...]:
@@ -196,26 +221,9 @@ def _falling(start: Position) -> tuple[Phase, ...]:
     return (Phase(start, Velocity(up_m_s=-1.0), 0.0, _GRAVITY_M_S2, lasts_s),)
 
 
-def _all_crossings_s(motion: Motion[Phase], circles: Sequence[Circle]) -> Iterator[float]:
-    """Just after each time at which the motion crosses one of the circles."""
-    near, begun_s = _within_reach(circles, motion.phases), motion.begun_s
-    for phase in motion.phases:
-        for circle in near:
-            for crossing_s in _crossings_s(phase, circle):
-                yield begun_s + crossing_s + _PAST_THE_BORDER_S
-        begun_s += phase.duration_s
-
-
-def _within_reach(circles: Sequence[Circle], phases: Sequence[Phase]) -> list[Circle]:
-    """The circles whose border is no further away than the phases lead: a few of hundreds."""
-    if not phases:
-        return []
-    start, way_m = phases[0].start, sum(phase.travelled_m(phase.duration_s) for phase in phases)
-    return [
-        circle
-        for circle in circles
-        if abs(ground_distance_m(start, circle.centre) - circle.radius_m) <= way_m + _ROUNDING_M
-    ]
+def _is_near(place: Position, circle: Circle, within_m: float) -> bool:
+    """Whether the circle's border comes so near to the place."""
+    return abs(ground_distance_m(place, circle.centre) - circle.radius_m) <= within_m
 
 
 def _crossings_s(phase: Phase, circle: Circle) -> Iterator[float]:
