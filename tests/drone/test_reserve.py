@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,7 @@ def survey_far(
     return drone_config(document, Path("scenario.toml"))
 
 
-def named(events: list[Event], name: str) -> list[dict[str, Any]]:
+def named(events: Sequence[Event], name: str) -> list[dict[str, Any]]:
     return [event for event in written(events) if event["event"] == name]
 
 

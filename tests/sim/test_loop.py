@@ -99,6 +99,7 @@ def test_a_mission_that_loops_over_photos_ends_after_two_days(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("upwash.lab.run._LONGEST_S", 3600.0)
+    monkeypatch.setattr("upwash.lab.run._LONGEST_STOP_S", 0.0)
     run = simulate(flying(tmp_path, "while True: drone.camera.take_photo()"))
     assert "the mission did not end within 1 h of virtual time" in run.failure
     assert run.events[-1].kind == "mission_ended"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,8 @@ from upwash.support.output_files import write_file
 from upwash.support.sentences import say
 
 if TYPE_CHECKING:
-    from upwash import Bound, Event, FleetBound, FleetSimulation, Simulation
+    from upwash import Bound, FleetBound, FleetSimulation, Simulation
+    from upwash.eventlog.kept import KeptEvents
 
 _PRINTED = (
     "scenario",
@@ -61,10 +63,10 @@ def print_fleet(fleet: FleetSimulation) -> None:
         say(line, console)
 
 
-def write_log(file: Path, events: Sequence[Event], scenario: Path, *, seed: int) -> None:
+def write_log(file: Path, events: KeptEvents, scenario: Path, *, seed: int) -> None:
     """The events as the flying drone would have written them, behind one that names the scenario."""
     named = schema.Simulated(t=0.0, scenario=str(scenario.resolve()), seed=seed, version=schema.VERSION)
-    write_file(file, b"".join(msgspec.json.encode(event) + b"\n" for event in (named, *events)))
+    write_file(file, itertools.chain([msgspec.json.encode(named) + b"\n"], events.lines()))
 
 
 def _print_line(printed: dict[str, Any]) -> None:

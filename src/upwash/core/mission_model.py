@@ -18,6 +18,8 @@ from upwash.core.estimates import WINDOW_LENGTH, Operation
 from upwash.core.geo import Circle, Position, Waypoint, distance_m
 from upwash.core.legs import Leg, acceleration_m_s2, entered_m
 
+_MOST_ENTRIES = 10_000  # legs of which is remembered what was computed
+
 
 @dataclass(frozen=True, slots=True)
 class Step:
@@ -233,6 +235,8 @@ class MissionModel:
             speed_m_s = waypoint.ground_speed_m_s or speed_m_s
             way = self._ways.get((index, speed_m_s))
             if way is None:
+                if len(self._ways) >= _MOST_ENTRIES:
+                    self._ways.clear()
                 leg = self._leg(distance_m(place, waypoint.position), speed_m_s)
                 way = self._ways[index, speed_m_s] = self._way_of(leg, place, waypoint.position)
             yield waypoint.position, way
@@ -258,6 +262,8 @@ class MissionModel:
         """The servers in whose range a leg ends, each with how far from the start the range is entered."""
         entries = self._entries.get((start, end))
         if entries is None:
+            if len(self._entries) >= _MOST_ENTRIES:
+                self._entries.clear()
             ends_in = (self._areas[number] for number in self._index_of_areas.near(end))
             found = ((server, entered_m(start, end, area)) for server, area in ends_in)
             entries = self._entries[start, end] = [

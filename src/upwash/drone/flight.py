@@ -168,9 +168,7 @@ class Flight:
             altitudes_m=[places[index].altitude_m for index in sorted(order)],
             order=order if self._order.why else [],
             order_why=self._order.why,
-            ranges={
-                name: area for name, area in server_areas(self._config).items() if name not in measured
-            },
+            ranges={name: area for name, area in server_areas(self._config).items() if name not in measured},
             measured={
                 server: [schema.Measured.of(place) for place in self.coverage.places(server)]
                 for server in self.coverage.servers

@@ -30,8 +30,8 @@ from upwash.core.geo import Position
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import Cell, PositionNetwork
 from upwash.errors import MissionFailed, UpwashError, UsageError
+from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.results import RunResult, read_result
-from upwash.eventlog.schema import Event
 from upwash.lab.field import Software, daemon_address, serving
 from upwash.lab.observer import DroneObserver, Seen
 from upwash.lab.range_intervals import RangeInterval, observe
@@ -58,7 +58,8 @@ from upwash.support.heat import Heat, Surroundings
 from upwash.vehicle import arducopter
 from upwash.vehicle.px4 import airframe as px4
 
-_LONGEST_S = 48 * 3600.0  # of virtual time: a mission that takes longer never ends
+_LONGEST_S = 48 * 3600.0  # of virtual time, and for each waypoint of the longest plan so much more:
+_LONGEST_STOP_S = 120.0  # a mission that takes longer never ends
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +70,7 @@ class Run:
     `coverage` is what is known after it of servers without a range.
     """
 
-    events: list[Event]
+    events: KeptEvents
     result: RunResult
     range_intervals: list[RangeInterval]
     failure: str = ""
@@ -78,7 +79,7 @@ class Run:
 
     def log(self) -> bytes:
         """The event log, as the flying drone would have written it."""
-        return b"".join(msgspec.json.encode(event) + b"\n" for event in self.events)
+        return b"".join(self.events.lines())
 
 
 class _End(NamedTuple):
@@ -190,12 +191,13 @@ async def _fly(
                 fleet, there, journals, range_intervals, strict=True
             )
         ]
+        longest_s = _LONGEST_S + _LONGEST_STOP_S * max(len(waypoints(each.mission)) for each in fleet)
         try:
-            async with asyncio.timeout(_LONGEST_S):
+            async with asyncio.timeout(longest_s):
                 return await asyncio.gather(*flights)
         except TimeoutError:
             raise UpwashError(
-                f"the mission did not end within {_LONGEST_S / 3600:.0f} h of virtual time; "
+                f"the mission did not end within {longest_s / 3600:.0f} h of virtual time; "
                 "a verb of the mission never returned, or it flies in circles"
             ) from None
 

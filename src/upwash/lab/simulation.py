@@ -14,9 +14,8 @@ from upwash.config import Document, DroneConfig, coverage_kept, drone_config, im
 from upwash.config.problems import refuse_first
 from upwash.core.bound import Bound
 from upwash.errors import ConfigError, UsageError
-from upwash.eventlog.log import decode
+from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.results import RunResult
-from upwash.eventlog.schema import Event
 from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run
 from upwash.lab.run import simulate as fly
@@ -38,7 +37,7 @@ class Simulation(RunResult):
     failure: str
     vanished: bool = False
     bound: Bound | None
-    events: list[Event] = field(repr=False)
+    events: KeptEvents = field(repr=False)
 
 
 def simulate(
@@ -84,7 +83,7 @@ def simulation_of(run: Run, config: DroneConfig, bound: Bound | None, *, scenari
         failure=run.failure,
         vanished=run.vanished,
         bound=bound,
-        events=[decode(line) for line in run.log().splitlines()],  # as read from its log
+        events=run.events.as_read(),
     )
 
 

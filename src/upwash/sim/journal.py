@@ -1,4 +1,4 @@
-"""An event log in memory."""
+"""An event log without a file of its own."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import msgspec
 
 from upwash.core.geo import Position
 from upwash.eventlog import schema
+from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.schema import Event
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.life import Life
@@ -21,7 +22,7 @@ class MemoryJournal:
     """
 
     def __init__(self) -> None:
-        self.events: list[Event] = []
+        self.events = KeptEvents()
         self.meter: EnergyMeter | None = None
         self.life = Life()
         self._loop: asyncio.AbstractEventLoop | None = None

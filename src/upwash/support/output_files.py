@@ -7,6 +7,7 @@ import errno
 import os
 import secrets
 import stat
+from collections.abc import Iterable
 from pathlib import Path
 
 from upwash.errors import NotWritten
@@ -14,11 +15,12 @@ from upwash.errors import NotWritten
 _NO_FILES = (("/", "dev"), ("/", "proc"))  # the first parts of paths that are written to as they are
 
 
-def write_file(file: Path, content: bytes, *, mode: int = 0o666) -> None:
+def write_file(file: Path, content: bytes | Iterable[bytes], *, mode: int = 0o666) -> None:
     """Makes the file, and its folder, or gives it other content; raises NotWritten, and it is as it was before.
 
-    A new file has that mode, less the umask; one that was there keeps its own.
+    The content may come in pieces. A new file has that mode, less the umask; one that was there keeps its own.
     """
+    content = (content,) if isinstance(content, bytes) else content
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         if file.parts[:2] in _NO_FILES or (file.exists() and not file.is_file()):
@@ -59,10 +61,11 @@ def flush_to_disk(descriptor: int) -> None:
             raise
 
 
-def _write_to(file: Path, content: bytes) -> None:
+def _write_to(file: Path, content: Iterable[bytes]) -> None:
     descriptor = os.open(file, os.O_WRONLY | os.O_CLOEXEC)
     try:
-        write_all(descriptor, content)
+        for piece in content:
+            write_all(descriptor, piece)
     finally:
         os.close(descriptor)
 
@@ -73,12 +76,13 @@ def _look_like(former: os.stat_result, descriptor: int) -> None:
     os.fchmod(descriptor, stat.S_IMODE(former.st_mode))
 
 
-def _replace(file: Path, content: bytes, mode: int) -> None:
+def _replace(file: Path, content: Iterable[bytes], mode: int) -> None:
     unfinished = file.with_name(f".upwash-{secrets.token_hex(4)}")
     descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
     try:
         try:
-            write_all(descriptor, content)
+            for piece in content:
+                write_all(descriptor, piece)
             flush_to_disk(descriptor)
             if file.exists():
                 _look_like(file.stat(), descriptor)

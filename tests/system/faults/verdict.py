@@ -18,6 +18,7 @@ from upwash.config import DroneConfig, FaultConfig, read_drone_config, server_ar
 from upwash.core.admission import AdmissionSettings
 from upwash.core.servers import SELECTED
 from upwash.eventlog import schema
+from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.log import decode
 from upwash.eventlog.results import read_result
 from upwash.eventlog.schema import Event
@@ -194,7 +195,7 @@ def _history(flown: Flown, events: list[Event], strikes: Iterable[Strike]) -> pr
         if each.target in ("link", "daemon", "instance")
     )
     config = msgspec.structs.replace(flown.config, faults=faults)
-    return promises.History(config, Run(events, read_result(events), []))
+    return promises.History(config, Run(KeptEvents(events), read_result(events), []))
 
 
 def _checked(history: promises.History, checks: Iterable[Promise]) -> Iterator[str]:

@@ -65,7 +65,7 @@ def _flown_back_too_far(events: Sequence[Event], places: Sequence[Position]) -> 
 
 def _lost_in_a_crash(history: History) -> Iterator[Breach]:
     """Had the program been killed then, a waypoint whose answer or action is missing would be visited again."""
-    events = history.run.events
+    events: Sequence[Event] = history.run.events
     if history.run.result.completed:
         events = [event for event in events if not isinstance(event, schema.MissionCompleted)]
     moments = [
