@@ -12,7 +12,7 @@ import pytest
 from tests.scenarios import scenario
 
 from upwash.config import DroneConfig
-from upwash.lab.run import simulate
+from upwash.lab.run import simulate, simulate_drones
 from upwash.sim import turns
 from upwash.sim.loop import DeadlockError, LivelockError, OutsideWorldError, run_virtually
 from upwash.sim.sleeping import sleeps_reported
@@ -155,3 +155,25 @@ def test_other_threads_and_other_times_sleep_as_ever(monkeypatch: pytest.MonkeyP
     later.start()
     later.join()
     assert len(slept_s) == 2 and all(each_s >= 0.05 for each_s in slept_s)
+
+
+def test_a_mission_flies_in_asyncios_debug_mode_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = simulate(scenario()).log()
+    monkeypatch.setenv("PYTHONASYNCIODEBUG", "1")
+    assert simulate(scenario()).log() == plain
+
+
+def test_missions_of_several_drones_take_turns_in_one_order(tmp_path: Path) -> None:
+    program, seen = tmp_path / "two.py", tmp_path / "seen"
+    program.write_text(
+        "def mission(drone):\n    for _ in range(3):\n"
+        f"        with open({str(seen)!r}, 'a') as log:\n"
+        "            print(drone.plan[0].position.east_m, file=log)\n"
+        "        drone.camera.take_photo()\n"
+    )
+    config = scenario(
+        mission={"program": f"{program}:mission"},
+        drone=[{"name": f"d{east}", "waypoints_m": [[east, 0]]} for east in (0, 60, 120)],
+    )
+    assert [run.failure for run in simulate_drones(config).values()] == ["", "", ""]
+    assert seen.read_text().split() == ["0.0", "60.0", "120.0"] * 3

@@ -304,6 +304,9 @@ class ModelAutopilot:
         while True:
             self._hear_of("watch the borders")
             crossing_s = self._vehicle.next_crossing_s(circles)
+            if crossing_s is None:
+                await self._vehicle.changed.wait()
+                continue
             try:
                 async with asyncio.timeout_at(crossing_s):
                     await self._vehicle.changed.wait()
