@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +14,14 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.eventlog import schema
+from upwash.eventlog.kept import lines_of
 from upwash.eventlog.results import as_json
 from upwash.eventlog.terminal import print_result
 from upwash.support.output_files import write_file
 from upwash.support.sentences import say
 
 if TYPE_CHECKING:
-    from upwash import Bound, FleetBound, FleetSimulation, Simulation
-    from upwash.eventlog.kept import KeptEvents
+    from upwash import Bound, Event, FleetBound, FleetSimulation, Simulation
 
 _PRINTED = (
     "scenario",
@@ -63,10 +63,10 @@ def print_fleet(fleet: FleetSimulation) -> None:
         say(line, console)
 
 
-def write_log(file: Path, events: KeptEvents, scenario: Path, *, seed: int) -> None:
+def write_log(file: Path, events: Sequence[Event], scenario: Path, *, seed: int) -> None:
     """The events as the flying drone would have written them, behind one that names the scenario."""
     named = schema.Simulated(t=0.0, scenario=str(scenario.resolve()), seed=seed, version=schema.VERSION)
-    write_file(file, itertools.chain([msgspec.json.encode(named) + b"\n"], events.lines()))
+    write_file(file, itertools.chain(lines_of([named]), lines_of(events)))
 
 
 def _print_line(printed: dict[str, Any]) -> None:

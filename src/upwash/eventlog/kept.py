@@ -101,6 +101,11 @@ class KeptEvents(Sequence[Event]):
         return self._file.read(length)
 
 
+def lines_of(events: Sequence[Event]) -> Iterator[bytes]:
+    """Events as a log has them, in pieces of whole lines."""
+    return events.lines() if isinstance(events, KeptEvents) else KeptEvents(events).lines()
+
+
 def _encoded(events: Sequence[Event]) -> bytes:
     return b"".join(msgspec.json.encode(event) + b"\n" for event in events)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,8 @@ from upwash.config import Document, DroneConfig, coverage_kept, drone_config, im
 from upwash.config.problems import refuse_first
 from upwash.core.bound import Bound
 from upwash.errors import ConfigError, UsageError
-from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.results import RunResult
+from upwash.eventlog.schema import Event
 from upwash.lab.bounds import bound_of
 from upwash.lab.run import Run
 from upwash.lab.run import simulate as fly
@@ -37,7 +37,7 @@ class Simulation(RunResult):
     failure: str
     vanished: bool = False
     bound: Bound | None
-    events: KeptEvents = field(repr=False)
+    events: Sequence[Event] = field(repr=False)
 
 
 def simulate(
