@@ -1,14 +1,19 @@
 """What a simulated mission costs: `python -m bench.simulate`.
 
 One alone, many in a campaign, and how it grows with servers and waypoints. The mission is the thesis's in heavy mode
-with offloading (scenarios/thesis.toml). See docs/campaigns.md.
+with offloading (scenarios/thesis.toml). `--against DIR` flies it by another checkout's code too, in turns, and prints
+the ratio. See docs/performance.md.
 """
 
 from __future__ import annotations
 
+import contextlib
+import os
+import subprocess
+import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -31,8 +36,8 @@ from upwash.lab.sweep import read_sweep
 
 SCENARIO = Path(__file__).resolve().parent.parent / "scenarios" / "thesis.toml"
 CAMPAIGN_WORKERS = 2
-LEAST_REAL_TIME = 20_000
-LEAST_MISSIONS_PER_MINUTE = 1_000
+LEAST_REAL_TIME = 40_000
+LEAST_MISSIONS_PER_MINUTE = 2_000
 MOST_GROWTH = 1.2  # of the cost per waypoint and server in range, from the smallest to the largest
 
 
@@ -46,18 +51,47 @@ class Extent:
     growth_rounds: int
     sides: Sequence[int]  # of the grids
     servers: Sequence[int]
+    turns: int  # of each checkout
 
 
 FULL = Extent(
-    warm_up=3, rounds=21, seeds=300, growth_rounds=3, sides=(11, 32, 100), servers=(1, 3, 10, 32, 100)
+    warm_up=3,
+    rounds=21,
+    seeds=300,
+    growth_rounds=3,
+    sides=(11, 32, 100),
+    servers=(1, 3, 10, 32, 100, 1000),
+    turns=20,
 )
-QUICK = Extent(warm_up=0, rounds=1, seeds=2, growth_rounds=1, sides=(2, 3), servers=(1, 2))
+QUICK = Extent(warm_up=0, rounds=1, seeds=2, growth_rounds=1, sides=(2, 3), servers=(1, 2), turns=1)
+MISSIONS_OF_A_TURN = 5
+FLIES = """
+import sys, time
+from pathlib import Path
+from upwash.config import read_drone_config
+from upwash.lab.run import simulate
+config, missions = read_drone_config(Path(sys.argv[1])), int(sys.argv[2])
+simulate(config)
+print("ready", flush=True)
+for _ in sys.stdin:
+    began = time.perf_counter(), time.process_time()
+    for _ in range(missions):
+        simulate(config)
+    ended = time.perf_counter(), time.process_time()
+    print(*(1e3 * (now - then) / missions for then, now in zip(began, ended)), flush=True)
+"""
 
 
 def main() -> None:
     """Measures and prints; a missed limit is printed as such and is no failure."""
-    extent = QUICK if command_line("simulate", __doc__).parse_args().quick else FULL
+    parser = command_line("simulate", __doc__)
+    parser.add_argument("--against", type=Path, metavar="DIR", help="only compare with this checkout's code")
+    options = parser.parse_args()
+    extent = QUICK if options.quick else FULL
     print(machine())
+    if options.against is not None:
+        compare(options.against.resolve(), extent)
+        return
     config = read_drone_config(SCENARIO)
     measure_speed(config, extent)
     measure_campaign(extent)
@@ -74,6 +108,40 @@ def measure_speed(config: DroneConfig, extent: Extent) -> None:
     )
     print(f" (from {1e3 * min(took_s):.1f} to {1e3 * max(took_s):.1f})")
     print(verdict("times real time", mission_s / median(took_s), LEAST_REAL_TIME))
+
+
+def compare(other: Path, extent: Extent) -> None:
+    """The mission by this checkout's code and by the other's, in turns: wall and processor time, and their ratios."""
+    with contextlib.ExitStack() as stack:
+        programs = [stack.enter_context(flying(checkout)) for checkout in (other, SCENARIO.parent.parent)]
+        found = [[turn(program) for program in programs] for _ in range(extent.turns)]
+    for number, what in enumerate(("wall", "processor")):
+        before, now = (median(each[which][number] for each in found) for which in (0, 1))
+        ratio = median(each[1][number] / each[0][number] for each in found)
+        print(f"{what}: median {before:.1f} ms there, {now:.1f} ms here; ratio within a turn {ratio:.3f}")
+
+
+@contextlib.contextmanager
+def flying(checkout: Path) -> Iterator[subprocess.Popen[str]]:
+    """A process that flies the mission some times by that checkout's code whenever it is sent a line."""
+    command = [sys.executable, "-c", FLIES, str(SCENARIO), str(MISSIONS_OF_A_TURN)]
+    environment = os.environ | {"PYTHONPATH": str(checkout / "src")}
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+    ) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "ready\n"
+        yield program
+
+
+def turn(program: subprocess.Popen[str]) -> tuple[float, float]:
+    """Milliseconds of wall and of processor time that a mission takes it now."""
+    assert program.stdin is not None
+    assert program.stdout is not None
+    program.stdin.write("\n")
+    program.stdin.flush()
+    wall_ms, processor_ms = map(float, program.stdout.readline().split())
+    return wall_ms, processor_ms
 
 
 def measure_campaign(extent: Extent) -> None:

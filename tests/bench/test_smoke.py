@@ -55,6 +55,15 @@ def test_a_program_prints_its_figures(program: str) -> None:
 
 @pytest.mark.system
 @pytest.mark.long
+def test_missions_of_two_checkouts_stand_beside_each_other() -> None:
+    said = printed("bench.simulate", "--quick", "--against", str(ROOT))
+    assert re.search(
+        r"\nprocessor: median [\d.]+ ms there, [\d.]+ ms here; ratio within a turn [\d.]+\n", said
+    )
+
+
+@pytest.mark.system
+@pytest.mark.long
 def test_a_soak_tells_what_the_daemon_holds() -> None:
     said = printed("bench.load", "--quick", "--soak", "2")
     assert re.search(r"\d+ s: [\d.]+ MB, \d+ descriptors\n", said)
