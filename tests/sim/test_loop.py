@@ -111,8 +111,12 @@ def test_a_mission_that_keeps_its_turn_ends_with_an_error(
     let_go = threading.Event()
     monkeypatch.setattr(turns, "_LONGEST_TURN_S", 0.1)
     monkeypatch.setattr(threading, "let_go", let_go, raising=False)
-    run = simulate(flying(tmp_path, "import threading; threading.let_go.wait()"))
+    before = set(threading.enumerate())
+    run = simulate(flying(tmp_path, "import threading; threading.let_go.wait(); drone.autopilot.hold()"))
+    (left,) = set(threading.enumerate()) - before
     let_go.set()
+    left.join(5.0)
+    assert not left.is_alive(), "what it does after that is refused, and ends it"
     assert "the mission's own code has run for 0 s without calling a verb, and at 10.000 s" in run.failure
 
 
