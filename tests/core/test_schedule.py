@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from upwash.core.schedule import CheckTimes, ComingCall, Offer, quickest
+from upwash.core import schedule
+from upwash.core.schedule import CheckTimes, ComingCall, Offer, Schedule, quickest
 
 LOCAL_S, REMOTE_S = 10.0, 1.0
 SAME = {name: CheckTimes(12.0, 4.0) for name in ("a", "b")}
@@ -139,3 +142,49 @@ def test_no_choice_of_servers_and_waits_is_quicker(calls: list[ComingCall], chec
         for waits in itertools.product([False, True], repeat=len(calls))
     )
     assert quickest(calls, checks).total_s == pytest.approx(best_s)
+
+
+@st.composite
+def check_times(draw: st.DrawFn) -> CheckTimes:
+    running_s = draw(times_s)
+    return CheckTimes(running_s + draw(times_s), running_s, draw(st.sampled_from([0.0, 9.0])))
+
+
+@st.composite
+def searches(draw: st.DrawFn) -> Callable[..., Schedule]:
+    """A search of a random world in which services are started, some by peers, and waits have to gain something."""
+    names = st.sets(st.sampled_from("abc")).map(frozenset)
+    return partial(
+        quickest,
+        draw(st.lists(coming_calls(), min_size=1, max_size=8)),
+        {name: draw(check_times()) for name in "abc"},
+        server=draw(st.sampled_from([None, *"abc"])),
+        ready_in_s=draw(st.sampled_from([0.0, 4.0])),
+        gain_wait=draw(st.sampled_from([0.0, 0.25])),
+        stays=draw(st.booleans()),
+        peers={name: draw(names) - {name} for name in "abc"},
+    )
+
+
+@settings(deadline=None)
+@given(search=searches(), little=st.sampled_from([0.0, 0.2, 1.0]))
+def test_what_is_followed_first_changes_nothing_about_what_is_found(
+    search: Callable[..., Schedule], little: float
+) -> None:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(schedule, "_LITTLE", math.inf)
+        everything = search()
+        patched.setattr(schedule, "_LITTLE", little)
+        assert search() == everything
+
+
+@settings(deadline=None)
+@given(search=searches())
+def test_a_bound_on_the_labels_changes_nothing_until_it_is_exceeded(search: Callable[..., Schedule]) -> None:
+    unbounded = search()
+    assert search(most_labels=2 * 8 * 3) == unbounded, (
+        "each of 8 calls adds no more than two to each of 3 servers"
+    )
+    bounded = search(most_labels=1)
+    assert len(bounded.servers) == len(unbounded.servers)
+    assert bounded.total_s >= unbounded.total_s or bounded.total_s == pytest.approx(unbounded.total_s)

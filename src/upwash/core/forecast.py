@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from upwash.core.estimates import Estimates, Operation
@@ -41,9 +41,10 @@ def make_forecast(
     The first of the selected servers is in use; the check of another goes on, or is over, whatever the drone uses.
     """
     local_s = estimates.mean_call_s()
-    seen = dict.fromkeys(name for call in expected for name in call.in_range_s)
+    seen: dict[str, float] = {}
+    for call in expected:
+        seen.update(call.in_range_s)
     gaining = {name: servers[name] for name in seen if _gains(name, expected, estimates, local_s)}
-    banned_s = {name: banned_s.get(name, -math.inf) for name in gaining}
     rests_s = {server.name: rest_of_check_s(server, estimates, now_s) for server in selected}
     checks = {name: _check_times(server, estimates, now_s, idle_s) for name, server in gaining.items()}
     for server in selected[1:]:
@@ -51,7 +52,7 @@ def make_forecast(
             rest_s = rests_s[server.name]
             checks[server.name] = CheckTimes(stopped_s=rest_s, running_s=rest_s)
     return Forecast(
-        list(_calls(expected, estimates, banned_s)),
+        list(_calls(expected, estimates, gaining, banned_s)),
         checks,
         rests_s[selected[0].name] if selected else 0.0,
         {name: server.peers for name, server in gaining.items() if server.peers},
@@ -76,25 +77,29 @@ def rest_of_check_s(server: Server, estimates: Estimates, now_s: float) -> float
 
 
 def _calls(
-    expected: Sequence[ExpectedCall], estimates: Estimates, banned_s: Mapping[str, float]
+    expected: Sequence[ExpectedCall],
+    estimates: Estimates,
+    gaining: Iterable[str],
+    banned_s: Mapping[str, float],
 ) -> Iterator[ComingCall]:
     at_s = 0.0
+    measured = {server for server in gaining if estimates.is_measured(server)}
     delays_s: dict[Operation, dict[str, float]] = {}  # of each operation, by server
     for call in expected:
         at_s += call.gap_s
         local_s = estimates.local_s(call.operation) or 0.0
-        if call.operation not in delays_s:
-            remote_s = {server: estimates.remote_s(server, call.operation) for server in banned_s}
-            delays_s[call.operation] = {
+        its_delays_s = delays_s.get(call.operation)
+        if its_delays_s is None:
+            remote_s = {server: estimates.remote_s(server, call.operation) for server in gaining}
+            its_delays_s = delays_s[call.operation] = {
                 server: local_s if delay_s is None else delay_s for server, delay_s in remote_s.items()
             }
-        its_delays_s = delays_s[call.operation]
         offers = []
         for server, in_range_s in call.in_range_s.items():
-            allowed_s = at_s - banned_s.get(server, math.inf)
-            if allowed_s > 0:
+            allowed_s = at_s - banned_s.get(server, -math.inf)
+            if server in its_delays_s and allowed_s > 0:
                 call_s = its_delays_s[server]
-                if estimates.is_measured(server):
+                if server in measured:
                     call_s = estimates.remote_s(server, call.operation, call.position) or call_s
                 offers.append(Offer(server, call_s, min(in_range_s, allowed_s)))
         yield ComingCall(local_s, call.gap_s, offers)

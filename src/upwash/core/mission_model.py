@@ -10,8 +10,10 @@ from __future__ import annotations
 import itertools
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from statistics import fmean
+
+import msgspec
 
 from upwash.core.area_index import AreaIndex
 from upwash.core.estimates import WINDOW_LENGTH, Operation
@@ -29,8 +31,7 @@ class Step:
     pause_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class ExpectedCall:
+class ExpectedCall(msgspec.Struct, frozen=True):
     """A call to come, `gap_s` after the end of the one before, or after now for the first.
 
     `in_range_s` says of each server in range of it for how much of that time, up to the call, it will have been. It
@@ -73,11 +74,20 @@ class NextLeg:
 
 
 @dataclass(frozen=True, slots=True)
+class _Entries:
+    """The servers in whose range a leg ends, and how far from its start it enters those where it does not begin."""
+
+    servers: Sequence[str]
+    entered_m: Sequence[tuple[str, float]]
+
+
+@dataclass(frozen=True, slots=True)
 class _Way:
-    """A leg to come: how long it takes, and how long after its start it enters the ranges in which it ends."""
+    """A leg to come: how long it takes, and how long after its start it enters ranges in which it does not begin."""
 
     duration_s: float
-    entered_s: Sequence[tuple[str, float]]  # 0 for a range in which it begins
+    servers: Sequence[str]  # in whose range it ends
+    entered_s: Sequence[tuple[str, float]]
 
 
 class MissionModel:
@@ -98,7 +108,7 @@ class MissionModel:
         self._here: list[Step] = []
         self._is_back = False  # at the place, or on the way there: nothing is learnt from such a stop
         self._free_s = 0.0  # since when nothing is known to go on, or until when the call under way goes on
-        self._entries: dict[tuple[Position, Position], Sequence[tuple[str, float]]] = {}
+        self._entries: dict[tuple[Position, Position], _Entries] = {}
         self._ways: dict[
             tuple[int, float], _Way
         ] = {}  # by waypoint and ground speed, as the vehicle speeds up now
@@ -186,43 +196,36 @@ class MissionModel:
         if self._way is not None:
             steps, stop = self._routine, self._rest_of_way(self._way, position)
         else:
-            steps, stop = self._routine[len(self._here) :], _Stop(self._free_s - now_s)
-            stop.in_range_s = dict.fromkeys(self._near(place), stop.gap_s)
+            steps, stop = self._routine[len(self._here) :], _Stop(self._free_s - now_s, self._near(place))
         yield from self._calls_of(steps, stop, place)
         free_s = 0.0 if steps else stop.gap_s
         for end, way in self._ways_after(place):
             leaving_s = max(0.0, free_s + self._leaving_s)
             gap_s = leaving_s + way.duration_s
-            in_range_s = {
-                server: gap_s - leaving_s - entered_s if entered_s > 0 else gap_s
-                for server, entered_s in way.entered_s
-            }
-            yield from self._calls_of(self._routine, _Stop(gap_s, in_range_s), end)
+            entered = [(server, gap_s - leaving_s - entered_s) for server, entered_s in way.entered_s]
+            yield from self._calls_of(self._routine, _Stop(gap_s, way.servers, entered), end)
             free_s = 0.0
 
     def _calls_of(self, steps: Sequence[Step], stop: _Stop, place: Position) -> Iterator[ExpectedCall]:
         for number, step in enumerate(steps):
             if number > 0:
-                stop = _Stop(0.0, dict.fromkeys(self._near(place), 0.0))
-            yield ExpectedCall(
-                step.operation,
-                max(0.0, stop.gap_s + step.pause_s),
-                {server: max(0.0, time_s + step.pause_s) for server, time_s in stop.in_range_s.items()},
-                place,
-            )
+                stop = _Stop(0.0, self._near(place))
+            gap_s = max(0.0, stop.gap_s + step.pause_s)
+            in_range_s = dict.fromkeys(stop.servers, gap_s)
+            for server, time_s in stop.entered:
+                in_range_s[server] = max(0.0, time_s + step.pause_s)
+            yield ExpectedCall(step.operation, gap_s, in_range_s, place)
 
     def _rest_of_way(self, way: _LegUnderWay, position: Position) -> _Stop:
         """How long the rest of the leg takes, and for how much of that the drone will have been in which ranges."""
         leg = way.leg
         flown_s = leg.reached_s(leg.length_m - distance_m(position, way.end))
         rest_s = leg.duration_s - flown_s
-        return _Stop(
-            rest_s,
-            {
-                server: rest_s - max(0.0, leg.reached_s(way_m) - flown_s)
-                for server, way_m in self._entered(way.start, way.end)
-            },
-        )
+        entries = self._entered(way.start, way.end)
+        entered = [
+            (server, rest_s - max(0.0, leg.reached_s(way_m) - flown_s)) for server, way_m in entries.entered_m
+        ]
+        return _Stop(rest_s, entries.servers, entered)
 
     def _ways_after(self, place: Position) -> Iterator[tuple[Position, _Way]]:
         if self._index is None:
@@ -243,8 +246,9 @@ class MissionModel:
             place = waypoint.position
 
     def _way_of(self, leg: Leg, start: Position, end: Position) -> _Way:
-        entered = [(server, leg.reached_s(way_m)) for server, way_m in self._entered(start, end)]
-        return _Way(leg.duration_s, entered)
+        entries = self._entered(start, end)
+        entered_s = [(server, leg.reached_s(way_m)) for server, way_m in entries.entered_m]
+        return _Way(leg.duration_s, entries.servers, entered_s)
 
     def _leg(self, length_m: float, ground_speed_m_s: float | None = None) -> Leg:
         return Leg(length_m, ground_speed_m_s or self._ground_speed_m_s, fmean(self._accelerations_m_s2))
@@ -255,26 +259,30 @@ class MissionModel:
         order = itertools.chain(range(following, len(self._plan)), range(following))
         return next((index for index in order if self._plan[index].position == target), None)
 
-    def _near(self, place: Position) -> list[str]:
-        return [server for server, _ in self._entered(place, place)]
+    def _near(self, place: Position) -> Sequence[str]:
+        return self._entered(place, place).servers
 
-    def _entered(self, start: Position, end: Position) -> Sequence[tuple[str, float]]:
-        """The servers in whose range a leg ends, each with how far from the start the range is entered."""
+    def _entered(self, start: Position, end: Position) -> _Entries:
         entries = self._entries.get((start, end))
         if entries is None:
             if len(self._entries) >= _MOST_ENTRIES:
                 self._entries.clear()
             ends_in = (self._areas[number] for number in self._index_of_areas.near(end))
-            found = ((server, entered_m(start, end, area)) for server, area in ends_in)
-            entries = self._entries[start, end] = [
-                (server, way_m) for server, way_m in found if way_m is not None
-            ]
+            found = [(server, entered_m(start, end, area)) for server, area in ends_in]
+            entries = self._entries[start, end] = _Entries(
+                [server for server, way_m in found if way_m is not None],
+                [(server, way_m) for server, way_m in found if way_m],
+            )
         return entries
 
 
 @dataclass(slots=True)
 class _Stop:
-    """An arrival, `gap_s` after the call before, and for how long each server will have been in range by then."""
+    """An arrival, `gap_s` after the call before, in range of these servers.
+
+    Those that are `entered` on the way will have been in range for that time by then, the others for the whole gap.
+    """
 
     gap_s: float
-    in_range_s: dict[str, float] = field(default_factory=dict)
+    servers: Sequence[str]
+    entered: Sequence[tuple[str, float]] = ()

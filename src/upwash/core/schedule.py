@@ -10,21 +10,26 @@ The search goes call by call. It keeps a label for each way to get so far, unles
 left of the check and in the services that it has started. Of the latter it follows only two sets, as there would be
 too many: the schedule is the best one where a check takes as long whether the services run or not, and nearly so
 elsewhere.
+
+It first follows only ways that can lead to a schedule that loses little against each call being made where it is
+fastest, without a wait. Mostly there is one, and it is what all ways lead to: one that is left out costs more than
+each that is followed, so that it beats none of them, and whatever it leads to costs more than what is found.
 """
 
 from __future__ import annotations
 
-import heapq
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import itemgetter
+from operator import attrgetter, ge, le
 from types import MappingProxyType
 from typing import NamedTuple
 
+import msgspec
 
-@dataclass(frozen=True, slots=True)
-class Offer:
+
+class Offer(msgspec.Struct, frozen=True, gc=False):
     """A server in whose range a call will be made, and the delay of the call there.
 
     `head_start_s` is how long before the call its check can begin: the time in range since the call before, which is
@@ -36,8 +41,7 @@ class Offer:
     head_start_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class ComingCall:
+class ComingCall(msgspec.Struct, frozen=True):
     """A call that will be made `gap_s` after the end of the one before; the first, so long after now."""
 
     local_s: float
@@ -62,21 +66,40 @@ class Schedule:
     total_s: float
 
 
-class _Label(NamedTuple):
+class _Label(msgspec.Struct, gc=False):
     """One way to get through the calls so far."""
 
     cost_s: float
     ready_in_s: float  # what is left of the server's check
     server: str | None
-    started: frozenset[str]
+    started: int  # the servers whose services it has started, a bit for each
     since_s: float  # when that check is over
     before: _Label | None
 
 
+class _Useful(NamedTuple):
+    """A server that may be part of the best schedule, and its bit in sets of servers that were started."""
+
+    check: CheckTimes
+    bit: int
+
+
+class _Stage(NamedTuple):
+    """A call, what passes before it but for calls, its useful offers, and what all calls after it take at least."""
+
+    call: ComingCall
+    begins_s: float  # without its own gap
+    offers: Sequence[tuple[Offer, _Useful]]
+    then_s: float
+
+
+_Track = tuple[list[float], list[float]]  # a server's delays and head starts; inf and -inf where it has none
 _Arrival = tuple[_Label, float, float]  # at a call: what is left of the server's check, and when it is over
-_cost_and_rest = itemgetter(0, 1)
+_Served = tuple[float, float, int, int, float, _Label]  # a label in the making, with its number among others
+_cost_and_rest = attrgetter("cost_s", "ready_in_s")
 _MOST_STARTED = 2  # sets of servers that labels may have started the services of
 _ASKING_S = 1.0  # a server that is left sooner has perhaps not been told to start anything
+_LITTLE = 0.2  # of a local call: what a schedule may lose that is looked for first
 
 
 def quickest(
@@ -88,24 +111,42 @@ def quickest(
     gain_wait: float = 0.0,
     stays: bool = False,
     peers: Mapping[str, frozenset[str]] = MappingProxyType({}),
+    most_labels: int | None = None,
 ) -> Schedule:
     """The schedule of least total delay from now on, with `server` selected and its check over in `ready_in_s`.
 
     A call waits only where that makes it shorter than a local one by more than the fraction `gain_wait`. A drone
     that `stays` does not leave its server before the first call. `peers` are those that each server has prepared.
+    With `most_labels` no more ways than that are followed from any call to the next: the cheapest.
     """
     useful = _useful(calls, checks, server, peers)
-    started = frozenset[str]()
-    if server in useful:
-        started = _with_started(started, server, useful[server], ready_in_s)
-    labels = [_Label(0.0, ready_in_s, server, started, ready_in_s, None)]
-    begins_s = 0.0
-    for call in calls:
-        labels = _over(call, labels, useful, peers, begins_s=begins_s, gain_wait=gain_wait, stays=stays)
-        begins_s += call.gap_s
-        stays = False
+    started = _with_started(0, useful[server], ready_in_s) if server in useful else 0
+    first = _Label(0.0, ready_in_s, server, started, ready_in_s, None)
+    stages, least_s = _stages(calls, useful)
+    little_s = _LITTLE * max((call.local_s for call in calls), default=0.0)
+    labels: list[_Label] = []
+    for most_s in (least_s + little_s, math.inf):
+        labels, staying = [first], stays
+        for stage in stages:
+            labels = _over(stage, labels, peers, most_s=most_s, gain_wait=gain_wait, stays=staying)
+            if most_labels is not None and len(labels) > most_labels:
+                labels = sorted(labels, key=_cost_and_rest)[:most_labels]
+            staying = False
+        if labels:
+            break
     best = min(labels, key=_cost_and_rest)
     return Schedule(_servers(best), best.cost_s)
+
+
+def _stages(calls: Sequence[ComingCall], useful: Mapping[str, _Useful]) -> tuple[Sequence[_Stage], float]:
+    """The calls with the offers that count, and what all of them take at least."""
+    begins_s = list(itertools.accumulate((call.gap_s for call in calls), initial=0.0))
+    stages, least_s = [], 0.0
+    for call, begin_s in zip(reversed(calls), begins_s[-2::-1], strict=True):
+        offers = [(offer, useful[offer.server]) for offer in call.offers if offer.server in useful]
+        stages.append(_Stage(call, begin_s, offers, least_s))
+        least_s += min([call.local_s, *[offer.call_s for offer, _ in offers]])
+    return stages[::-1], least_s
 
 
 def _useful(
@@ -113,31 +154,38 @@ def _useful(
     checks: Mapping[str, CheckTimes],
     server: str | None,
     peers: Mapping[str, frozenset[str]],
-) -> dict[str, CheckTimes]:
+) -> dict[str, _Useful]:
     """The servers that are better than each other one at some call, and the one that is selected."""
-    offers: dict[str, dict[int, Offer]] = {}
+    tracks: dict[str, _Track] = {}
     for number, call in enumerate(calls):
         for offer in call.offers:
-            offers.setdefault(offer.server, {})[number] = offer
-    best_first = sorted(
-        offers, key=lambda name: (-len(offers[name]), sum(each.call_s for each in offers[name].values()))
-    )
-    useful: dict[str, CheckTimes] = {}
-    for name in best_first:
-        beaten = any(
-            _is_no_worse(checks[other], checks[name])
-            and all(
-                (its := offers[other].get(number)) is not None
-                and its.call_s <= offer.call_s
-                and its.head_start_s >= offer.head_start_s
-                for number, offer in offers[name].items()
-            )
-            and _is_no_lonelier(other, name, peers)
-            for other in useful
-        )
-        if name == server or not beaten:
-            useful[name] = checks[name]
+            track = tracks.get(offer.server)
+            if track is None:
+                track = tracks[offer.server] = [math.inf] * len(calls), [-math.inf] * len(calls)
+            track[0][number] = offer.call_s
+            track[1][number] = offer.head_start_s
+    useful: dict[str, _Useful] = {}
+    for name in sorted(tracks, key=lambda name: _rank(tracks[name])):
+        calls_s, head_starts_s = tracks[name]
+        for other, its in useful.items():
+            its_calls_s, its_head_starts_s = tracks[other]
+            if (
+                name != server
+                and _is_no_worse(its.check, checks[name])
+                and all(map(le, its_calls_s, calls_s))
+                and all(map(ge, its_head_starts_s, head_starts_s))
+                and (not peers or _is_no_lonelier(other, name, peers))
+            ):
+                break
+        else:
+            useful[name] = _Useful(checks[name], 1 << len(useful))
     return useful
+
+
+def _rank(track: _Track) -> tuple[int, float]:
+    """First the servers that are in range of most calls, then the fast ones."""
+    in_range = list(filter(math.isfinite, track[0]))
+    return -len(in_range), sum(in_range)
 
 
 def _is_no_worse(times: CheckTimes, others: CheckTimes) -> bool:
@@ -158,58 +206,70 @@ def _is_no_lonelier(server: str, other: str, peers: Mapping[str, frozenset[str]]
 
 
 def _over(
-    call: ComingCall,
+    stage: _Stage,
     labels: Sequence[_Label],
-    checks: Mapping[str, CheckTimes],
     peers: Mapping[str, frozenset[str]],
     *,
-    begins_s: float,
+    most_s: float,
     gain_wait: float,
     stays: bool,
 ) -> list[_Label]:
-    """The labels after one more call: without a server, with the same one, or with another."""
+    """The labels after one more call: without a server, with the same one, or with another.
+
+    Those are left out that lead to more than `most_s`.
+    """
+    if not labels:
+        return []
+    local_s, gap_s, begins_s = stage.call.local_s, stage.call.gap_s, stage.begins_s
+    most_s -= stage.then_s
+    longest_s = local_s * (1 - gain_wait)
     cheapest = _cheapest(labels)
     after = [
-        _Label(label.cost_s + call.local_s, math.inf, None, label.started, math.inf, label)
+        _Label(label.cost_s + local_s, math.inf, None, label.started, math.inf, label)
         for label in cheapest
+        if label.cost_s + local_s <= most_s
     ]
-    by_server: dict[str | None, list[_Label]] = {}
-    for label in labels:
-        by_server.setdefault(label.server, []).append(label)
-    longest_s = call.local_s * (1 - gain_wait)
-    for offer in call.offers:
-        times = checks.get(offer.server)
-        if times is None:
-            continue
+    for offer, useful in stage.offers:
+        server, head_start_s, check = offer.server, offer.head_start_s, useful.check
         arrivals: list[_Arrival] = []
-        never_left = offer.head_start_s >= call.gap_s
+        never_left = head_start_s >= gap_s
         if never_left:
             arrivals = [
-                (label, label.ready_in_s - call.gap_s, label.since_s)
-                for label in by_server.get(offer.server, ())
+                (label, label.ready_in_s - gap_s, label.since_s) for label in labels if label.server == server
             ]
         if not stays:
             for label in cheapest:
-                if not (never_left and label.server == offer.server):
-                    called_s = begins_s + call.gap_s + label.cost_s
-                    check_s = times.stopped_s
-                    if offer.server in label.started or begins_s < times.runs_for_s:
-                        check_s = times.running_s
-                    elif label.server is not None and offer.server in peers.get(label.server, ()):
-                        prepared_s = max(0.0, called_s - offer.head_start_s - label.since_s)
-                        check_s = max(times.running_s, times.stopped_s - prepared_s)
-                    left_s = check_s - offer.head_start_s
+                if not (never_left and label.server == server):
+                    called_s = begins_s + gap_s + label.cost_s
+                    check_s = check.stopped_s
+                    if label.started & useful.bit or begins_s < check.runs_for_s:
+                        check_s = check.running_s
+                    elif label.server is not None and server in peers.get(label.server, ()):
+                        prepared_s = max(0.0, called_s - head_start_s - label.since_s)
+                        check_s = max(check.running_s, check.stopped_s - prepared_s)
+                    left_s = check_s - head_start_s
                     arrivals.append((label, left_s, called_s + left_s))
-        after += _unbeaten(_served(arrivals, offer, times, call.local_s, longest_s))
+        after += [
+            _Label(cost_s, rest_s, server, started, since_s, label)
+            for cost_s, rest_s, _, started, since_s, label in _unbeaten(
+                _served(arrivals, offer, useful, local_s=local_s, longest_s=longest_s, most_s=most_s)
+            )
+        ]
     return after
 
 
 def _served(
-    arrivals: Iterable[_Arrival], offer: Offer, times: CheckTimes, local_s: float, longest_s: float
-) -> list[_Label]:
-    """The labels after a call that is made with so much of the server's check left."""
-    labels = []
-    server, call_s = offer.server, offer.call_s
+    arrivals: Iterable[_Arrival],
+    offer: Offer,
+    useful: _Useful,
+    *,
+    local_s: float,
+    longest_s: float,
+    most_s: float,
+) -> list[_Served]:
+    """What a call comes to, at most `most_s`, that is made with so much of the server's check left."""
+    served: list[_Served] = []
+    call_s = offer.call_s
     ready_s = min(local_s, call_s)
     for label, left_s, since_s in arrivals:
         if left_s <= 0:
@@ -218,37 +278,40 @@ def _served(
             cost_s, rest_s = label.cost_s + left_s + call_s, 0.0
         else:
             cost_s, rest_s = label.cost_s + local_s, max(0.0, left_s - local_s)
-        started = _with_started(label.started, server, times, rest_s)
-        labels.append(_Label(cost_s, rest_s, server, started, since_s, label))
-    return labels
+        if cost_s <= most_s:
+            started = _with_started(label.started, useful, rest_s)
+            served.append((cost_s, rest_s, len(served), started, since_s, label))
+    return served
 
 
-def _with_started(started: frozenset[str], server: str, times: CheckTimes, rest_s: float) -> frozenset[str]:
+def _with_started(started: int, useful: _Useful, rest_s: float) -> int:
     """With the server whose check has so much left, if it has surely been asked to start its services by then."""
-    if server in started or rest_s > times.stopped_s - times.running_s - _ASKING_S:
+    check, bit = useful
+    if started & bit or rest_s > check.stopped_s - check.running_s - _ASKING_S:
         return started
-    return started | {server}
+    return started | bit
 
 
 def _cheapest(labels: Sequence[_Label]) -> list[_Label]:
     """The cheapest label, and the cheapest that has started something else."""
     first = min(labels, key=_cost_and_rest)
-    others = [label for label in labels if not label.started <= first.started]
-    return [first, *heapq.nsmallest(_MOST_STARTED - 1, others, key=_cost_and_rest)]
+    others = [label for label in labels if label.started & ~first.started]
+    return [first, min(others, key=_cost_and_rest)] if others else [first]
 
 
-def _unbeaten(labels: list[_Label]) -> list[_Label]:
-    """The labels of one server that no cheaper one beats in what is left of the check or in what it has started."""
-    if len(labels) == 1:
-        return labels
-    ordered = sorted(labels, key=_cost_and_rest)
-    best = ordered[:1]
-    for label in ordered[1:]:
-        beaten = any(
-            other.ready_in_s <= label.ready_in_s and other.started >= label.started for other in best
-        )
-        if not beaten and len({label.started, *(other.started for other in best)}) <= _MOST_STARTED:
-            best.append(label)
+def _unbeaten(served: list[_Served]) -> list[_Served]:
+    """What no cheaper one at the same server beats in what is left of the check or in what was started."""
+    if len(served) <= 1:
+        return served
+    best: list[_Served] = []
+    for one in sorted(served):
+        _, rest_s, _, started, _, _ = one
+        for _, its_rest_s, _, its_started, _, _ in best:
+            if its_rest_s <= rest_s and not started & ~its_started:
+                break
+        else:
+            if len({started, *(each[3] for each in best)}) <= _MOST_STARTED:
+                best.append(one)
     return best
 
 

@@ -11,7 +11,8 @@ Where the calls run is foreseen by the policy itself, with nothing failing (core
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+
+from msgspec import structs
 
 from upwash.core.commands import Foreseen
 from upwash.core.energy import UNKNOWN, EnergyFacts, descent_s, time_home_s
@@ -67,7 +68,7 @@ class Timetable:
         if self._lighter is None:
             return Foreseen(reached_s, as_asked_s)
         of = self._lighter.operations
-        lighter = [replace(call, operation=of.get(call.operation, call.operation)) for call in calls]
+        lighter = [structs.replace(call, operation=of.get(call.operation, call.operation)) for call in calls]
         _, lightest_s = self._times(lighter, now_s)
         return Foreseen(reached_s, as_asked_s, lightest_s, self._lighter.finish_by_s)
 
