@@ -22,6 +22,7 @@ import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from operator import attrgetter, ge, le
 from types import MappingProxyType
 from typing import NamedTuple
@@ -77,11 +78,12 @@ class _Label(msgspec.Struct, gc=False):
     before: _Label | None
 
 
-class _Useful(NamedTuple):
+class _Useful(msgspec.Struct, gc=False):
     """A server that may be part of the best schedule, and its bit in sets of servers that were started."""
 
     check: CheckTimes
     bit: int
+    told_s: float  # with no more than that left of its check, it has surely been told to start its services
 
 
 class _Stage(NamedTuple):
@@ -120,21 +122,14 @@ def quickest(
     With `most_labels` no more ways than that are followed from any call to the next: the cheapest.
     """
     useful = _useful(calls, checks, server, peers)
-    started = _with_started(0, useful[server], ready_in_s) if server in useful else 0
-    first = _Label(0.0, ready_in_s, server, started, ready_in_s, None)
     stages, least_s = _stages(calls, useful)
     little_s = _LITTLE * max((call.local_s for call in calls), default=0.0)
-    labels: list[_Label] = []
-    for most_s in (least_s + little_s, math.inf):
-        labels, staying = [first], stays
-        for stage in stages:
-            labels = _over(stage, labels, peers, most_s=most_s, gain_wait=gain_wait, stays=staying)
-            if most_labels is not None and len(labels) > most_labels:
-                labels = sorted(labels, key=_cost_and_rest)[:most_labels]
-            staying = False
-        if labels:
-            break
-    best = min(labels, key=_cost_and_rest)
+    started = _with_started(0, useful[server], ready_in_s) if server in useful else 0
+    first = _Label(0.0, ready_in_s, server, started, ready_in_s, None)
+    labels_within = partial(
+        _through, stages, first, peers, gain_wait=gain_wait, stays=stays, most_labels=most_labels
+    )
+    best = min(labels_within(least_s + little_s) or labels_within(math.inf), key=_cost_and_rest)
     return Schedule(_servers(best), best.cost_s)
 
 
@@ -178,7 +173,9 @@ def _useful(
             ):
                 break
         else:
-            useful[name] = _Useful(checks[name], 1 << len(useful))
+            useful[name] = _Useful(
+                checks[name], 1 << len(useful), checks[name].stopped_s - checks[name].running_s - _ASKING_S
+            )
     return useful
 
 
@@ -205,6 +202,29 @@ def _is_no_lonelier(server: str, other: str, peers: Mapping[str, frozenset[str]]
     )
 
 
+def _through(
+    stages: Sequence[_Stage],
+    first: _Label,
+    peers: Mapping[str, frozenset[str]],
+    most_s: float,
+    *,
+    gain_wait: float,
+    stays: bool,
+    most_labels: int | None,
+) -> list[_Label]:
+    """The labels after the last call that come to no more than `most_s`, if there are any."""
+    labels = [first]
+    for stage in stages:
+        labels = _over(
+            stage, labels, peers, most_s=most_s, gain_wait=gain_wait, stays=stays and labels[0] is first
+        )
+        if not labels:
+            break
+        if most_labels is not None and len(labels) > most_labels:
+            labels = sorted(labels, key=_cost_and_rest)[:most_labels]
+    return labels
+
+
 def _over(
     stage: _Stage,
     labels: Sequence[_Label],
@@ -218,10 +238,9 @@ def _over(
 
     Those are left out that lead to more than `most_s`.
     """
-    if not labels:
-        return []
-    local_s, gap_s, begins_s = stage.call.local_s, stage.call.gap_s, stage.begins_s
-    most_s -= stage.then_s
+    call, begins_s, offers, then_s = stage
+    local_s, gap_s = call.local_s, call.gap_s
+    most_s -= then_s
     longest_s = local_s * (1 - gain_wait)
     cheapest = _cheapest(labels)
     after = [
@@ -229,7 +248,7 @@ def _over(
         for label in cheapest
         if label.cost_s + local_s <= most_s
     ]
-    for offer, useful in stage.offers:
+    for offer, useful in offers:
         server, head_start_s, check = offer.server, offer.head_start_s, useful.check
         arrivals: list[_Arrival] = []
         never_left = head_start_s >= gap_s
@@ -237,24 +256,21 @@ def _over(
             arrivals = [
                 (label, label.ready_in_s - gap_s, label.since_s) for label in labels if label.server == server
             ]
-        if not stays:
-            for label in cheapest:
-                if not (never_left and label.server == server):
-                    called_s = begins_s + gap_s + label.cost_s
-                    check_s = check.stopped_s
-                    if label.started & useful.bit or begins_s < check.runs_for_s:
-                        check_s = check.running_s
-                    elif label.server is not None and server in peers.get(label.server, ()):
-                        prepared_s = max(0.0, called_s - head_start_s - label.since_s)
-                        check_s = max(check.running_s, check.stopped_s - prepared_s)
-                    left_s = check_s - head_start_s
-                    arrivals.append((label, left_s, called_s + left_s))
-        after += [
-            _Label(cost_s, rest_s, server, started, since_s, label)
-            for cost_s, rest_s, _, started, since_s, label in _unbeaten(
-                _served(arrivals, offer, useful, local_s=local_s, longest_s=longest_s, most_s=most_s)
-            )
-        ]
+        for label in () if stays else cheapest:
+            if never_left and label.server == server:
+                continue
+            called_s = begins_s + gap_s + label.cost_s
+            check_s = check.stopped_s
+            if label.started & useful.bit or begins_s < check.runs_for_s:
+                check_s = check.running_s
+            elif label.server is not None and server in peers.get(label.server, ()):
+                prepared_s = max(0.0, called_s - head_start_s - label.since_s)
+                check_s = max(check.running_s, check.stopped_s - prepared_s)
+            left_s = check_s - head_start_s
+            arrivals.append((label, left_s, called_s + left_s))
+        served = _served(arrivals, offer, useful, local_s=local_s, longest_s=longest_s, most_s=most_s)
+        for cost_s, rest_s, _, started, since_s, label in _unbeaten(served):
+            after.append(_Label(cost_s, rest_s, server, started, since_s, label))
     return after
 
 
@@ -269,7 +285,7 @@ def _served(
 ) -> list[_Served]:
     """What a call comes to, at most `most_s`, that is made with so much of the server's check left."""
     served: list[_Served] = []
-    call_s = offer.call_s
+    call_s, told_s, bit = offer.call_s, useful.told_s, useful.bit
     ready_s = min(local_s, call_s)
     for label, left_s, since_s in arrivals:
         if left_s <= 0:
@@ -279,21 +295,20 @@ def _served(
         else:
             cost_s, rest_s = label.cost_s + local_s, max(0.0, left_s - local_s)
         if cost_s <= most_s:
-            started = _with_started(label.started, useful, rest_s)
+            started = label.started if rest_s > told_s else label.started | bit
             served.append((cost_s, rest_s, len(served), started, since_s, label))
     return served
 
 
 def _with_started(started: int, useful: _Useful, rest_s: float) -> int:
     """With the server whose check has so much left, if it has surely been asked to start its services by then."""
-    check, bit = useful
-    if started & bit or rest_s > check.stopped_s - check.running_s - _ASKING_S:
-        return started
-    return started | bit
+    return started if rest_s > useful.told_s else started | useful.bit
 
 
-def _cheapest(labels: Sequence[_Label]) -> list[_Label]:
+def _cheapest(labels: Sequence[_Label]) -> Sequence[_Label]:
     """The cheapest label, and the cheapest that has started something else."""
+    if len(labels) == 1:
+        return labels
     first = min(labels, key=_cost_and_rest)
     others = [label for label in labels if label.started & ~first.started]
     return [first, min(others, key=_cost_and_rest)] if others else [first]
@@ -310,7 +325,7 @@ def _unbeaten(served: list[_Served]) -> list[_Served]:
             if its_rest_s <= rest_s and not started & ~its_started:
                 break
         else:
-            if len({started, *(each[3] for each in best)}) <= _MOST_STARTED:
+            if len(best) < _MOST_STARTED or len({started, *(each[3] for each in best)}) <= _MOST_STARTED:
                 best.append(one)
     return best
 
