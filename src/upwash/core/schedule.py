@@ -124,7 +124,7 @@ def quickest(
     useful = _useful(calls, checks, server, peers)
     stages, least_s = _stages(calls, useful)
     little_s = _LITTLE * max((call.local_s for call in calls), default=0.0)
-    started = _with_started(0, useful[server], ready_in_s) if server in useful else 0
+    started = useful[server].bit if server in useful and ready_in_s <= useful[server].told_s else 0
     first = _Label(0.0, ready_in_s, server, started, ready_in_s, None)
     labels_within = partial(
         _through, stages, first, peers, gain_wait=gain_wait, stays=stays, most_labels=most_labels
@@ -173,9 +173,8 @@ def _useful(
             ):
                 break
         else:
-            useful[name] = _Useful(
-                checks[name], 1 << len(useful), checks[name].stopped_s - checks[name].running_s - _ASKING_S
-            )
+            check = checks[name]
+            useful[name] = _Useful(check, 1 << len(useful), check.stopped_s - check.running_s - _ASKING_S)
     return useful
 
 
@@ -298,11 +297,6 @@ def _served(
             started = label.started if rest_s > told_s else label.started | bit
             served.append((cost_s, rest_s, len(served), started, since_s, label))
     return served
-
-
-def _with_started(started: int, useful: _Useful, rest_s: float) -> int:
-    """With the server whose check has so much left, if it has surely been asked to start its services by then."""
-    return started if rest_s > useful.told_s else started | useful.bit
 
 
 def _cheapest(labels: Sequence[_Label]) -> Sequence[_Label]:
