@@ -19,6 +19,8 @@ from upwash.services.solar_park import LABELS, TrueBox, render_photo
 TRAINING_SEEDS = range(700)
 VALIDATION_SEEDS = range(1_000_000, 1_000_120)  # every choice was made on these
 TEST_SEEDS = range(2_000_000, 2_000_240)  # looked at once, when nothing was left to choose
+ALTITUDE_SEEDS = range(3_000_000, 3_000_160)  # from each of the altitudes; nothing was chosen on these
+ALTITUDES_M = (10, 15, 20, 25, 30, 40, 60)
 
 WIDTH_PX, HEIGHT_PX = 720, 540  # half the photo: what the detector decodes, and more than it looks at
 _PHOTO_WIDTH_PX = 1440

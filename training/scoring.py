@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from upwash.services import Box, Detection
 
@@ -20,21 +21,46 @@ class Judged:
     truth: Sequence[Box]
 
 
+@dataclass(frozen=True, slots=True)
+class Ranking:
+    """The detections of one label in all photos, the surest first, and what photo each is in."""
+
+    hits: NDArray[np.bool_]
+    photos: NDArray[np.intp]
+    boxes: NDArray[np.intp]  # by photo: how many truly are there
+
+    @classmethod
+    def of(cls, photos: Sequence[Judged]) -> Ranking:
+        """The detections of all the photos."""
+        verdicts = sorted(
+            ((score, hit, number) for number, photo in enumerate(photos) for score, hit in _verdicts(photo)),
+            key=lambda each: -each[0],
+        )
+        return cls(
+            np.array([hit for _, hit, _ in verdicts], np.bool_),
+            np.array([number for *_, number in verdicts], np.intp),
+            np.array([len(photo.truth) for photo in photos], np.intp),
+        )
+
+    def average_precision(self, weights: NDArray[np.intp]) -> float:
+        """The area below precision over recall, with each photo taken as often as its weight says."""
+        boxes = int((weights * self.boxes).sum())
+        counted = weights[self.photos]
+        seen = np.cumsum(counted)
+        if not boxes or not seen.size or not seen[-1]:
+            return 0.0
+        found_more = np.where(self.hits, counted, 0)
+        precision = np.cumsum(found_more) / np.maximum(seen, 1)
+        best_from_here = np.maximum.accumulate(precision[::-1])[::-1]
+        return float((best_from_here * found_more).sum() / boxes)
+
+
 def average_precision(photos: Sequence[Judged]) -> float:
     """The area below precision over recall, with precision made to fall steadily; from 0 to 1.
 
     Detections are taken by score, whatever photo they are in; each may hit one box that no surer one has hit.
     """
-    verdicts = sorted(
-        ((score, hit) for photo in photos for score, hit in _verdicts(photo)), key=lambda each: -each[0]
-    )
-    if not verdicts:
-        return 0.0
-    hits = np.cumsum([hit for _, hit in verdicts])
-    precision = hits / np.arange(1, len(verdicts) + 1)
-    best_from_here = np.maximum.accumulate(precision[::-1])[::-1]
-    found_more = np.diff(hits, prepend=0)
-    return float((best_from_here * found_more).sum() / sum(len(photo.truth) for photo in photos))
+    return Ranking.of(photos).average_precision(np.ones(len(photos), np.intp))
 
 
 def recall(photos: Sequence[Judged], *, confidence: float) -> float:

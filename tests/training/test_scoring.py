@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
-from training.scoring import Judged, average_precision, overlap, precision, recall
+from training.scoring import Judged, Ranking, average_precision, overlap, precision, recall
 
 from upwash.services import Box, Detection
 
@@ -59,3 +60,14 @@ def test_a_false_alarm_in_a_photo_without_boxes_counts() -> None:
 def test_a_detection_hits_the_box_that_it_overlaps_most() -> None:
     photo = Judged([found(4, 0.9), found(0, 0.8)], [box(0), box(3)])
     assert average_precision([photo]) == 1
+
+
+def test_a_photo_that_is_taken_twice_counts_as_two() -> None:
+    first = Judged([found(0, 0.9), found(50, 0.6)], [box(0), box(20)])
+    second = Judged([found(0, 0.8)], [box(0)])
+    third = Judged([found(30, 0.7)], [box(0)])
+    ranking = Ranking.of([first, second, third])
+    assert ranking.average_precision(np.array([1, 1, 1])) == average_precision([first, second, third])
+    repeated = average_precision([first, second, second])
+    assert ranking.average_precision(np.array([1, 2, 0])) == pytest.approx(repeated)
+    assert ranking.average_precision(np.array([0, 0, 1])) == 0

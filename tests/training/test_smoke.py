@@ -27,6 +27,15 @@ def test_a_detector_is_scored() -> None:
 
 @pytest.mark.system
 @pytest.mark.long
+def test_a_detector_is_scored_from_several_altitudes() -> None:
+    said = printed("training.evaluate", "altitudes", "--first", "1")
+    assert re.search(
+        r"\n│ 60 m +│ \d+ +│ (\d+%|-) +│( [\d.]+ +│){4} -?[\d.]+ \[-?[\d.]+, -?[\d.]+\] +│", said
+    )
+
+
+@pytest.mark.system
+@pytest.mark.long
 @pytest.mark.skipif(not importlib.util.find_spec("torch"), reason="needs torch: training/README.md")
 def test_a_network_learns_for_a_step(tmp_path: Path) -> None:
     weights = tmp_path / "learned.weights"

@@ -75,10 +75,14 @@ def photograph(park: Park, view: View, *, shot: int = 0) -> RenderedPhoto:
     return RenderedPhoto(_encode(_expose(seen, rng)), _truth(canvas, tables, lens))
 
 
-def render_photo(seed: int) -> RenderedPhoto:
-    """A photo of a park of its own, from 9 to 20 m, in any light: what a detector is trained and tested on."""
+def render_photo(seed: int, *, altitude_m: float | None = None) -> RenderedPhoto:
+    """A photo of a park of its own, in any light, from `altitude_m` or, as in training and tests, from 9 to 20 m.
+
+    However high it is taken, as many faults are to be expected on it.
+    """
     rng = np.random.default_rng([seed, 7])
-    altitude_m = rng.uniform(9, 20)
+    usual_m = rng.uniform(9, 20)  # drawn in any case: all else of a seed stays the same
+    altitude_m = usual_m if altitude_m is None else min(max(altitude_m, LOWEST_M), HIGHEST_M)
     modules = _MODULES_PER_M2 * 0.75 * (_WIDTH_OF_ALTITUDE * altitude_m) ** 2
     rates = Rates(hot_spot=rng.uniform(0, 6) / modules, broken=rng.uniform(0, 3) / modules)
     heading_deg = rng.choice([0, 90, 180, 270]) + rng.uniform(-10, 10)
