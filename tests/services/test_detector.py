@@ -17,7 +17,16 @@ import onnx
 import pytest
 from onnx import TensorProto, helper
 from tests.doors import certified_processes, reached
-from tests.services.darknet_models import small, write_labels, write_model, yolov3_tiny
+from tests.services.darknet_models import (
+    NET,
+    UPSAMPLE,
+    conv,
+    route,
+    small,
+    write_labels,
+    write_model,
+    yolov3_tiny,
+)
 
 from upwash.config import read_daemon_config
 from upwash.errors import ConfigError, InstanceError, ModelError, UsageError
@@ -32,6 +41,7 @@ from upwash.rpc.settings import construct, plain
 from upwash.services import Detection, Detector, Mode, ModelFiles, NotAPhoto
 from upwash.services.darknet.conversion import converted
 from upwash.services.heads import HEADS_METADATA, Head, decode_heads
+from upwash.services.inference import Inference
 from upwash.services.solar_park import TrueBox, render_photo
 
 MODES: tuple[Mode, ...] = ("light", "heavy")
@@ -91,6 +101,39 @@ def test_the_modes_look_at_pictures_of_two_sizes(
 def labels_and_places(found: list[Detection]) -> set[tuple[str, int, int]]:
     """What one thread and several agree on: they add up in another order."""
     return {(each.label, round(each.left_px), round(each.top_px)) for each in found if each.score > 0.31}
+
+
+def test_a_network_that_takes_squares_alone_is_given_squares(
+    model: ModelFiles, photo: bytes, tmp_path: Path
+) -> None:
+    files = ModelFiles(onnx=edited(model, tmp_path, fix_cells), names=model.names)
+    assert Inference(files, threads=1, provider="cpu").cell_px(608) is None
+    found = Detector(model=files, light_px=608).process_photo(photo, "light", CONFIDENCE)
+    assert len(found) > 10
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_photos_are_looked_at_in_pictures_of_their_shape(model: ModelFiles, turned: bool) -> None:
+    inference = Inference(model, threads=1, provider="cpu")
+    cell_px = inference.cell_px(320)
+    assert cell_px == 16
+    sides = (320, 240) if turned else (240, 320)
+    outputs = inference.run(np.zeros((1, 3, *sides), np.float32))
+    assert [output.shape[2:] for output in outputs] == [
+        tuple(side // head.stride for side in sides) for head in inference.heads
+    ]
+
+
+def test_a_network_with_a_coarser_layer_inside_is_given_squares(tmp_path: Path) -> None:
+    """Its head has a stride of 16, but 48 pixels do not fill the cells of 32 before it."""
+    parts = [NET, *[conv(8, 3, 2)] * 5, UPSAMPLE, route(-1, 3), conv(14, 1)]
+    parts.append("[yolo]\nanchors=12,12, 30,20\nclasses=2\nnum=2\n")
+    cfg, weights = write_model(tmp_path, "".join(parts))
+    files = ModelFiles(cfg=cfg, weights=weights, names=write_labels(tmp_path, 2))
+    inference = Inference(files, threads=1, provider="cpu")
+    inference.require_side(320)
+    assert inference.cell_px(320) is None
+    Detector(model=files)
 
 
 def test_confidence_thins_out_and_nothing_else(detector: Detector, photo: bytes) -> None:

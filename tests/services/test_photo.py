@@ -97,6 +97,33 @@ def test_a_picture_shows_the_photo_at_any_resolution(width_px: int, height_px: i
     assert (outside == 0.5).all()
 
 
+@given(lengths, lengths, sides, st.sampled_from([8, 16, 32]))
+def test_a_picture_of_whole_cells_holds_the_photo_and_little_else(
+    width_px: int, height_px: int, side_px: int, cell_px: int
+) -> None:
+    square, cut = Letterbox(width_px, height_px, side_px), Letterbox(width_px, height_px, side_px, cell_px)
+    assert (cut.width_px, cut.height_px) == (square.width_px, square.height_px)
+    photo = np.zeros((1, 1, 3), np.uint8)
+    _, _, rows, columns = cut.picture(photo).shape
+    assert (rows % cell_px, columns % cell_px) == (0, 0)
+    assert 0 <= rows - cut.height_px < cell_px
+    assert 0 <= columns - cut.width_px < cell_px
+    whole = cut.on_photo(np.array([0, 0, columns, rows], np.float32))
+    assert whole is not None
+    assert (whole.width_px, whole.height_px) == pytest.approx((width_px, height_px))
+
+
+@pytest.mark.parametrize(("width_px", "height_px"), [(1440, 1080), (1080, 1440), (5000, 700), (608, 608)])
+def test_a_picture_of_whole_cells_is_the_middle_of_the_square(width_px: int, height_px: int) -> None:
+    jpeg = jpeg_of(gradient(width_px, height_px))
+    square, in_square = read_photo(jpeg, 608)
+    cut, in_cut = read_photo(jpeg, 608, 32)
+    top, left = ((608 - length) // 2 for length in cut.shape[2:])
+    np.testing.assert_array_equal(cut, square[:, :, top : top + cut.shape[2], left : left + cut.shape[3]])
+    corners = np.array([40, 10, 70, 30], np.float32)
+    assert in_cut.on_photo(corners) == in_square.on_photo(np.add(corners, [left, top, left, top]))
+
+
 def test_gray_and_tiny_photos_are_photos() -> None:
     assert read_photo(jpeg_of(np.full((300, 400), 90, np.uint8)), 320)[0].shape == (1, 3, 320, 320)
     assert read_photo(jpeg_of(np.full((1, 1, 3), 200, np.uint8)), 320)[1] == Letterbox(1, 1, 320)

@@ -51,12 +51,13 @@ class Detector:
         self._sides_px: dict[Mode, int] = {"light": light_px, "heavy": heavy_px}
         for side_px in self._sides_px.values():
             self._inference.require_side(side_px)
+        self._cells_px = {mode: self._inference.cell_px(side_px) for mode, side_px in self._sides_px.items()}
 
     def process_photo(self, photo: bytes, mode: Mode = "heavy", confidence: float = 0.25) -> list[Detection]:
         """What scores above `confidence` on a JPEG of at most 40 megapixels, surest first; raises NotAPhoto."""
         if not 0 <= confidence <= 1:
             raise ValueError(f"confidence = {confidence}: give a number from 0 to 1")
-        picture, letterbox = read_photo(photo, self._sides_px[mode])
+        picture, letterbox = read_photo(photo, self._sides_px[mode], self._cells_px[mode])
         outputs = self._inference.run(picture)
         found = best_of_each(read_heads(outputs, self._inference.heads, confidence=confidence))
         return [

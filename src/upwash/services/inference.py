@@ -49,10 +49,11 @@ class ModelFiles(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class Inference:
-    """One network, ready to be run on square pictures."""
+    """One network, ready to be run on pictures."""
 
     def __init__(self, files: ModelFiles, *, threads: int, provider: Provider) -> None:
         """Loads the model; raises ModelError for its files and UsageError for what is not installed."""
+        self._provider = provider
         self._file = files.onnx or files.weights or files.names
         self._session = self._open(files, threads, provider)
         self.labels = _read_labels(files.names)
@@ -93,11 +94,40 @@ class Inference:
                     f"as {len(head.anchors)} anchors, {len(self.labels)} names and stride {head.stride} say"
                 )
 
+    def cell_px(self, side_px: int) -> int | None:
+        """Of what a picture's shorter side needs to be a multiple, if it need not be `side_px` like the other."""
+        if self._provider == "cuda":  # which prepares itself anew for every size
+            return None
+        cell_px = max(head.stride for head in self.heads)
+        few_px = (
+            3 * cell_px
+        )  # an odd number, which the cells of any coarser layer inside do not fill; one is broadcast
+        return cell_px if self._can_run(few_px, side_px) and self._can_run(side_px, few_px) else None
+
     def run(self, picture: Floats) -> list[Floats]:
-        """The heads' outputs for a picture of 1, 3, side, side: red, green, blue from 0 to 1."""
+        """The heads' outputs for a picture of 1, 3, height, width: red, green, blue from 0 to 1."""
+        return self._run(picture, None)
+
+    def _run(self, picture: Floats, options: onnxruntime.RunOptions | None) -> list[Floats]:
         names = [head.output for head in self.heads]
-        outputs: list[Floats] = self._session.run(names, {self._input.name: picture})
+        outputs: list[Floats] = self._session.run(names, {self._input.name: picture}, options)
         return outputs
+
+    def _can_run(self, height_px: int, width_px: int) -> bool:
+        """Whether a picture of that size gives as many cells as it has."""
+        import numpy as np
+        import onnxruntime
+
+        options = onnxruntime.RunOptions()
+        options.log_severity_level = 4  # not even errors: to fail is an answer
+        try:
+            outputs = self._run(np.full((1, 3, height_px, width_px), 0.5, np.float32), options)
+        except Exception:  # noqa: BLE001 - onnxruntime's have no base of their own
+            return False
+        return all(
+            output.shape[2:] == (height_px // head.stride, width_px // head.stride)
+            for head, output in zip(self.heads, outputs, strict=True)
+        )
 
     def _open(self, files: ModelFiles, threads: int, provider: Provider) -> onnxruntime.InferenceSession:
         import onnxruntime

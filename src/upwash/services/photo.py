@@ -1,4 +1,4 @@
-"""Photos: from a JPEG's bytes to the square picture that a network looks at, and from there back to the photo.
+"""Photos: from a JPEG's bytes to the picture that a network looks at, and from there back to the photo.
 
 The size in a JPEG's header is looked at before anything is decoded, so that no photo takes more memory than
 MAX_PHOTO_PIXELS allow. OpenCV is imported on first use: a mission imports this module for its exception alone.
@@ -28,11 +28,15 @@ class NotAPhoto(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Letterbox:
-    """A photo in a square picture: as large as fits, in the middle, with grey around it."""
+    """A photo in a picture: as large as fits in a square, in the middle, with grey around it.
+
+    The picture is that square or, where `cell_px` is given, only as many whole cells of it as the photo needs.
+    """
 
     photo_width_px: int
     photo_height_px: int
     side_px: int
+    cell_px: int | None = None
 
     @property
     def width_px(self) -> int:
@@ -45,7 +49,7 @@ class Letterbox:
         return max(1, self.side_px * self.photo_height_px // self._longer_px)
 
     def picture(self, photo: MatLike) -> Floats:
-        """The photo as a network takes it: 1, 3, side, side; red, green, blue from 0 to 1.
+        """The photo as a network takes it: 1, 3, height, width; red, green, blue from 0 to 1.
 
         It may be decoded at any resolution from once to twice what is shown, where four pixels around each place
         are all that there are to be looked at.
@@ -54,7 +58,8 @@ class Letterbox:
         import numpy as np
 
         scaled = cv2.resize(photo, (self.width_px, self.height_px), interpolation=cv2.INTER_LINEAR)
-        picture = np.full((1, 3, self.side_px, self.side_px), _GREY, np.float32)
+        shape = (1, 3, self._whole_cells(self.height_px), self._whole_cells(self.width_px))
+        picture = np.full(shape, _GREY, np.float32)
         for plane, channel in zip(
             picture[0], reversed(cv2.split(scaled)), strict=True
         ):  # OpenCV has blue first
@@ -78,20 +83,25 @@ class Letterbox:
 
     @property
     def _left_px(self) -> int:
-        return (self.side_px - self.width_px) // 2
+        return (self._whole_cells(self.width_px) - self.width_px) // 2
 
     @property
     def _top_px(self) -> int:
-        return (self.side_px - self.height_px) // 2
+        return (self._whole_cells(self.height_px) - self.height_px) // 2
+
+    def _whole_cells(self, length_px: int) -> int:
+        """The picture's width or height, of which the photo takes so much."""
+        cell_px = self.cell_px or self.side_px
+        return -(-length_px // cell_px) * cell_px
 
 
-def read_photo(photo: bytes, side_px: int) -> tuple[Floats, Letterbox]:
-    """A JPEG as a picture of that side, and where in it the photo lies; raises NotAPhoto.
+def read_photo(photo: bytes, side_px: int, cell_px: int | None = None) -> tuple[Floats, Letterbox]:
+    """A JPEG as a picture of that longer side, and where in it the photo lies; raises NotAPhoto.
 
     The photo is decoded at a half, a quarter or an eighth of its resolution where that is still enough.
     """
     header = _read_header(photo)
-    letterbox = Letterbox(header.width_px, header.height_px, side_px)
+    letterbox = Letterbox(header.width_px, header.height_px, side_px, cell_px)
     return letterbox.picture(_decode(photo, letterbox)), letterbox
 
 
