@@ -46,7 +46,7 @@ from upwash.services import Detector
 from upwash.services.darknet.layers import read_network
 from upwash.services.darknet.weights import WeightsFile
 from upwash.services.heads import HEADS_METADATA, Head, encode_heads
-from upwash.services.inference import Inference, ModelFiles
+from upwash.services.inference import ModelFiles, open_inference
 from upwash.services.photo import NotAPhoto, read_photo
 from upwash.sim.radio import read_goodput
 
@@ -198,7 +198,7 @@ def _small_weights() -> bytes:
 def _model(file: Path) -> object:
     names = _folder() / "names"
     names.write_text("dog\ncat\n")
-    return Inference(ModelFiles(names=names, onnx=file), threads=1, provider="cpu")
+    return open_inference(ModelFiles(names=names, onnx=file), threads=1, provider="cpu", engine="onnxruntime")
 
 
 def model_with(metadata: str) -> bytes:

@@ -25,6 +25,7 @@ from tests.services.darknet_models import (
     small,
     write_labels,
     write_model,
+    yolov3,
     yolov3_tiny,
 )
 
@@ -41,9 +42,10 @@ from upwash.rpc.settings import construct, plain
 from upwash.services import Detection, Detector, Mode, ModelFiles, NotAPhoto
 from upwash.services.darknet.conversion import converted
 from upwash.services.heads import HEADS_METADATA, Head, decode_heads
-from upwash.services.inference import Inference
+from upwash.services.inference import Engine, open_inference
 from upwash.services.solar_park import TrueBox, render_photo
 
+ENGINES: tuple[Engine, ...] = ("onnxruntime", "ncnn")
 MODES: tuple[Mode, ...] = ("light", "heavy")
 MAX_MESSAGE_BYTES = 16 * 2**20
 CONFIDENCE = 0.3
@@ -107,14 +109,14 @@ def test_a_network_that_takes_squares_alone_is_given_squares(
     model: ModelFiles, photo: bytes, tmp_path: Path
 ) -> None:
     files = ModelFiles(onnx=edited(model, tmp_path, fix_cells), names=model.names)
-    assert Inference(files, threads=1, provider="cpu").cell_px(608) is None
+    assert open_inference(files, threads=1, provider="cpu", engine="onnxruntime").cell_px(608) is None
     found = Detector(model=files, light_px=608).process_photo(photo, "light", CONFIDENCE)
     assert len(found) > 10
 
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_photos_are_looked_at_in_pictures_of_their_shape(model: ModelFiles, turned: bool) -> None:
-    inference = Inference(model, threads=1, provider="cpu")
+    inference = open_inference(model, threads=1, provider="cpu", engine="onnxruntime")
     cell_px = inference.cell_px(320)
     assert cell_px == 16
     sides = (320, 240) if turned else (240, 320)
@@ -125,15 +127,19 @@ def test_photos_are_looked_at_in_pictures_of_their_shape(model: ModelFiles, turn
 
 
 def test_a_network_with_a_coarser_layer_inside_is_given_squares(tmp_path: Path) -> None:
-    """Its head has a stride of 16, but 48 pixels do not fill the cells of 32 before it."""
-    parts = [NET, *[conv(8, 3, 2)] * 5, UPSAMPLE, route(-1, 3), conv(14, 1)]
-    parts.append("[yolo]\nanchors=12,12, 30,20\nclasses=2\nnum=2\n")
-    cfg, weights = write_model(tmp_path, "".join(parts))
-    files = ModelFiles(cfg=cfg, weights=weights, names=write_labels(tmp_path, 2))
-    inference = Inference(files, threads=1, provider="cpu")
+    files = coarser_inside(tmp_path)
+    inference = open_inference(files, threads=1, provider="cpu", engine="onnxruntime")
     inference.require_side(320)
     assert inference.cell_px(320) is None
     Detector(model=files)
+
+
+def coarser_inside(folder: Path) -> ModelFiles:
+    """A network whose head has a stride of 16, and which has cells of 32 before it."""
+    parts = [NET, *[conv(8, 3, 2)] * 5, UPSAMPLE, route(-1, 3), conv(14, 1)]
+    parts.append("[yolo]\nanchors=12,12, 30,20\nclasses=2\nnum=2\n")
+    cfg, weights = write_model(folder, "".join(parts))
+    return ModelFiles(cfg=cfg, weights=weights, names=write_labels(folder, 2))
 
 
 def test_confidence_thins_out_and_nothing_else(detector: Detector, photo: bytes) -> None:
@@ -263,6 +269,74 @@ def test_an_instance_whose_model_is_damaged_does_not_start_and_says_where(
         InstanceError, match=r"did not start: .*cut\.weights: layer 18, .* offset \d+: the file ends"
     ):
         with_instance(what, *way, use)
+
+
+# --- engines ------------------------------------------------------------------------------------------------
+
+
+OTHER_LAYERS = [
+    ("activation=leaky", "activation=relu"),
+    ("activation=leaky", "activation=logistic"),
+    ("filters=16\nsize=3\nstride=1\npad=1", "filters=16\nsize=3\nstride=1\npad=1\ngroups=8"),
+    ("from=-3\nactivation=linear", "from=-3\nactivation=leaky"),
+    ("from=-3\nactivation=linear", "from=-3\nactivation=relu"),
+    ("from=-3\nactivation=linear", "from=-3\nactivation=logistic"),
+]
+
+
+@pytest.mark.parametrize(
+    "network",
+    [
+        small(),
+        yolov3_tiny(),
+        yolov3(spp=True, divisor=16),
+        *[small().replace(*change, 1) for change in OTHER_LAYERS],
+    ],
+)
+def test_ncnn_computes_what_onnxruntime_computes(network: str, tmp_path: Path) -> None:
+    pytest.importorskip("ncnn")
+    classes = 80 if "classes=80" in network else 2
+    cfg, weights = write_model(tmp_path, network)
+    files = ModelFiles(cfg=cfg, weights=weights, names=write_labels(tmp_path, classes))
+    pair = [open_inference(files, threads=2, provider="cpu", engine=engine) for engine in ENGINES]
+    for each in pair:
+        each.require_side(320)
+    for sides in (320, 320), (256, 320), (320, 32):
+        picture = np.random.default_rng(3).random((1, 3, *sides), np.float32)
+        for onnx_output, ncnn_output in zip(*[each.run(picture) for each in pair], strict=True):
+            np.testing.assert_allclose(ncnn_output, onnx_output, rtol=1e-3, atol=1e-3)
+
+
+def test_ncnn_finds_what_onnxruntime_finds(model: ModelFiles, detector: Detector, photo: bytes) -> None:
+    pytest.importorskip("ncnn")
+    found = Detector(model=model, engine="ncnn", threads=1).process_photo(photo, "heavy", CONFIDENCE)
+    assert labels_and_places(found) == labels_and_places(detector.process_photo(photo, "heavy", CONFIDENCE))
+
+
+def test_ncnn_needs_whole_cells_of_every_layer(tmp_path: Path) -> None:
+    pytest.importorskip("ncnn")
+    with pytest.raises(UsageError, match="a picture of 336 pixels is not whole cells of 32"):
+        Detector(model=coarser_inside(tmp_path), engine="ncnn", light_px=336)
+    Detector(model=coarser_inside(tmp_path), engine="ncnn")
+
+
+@pytest.mark.parametrize(
+    ("settings", "problem"),
+    [
+        ({"model": ModelFiles(onnx=Path("a.onnx"), names=Path("a.names"))}, "runs Darknet models"),
+        ({"provider": "cuda"}, "computes on the processor"),
+    ],
+)
+def test_what_ncnn_cannot_run_is_refused(settings: dict[str, Any], problem: str) -> None:
+    pytest.importorskip("ncnn")
+    with pytest.raises(UsageError, match=problem):
+        Detector(engine="ncnn", **settings)
+
+
+def test_an_engine_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("upwash.services.detector.find_spec", lambda name: None if name == "ncnn" else True)
+    with pytest.raises(UsageError, match=r"ncnn is not installed: `pip install 'upwash\[ncnn\]'`"):
+        Detector(engine="ncnn")
 
 
 # --- models -------------------------------------------------------------------------------------------------

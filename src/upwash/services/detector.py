@@ -14,7 +14,7 @@ from msgspec.structs import asdict
 from upwash.rpc.service import service
 from upwash.services.detection import Detection, Mode
 from upwash.services.heads import best_of_each, read_heads
-from upwash.services.inference import Inference, ModelFiles, Provider
+from upwash.services.inference import Engine, ModelFiles, Provider, open_inference
 from upwash.services.photo import read_photo
 from upwash.support.loading import extra
 
@@ -43,11 +43,12 @@ class Detector:
         model: ModelFiles = SOLAR_PARK,
         threads: Threads | None = None,
         provider: Provider = "cpu",
+        engine: Engine = "onnxruntime",
         light_px: Side = 320,
         heavy_px: Side = 608,
     ) -> None:
-        _require_packages()
-        self._inference = Inference(model, threads=threads or _cores(), provider=provider)
+        _require_packages(engine)
+        self._inference = open_inference(model, threads=threads or _cores(), provider=provider, engine=engine)
         self._sides_px: dict[Mode, int] = {"light": light_px, "heavy": heavy_px}
         for side_px in self._sides_px.values():
             self._inference.require_side(side_px)
@@ -74,7 +75,7 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-def _require_packages() -> None:
+def _require_packages(engine: Engine) -> None:
     with extra("detector"):
         for name in (
             "cv2",
@@ -82,5 +83,12 @@ def _require_packages() -> None:
             "onnx",
             "onnxruntime",
         ):  # found, not imported: not every model needs each
-            if find_spec(name) is None:
-                raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+            _require(name)
+    if engine == "ncnn":
+        with extra("ncnn"):
+            _require("ncnn")
+
+
+def _require(name: str) -> None:
+    if find_spec(name) is None:
+        raise ModuleNotFoundError(f"No module named {name!r}", name=name)

@@ -1,16 +1,19 @@
-"""A detection network that runs: its model's files, and onnxruntime's session of it."""
+"""A detection network that runs: its model's files, and what onnxruntime or ncnn makes of them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from contextlib import AbstractContextManager, nullcontext
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
 from upwash.errors import ModelError, UsageError
-from upwash.services.darknet.conversion import converted
+from upwash.services.darknet.conversion import Facts, converted
+from upwash.services.darknet.graph import INPUT
 from upwash.services.heads import HEADS_METADATA, Head, decode_heads
 from upwash.support.input_files import read_file
 
@@ -22,8 +25,10 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float32]
 
 Provider = Literal["cpu", "cuda"]
+Engine = Literal["onnxruntime", "ncnn"]
 
 _PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
+_WAIT_POLICY = "OMP_WAIT_POLICY"
 _MOST_LABELS = 100_000
 _MOST_LABELS_BYTES = 10_000_000
 
@@ -48,33 +53,36 @@ class ModelFiles(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             raise ValueError("heads are for onnx: a cfg has its own")
 
 
-class Inference:
+def open_inference(files: ModelFiles, *, threads: int, provider: Provider, engine: Engine) -> Inference:
+    """Loads the model; raises ModelError for its files and UsageError for what is not installed, or cannot be."""
+    if engine == "onnxruntime":
+        return OnnxInference(files, threads=threads, provider=provider)
+    if files.onnx is not None:
+        raise UsageError('engine = "ncnn" runs Darknet models: give cfg and weights, or leave the engine out')
+    if provider != "cpu":
+        raise UsageError('engine = "ncnn" computes on the processor: leave either it or the provider out')
+    return NcnnInference(files, threads=threads)
+
+
+class Inference(ABC):
     """One network, ready to be run on pictures."""
 
-    def __init__(self, files: ModelFiles, *, threads: int, provider: Provider) -> None:
-        """Loads the model; raises ModelError for its files and UsageError for what is not installed."""
-        self._provider = provider
+    # Height and width that it takes; what it leaves open is no integer.
+    _sides: Sequence[object] = (None, None)
+    _prepares_for_each_size = False
+
+    def __init__(self, files: ModelFiles, heads: tuple[Head, ...]) -> None:
         self._file = files.onnx or files.weights or files.names
-        self._session = self._open(files, threads, provider)
         self.labels = _read_labels(files.names)
-        try:
-            self.heads = files.heads or self._heads_in_metadata()
-            self._input = self._checked_input()
-            outputs = [output.name for output in self._session.get_outputs()]
-        except UnicodeDecodeError as error:
-            raise self._error(f"its names or metadata are not text ({error})") from error
-        for head in self.heads:
-            if head.output not in outputs:
-                raise self._error(f"it has no output {head.output}; its outputs are {', '.join(outputs)}")
+        self.heads = heads
 
     def require_side(self, side_px: int) -> None:
         """Raises ModelError where pictures of that size do not give what the heads say; the first run is slow."""
         import numpy as np
 
-        fixed = {side for side in self._input.shape[2:] if isinstance(side, int)} - {side_px}
-        if fixed:
+        if any(isinstance(side, int) and side != side_px for side in self._sides):
             raise self._error(
-                f"it takes only pictures of {_by(self._input.shape[2:])}, not {side_px}: export it "
+                f"it takes only pictures of {_by(self._sides)}, not {side_px}: export it "
                 "with variable height and width, or set light_px and heavy_px"
             )
         if coarse := [head.stride for head in self.heads if side_px % head.stride]:
@@ -96,38 +104,64 @@ class Inference:
 
     def cell_px(self, side_px: int) -> int | None:
         """Of what a picture's shorter side needs to be a multiple, if it need not be `side_px` like the other."""
-        if self._provider == "cuda":  # which prepares itself anew for every size
+        if self._prepares_for_each_size:
             return None
         cell_px = max(head.stride for head in self.heads)
-        few_px = (
-            3 * cell_px
-        )  # an odd number, which the cells of any coarser layer inside do not fill; one is broadcast
+        # Three cells do not fill those of a coarser layer inside; one would be repeated to fit.
+        few_px = 3 * cell_px
         return cell_px if self._can_run(few_px, side_px) and self._can_run(side_px, few_px) else None
 
     def run(self, picture: Floats) -> list[Floats]:
         """The heads' outputs for a picture of 1, 3, height, width: red, green, blue from 0 to 1."""
-        return self._run(picture, None)
+        return self._run(picture)
 
-    def _run(self, picture: Floats, options: onnxruntime.RunOptions | None) -> list[Floats]:
-        names = [head.output for head in self.heads]
-        outputs: list[Floats] = self._session.run(names, {self._input.name: picture}, options)
-        return outputs
+    @abstractmethod
+    def _run(self, picture: Floats, *, quiet: bool = False) -> list[Floats]:
+        """Runs it; nothing is printed where `quiet`, whatever fails."""
 
     def _can_run(self, height_px: int, width_px: int) -> bool:
         """Whether a picture of that size gives as many cells as it has."""
         import numpy as np
-        import onnxruntime
 
-        options = onnxruntime.RunOptions()
-        options.log_severity_level = 4  # not even errors: to fail is an answer
         try:
-            outputs = self._run(np.full((1, 3, height_px, width_px), 0.5, np.float32), options)
+            outputs = self._run(np.full((1, 3, height_px, width_px), 0.5, np.float32), quiet=True)
         except Exception:  # noqa: BLE001 - onnxruntime's have no base of their own
             return False
         return all(
             output.shape[2:] == (height_px // head.stride, width_px // head.stride)
             for head, output in zip(self.heads, outputs, strict=True)
         )
+
+    def _error(self, problem: str) -> ModelError:
+        return ModelError(self._file, "", problem)
+
+
+class OnnxInference(Inference):
+    """A network that onnxruntime runs."""
+
+    def __init__(self, files: ModelFiles, *, threads: int, provider: Provider) -> None:
+        self._session = self._open(files, threads, provider)
+        super().__init__(files, files.heads)
+        try:
+            self.heads = files.heads or self._heads_in_metadata()
+            self._input = self._checked_input()
+            outputs = [output.name for output in self._session.get_outputs()]
+        except UnicodeDecodeError as error:
+            raise self._error(f"its names or metadata are not text ({error})") from error
+        for head in self.heads:
+            if head.output not in outputs:
+                raise self._error(f"it has no output {head.output}; its outputs are {', '.join(outputs)}")
+        self._sides = self._input.shape[2:]
+        self._prepares_for_each_size = provider == "cuda"
+
+    def _run(self, picture: Floats, *, quiet: bool = False) -> list[Floats]:
+        import onnxruntime
+
+        options = onnxruntime.RunOptions()
+        options.log_severity_level = 4 if quiet else 3  # errors are raised too
+        names = [head.output for head in self.heads]
+        outputs: list[Floats] = self._session.run(names, {self._input.name: picture}, options)
+        return outputs
 
     def _open(self, files: ModelFiles, threads: int, provider: Provider) -> onnxruntime.InferenceSession:
         import onnxruntime
@@ -168,8 +202,69 @@ class Inference:
             )
         return inputs[0]
 
-    def _error(self, problem: str) -> ModelError:
-        return ModelError(self._file, "", problem)
+
+class NcnnInference(Inference):
+    """A Darknet network that ncnn runs, with 32-bit floats throughout."""
+
+    def __init__(self, files: ModelFiles, *, threads: int) -> None:
+        with _threads_that_sleep():
+            import ncnn
+
+        assert files.cfg is not None  # noqa: S101 - else it is an ONNX model
+        assert files.weights is not None  # noqa: S101
+        self._net = ncnn.Net()
+        options = self._net.opt
+        options.num_threads = threads
+        options.use_fp16_packed = options.use_fp16_storage = options.use_fp16_arithmetic = False
+        options.use_bf16_storage = False
+        with converted(files.cfg, files.weights, "ncnn") as model:
+            facts = Facts.beside(model)
+            super().__init__(files, facts.heads)
+            self._stride = facts.stride
+            if self._net.load_param(str(model)) or self._net.load_model(str(model.with_suffix(".numbers"))):
+                raise ModelError(model, "", "ncnn cannot load it")
+
+    def require_side(self, side_px: int) -> None:
+        """As of every network; ncnn itself does not look whether the layers of a picture fit each other."""
+        if side_px % self._stride:
+            raise UsageError(
+                f"a picture of {side_px} pixels is not whole cells of {self._stride}: give a multiple of it"
+            )
+        super().require_side(side_px)
+
+    def cell_px(self, side_px: int) -> int | None:
+        """The largest stride of all layers."""
+        return self._stride
+
+    def _run(self, picture: Floats, *, quiet: bool = False) -> list[Floats]:
+        import ncnn
+        import numpy as np
+
+        extractor = self._net.create_extractor()
+        extractor.input(INPUT, ncnn.Mat(picture[0]))
+        outputs = []
+        for head in self.heads:
+            failed, output = extractor.extract(head.output)
+            if failed:
+                raise self._error(f"ncnn failed with {failed}")
+            outputs.append(np.array(output)[np.newaxis])
+        return outputs
+
+
+@contextmanager
+def _threads_that_sleep() -> Iterator[None]:
+    """What is loaded meanwhile and has OpenMP's threads has them sleep where they wait for each other.
+
+    Threads that spin instead cost several times the processor's time as soon as a core has something else to do.
+    """
+    if _WAIT_POLICY in os.environ:
+        yield
+        return
+    os.environ[_WAIT_POLICY] = "passive"
+    try:
+        yield
+    finally:
+        del os.environ[_WAIT_POLICY]
 
 
 def _onnx(files: ModelFiles) -> AbstractContextManager[Path]:

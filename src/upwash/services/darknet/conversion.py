@@ -1,4 +1,4 @@
-"""From cfg and weights to ONNX, once: the result is kept under a name made of what went into it."""
+"""From cfg and weights to ONNX, or to ncnn's files, once: they are kept under a name made of what went into them."""
 
 from __future__ import annotations
 
@@ -8,40 +8,65 @@ import hashlib
 import logging
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Literal
+
+import msgspec
 
 from upwash.errors import ModelError
-from upwash.services.darknet.graph import build_model
-from upwash.services.darknet.layers import read_network
-from upwash.services.darknet.weights import WeightsFile
+from upwash.services.darknet import ncnn
+from upwash.services.darknet.graph import build_model, heads_of
+from upwash.services.darknet.layers import Network, read_network
+from upwash.services.darknet.weights import Parameters, WeightsFile
+from upwash.services.heads import Head
 from upwash.support.input_files import read_file
 
 _log = logging.getLogger("upwash.detector")
 
-_EDITION = b"1"  # another one whenever the same files would be converted to something else
+Form = Literal["onnx", "ncnn"]
+
+# Another one whenever the same files would be converted to something else.
+_EDITIONS: dict[Form, bytes] = {"onnx": b"1", "ncnn": b"ncnn 1"}
 _MOST_CFG_BYTES = 10_000_000
-_MODEL, _NUMBERS = "model.onnx", "model.numbers"
+_MODELS: dict[Form, str] = {"onnx": "model.onnx", "ncnn": "model.param"}
+_NUMBERS = "model.numbers"
+_FACTS = "facts.json"
+
+
+class Facts(msgspec.Struct, frozen=True, kw_only=True):
+    """What ncnn's files, which have no metadata, do not say."""
+
+    heads: tuple[Head, ...]
+    stride: int  # the largest of all layers
+
+    @classmethod
+    def beside(cls, model: Path) -> Facts:
+        """Those of a converted model."""
+        return msgspec.json.decode(model.with_name(_FACTS).read_bytes(), type=cls)
 
 
 @contextlib.contextmanager
-def converted(cfg: Path, weights: Path) -> Iterator[Path]:
-    """The ONNX model of a Darknet model, from the cache if it is there; where none can be kept, gone at the end.
+def converted(cfg: Path, weights: Path, form: Form = "onnx") -> Iterator[Path]:
+    """A Darknet model in that form, from the cache if it is there; where none can be kept, gone at the end.
+
+    Beside ncnn's text of layers are its numbers, with the ending `.numbers`, and its Facts.
 
     Raises ModelError, with layer and offset, for files that cannot be converted exactly.
     """
-    content, digest = _read(cfg, weights)
-    write = functools.partial(_write, cfg, content, weights)
+    content, digest = _read(cfg, weights, _EDITIONS[form])
+    write = functools.partial(_write, cfg, content, weights, form)
+    model = _MODELS[form]
     with contextlib.ExitStack() as stack:
         try:
             folder = cache_folder() / digest
-            if not (folder / _MODEL).is_file():
-                _keep(write, folder)
+            if not (folder / model).is_file():
+                _keep(write, folder, model)
         except OSError as error:
             _log.warning("the converted model cannot be kept, and is made again at each start: %s", error)
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="upwash-")))
             write(folder)
-        yield folder / _MODEL
+        yield folder / model
 
 
 def cache_folder() -> Path:
@@ -53,7 +78,7 @@ def cache_folder() -> Path:
         raise OSError(str(error)) from error
 
 
-def _read(cfg: Path, weights: Path) -> tuple[bytes, str]:
+def _read(cfg: Path, weights: Path, edition: bytes) -> tuple[bytes, str]:
     """The cfg's content, and the hash that tells these two files from all others."""
     try:
         content = read_file(cfg, most_bytes=_MOST_CFG_BYTES)
@@ -67,10 +92,10 @@ def _read(cfg: Path, weights: Path) -> tuple[bytes, str]:
         ) from None
     except ValueError as error:
         raise ModelError(cfg, "", f"cannot be read ({error}): check the path") from None
-    return content, hashlib.sha256(_EDITION + b"".join(digests)).hexdigest()
+    return content, hashlib.sha256(edition + b"".join(digests)).hexdigest()
 
 
-def _keep(write: Callable[[Path], None], folder: Path) -> None:
+def _keep(write: Callable[[Path], None], folder: Path, model: str) -> None:
     """Makes the folder whole or not at all, whatever is cut off and whoever else does the same."""
     folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     with tempfile.TemporaryDirectory(dir=folder.parent, ignore_cleanup_errors=True) as unfinished:
@@ -78,20 +103,40 @@ def _keep(write: Callable[[Path], None], folder: Path) -> None:
         try:
             Path(unfinished).rename(folder)
         except OSError:
-            if not (folder / _MODEL).is_file():  # else someone was faster
+            if not (folder / model).is_file():  # else someone was faster
                 raise
 
 
-def _write(cfg: Path, content: bytes, weights: Path, folder: Path) -> None:
+def _write(cfg: Path, content: bytes, weights: Path, form: Form, folder: Path) -> None:
     network = read_network(cfg, content)
     numbers = WeightsFile(weights, network)
-    with (folder / _NUMBERS).open("wb") as file:
-        for parameters in numbers.parameters():
-            for array in (parameters.weights, parameters.biases):
-                file.write(array.astype("<f4", copy=False).tobytes())
-        file.flush()
-        os.fsync(file.fileno())
-    with (folder / _MODEL).open("wb") as file:
-        file.write(build_model(network, _NUMBERS).SerializeToString())
-        file.flush()
-        os.fsync(file.fileno())
+    _write_file(folder / _NUMBERS, map(_BYTES[form], numbers.parameters()))
+    if form == "ncnn":
+        stride = max(layer.output.stride for layer in network.layers)
+        facts = Facts(heads=tuple(heads_of(network)), stride=stride)
+        _write_file(folder / _FACTS, [msgspec.json.encode(facts)])
+    _write_file(folder / _MODELS[form], [_model(network, form)])
+
+
+def _model(network: Network, form: Form) -> bytes:
+    if form == "ncnn":
+        return ncnn.describe(network).encode()
+    model: bytes = build_model(network, _NUMBERS).SerializeToString()
+    return model
+
+
+def _plain(parameters: Parameters) -> bytes:
+    return b"".join(
+        array.astype("<f4", copy=False).tobytes() for array in (parameters.weights, parameters.biases)
+    )
+
+
+_BYTES: dict[Form, Callable[[Parameters], bytes]] = {"onnx": _plain, "ncnn": ncnn.numbers_of}
+
+
+def _write_file(file: Path, content: Iterable[bytes]) -> None:
+    with file.open("wb") as opened:
+        for each in content:
+            opened.write(each)
+        opened.flush()
+        os.fsync(opened.fileno())

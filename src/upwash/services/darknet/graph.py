@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 _OPSET = 13
 _IR_VERSION = 8
 _FLOAT_BYTES = 4
-_LEAKY_SLOPE = 0.1
-_INPUT = "picture"  # 1, 3, height, width: red, green, blue from 0 to 1
+LEAKY_SLOPE = 0.1
+INPUT = "picture"  # 1, 3, height, width: red, green, blue from 0 to 1
 
 
 def build_model(network: Network, numbers: str) -> onnx.ModelProto:
@@ -39,7 +39,7 @@ def build_model(network: Network, numbers: str) -> onnx.ModelProto:
     from onnx import TensorProto, helper
 
     graph = onnx.GraphProto(name="darknet")
-    graph.input.append(helper.make_tensor_value_info(_INPUT, TensorProto.FLOAT, [1, 3, "height", "width"]))
+    graph.input.append(helper.make_tensor_value_info(INPUT, TensorProto.FLOAT, [1, 3, "height", "width"]))
     for layer in network.layers:
         graph.node.extend(_nodes(layer, network))
         if isinstance(layer.operator, Upsample):
@@ -51,9 +51,9 @@ def build_model(network: Network, numbers: str) -> onnx.ModelProto:
     graph.initializer.extend(_parameters(network, numbers))
     for layer in network.heads:
         shape = [1, layer.output.channels, None, None]
-        graph.output.append(helper.make_tensor_value_info(_output(layer), TensorProto.FLOAT, shape))
+        graph.output.append(helper.make_tensor_value_info(output_of(layer), TensorProto.FLOAT, shape))
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR_VERSION)
-    helper.set_model_props(model, {HEADS_METADATA: encode_heads(_heads(network))})
+    helper.set_model_props(model, {HEADS_METADATA: encode_heads(heads_of(network))})
     return model
 
 
@@ -80,17 +80,18 @@ def _parameters(network: Network, numbers: str) -> Iterator[onnx.TensorProto]:
             offset += length
 
 
-def _heads(network: Network) -> Iterator[Head]:
+def heads_of(network: Network) -> Iterator[Head]:
+    """What its outputs mean."""
     for layer in network.heads:
         assert isinstance(layer.operator, Yolo)  # noqa: S101 - that is what heads are
-        yield Head(output=_output(layer), stride=layer.output.stride, anchors=layer.operator.anchors)
+        yield Head(output=output_of(layer), stride=layer.output.stride, anchors=layer.operator.anchors)
 
 
 def _nodes(layer: Layer, network: Network) -> Iterator[onnx.NodeProto]:
     from onnx import helper
 
-    before = _output(network.layers[layer.index - 1]) if layer.index else _INPUT
-    output = _output(layer)
+    before = output_of(network.layers[layer.index - 1]) if layer.index else INPUT
+    output = output_of(layer)
     match layer.operator:
         case Convolutional() as convolution:
             yield from _activated(
@@ -123,10 +124,10 @@ def _nodes(layer: Layer, network: Network) -> Iterator[onnx.NodeProto]:
             )
         case Route(sources):
             yield helper.make_node(
-                "Concat", [_output(network.layers[each]) for each in sources], [output], axis=1
+                "Concat", [output_of(network.layers[each]) for each in sources], [output], axis=1
             )
         case Shortcut(source, activation):
-            yield from _activated("Add", [before, _output(network.layers[source])], output, activation)
+            yield from _activated("Add", [before, output_of(network.layers[source])], output, activation)
         case Yolo():
             yield helper.make_node("Identity", [before], [output])
 
@@ -142,12 +143,13 @@ def _activated(
     yield helper.make_node(kind, inputs, [f"{output}-linear"], **attributes)
     match activation:
         case "leaky":
-            yield helper.make_node("LeakyRelu", [f"{output}-linear"], [output], alpha=_LEAKY_SLOPE)
+            yield helper.make_node("LeakyRelu", [f"{output}-linear"], [output], alpha=LEAKY_SLOPE)
         case "relu":
             yield helper.make_node("Relu", [f"{output}-linear"], [output])
         case "logistic":
             yield helper.make_node("Sigmoid", [f"{output}-linear"], [output])
 
 
-def _output(layer: Layer) -> str:
+def output_of(layer: Layer) -> str:
+    """The name of what a layer puts out."""
     return f"head{layer.index}" if isinstance(layer.operator, Yolo) else f"layer{layer.index}"

@@ -1,0 +1,120 @@
+"""A Darknet network as ncnn reads it: a text of layers, and the numbers of the convolutions in their order.
+
+ncnn's documents call the two files param and bin. A blob has one reader, so that one with several is split before.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from upwash.services.darknet.graph import INPUT, LEAKY_SLOPE, output_of
+from upwash.services.darknet.layers import (
+    Activation,
+    Convolutional,
+    Layer,
+    MaxPool,
+    Network,
+    Route,
+    Shortcut,
+    Upsample,
+    Yolo,
+)
+
+if TYPE_CHECKING:
+    from upwash.services.darknet.weights import Parameters
+
+_MAGIC = 7767517
+_FLOATS = b"\0\0\0\0"  # before a convolution's weights: they are plain floats
+_ACTIVATIONS = {"linear": "", "leaky": f"9=2 -23310=1,{LEAKY_SLOPE}", "relu": "9=1", "logistic": "9=4"}
+
+
+def describe(network: Network) -> str:
+    """The text of layers."""
+    lines: list[str] = []
+    blobs = 0
+    for kind, inputs, outputs, options in _with_splits(list(_layers(network))):
+        counts = f"{len(inputs)} {len(outputs)}"
+        lines.append(" ".join([kind, f"{kind}-{len(lines)}", counts, *inputs, *outputs, *options]))
+        blobs += len(outputs)
+    return "\n".join([str(_MAGIC), f"{len(lines)} {blobs}", *lines, ""])
+
+
+def numbers_of(parameters: Parameters) -> bytes:
+    """What a convolution computes with, as it stands in the file of numbers."""
+    weights, biases = (array.astype("<f4", copy=False) for array in (parameters.weights, parameters.biases))
+    return _FLOATS + weights.tobytes() + biases.tobytes()
+
+
+_Entry = tuple[str, list[str], list[str], list[str]]  # kind, inputs, outputs, options
+
+
+def _layers(network: Network) -> Iterator[_Entry]:
+    yield "Input", [], [INPUT], []
+    for layer in network.layers:
+        before = output_of(network.layers[layer.index - 1]) if layer.index else INPUT
+        output = [output_of(layer)]
+        match layer.operator:
+            case Convolutional() as convolution:
+                kind = "Convolution" if convolution.groups == 1 else "ConvolutionDepthWise"
+                yield kind, [before], output, _convolution(layer, convolution)
+            case MaxPool(size, stride, padding):
+                first, last = padding // 2, padding - padding // 2
+                sides = [f"3={first}", f"13={first}", f"14={last}", f"15={last}"]
+                yield "Pooling", [before], output, ["0=0", f"1={size}", f"2={stride}", *sides, "5=1"]
+            case Upsample(factor):
+                yield "Interp", [before], output, ["0=1", f"1={factor}.0", f"2={factor}.0"]
+            case Route(sources):
+                inputs = [output_of(network.layers[each]) for each in sources]
+                yield "Concat", inputs, output, ["0=0"]
+            case Shortcut(source, activation):
+                inputs = [before, output_of(network.layers[source])]
+                yield from _sum(inputs, output, activation)
+            case Yolo():
+                yield "Noop", [before], output, []
+
+
+def _convolution(layer: Layer, convolution: Convolutional) -> list[str]:
+    weights = convolution.filters * layer.input.channels // convolution.groups * convolution.size**2
+    options = [
+        f"0={convolution.filters}",
+        f"1={convolution.size}",
+        f"3={convolution.stride}",
+        f"4={convolution.padding}",
+        "5=1",
+        f"6={weights}",
+    ]
+    if convolution.groups > 1:
+        options.append(f"7={convolution.groups}")
+    return options + _ACTIVATIONS[convolution.activation].split()
+
+
+def _sum(inputs: list[str], output: list[str], activation: Activation) -> Iterator[_Entry]:
+    linear = output if activation == "linear" else [f"{output[0]}-linear"]
+    yield "BinaryOp", inputs, linear, ["0=0"]
+    match activation:
+        case "leaky":
+            yield "ReLU", linear, output, [f"0={LEAKY_SLOPE}"]
+        case "relu":
+            yield "ReLU", linear, output, []
+        case "logistic":
+            yield "Sigmoid", linear, output, []
+
+
+def _with_splits(entries: list[_Entry]) -> Iterator[_Entry]:
+    """The entries, with a layer after each output of several readers that has one for each of them."""
+    readers = Counter(name for _, inputs, *_ in entries for name in inputs)
+    given: Counter[str] = Counter()
+
+    def one_of(name: str) -> str:
+        if readers[name] < 2:
+            return name
+        given[name] += 1
+        return f"{name}-{given[name]}"
+
+    for kind, inputs, outputs, options in entries:
+        yield kind, [one_of(each) for each in inputs], outputs, options
+        for name in outputs:
+            if readers[name] > 1:
+                yield "Split", [name], [f"{name}-{number}" for number in range(1, readers[name] + 1)], []
