@@ -16,8 +16,15 @@ from upwash.drone.networks import NoNetwork
 from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import LinkError, Refused, Unreachable, UsageError
 from upwash.ports import InstanceSpec, Program
-from upwash.profiling.profiler import Sample, calls_to_make, profile_onboard, profile_server, samples
-from upwash.profiling.report import server_table, service_table
+from upwash.profiling.profiler import (
+    Sample,
+    calls_to_make,
+    profile_onboard,
+    profile_server,
+    samples,
+    values_of,
+)
+from upwash.profiling.report import chosen_setting, server_table, service_table
 from upwash.rpc.protocol import AVAILABILITY, LEAVE, START, AvailabilityReply, LeaveReply, StartReply
 from upwash.rpc.service import service, spec_of
 from upwash.sim.loop import run_virtually
@@ -252,3 +259,38 @@ def test_what_is_written_is_read_as_a_configuration(tmp_path: Any) -> None:
     assert table["request_bytes"] == pytest.approx(200_000, rel=0.01)
     assert server["processing_s"]["viewer"]["heavy"] == pytest.approx(2.0, abs=0.01)
     assert server["bandwidth_bit_s"] == pytest.approx(8e6, rel=0.01)
+
+
+@service
+class Configured:
+    def __init__(self, *, engine: Literal["one", "two"] = "one", level: int = 1) -> None:
+        self.engine, self.level = engine, level
+
+    def look(self, photo: bytes) -> int:
+        return self.level
+
+
+def test_the_values_of_a_setting_are_those_of_its_literal() -> None:
+    assert values_of(spec_of(Configured), "engine") == ("one", "two")
+    with pytest.raises(
+        UsageError, match="setting level of service 'configured' can be more than a few words"
+    ):
+        values_of(spec_of(Configured), "level")
+    with pytest.raises(UsageError, match="no setting 'speed'; it has engine, level"):
+        values_of(spec_of(Configured), "speed")
+
+
+def test_the_fastest_value_of_a_setting_is_written_with_what_the_others_took(tmp_path: Any) -> None:
+    profiles = {
+        "one": onboard(Computer(), VIEWER),
+        "two": onboard(Computer(bytes_per_s=10 * BYTES_PER_S), VIEWER),
+    }
+    text = service_table(profiles["two"], program=None, computer="a desk") + chosen_setting(
+        "engine", profiles
+    )
+    file = tmp_path / "drone.toml"
+    file.write_text(text)
+    (table,) = read_document(file)["service"]
+    assert table["settings"] == {"engine": "two"}
+    assert "# one: heavy 2.210 s, light 0.460 s\n" in text
+    assert "# two: heavy 2.030 s, light 0.280 s\n" in text

@@ -45,10 +45,45 @@ def test_a_service_is_measured_here_and_the_result_is_a_configuration(
     assert f"written: {out}" in capsys.readouterr().out
 
 
+CHOOSER = """
+import time
+from typing import Literal
+from upwash import service
+
+@service
+class Chooser:
+    def __init__(self, *, engine: Literal["absent", "fast", "slow"] = "slow") -> None:
+        if engine == "absent":
+            raise ImportError("there is no such engine here")
+        self.delay_s = {"fast": 0.0, "slow": 0.1}[engine]
+
+    def look(self, photo: bytes) -> int:
+        time.sleep(self.delay_s)
+        return len(photo)
+"""
+
+
+def test_the_fastest_value_of_a_setting_is_named_and_one_that_does_not_start_is_left_out(
+    photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program, out = tmp_path / "chooser.py", tmp_path / "service.toml"
+    program.write_text(CHOOSER)
+    arguments = [f"{program}:Chooser", "--photos", str(photos), "--calls", "1", "--each", "engine"]
+    assert main(["profile", *arguments, "--out", str(out)]) == 0
+    (table,) = tomllib.loads(out.read_text())["service"]
+    assert table["settings"] == {"engine": "fast"}
+    assert table["local_call_s"]["look"] < 0.1
+    assert "# slow: look 0.1" in out.read_text()
+    said = capsys.readouterr().err
+    assert "left out: " in said
+    assert "there is no such engine here" in " ".join(said.split())
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["--server", "s1"], "--server needs --config"),
+        (["--each", "speed"], "service 'workbench' has no setting 'speed'; it has none"),
         (["--photos", "/nowhere"], "there is no folder /nowhere"),
     ],
 )

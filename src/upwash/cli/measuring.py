@@ -6,19 +6,22 @@ import asyncio
 import os
 import platform
 from collections.abc import Callable, Coroutine, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+from rich.table import Table
 
 from upwash.config import DroneConfig, ServerConfig
-from upwash.errors import NotWritten, UsageError
+from upwash.errors import InstanceError, NotWritten, UsageError
 from upwash.launch.profile import profile_at, profile_on_this_computer
 from upwash.missions.bundled import LoadedService
-from upwash.profiling.profiler import Sample, Watch, calls_to_make, samples
-from upwash.profiling.report import call_table, server_table, service_table
+from upwash.profiling.profiler import OnboardProfile, Sample, Watch, calls_to_make, samples, values_of
+from upwash.profiling.report import call_table, chosen_setting, fastest, server_table, service_table
 from upwash.rpc.service import spec_of
 from upwash.support.output_files import write_file
 
@@ -30,16 +33,51 @@ def measure_onboard(
 ) -> None:
     """Measures the service on this computer; the [[service]] table goes to `out`, or to standard output."""
     found = samples(spec_of(service.cls), photos)
-    profile = _watched(
-        found, calls, lambda watch: profile_on_this_computer(service, found, calls=calls, watch=watch)
-    )
+    profile = _watched(found, calls, partial(_onboard, service, found, calls))
     table = service_table(profile, program=program, computer=_computer(), settings=_settings(service))
     _tell(call_table(profile.calls), table, out)
 
 
-def _settings(service: LoadedService) -> str:
-    """With which settings it runs, "" for a service that has none."""
-    names = spec_of(service.cls).settings.__struct_fields__
+def measure_each(
+    service: LoadedService,
+    photos: Sequence[bytes],
+    *,
+    setting: str,
+    program: str | None,
+    calls: int,
+    out: Path | None,
+) -> None:
+    """Measures the service with each value of the setting; the [[service]] table is that of the fastest."""
+    spec = spec_of(service.cls)
+    found = samples(spec, photos)
+    profiles: dict[str, OnboardProfile] = {}
+    for value in values_of(spec, setting):
+        settings = {**service.program.settings, setting: value}
+        with_value = replace(service, program=replace(service.program, settings=settings))
+        Console(stderr=True, markup=False).print(f"{setting} = {value}", highlight=False)
+        try:
+            profiles[value] = _watched(found, calls, partial(_onboard, with_value, found, calls))
+        except InstanceError as error:
+            Console(stderr=True, markup=False).print(f"  left out: {error}", highlight=False)
+            continue
+        Console(stderr=True).print(call_table(profiles[value].calls))
+    if not profiles:
+        raise UsageError(f"service {spec.name!r} starts with no value of {setting}")
+    best = profiles[fastest(profiles)]
+    others = _settings(service, but=setting)
+    table = service_table(best, program=program, computer=_computer(), settings=others)
+    _tell(None, table + chosen_setting(setting, profiles), out)
+
+
+def _onboard(
+    service: LoadedService, found: Sequence[Sample], calls: int, watch: Watch
+) -> Coroutine[Any, Any, OnboardProfile]:
+    return profile_on_this_computer(service, found, calls=calls, watch=watch)
+
+
+def _settings(service: LoadedService, *, but: str | None = None) -> str:
+    """With which settings it runs, without one that is told elsewhere; "" for a service that has no others."""
+    names = [name for name in spec_of(service.cls).settings.__struct_fields__ if name != but]
     if not names:
         return ""
     if given := [name for name in names if name in service.program.settings]:
@@ -85,9 +123,10 @@ def _watched(found: Sequence[Sample], calls: int, profile: Callable[[Watch], Cor
         return asyncio.run(profile(watch))
 
 
-def _tell(table: object, text: str, out: Path | None) -> None:
+def _tell(table: Table | None, text: str, out: Path | None) -> None:
     console = Console(markup=False)
-    Console(stderr=True).print(table)
+    if table is not None:
+        Console(stderr=True).print(table)
     if out is None:
         console.print(text, end="", soft_wrap=True, highlight=False)
     else:

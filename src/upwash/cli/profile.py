@@ -34,6 +34,11 @@ def add(commands: Commands) -> None:
         "--calls", type=count, default=20, metavar="N", help="calls of each operation (default: 20)"
     )
     profile.add_argument(
+        "--each",
+        metavar="SETTING",
+        help="measure it with each value of a setting, such as the detector's engine, and name the fastest",
+    )
+    profile.add_argument(
         "--out", type=Path, metavar="FILE", help="where the result goes (default: standard output)"
     )
     profile.set_defaults(run=run)
@@ -41,7 +46,7 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Measures it and prints the part of a configuration."""
-    from upwash.cli.measuring import find_server, measure_onboard, measure_server
+    from upwash.cli.measuring import find_server, measure_each, measure_onboard, measure_server
     from upwash.config import read_drone_config
     from upwash.real.camera import read_photos
 
@@ -49,12 +54,18 @@ def run(options: argparse.Namespace) -> bool:
         raise UsageError(
             "--server needs --config: it has the server's name and address, and the drone's keys"
         )
+    if options.server and options.each:
+        raise UsageError("--each is for this computer: run it on the server for the server's own settings")
     config = read_drone_config(options.config) if options.config else None
     service, program = _service(options.service, config)
     photos = read_photos(options.photos)
     if config is not None and options.server:
         server = find_server(config, options.server)
         measure_server(server, config, service, photos, calls=options.calls, out=options.out)
+    elif options.each:
+        measure_each(
+            service, photos, setting=options.each, program=program, calls=options.calls, out=options.out
+        )
     else:
         measure_onboard(service, photos, program=program, calls=options.calls, out=options.out)
     return True

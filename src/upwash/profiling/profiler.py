@@ -70,6 +70,11 @@ class OnboardProfile:
     start_s: tuple[float, ...]
     peak_memory_bytes: int
 
+    @property
+    def mean_s(self) -> float:
+        """What one call of each operation takes together."""
+        return sum(each.mean_s for each in self.calls)
+
 
 @dataclass(frozen=True)
 class ServerProfile:
@@ -110,6 +115,24 @@ def samples(spec: ServiceSpec, photos: Sequence[bytes]) -> list[Sample]:
             "defaults): profile it with a program of your own"
         )
     return found
+
+
+def values_of(spec: ServiceSpec, setting: str) -> tuple[str, ...]:
+    """The words that a setting can be; raises UsageError for one that is not a Literal of words."""
+    settings = types.type_info(spec.settings)
+    assert isinstance(settings, types.StructType)  # noqa: S101 - made by settings.py
+    found = {field.name: field.type for field in settings.fields}
+    if setting not in found:
+        raise UsageError(
+            f"service {spec.name!r} has no setting {setting!r}; it has {', '.join(found) or 'none'}"
+        )
+    given = found[setting]
+    for each in given.types if isinstance(given, types.UnionType) else (given,):
+        if isinstance(each, types.LiteralType) and all(isinstance(value, str) for value in each.values):
+            return tuple(map(str, each.values))
+    raise UsageError(
+        f"setting {setting} of service {spec.name!r} can be more than a few words: measure one at a time"
+    )
 
 
 def calls_to_make(found: Sequence[Sample], calls: int) -> int:

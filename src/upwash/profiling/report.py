@@ -57,6 +57,21 @@ def service_table(profile: OnboardProfile, *, program: str | None, computer: str
     return "\n".join(lines) + "\n"
 
 
+def chosen_setting(setting: str, profiles: Mapping[str, OnboardProfile]) -> str:
+    """The [service.settings] table with the value whose calls took the least; comments say what each of them took."""
+    lines = ["", "[service.settings]"]
+    for value, profile in profiles.items():
+        calls = ", ".join(f"{_key(each)} {each.mean_s:.3f} s" for each in profile.calls)
+        lines.append(f"# {value}: {calls}")
+    lines.append(f"{_quoted_key(setting)} = {_text(fastest(profiles))}")
+    return "\n".join(lines) + "\n"
+
+
+def fastest(profiles: Mapping[str, OnboardProfile]) -> str:
+    """The value of a setting with which a call of each operation takes the least together."""
+    return min(profiles, key=lambda value: profiles[value].mean_s)
+
+
 def server_table(profile: ServerProfile, *, server: str, computer: str) -> str:
     """What was measured of a server, as keys for its [[server]] table."""
     service = profile.calls[0].sample.operation.service
