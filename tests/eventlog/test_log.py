@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import msgspec
@@ -13,6 +14,7 @@ from upwash.core.servers import Trigger
 from upwash.errors import UsageError
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
+from upwash.eventlog.log import LineReader
 from upwash.eventlog.schema import Event
 from upwash.lab.run import simulate
 from upwash.lab.simulation import read_scenario
@@ -90,6 +92,40 @@ def test_each_part_of_a_log_is_read_by_the_version_that_wrote_it(tmp_path: Path)
 def test_a_torn_line_of_this_version_costs_itself(tmp_path: Path) -> None:
     torn = b'{"event":"leg","t":1.0,"wayp{"event":"armed","t":2.0}\n'
     assert [each.kind for each in read(tmp_path, OPENED, torn, b'{"eve\n')] == ["log_opened", "armed"]
+
+
+ARMED = b'{"event":"armed","t":2.0}\n'
+LEG = line("leg", 3.0, waypoint=1)
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        b"", b"\n", b" \n", b'{"event":"armed","t":2.0} \r\n', b'{"event":"armed","t":2.0,"by":"hand"}\n',
+        b'{"event":"armed"}\n', b'{"event":"teleported","t":1.0}\n', b'{"event":"leg","t":1.0}\n', b"[]\n", b"7\n",
+        ARMED[:-1] + ARMED, b'{"event":"armed",\n"t":2.0}\n', b"\xff\n", b"[" * 100_000 + b"\n",
+        b'{"event":"leg","t":1.0,"wayp{"event":"armed","t":2.0}\n', b'{"eve\n', b"\0\0\n",
+        line("log_opened", 0.0, version=schema.VERSION + 1), line("log_resumed", 2.0, version=schema.VERSION),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("opened", [OPENED, OPENED_BY_AN_EARLIER_RELEASE, b""])
+def test_lines_that_are_read_at_once_are_what_they_are_one_by_one(opened: bytes, odd: bytes) -> None:
+    parts = [opened, ARMED + LEG, ARMED + odd, odd + LEG, LEG, b'{"event":"teleported","t":9.0}\n']
+    by_itself, at_once = LineReader(Path("log")), LineReader(Path("log"))
+    assert made_of(map(at_once.take_all, parts)) == made_of(
+        [by_itself.take(line)] for line in b"".join(parts).split(b"\n")[:-1]
+    )
+
+
+def made_of(parts: Iterable[Iterable[Event | None]]) -> tuple[list[Event], str]:
+    """The events of a log's parts, and why it is read no further."""
+    events = list[Event]()
+    try:
+        for part in parts:
+            events.extend(event for event in part if event is not None)
+    except UsageError as error:
+        return events, str(error)
+    return events, ""
 
 
 def test_a_place_is_a_server_or_the_drone() -> None:

@@ -38,6 +38,7 @@ class Page:
         self.trouble = ""
         self.together: bool | None = None
         self.received = 0
+        self.more: list[bool] = []
         self.runs: dict[int, int] = {}
         self.messages: AsyncIterator[str] = feed.messages(after)
 
@@ -60,6 +61,7 @@ class Page:
             self.runs[batch["log"]] = batch["run"]
             self.received += len(batch["facts"])
             self.trouble = batch["trouble"]
+            self.more.append(batch["more"])
             facts += batch["facts"]
 
     def reached(self, log: int = 0) -> int:
@@ -116,6 +118,24 @@ def test_a_page_is_sent_what_is_new_and_only_that(log: Path) -> None:
             append(log, arrival(1))
             await page.hear(lambda page: page.reached() == 2)
             assert page.received - before == len(page.facts[0]) - before <= 3
+
+    asyncio.run(run())
+
+
+def test_what_a_long_log_has_told_is_sent_in_pieces_of_which_the_last_is_known(log: Path) -> None:
+    append(log, *(arrival(waypoint) for waypoint in range(1, 9_000)))
+
+    async def run() -> None:
+        async with following(log) as feed:
+            at_once, later = Page(feed), Page(feed)
+            for page in at_once, later:
+                await page.hear(lambda page: page.more[-1:] == [False])
+                assert all(page.more[:-1]) and len(page.more) > 1
+                assert page.received == len(page.facts[0]) == feed.recordings[0].count
+            assert at_once.facts == later.facts
+            append(log, arrival(9_000))
+            await later.hear(lambda page: page.reached() == 9_001)
+            assert not later.more[-1]
 
     asyncio.run(run())
 
@@ -239,6 +259,22 @@ def test_the_last_that_is_said_is_what_the_mission_came_to_and_the_end(log: Path
     *_, summaries, end = asyncio.run(run())
     assert "the mission took 7.0 s" in summaries
     assert end.startswith("event: end")
+
+
+def test_what_a_mission_came_to_is_told_beside_a_flight_that_had_none(log: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.jsonl"
+    append(other, OPENED, {"t": 1.0, "event": "mission_ended", "why": "no camera"})
+    append(log, {"t": 8.0, "event": "mission_completed"})
+
+    async def run() -> list[str]:
+        async with following(log, other) as feed:
+            feed.close()
+            return [message async for message in feed.messages()]
+
+    (summaries,) = (
+        each for each in asyncio.run(run()) if each.startswith("event: summaries") and "took" in each
+    )
+    assert "flight: the mission took 7.0 s" in summaries
 
 
 @pytest.mark.parametrize("content", [b"\xff\n", b"photo\n", b"[1]\n", b'{"t": 1}\n', b"[" * 100_000 + b"\n"])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import msgspec
@@ -19,6 +19,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 
 LONGEST_LINE_BYTES = 2**24
+_VERSIONED = frozenset({schema.LogOpened, schema.LogResumed, schema.Simulated})
 _BEGINNINGS = (b'{"event":', b'{"t":')  # of every line that is written, and of those of earlier releases
 _log = logging.getLogger("upwash.event_log")
 
@@ -69,6 +70,19 @@ class LineReader:
         self._path = path
         self._number = 0
         self._version = 0  # that the log has said last
+
+    def take_all(self, lines: bytes) -> Iterable[Event]:
+        """The events of the next lines, each with its end; raises UsageError where it comes to what is none."""
+        events = _decode_all(lines)
+        if events is None:
+            return self._one_by_one(lines)
+        self._number += len(events)
+        return events
+
+    def _one_by_one(self, lines: bytes) -> Iterator[Event]:
+        for line in lines.split(b"\n")[:-1]:
+            if (event := self.take(line)) is not None:
+                yield event
 
     def take(self, line: bytes) -> Event | None:
         """The event of the next line; raises UsageError where it is none, or none that can be read.
@@ -130,6 +144,16 @@ def decode(line: bytes) -> Event:
     if not event.is_stamped:
         raise ValueError("each line of one has an event and its time")
     return event
+
+
+def _decode_all(lines: bytes) -> list[Event] | None:
+    """The events of lines that are read at once, in half the time; None where a line is to be looked at by itself."""
+    try:
+        events = schema.DECODER.decode_lines(lines)
+    except (ValueError, RecursionError):
+        return None
+    plain = len(events) == lines.count(b"\n") and _VERSIONED.isdisjoint(map(type, events))
+    return events if plain and all(event.is_stamped for event in events) else None
 
 
 def _last_beginning(line: bytes) -> int:

@@ -32,6 +32,8 @@ _FAILURES = (
     schema.CoverageNotKept,
     schema.OffloadingFailed,
 )
+# Most events of a long log are of few kinds: each case of a match takes time.
+_NEVER_TOLD = frozenset({schema.Photo, schema.Decided, schema.CallStarted})
 _OWNERS = {
     Owner.NOBODY: "nobody",
     Owner.PROGRAM: "the program",
@@ -126,6 +128,8 @@ class Narrator:
         """What the event says; None for one that is not worth a sentence."""
         self._whereabouts.take(event)
         self.began.take(event)
+        if type(event) in _NEVER_TOLD:
+            return None
         match event:
             case schema.PositionReport(east_m=east_m, north_m=north_m, altitude_m=altitude_m):
                 self.where = f"{east_m:.0f} m east, {north_m:.0f} m north, {altitude_m:.0f} m up"

@@ -14,6 +14,8 @@ from upwash.eventlog.schema import SEVERITIES, Event
 
 _TAKE_OVER = "Take over with the remote control."
 _SAID_AT_ONCE = 3  # of the vehicle's warnings, the newest
+# Most events of a long log are of few kinds: each case of a match takes time.
+_NEVER_NOTICED = frozenset({schema.PositionReport, schema.Leg, schema.Arrived, schema.Photo, schema.Decided})
 _ON_GROUND = (schema.Landed, schema.Disarmed, schema.Stood)
 
 
@@ -47,6 +49,8 @@ class Notices:
 
     def take(self, event: Event) -> Iterator[Notice]:
         """What the next event begins, changes or ends."""
+        if type(event) in _NEVER_NOTICED:
+            return
         for notice in self._of(event):
             if notice.cause:
                 self._held.add(notice.key)

@@ -205,6 +205,11 @@ class Tally:
         elif step.after is State.BLACKLISTED:
             self._failed[step.server] = step.why.removeprefix(f"{step.server}: ")
 
+    @property
+    def began_s(self) -> float | None:
+        """The second of the log at which the mission began; None before."""
+        return self._began.at_s
+
     def result(self) -> RunResult:
         """What it came to."""
         remote = Counter(call.server for call in self._calls if call.server is not None)

@@ -521,7 +521,7 @@ class BatteryWatchFailed(Event, frozen=True, kw_only=True):
     why: str
 
 
-class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="position"):
+class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="position", gc=False):
     """Where the drone is, every second (real flights), with what is known of its motion, battery and link.
 
     The heading is that of its nose, clockwise from north; `round_trip_s` is what the last question to the daemon of

@@ -3,24 +3,67 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
+from upwash.eventlog import schema
 from upwash.eventlog.narration import counted
-from upwash.eventlog.results import Totals
-from upwash.report.record import Record
+from upwash.eventlog.results import RunResult, Tally, Totals
+from upwash.eventlog.schema import Event
+
+UNPLANNED = schema.Planned()  # by its identity: what the drone set out to do is not in the log
 
 
-def what_it_came_to(record: Record, records: Sequence[Record]) -> str:
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a run of that name set out to do, and what it came to."""
+
+    name: str
+    plan: schema.Planned
+    result: RunResult
+
+    @property
+    def saved_s(self) -> float | None:
+        """What offloading saved against the local delays measured; None where they are not known."""
+        local_only_s = self.result.local_only_time_s()
+        if local_only_s is None or not self.result.completed:
+            return None
+        return local_only_s - self.result.mission_time_s
+
+
+class OutcomeSoFar:
+    """Gathers the events of one run until its mission was completed, and keeps none of them."""
+
+    def __init__(self) -> None:
+        self._plan = UNPLANNED
+        self._tally = Tally()
+
+    def take(self, event: Event) -> None:
+        """Takes in the next event."""
+        if self._tally.completed:
+            return
+        self._tally.take(event)
+        if type(event) is schema.Planned and self._plan is UNPLANNED:
+            self._plan = event
+
+    def named(self, name: str) -> Outcome | None:
+        """What the run of that name came to so far; None where no mission has begun."""
+        return None if self._tally.began_s is None else Outcome(name, self._plan, self._tally.result())
+
+
+def what_it_came_to(run: Outcome, runs: Sequence[Outcome]) -> str:
     """What the run came to, also against a run without offloading, where one is among the records."""
-    result = record.result
+    result = run.result
     ended = "" if result.completed else " and was not completed"
-    took = f"{record.name}: the mission took {result.mission_time_s:.1f} s under the policy {result.policy}{ended}."
+    took = (
+        f"{run.name}: the mission took {result.mission_time_s:.1f} s under the policy {result.policy}{ended}."
+    )
     took += _going(result.totals)
     if not result.totals.remote:
         return f"{took} All {result.totals.calls} calls ran on the drone."
     paced = (
-        " Calls on the drone were paced to take as long as on a slower computer." if record.plan.paced else ""
+        " Calls on the drone were paced to take as long as on a slower computer." if run.plan.paced else ""
     )
-    return f"{took} {_saving(record)}{_against_reference(record, records)}{paced}"
+    return f"{took} {_saving(run)}{_against_reference(run, runs)}{paced}"
 
 
 def _going(totals: Totals) -> str:
@@ -32,10 +75,10 @@ def _going(totals: Totals) -> str:
     )
 
 
-def _saving(record: Record) -> str:
-    if record.answers and record.result.completed:
+def _saving(run: Outcome) -> str:
+    if run.result.totals.went_on and run.result.completed:
         return "What offloading saved is not known: the drone went on before answers were there."
-    local_only_s, saved_s = record.result.local_only_time_s(), record.saved_s
+    local_only_s, saved_s = run.result.local_only_time_s(), run.saved_s
     if local_only_s is None or saved_s is None:
         return "What offloading saved is not known: that takes a completed mission with calls on the drone."
     return (
@@ -44,12 +87,12 @@ def _saving(record: Record) -> str:
     )
 
 
-def _against_reference(record: Record, records: Sequence[Record]) -> str:
+def _against_reference(run: Outcome, runs: Sequence[Outcome]) -> str:
     """The difference to a mission over the same plan that was flown without offloading, where there is one."""
-    for reference in records:
-        same = reference.plan.waypoints_m == record.plan.waypoints_m and reference.result.completed
-        if same and record.result.completed and reference.result.calls and not reference.result.totals.remote:
+    for reference in runs:
+        same = reference.plan.waypoints_m == run.plan.waypoints_m and reference.result.completed
+        if same and run.result.completed and reference.result.calls and not reference.result.totals.remote:
             longer_s = reference.result.mission_time_s
-            less_s = longer_s - record.result.mission_time_s
+            less_s = longer_s - run.result.mission_time_s
             return f" It took {less_s:.1f} s less than {reference.name}, {100 * less_s / longer_s:.0f} %."
     return ""

@@ -22,9 +22,9 @@ from upwash.eventlog.schema import Event
 from upwash.report.findings import Finding, Findings
 from upwash.report.going import OpenAnswer, OpenAnswers
 from upwash.report.notices import Notices, NoticesTaken
+from upwash.report.outcome import UNPLANNED, Outcome
 
 _WORST = 5
-_UNPLANNED = schema.Planned()  # by its identity: what the drone set out to do is not in the log
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class MissionEvents:
         self._read = read
         self._first = self._end = 0
         self.opening: Event | None = None  # the first of them
-        self.planned = _UNPLANNED
+        self.planned = UNPLANNED
         self.drone = ""
         self.began_s: float | None = None
         self._look_through()
@@ -83,11 +83,11 @@ class MissionEvents:
         for number, event in enumerate(self._read()):
             if isinstance(event, schema.LogOpened) or number == 0:
                 began, completed = Beginning(), False
-                self._first, self.opening, self.planned = number, event, _UNPLANNED
+                self._first, self.opening, self.planned = number, event, UNPLANNED
             if completed:
                 continue
             began.take(event)
-            if isinstance(event, schema.Planned) and self.planned is _UNPLANNED:
+            if isinstance(event, schema.Planned) and self.planned is UNPLANNED:
                 self.planned = event
             elif isinstance(event, schema.MissionStarted):
                 self.drone = event.drone
@@ -144,10 +144,12 @@ class Record:
     @property
     def saved_s(self) -> float | None:
         """What offloading saved against the local delays measured; None where they are not known."""
-        local_only_s = self.result.local_only_time_s()
-        if local_only_s is None or not self.result.completed:
-            return None
-        return local_only_s - self.result.mission_time_s
+        return self.outcome.saved_s
+
+    @property
+    def outcome(self) -> Outcome:
+        """What the run came to."""
+        return Outcome(self.name, self.plan, self.result)
 
 
 def read_records(logs: Sequence[Path]) -> list[Record]:

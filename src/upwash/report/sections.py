@@ -28,9 +28,10 @@ def draw_sections(
     findings = (
         [_section(told, "Findings", lambda record: draw_findings(record, shelf, pictures))] if told else []
     )
+    outcomes = [record.outcome for record in records]
     return [
         draw_endings(shown),
-        *(element("p", what_it_came_to(record, records), class_="lead") for record in shown),
+        *(element("p", what_it_came_to(record.outcome, outcomes), class_="lead") for record in shown),
         tables.totals(shown),
         *findings,
         _call_delays(shown, scales),

@@ -59,7 +59,7 @@ class Home(Fact, frozen=True):
     north_m: float
 
 
-class Fix(Fact, frozen=True):
+class Fix(Fact, frozen=True, gc=False):
     """Where the drone is; and its speed, heading, battery and link to the server in use, where those are told too."""
 
     east_m: float

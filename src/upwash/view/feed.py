@@ -9,14 +9,13 @@ from dataclasses import dataclass
 
 import msgspec
 
-from upwash.errors import UsageError
 from upwash.report.outcome import what_it_came_to
-from upwash.report.record import names_of, read_records
-from upwash.view.recording import Recording
+from upwash.report.record import names_of
+from upwash.view.recording import Piece, Recording, as_one
 from upwash.view.tiles import Tiles
 
 _LOOK_S = 0.05
-_BATCH = 2000  # facts
+_BATCH_BYTES = 2**18  # of facts, which are sent at once
 _RETRY_MS = 1000  # after which a page that lost its connection tries again
 
 
@@ -29,13 +28,17 @@ class Page(msgspec.Struct, frozen=True):
 
 
 class Batch(msgspec.Struct, frozen=True):
-    """Facts of one log; `start` counts those before them. Another `run` begins anew."""
+    """Facts of one log; `start` counts those before them. Another `run` begins anew.
+
+    `more` says whether others, that the log has already, follow at once.
+    """
 
     log: int
     run: int
     start: int
     trouble: str
-    facts: list[msgspec.Raw]
+    more: bool
+    facts: msgspec.Raw
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +48,7 @@ class _Seen:
     run: int = 0
     facts: int = 0
     trouble: str = ""
+    is_behind: bool = True
 
 
 class Feed:
@@ -62,12 +66,13 @@ class Feed:
 
     async def follow(self) -> None:
         """Looks at the logs several times a second, until the feed is closed; then says goodbye to all pages."""
+        self._summarize()  # of short logs, which are read already
         while True:
             last_look = self._closing
             news = [recording.advance() for recording in self.recordings]
             if any(news):
+                self._summarize()
                 self._tell()
-                await self._summarize()
             elif last_look:
                 break
             await asyncio.sleep(0 if any(news) or self._closing else _LOOK_S)
@@ -82,7 +87,7 @@ class Feed:
         self._news.set()
         self._news = asyncio.Event()
 
-    async def _summarize(self) -> None:
+    def _summarize(self) -> None:
         """Says what the missions came to that are over."""
         over = {
             log: recording.run
@@ -92,14 +97,14 @@ class Feed:
         if over == self._summarized:
             return
         self._summarized = over
-        try:
-            records = await asyncio.to_thread(read_records, [self.recordings[log].log for log in over])
-        except UsageError:  # it was replaced just now
-            return
-        self._summaries = dict(
-            zip(over, (what_it_came_to(record, records) for record in records), strict=True)
-        )
-        self._tell()
+        outcomes = {
+            log: outcome
+            for log in over
+            if (outcome := self.recordings[log].outcome.named(self._names[log])) is not None
+        }
+        self._summaries = {
+            log: what_it_came_to(outcome, list(outcomes.values())) for log, outcome in outcomes.items()
+        }
 
     async def messages(self, after: str = "") -> AsyncIterator[str]:
         """The events for one page, until the feed is closed; `after` is the id of the last one that it has."""
@@ -109,8 +114,8 @@ class Feed:
         while True:
             news, closed = self._news, self._closed
             for log, recording in enumerate(self.recordings):
-                for batch in _batches(log, recording, seen[log]):
-                    seen[log] = _Seen(batch.run, batch.start + len(batch.facts), batch.trouble)
+                for batch, has in _batches(log, recording, seen[log]):
+                    seen[log] = has
                     yield self._identified(batch, seen)
             if summaries != self._summaries:
                 summaries = self._summaries
@@ -141,23 +146,27 @@ def _are_of_several_drones(recordings: Sequence[Recording]) -> bool:
     return len(recordings) > 1 and (len(drones) > 1 or None in drones)
 
 
-def _batches(log: int, recording: Recording, seen: _Seen) -> Iterator[Batch]:
-    """What a page lacks of a log now, in pieces."""
-    start = seen.facts if seen.run == recording.run and seen.facts <= len(recording.facts) else 0
-    facts = recording.facts[start:]
-    state = _Seen(recording.run, start + len(facts), recording.trouble)
-    if state == seen:
+def _batches(log: int, recording: Recording, seen: _Seen) -> Iterator[tuple[Batch, _Seen]]:
+    """What a page lacks of a log now, batch by batch, and what it has with each."""
+    now = _Seen(recording.run, recording.count, recording.trouble, recording.is_behind)
+    if now == seen:
         return
-    for first in range(0, max(1, len(facts)), _BATCH):
-        piece = facts[first : first + _BATCH]
-        last = first + len(piece) == len(facts)
-        yield Batch(
-            log=log,
-            run=state.run,
-            start=start + first,
-            trouble=state.trouble if last else "",
-            facts=[msgspec.Raw(fact) for fact in piece],
-        )
+    has = seen.facts if seen.run == now.run and seen.facts <= now.facts else 0
+    for piece in _joined(recording.since(has) or [Piece(has, 0, b"[]")]):
+        then = now if piece.end == now.facts else _Seen(now.run, piece.end)
+        facts = msgspec.Raw(piece.json)
+        yield Batch(log, now.run, piece.start, then.trouble, more=then.is_behind, facts=facts), then
+
+
+def _joined(pieces: Sequence[Piece]) -> Iterator[Piece]:
+    """The same facts, in fewer pieces where these are small."""
+    some, size = list[Piece](), 0
+    for piece in pieces:
+        some.append(piece)
+        size += len(piece.json)
+        if size >= _BATCH_BYTES or piece is pieces[-1]:
+            yield as_one(some)
+            some, size = [], 0
 
 
 def _message(kind: str, data: object) -> str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -11,12 +13,36 @@ import msgspec
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.log import LineReader
+from upwash.report.outcome import OutcomeSoFar
+from upwash.view.facts import Fact
 from upwash.view.story import Story
 from upwash.view.tail import Tail
 
 
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """So many facts that a log told at once, as a JSON array; `start` counts those before them."""
+
+    start: int
+    count: int
+    json: bytes
+
+    @property
+    def end(self) -> int:
+        """How many there are with these."""
+        return self.start + self.count
+
+
+def as_one(pieces: Sequence[Piece]) -> Piece:
+    """Pieces that follow each other, in one."""
+    if len(pieces) == 1:
+        return pieces[0]
+    facts = b",".join(piece.json[1:-1] for piece in pieces)
+    return Piece(pieces[0].start, sum(piece.count for piece in pieces), b"[" + facts + b"]")
+
+
 class Recording:
-    """The last run of a log: its `facts` as JSON, which grow, or begin anew with another `run`.
+    """The last run of a log: its facts, of which there are `count` and more with time, or anew with another `run`.
 
     `caught_up` says whether everything that the log had when it was last looked at is among them, `trouble` why it is
     read no further.
@@ -34,7 +60,9 @@ class Recording:
 
     def _begin(self) -> None:
         self.story = Story(self._keeps)
-        self.facts: list[bytes] = []
+        self.outcome = OutcomeSoFar()
+        self.count = 0
+        self._pieces: list[Piece] = []
         self.run += 1
 
     def advance(self) -> bool:
@@ -46,28 +74,43 @@ class Recording:
             if lines is None and self._tail.was_replaced():
                 self._start_over()
                 return True
-            for line in lines or ():
-                self._take(line)
+            self._take(lines or b"")
         except UsageError as error:
             self.trouble = str(error)
             return True
         news = lines is not None or not self.caught_up
-        self.caught_up = lines is None
+        self.caught_up = self._tail.at_end
         return news
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether the log has more, which is yet to be read."""
+        return not self.caught_up and not self.trouble
 
     def _start_over(self) -> None:
         self._tail.close()
         self._tail = Tail(self.log)
         self._lines = LineReader(self.log)
+        self.caught_up = False
         self._begin()
 
-    def _take(self, line: bytes) -> None:
-        event = self._lines.take(line)
-        if event is None:
-            return
-        if isinstance(event, schema.LogOpened) and self.facts:
-            self._begin()
-        self.facts += map(msgspec.json.encode, self.story.take(event))
+    def _take(self, lines: bytes) -> None:
+        told: list[Fact] = []
+        try:
+            for event in self._lines.take_all(lines):
+                if type(event) is schema.LogOpened and (self.count or told):
+                    told.clear()
+                    self._begin()
+                self.outcome.take(event)
+                told += self.story.take(event)
+        finally:  # what came before a line that is no event is told
+            if told:
+                self._pieces.append(Piece(self.count, len(told), msgspec.json.encode(told)))
+                self.count += len(told)
+
+    def since(self, count: int) -> Sequence[Piece]:
+        """The facts after the first so many, in their order; the first piece may begin with some of those."""
+        return self._pieces[bisect_right(self._pieces, count, key=lambda piece: piece.end) :]
 
     def close(self) -> None:
         """Lets go of the log."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from upwash.core.geo import LocalFrame, Position
 from upwash.core.servers import CHECKING, State
@@ -47,9 +47,15 @@ class Story:
         self._doing = ("", 0)
         self._servers: set[str] = set()
 
-    def take(self, event: Event) -> Iterator[Fact]:
+    def take(self, event: Event) -> Iterable[Fact]:
         """What the next event tells."""
         self._now_s = max(self._now_s, event.t)
+        if type(event) is schema.PositionReport and self._doing[0]:  # most events of a long log are these
+            here = Position(event.east_m, event.north_m, event.altitude_m)
+            return (self._fix(here, event),) if self._is_news(here) else ()
+        return self._told(event)
+
+    def _told(self, event: Event) -> Iterator[Fact]:
         said = self._narrator.tell(event)
         explained = self._reasons.take(event)
         self._calls_at.take(event)
@@ -85,24 +91,30 @@ class Story:
         here = place_of(event, self._place)
         if here is None and (self._place is None or self._now_s - self._placed_s > _STALE_S):
             here = self._inferred(event)
-        if here is not None and (here != self._place or self._now_s - self._placed_s > _STALE_S):
-            yield self._fix(event, here)
-            self._place, self._placed_s = here, self._now_s
+        if here is not None and self._is_news(here):
+            yield self._fix(here, event if isinstance(event, schema.PositionReport) else None)
         if isinstance(event, schema.VehicleLimits) and event.home is not None:
             yield facts.Home(at_s=self._now_s, east_m=event.home.east_m, north_m=event.home.north_m)
 
-    def _fix(self, event: Event, here: Position) -> facts.Fix:
-        report = event if isinstance(event, schema.PositionReport) else None
+    def _is_news(self, here: Position) -> bool:
+        return here != self._place or self._now_s - self._placed_s > _STALE_S
+
+    def _fix(self, here: Position, report: schema.PositionReport | None) -> facts.Fix:
+        self._place, self._placed_s = here, self._now_s
+        if report is None:
+            return facts.Fix(
+                at_s=self._now_s, east_m=here.east_m, north_m=here.north_m, altitude_m=here.altitude_m
+            )
         return facts.Fix(
             at_s=self._now_s,
             east_m=here.east_m,
             north_m=here.north_m,
             altitude_m=here.altitude_m,
-            ground_speed_m_s=report.ground_speed_m_s if report else None,
-            heading_deg=report.heading_deg if report else None,
-            battery_percent=report.battery_percent if report else None,
-            server=report.server if report else None,
-            round_trip_s=report.round_trip_s if report else None,
+            ground_speed_m_s=report.ground_speed_m_s,
+            heading_deg=report.heading_deg,
+            battery_percent=report.battery_percent,
+            server=report.server,
+            round_trip_s=report.round_trip_s,
         )
 
     def _inferred(self, event: Event) -> Position | None:

@@ -15,6 +15,7 @@ class Tail:
     """Reads what a log gains, whole lines only; raises UsageError where it cannot be read."""
 
     def __init__(self, log: Path) -> None:
+        self.at_end = False  # whether the last look came to the end of what the log had by then
         self._log = log
         self._rest = b""
         try:
@@ -22,15 +23,16 @@ class Tail:
         except OSError as error:
             raise UsageError(f"cannot read the event log {log}: {error.strerror}") from error
 
-    def read(self) -> list[bytes] | None:
-        """The lines that end in the next few hundred KB; None where there is nothing new."""
+    def read(self) -> bytes | None:
+        """The lines that end in the next few hundred KB, with their ends; None where there is nothing new."""
         chunk = self._file.read(_CHUNK_BYTES)
+        self.at_end = len(chunk) < _CHUNK_BYTES
         if not chunk:
             return None
-        *lines, self._rest = (self._rest + chunk).split(b"\n")
+        lines, end, self._rest = (self._rest + chunk).rpartition(b"\n")
         if len(self._rest) > LONGEST_LINE_BYTES:
             raise UsageError(f"{self._log} is not an event log: it has a line of more than 16 MiB")
-        return lines
+        return lines + end
 
     def was_replaced(self) -> bool:
         """Whether another file bears the name now, or what was read is no longer in this one."""

@@ -60,9 +60,7 @@ class _Growing:
         """The events since it was asked last."""
         try:
             while self._readable and (lines := self._tail.read()) is not None:
-                for line in lines:
-                    if (event := self._lines.take(line)) is not None:
-                        yield event
+                yield from self._lines.take_all(lines)
         except UsageError as error:
             self._readable = False
             _log.warning("%s", error)
