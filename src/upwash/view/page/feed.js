@@ -27,6 +27,7 @@ export class Feed {
     source.addEventListener("end", () => {
       source.close();
       this.open = false;
+      for (const story of this.stories) story.isBehind = false;
       said(ENDED);
       grown();
     });

@@ -11,6 +11,7 @@ import { Colours, Places } from "./places.js";
 import { align } from "./timeline.js";
 
 const KEY_S = 5; // that an arrow key moves
+const GLIMPSE_MS = 1000;
 const SILENT_S = 5; // a flight tells where it is every second
 
 const on = (id) => document.getElementById(id);
@@ -22,6 +23,7 @@ let views = []; // a flight each, or a fleet
 let title = "upwash";
 let together = false;
 let frame = null;
+let glimpse = null;
 
 const feed = new Feed({
   opened(stories, page) {
@@ -31,7 +33,7 @@ const feed = new Feed({
     on("flights").classList.toggle("beside", views.length > 1);
     title = `upwash: ${listed(stories.map((story) => story.name))}`;
   },
-  grown: refresh,
+  grown,
   summarized(summaries) {
     views.forEach((view) => view.summarize(summaries));
     refresh();
@@ -57,10 +59,18 @@ function listed(names) {
   return names.length > 1 ? `${names.slice(0, -1).join(", ")} and ${names.at(-1)}` : names.join();
 }
 
+// What a log has told before takes a moment to come: drawing it as it grows would take longer than all the rest.
+function grown() {
+  if (feed.stories.some((story) => story.isBehind)) glimpse ??= setTimeout(refresh, GLIMPSE_MS);
+  else refresh();
+}
+
 // Shows what is new at the next frame, however much of it comes before.
 function refresh() {
   frame ??= requestAnimationFrame((frameMs) => {
     frame = null;
+    clearTimeout(glimpse);
+    glimpse = null;
     const more = clock.tick(frameMs);
     show();
     if (more) refresh();

@@ -17,6 +17,7 @@ export class Story {
     this.run = run;
     this.facts = 0;
     this.trouble = "";
+    this.isBehind = false; // the log has told more than came so far
     this.plan = null;
     this.opened = null;
     this.began = null;
@@ -41,6 +42,7 @@ export class Story {
   take(batch) {
     if (batch.run !== this.run) this.begin(batch.run);
     this.trouble = batch.trouble;
+    this.isBehind = batch.more;
     for (const fact of batch.facts.slice(this.facts - batch.start)) this.#takeFact(fact);
   }
 
