@@ -42,13 +42,13 @@ export class Fleet {
   show(clockS, limits) {
     const moments = this.stories.map((story) => story.at(clockS));
     this.list.show(moments);
-    this.map.show(moments);
     this.flights[this.#focus].show(clockS, limits);
+    this.map.show(moments);
   }
 
-  restyle(clockS) {
-    this.map.restyle(this.stories.map((story) => story.at(clockS)));
-    for (const flight of this.flights) flight.restyle(clockS);
+  restyle() {
+    this.map.restyle();
+    for (const flight of this.flights) flight.restyle();
   }
 
   summarize(summaries) {

@@ -60,19 +60,20 @@ export class Flight {
     return this.story;
   }
 
+  // What has a size of its own comes first, and what is drawn into the rest of the page last.
   show(clockS, limits) {
     if (this.story.run !== this.#run) this.#begin();
     const moment = this.story.at(clockS);
     this.#showHead(moment);
     this.#showDecision(moment);
     this.#showLegend();
-    this.map?.show([moment]);
-    this.chart.show(moment, limits);
     this.servers.show(moment);
     this.photo.show(moment);
     this.findings.show(moment);
     this.calls.show(moment);
     this.journal.show(moment);
+    this.map?.show([moment]);
+    this.chart.show(moment, limits);
   }
 
   #begin() {
@@ -83,9 +84,10 @@ export class Flight {
     this.journal.clear();
   }
 
-  restyle(clockS) {
-    this.map?.restyle([this.story.at(clockS)]);
-    this.chart.restyle();
+  // What is shown next is drawn anew, in other colours.
+  restyle() {
+    this.map?.restyle();
+    this.chart.clear();
   }
 
   summarize(summaries) {

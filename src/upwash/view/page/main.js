@@ -11,12 +11,15 @@ import { Colours, Places } from "./places.js";
 import { align } from "./timeline.js";
 
 const KEY_S = 5; // that an arrow key moves
-const GLIMPSE_MS = 1000;
+const GLIMPSE_MS = 2000;
 const SILENT_S = 5; // a flight tells where it is every second
 
 const on = (id) => document.getElementById(id);
 const clock = new Clock();
-const colours = new Colours(() => views.forEach((view) => view.restyle(clock.nowS)));
+const colours = new Colours(() => {
+  views.forEach((view) => view.restyle());
+  if (views.length) refresh();
+});
 const places = new Places(colours);
 const banner = new Banner(on("alarms"), on("cautions"));
 let views = []; // a flight each, or a fleet
@@ -82,7 +85,7 @@ function show() {
   align(stories, together);
   clock.extend(Math.max(0, ...stories.map((story) => story.clockS(story.endsS))));
   const operations = stories.flatMap((story) => [...story.operations]);
-  if (places.know(stories.flatMap((story) => story.servers), operations)) views.forEach((view) => view.restyle(clock.nowS));
+  if (places.know(stories.flatMap((story) => story.servers), operations)) views.forEach((view) => view.restyle());
   const limits = {
     waypoints: Math.max(0, ...stories.map((story) => story.waypoints)),
     longestS: Math.max(0.1, ...stories.map((story) => story.longestS)),

@@ -15,6 +15,7 @@ const ASIDE = { weight: 1.2, opacity: 0.45, fillOpacity: 0.03 };
 
 export class FlightMap {
   #plans = []; // as they are drawn
+  #stale = false; // in colours that are no longer so
   #homes = []; // likewise
   #moved = false; // by a person, so that nothing else moves it
   #servers = new Map(); // as they are drawn: each with its range, its label and what is said there beside its name
@@ -56,10 +57,7 @@ export class FlightMap {
     for (const touch of ["wheel", "keydown", "pointerdown"]) {
       this.frame.addEventListener(touch, () => (this.#moved = true), { passive: true });
     }
-    new ResizeObserver(() => {
-      this.map.invalidateSize({ animate: false });
-      if (!this.#moved) this.fit();
-    }).observe(this.frame);
+    new ResizeObserver(() => this.#resize() && !this.#moved && this.fit()).observe(this.frame);
   }
 
   #addFit() {
@@ -72,6 +70,12 @@ export class FlightMap {
     const control = new L.Control({ position: "topright" });
     control.onAdd = () => button;
     control.addTo(this.map);
+  }
+
+  // Takes the size that the page gives it now; whether that is another one.
+  #resize() {
+    const before = this.map.getSize();
+    return !this.map.invalidateSize({ animate: false }).getSize().equals(before);
   }
 
   fit() {
@@ -100,11 +104,13 @@ export class FlightMap {
   show(moments) {
     const plans = moments.map((moment) => moment.story.plan);
     const homes = moments.map((moment) => moment.story.home);
-    if (plans.some((plan, index) => plan !== this.#plans[index] || homes[index] !== this.#homes[index])) {
-      [this.#plans, this.#homes] = [plans, homes];
+    const others = plans.some((plan, index) => plan !== this.#plans[index] || homes[index] !== this.#homes[index]);
+    if (others || this.#stale) {
+      [this.#plans, this.#homes, this.#stale] = [plans, homes, false];
       this.ground.settle(plans);
+      this.#resize();
       this.#begin();
-      this.fit();
+      if (others || !this.#moved) this.fit();
     }
     moments.forEach((moment, index) => this.layers[index].show(moment));
     if (moments.length > 1) this.#showUsers(moments);
@@ -122,13 +128,9 @@ export class FlightMap {
     this.#labels.arrange(labels, taken);
   }
 
-  // Draws everything anew, in other colours.
-  restyle(moments) {
-    this.#plans = [];
-    const moved = this.#moved;
-    const [centre, zoom] = [this.map.getCenter(), this.map.getZoom()];
-    this.show(moments);
-    if (moved) this.map.setView(centre, zoom, { animate: false });
+  // Everything is drawn anew when it is shown next, in other colours.
+  restyle() {
+    this.#stale = true;
   }
 
   focus(index) {

@@ -2,12 +2,16 @@
 
 import { polyline } from "./leaflet/leaflet-src.esm.js";
 
-const LEAST_M = 0.5; // fixes closer to the last one make no corner
+const ASIDE_M = 0.25; // that a fix may lie beside the line, which nobody sees
+const LEAST_M = 0.5; // that a fix is away from the last corner, to tell which way that leads
+const LONGEST_S = 10; // from a corner to the next
 const RECENT_S = 60;
 const PIECE = 200; // corners; only the last piece is ever touched
 
 export class Track {
-  #corners = []; // indices of fixes
+  #corners = []; // indices of fixes: where the way bends
+  #next = 0; // the index of the first fix that was not looked at
+  #sleeve = null; // from the last corner, in which all later fixes lie
   #pieces = [];
   #head;
 
@@ -22,6 +26,7 @@ export class Track {
   clear() {
     for (const piece of [...this.#pieces, ...(this.#head ? [this.#head] : [])]) piece.remove();
     this.#corners = [];
+    this.#next = 0;
     this.#pieces = [];
     this.#head = null;
   }
@@ -43,29 +48,30 @@ export class Track {
   #shrink(fixes, count) {
     if (this.#corners.length === 0 || this.#corners.at(-1) < count) return;
     while (this.#corners.length && this.#corners.at(-1) >= count) this.#corners.pop();
+    this.#next = 0; // which begins anew from the last corner
     const whole = Math.ceil(this.#corners.length / PIECE);
     while (this.#pieces.length > whole) this.#pieces.pop().remove();
     if (whole) this.#pieces[whole - 1].setLatLngs(this.#piece(fixes, whole - 1));
   }
 
   #grow(fixes, count) {
-    let next = (this.#corners.at(-1) ?? -1) + 1;
     const first = Math.max(0, Math.ceil(this.#corners.length / PIECE) - 1);
     const before = this.#corners.length;
-    for (; next < count; next += 1) {
-      if (this.#isCorner(fixes, next)) this.#corners.push(next);
+    if (!before && count) this.#corners.push(0);
+    if (!this.#next && count) this.#sleeve = new Sleeve(fixes[this.#corners.at(-1)]);
+    this.#next ||= (this.#corners.at(-1) ?? 0) + 1;
+    for (; this.#next < count; this.#next += 1) {
+      const [last, here] = [fixes[this.#next - 1], fixes[this.#next]];
+      if (last.at_s - this.#sleeve.corner.at_s <= LONGEST_S && this.#sleeve.holds(here)) continue;
+      this.#corners.push(this.#next - 1);
+      this.#sleeve = new Sleeve(last);
+      this.#sleeve.holds(here);
     }
     if (this.#corners.length === before) return;
     for (let piece = first; piece * PIECE < this.#corners.length; piece += 1) {
       this.#pieces[piece] ??= polyline([], this.style()).addTo(this.map);
       this.#pieces[piece].setLatLngs(this.#piece(fixes, piece));
     }
-  }
-
-  #isCorner(fixes, index) {
-    if (this.#corners.length === 0) return true;
-    const [last, here] = [fixes[this.#corners.at(-1)], fixes[index]];
-    return Math.hypot(here.east_m - last.east_m, here.north_m - last.north_m) >= LEAST_M;
   }
 
   // A piece begins where the one before it ends.
@@ -76,5 +82,34 @@ export class Track {
 
   #latLng(place) {
     return this.ground.latLng(place.east_m, place.north_m);
+  }
+}
+
+// The directions from a corner in which a line passes all fixes so far close by.
+class Sleeve {
+  #away = 0; // how far the farthest of them is
+  #way = null; // to the first that is not at the corner, as an angle; the others' are counted from it
+  #left = -Infinity;
+  #right = Infinity;
+
+  constructor(corner) {
+    this.corner = corner;
+  }
+
+  // Takes in the next fix, unless it lies beside the sleeve, or the drone came back.
+  holds(fix) {
+    const [east, north] = [fix.east_m - this.corner.east_m, fix.north_m - this.corner.north_m];
+    const away = Math.hypot(east, north);
+    if (away < this.#away - LEAST_M) return false;
+    if (away < LEAST_M) return true;
+    const way = Math.atan2(east, north);
+    this.#way ??= way;
+    const turn = ((way - this.#way + 3 * Math.PI) % (2 * Math.PI)) - Math.PI;
+    if (turn < this.#left || turn > this.#right) return false;
+    const play = Math.asin(ASIDE_M / away);
+    this.#left = Math.max(this.#left, turn - play);
+    this.#right = Math.min(this.#right, turn + play);
+    this.#away = Math.max(this.#away, away);
+    return true;
   }
 }
