@@ -8,7 +8,7 @@ from pathlib import Path
 from upwash.errors import UsageError
 from upwash.eventlog.log import LONGEST_LINE_BYTES
 
-_CHUNK_BYTES = 2**18
+_CHUNK_BYTES = 2**16
 
 
 class Tail:
@@ -24,7 +24,7 @@ class Tail:
             raise UsageError(f"cannot read the event log {log}: {error.strerror}") from error
 
     def read(self) -> bytes | None:
-        """The lines that end in the next few hundred KB, with their ends; None where there is nothing new."""
+        """The lines that end in the next 64 KB, with their ends; None where there is nothing new."""
         chunk = self._file.read(_CHUNK_BYTES)
         self.at_end = len(chunk) < _CHUNK_BYTES
         if not chunk:
