@@ -1,8 +1,10 @@
 """How soon a page shows what a log says: `python -m bench.view`.
 
-The mission has 2,000 waypoints and is nearly over; there are ten positions a second. Prints the delay from the end of
-the write of an event to the frame in which the page shows it, in a headless Chromium on this machine, for the drone's
-positions and for calls, and for how long the page was busy meanwhile.
+There are ten positions a second, and a headless Chromium on this machine. Prints first how long it takes to open the
+page of a mission of 2,000 waypoints that is nearly over, and of a finished one whose log is 100 MB: once the program
+says that it is ready, so that the log is read meanwhile, and again. `--against DIR` has another checkout's program
+serve in the same rounds. Then, of the first mission, the delay from the end of the write of an event to the frame in
+which the page shows it, for the drone's positions and for calls, and for how long the page was busy meanwhile.
 """
 
 from __future__ import annotations
@@ -11,13 +13,13 @@ import itertools
 import json
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-from bench.program import command_line
+from bench.program import command_line, machine
 from tests.system.browser import Browser, browser, why_not
 
 from upwash.launch.processes import ready_program
@@ -26,6 +28,9 @@ COLUMNS, SPACING_M = 50, 20.0
 PERIOD_S = 0.1
 FIXES_A_WAYPOINT = 60
 LIMIT_S = 0.5
+ROOT = Path(__file__).parents[1]
+PATIENCE_S = 300.0
+DRAWN = "return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
 WATCH = """
 window.shown = {where: [], calls: []};
 const watch = (selector, pattern, into) => {
@@ -50,29 +55,74 @@ class Extent:
     waypoints: int
     done: int  # of them, before anybody looks
     watched_s: float
+    finished: int  # waypoints of a flight that is over
 
 
-FULL = Extent(waypoints=2_000, done=1_950, watched_s=30.0)
-QUICK = Extent(waypoints=12, done=10, watched_s=7.0)  # long enough for a waypoint's call
+FULL = Extent(waypoints=2_000, done=1_950, watched_s=30.0, finished=14_000)
+QUICK = Extent(waypoints=12, done=10, watched_s=7.0, finished=20)  # long enough for a waypoint's call
 
 
 def main() -> None:
     """Measures, and prints."""
-    extent = QUICK if command_line("view", __doc__).parse_args().quick else FULL
+    parser = command_line("view", __doc__)
+    parser.add_argument("--against", type=Path, metavar="DIR", help="let this checkout's program serve too")
+    parser.add_argument("--rounds", type=int, default=3, help="how often each page is opened")
+    options = parser.parse_args()
+    extent, rounds = (QUICK, 1) if options.quick else (FULL, options.rounds)
+    checkouts = {"before": options.against.resolve()} if options.against else {}
+    checkouts["now"] = ROOT
     if missing := why_not():
         print(f"not measured: {missing}")
         return
-    with tempfile.TemporaryDirectory() as folder:
-        log = Path(folder) / "events.jsonl"
+    with tempfile.TemporaryDirectory() as folder, browser(Path(folder) / "profile") as page:
+        log, finished = Path(folder) / "events.jsonl", Path(folder) / "finished.jsonl"
         events = mission(extent.waypoints)
         before = list(itertools.takewhile(lambda event: event.get("waypoint") != extent.done, events))
         log.write_text("".join(map(line, before)))
-        print(f"{len(before)} events, {log.stat().st_size / 1e6:.1f} MB, before the page is opened")
-        with (
-            ready_program("view", log.parent, "view", str(log), "--port", "0") as address,
-            browser(Path(folder) / "profile") as page,
-        ):
+        with finished.open("w") as file:
+            file.writelines(map(line, mission(extent.finished)))
+            file.write(
+                line({"t": extent.finished * FIXES_A_WAYPOINT * PERIOD_S, "event": "mission_completed"})
+            )
+        print(machine())
+        for each, calls, limit_s in (log, extent.done, 1.0), (finished, extent.finished, 5.0):
+            open_in_turns(page, each, calls, checkouts, rounds=rounds, limit_s=limit_s)
+        print(machine())
+        with ready_program("view", log.parent, "view", str(log), "--port", "0") as address:
             watch(page, address, log, events, extent, began_s=before[-1]["t"])
+
+
+def open_in_turns(
+    page: Browser, log: Path, calls: int, checkouts: Mapping[str, Path], *, rounds: int, limit_s: float
+) -> None:
+    """Opens the page of the log as each checkout's program is ready, and again, and prints how long that took."""
+    took_s: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in checkouts}
+    for _ in range(rounds):
+        for name, checkout in checkouts.items():
+            through = ["env", f"PYTHONPATH={checkout / 'src'}"]
+            command = ["view", str(log), "--port", "0"]
+            with ready_program("view", log.parent, *command, through=through) as address:
+                for each in took_s[name]:
+                    each.append(opened_s(page, address, calls))
+                page.open("about:blank")
+    print(f"{calls} waypoints, {log.stat().st_size / 1e6:.1f} MB, limit {limit_s} s:")
+    (base, base_s), *_ = took_s.items()
+    for name, both in took_s.items():
+        for what, each, other in zip(("opened at once", "opened again"), both, base_s, strict=True):
+            ratio = median(mine / its for mine, its in zip(each, other, strict=True))
+            print(
+                f"  {name}, {what}: {median(each):.2f} s (median), {max(each):.2f} s (longest)"
+                f"{' MISS' * (median(each) > limit_s)}, {ratio:.2f} of {base}"
+            )
+
+
+def opened_s(page: Browser, address: str, calls: int) -> float:
+    """How long it takes until the page shows so many calls."""
+    began_s = time.monotonic()
+    page.open(address)
+    page.wait_until(lambda: f"{calls} calls" in page.text(".totals"), within_s=PATIENCE_S)
+    page.run(DRAWN)
+    return time.monotonic() - began_s
 
 
 def watch(
@@ -85,10 +135,7 @@ def watch(
     began_s: float,
 ) -> None:
     """Writes what comes next at its time, and compares with when the page shows it."""
-    opened_s = time.monotonic()
-    page.open(address)
-    page.wait_until(lambda: f"{extent.done} calls" in page.text(".totals"))
-    print(f"the page shows all of it {time.monotonic() - opened_s:.1f} s after it is opened")
+    opened_s(page, address, extent.done)
     page.run(WATCH)
     worked_s = busy_s(page)
     fixes, calls = write(log, events, extent, began_s=began_s)

@@ -95,6 +95,7 @@ def test_a_drones_programs_are_weighed() -> None:
 @pytest.mark.skipif(bool(why_not()), reason=why_not())
 def test_a_page_is_watched() -> None:
     said = printed("bench.view", "--quick")
+    assert re.search(r"\n20 waypoints, .* limit 5.0 s:\n  now, opened at once: [\d.]+ s \(median\)", said)
     for what in "positions", "calls":
         assert re.search(rf"\n{what}: \d+ shown after [\d.]+ s \(median\)", said)
 
