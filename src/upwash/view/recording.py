@@ -119,12 +119,13 @@ class Recording:
 
 @contextlib.contextmanager
 def reading(logs: Sequence[Path], keeps: Callable[[str], bool]) -> Iterator[list[Recording]]:
-    """The recordings of the logs, each read a little; raises UsageError for what is no event log."""
+    """The recordings of the logs, each read until it tells something; raises UsageError for what is no event log."""
     with contextlib.ExitStack() as stack:
         recordings = []
         for log in logs:
             recording = stack.enter_context(contextlib.closing(Recording(log, keeps)))
-            recording.advance()
+            while not (recording.count or recording.caught_up or recording.trouble):
+                recording.advance()
             if recording.trouble:
                 raise UsageError(recording.trouble)
             recordings.append(recording)
