@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import signal
 import threading
 import time
 import warnings
@@ -118,6 +120,22 @@ def test_a_mission_that_keeps_its_turn_ends_with_an_error(
     left.join(5.0)
     assert not left.is_alive(), "what it does after that is refused, and ends it"
     assert "the mission's own code has run for 0 s without calling a verb, and at 10.000 s" in run.failure
+
+
+@pytest.mark.parametrize("goes_on_s", [0.0, 3600.0])
+def test_ctrl_c_ends_a_simulation_though_what_runs_swallows_cancellations(goes_on_s: float) -> None:
+    ended = []
+
+    async def stubborn() -> None:
+        signal.raise_signal(signal.SIGINT)
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.sleep(goes_on_s)
+        ended.append(asyncio.get_running_loop().time())
+
+    with pytest.raises(KeyboardInterrupt):
+        run_virtually(stubborn())
+    assert ended == [0.0]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 # --- missions that sleep ------------------------------------------------------------------------------------

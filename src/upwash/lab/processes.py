@@ -53,13 +53,24 @@ def _results(
 ) -> Iterator[R]:
     """The results as they come in; of many parts a few are handed out at a time, so that none waits in memory."""
     left = iter(parts)
-    under_way = {pool.submit(do, part) for part in itertools.islice(left, at_once)}
+    with _without_ctrl_c():
+        under_way = {pool.submit(do, part) for part in itertools.islice(left, at_once)}
     while under_way:
         done: set[Future[R]]
         done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
         under_way |= {pool.submit(do, part) for part in itertools.islice(left, len(done))}
         for future in done:
             yield future.result()
+
+
+@contextlib.contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Processes that are started meanwhile do not hear of Ctrl-C: this one hears of it at the end."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextlib.contextmanager

@@ -20,7 +20,7 @@ from contextvars import Context
 from typing import Any, NoReturn, TypeVar
 
 from upwash.errors import UpwashError
-from upwash.sim.turns import MissionTurn, OverstayedError, Turn, Turns
+from upwash.sim.turns import Interrupts, MissionTurn, OverstayedError, Turn, Turns
 
 T = TypeVar("T")
 
@@ -60,8 +60,12 @@ def _a_loop_runs_here() -> bool:
 
 
 def _run(main: Coroutine[Any, Any, T]) -> T:
-    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
-        return runner.run(main)
+    # Not the runner's own `run`: it makes Ctrl-C a cancellation from another thread than the one that runs the loop.
+    with Interrupts() as interrupts, asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        loop = runner.get_loop()
+        assert isinstance(loop, VirtualLoop)  # noqa: S101 - that is what was asked for
+        interrupts.end(loop.turns)
+        return loop.run_until_complete(main)
 
 
 class VirtualLoop(base_events.BaseEventLoop):
@@ -76,7 +80,7 @@ class VirtualLoop(base_events.BaseEventLoop):
         self._numbers = itertools.count()  # of timers
         self._cancelled = 0  # timers that are still in the heap
         self._rounds = 0  # since time last went on
-        self._turns = Turns()
+        self.turns = Turns()
 
     def time(self) -> float:
         """The virtual time in seconds."""
@@ -84,7 +88,7 @@ class VirtualLoop(base_events.BaseEventLoop):
 
     def mission_turn(self) -> MissionTurn:
         """The turn of a mission's thread, which is to begin."""
-        return MissionTurn(self._turns, self, self._run_until)
+        return MissionTurn(self.turns, self, self._run_until)
 
     # What follows does what the base class does in fewer steps, as it is asked thousands of times a mission, and in
     # debug mode without the question which thread this is: it is the one whose turn it is.
@@ -120,10 +124,10 @@ class VirtualLoop(base_events.BaseEventLoop):
 
     def _run_once(self) -> None:
         """Called by the base class in the loop's own thread: one round, or what a mission's thread runs instead."""
-        if not self._run_round(self._turns.own):
+        if not self._run_round(self.turns.own):
             return
         try:
-            self._turns.wait_for_own()
+            self.turns.wait_for_own()
         except OverstayedError as error:
             raise LivelockError(f"{error}, and at {self._now_s:.3f} s everything else waits for it") from None
 
@@ -131,14 +135,14 @@ class VirtualLoop(base_events.BaseEventLoop):
         """Runs rounds in this thread until it is its turn to do something else, or the loop is stopped."""
         while not self._run_round(turn):
             if self._stopping:  # type: ignore[attr-defined]
-                self._turns.next = self._turns.own
+                self.turns.next = self.turns.own
                 return
 
     def _run_round(self, turn: Turn) -> bool:
         """Runs what is ready now, and returns early, and True, where a turn has been given."""
         if not self._left:
             self._begin_round()
-        ready, turns = self._ready, self._turns
+        ready, turns = self._ready, self.turns
         while self._left:
             self._left -= 1
             handle = ready.popleft()

@@ -11,6 +11,7 @@ mission ends first do two threads change. The loop's own thread waits meanwhile,
 from __future__ import annotations
 
 import asyncio
+import signal
 import sys
 import threading
 from collections.abc import Callable
@@ -45,12 +46,14 @@ class Turns:
         self._runs_loop = True  # the holder does, rather than a mission's code
         self._begun = 0  # turns of missions' code
         self._failure: BaseException | None = None  # of the loop in a mission's thread
+        self._interrupted = False
         self._changing = threading.Lock()
 
     def wait_for_own(self) -> None:
         """In the loop's own thread: has the next one go on; returns when it is its own turn again.
 
-        Raises what the loop raised meanwhile, and OverstayedError for a mission that keeps its turn.
+        Raises what the loop raised meanwhile, KeyboardInterrupt where it was interrupted, and OverstayedError for a
+        mission that keeps its turn.
         """
         self._pass_on()
         try:
@@ -64,9 +67,18 @@ class Turns:
         except BaseException:
             self._take_back()
             raise
+        if self._interrupted:
+            self._interrupted = False
+            raise KeyboardInterrupt
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure
+
+    def interrupt(self) -> None:
+        """In the loop's own thread, by a signal: ends what runs, the loop after the callback that runs now."""
+        if not self._runs_loop:
+            raise KeyboardInterrupt  # out of the wait for the mission's code
+        self._interrupted, self.next = True, self.own
 
     def begin_code(self) -> None:
         """In a mission's thread whose turn it is: its code runs now."""
@@ -117,6 +129,44 @@ class Turns:
             if self.own.come.acquire(timeout=_LOOK_AGAIN_S):
                 return
         self.own.come.acquire()
+
+
+class Interrupts:
+    """Has Ctrl-C end a simulation between two callbacks: in the middle of one it could be swallowed.
+
+    It is a KeyboardInterrupt when this goes off at the latest; the second Ctrl-C is one at once. Nothing is done in
+    another thread than the process's first, and where somebody else handles Ctrl-C.
+    """
+
+    def __init__(self) -> None:
+        self._turns: Turns | None = None
+        self._came = False
+        self._handles = (
+            threading.current_thread() is threading.main_thread()
+            and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        )
+
+    def end(self, turns: Turns) -> None:
+        """From now on it ends what takes these turns."""
+        self._turns = turns
+
+    def __enter__(self) -> Interrupts:
+        if self._handles:
+            signal.signal(signal.SIGINT, self._handle)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._handles:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        if self._came and kind is None:
+            raise KeyboardInterrupt
+
+    def _handle(self, *_: object) -> None:
+        came, self._came = self._came, True
+        if came:
+            raise KeyboardInterrupt
+        if self._turns is not None:
+            self._turns.interrupt()
 
 
 class MissionTurn(Turn):
