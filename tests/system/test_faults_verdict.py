@@ -177,6 +177,18 @@ def test_two_drones_in_one_slot_are_found(tmp_path: Path) -> None:
     assert any("promise 11: s2 answered drone-2" in each for each in broken(tmp_path, one, other=other))
 
 
+def test_a_drone_that_hears_an_answer_while_it_leaves_holds_no_slot(tmp_path: Path) -> None:
+    def found() -> list[str]:
+        return [each for each in broken(tmp_path, one, other=other) if each.startswith("promise 11")]
+
+    one, other = Log(place="s2"), Log(began_s=20.0, place="s2")
+    assert found()
+    last = of_kind(one, "call", -1)
+    left = {"t": last["t"] - 0.2, "event": "deselected", "server": "s2", "before": "READY", "after": "AVL-R"}
+    one.events.insert(one.events.index(last), {**left, "why": "no server in range"})
+    assert not found()
+
+
 def test_a_daemon_that_ended_of_itself_and_a_second_instance_are_found(tmp_path: Path) -> None:
     found = broken(tmp_path, Log(), daemons_ended=["s1"], most_instances={"s1": 2})
     assert found == ["promise 11: the daemon of s1 ended", "promise 11: s1 ran 2 instances of one service"]

@@ -16,7 +16,7 @@ from tests.system.faults.strikes import BACK_WITHIN_S, Strike
 
 from upwash.config import DroneConfig, FaultConfig, read_drone_config, server_areas, server_truth, waypoints
 from upwash.core.admission import AdmissionSettings
-from upwash.core.servers import SELECTED
+from upwash.core.servers import SELECTED, State
 from upwash.eventlog import schema
 from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.log import decode
@@ -339,7 +339,10 @@ def _admission(record: Record, flown: Sequence[Flown]) -> Iterator[str]:
 
 
 def _served_two(server: str, record: Record, flown: Sequence[Flown]) -> Iterator[str]:
-    """Between answers to two drones, the first has left, or its lease is over, or the daemon was another one."""
+    """Between answers to two drones, the first has left, or its lease is over, or the daemon was another one.
+
+    A drone that leaves still hears the answer to the call that was under way, and holds no slot by that.
+    """
     facts = sorted(
         (each.began_s + event.t, each.config.name, _what(event))
         for each in flown
@@ -348,10 +351,14 @@ def _served_two(server: str, record: Record, flown: Sequence[Flown]) -> Iterator
     )
     forgot_s = [each.from_s for each in record.strikes if (each.server, each.target) == (server, "daemon")]
     holder, last_s = "", 0.0
+    gone: set[str] = set()
     for at_s, drone, what in facts:
-        if what == "left" and drone == holder:
-            holder = ""
-        elif what == "answered":
+        if what == "ready":
+            gone.discard(drone)
+        elif what == "left":
+            gone.add(drone)
+            holder = "" if drone == holder else holder
+        elif what == "answered" and drone not in gone:
             still_held = at_s - last_s < AdmissionSettings().lease_s - _SLOWEST_LOOK_S
             forgotten = any(last_s - _SLOWEST_LOOK_S <= each <= at_s for each in forgot_s)
             if holder not in ("", drone) and still_held and not forgotten:
@@ -362,4 +369,8 @@ def _served_two(server: str, record: Record, flown: Sequence[Flown]) -> Iterator
 def _what(event: Event) -> str:
     if isinstance(event, schema.Call):
         return "answered"
-    return "left" if isinstance(event, schema.Step) and event.after not in SELECTED else ""
+    if not isinstance(event, schema.Step):
+        return ""
+    if event.after is State.READY:
+        return "ready"
+    return "" if event.after in SELECTED else "left"
