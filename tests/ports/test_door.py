@@ -14,16 +14,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from pathlib import Path
-from typing import Never
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.doors import behind_door
 
-from upwash.core.clients import Client
 from upwash.errors import CredentialsError, InstanceError, LinkError, Unreachable
 from upwash.real import authority as module
+from upwash.real.announced import Inside
 from upwash.real.authority import keys_in, make_keys
 from upwash.real.credentials import Credentials, fingerprint, read_credentials
 from upwash.real.crowd import Crowd, Recent, Turns
@@ -229,8 +228,7 @@ def unused_ports() -> Iterator[int]:
 def test_instances_are_reached_at_the_ports_that_are_given_and_at_no_others(
     credentials: ReadCredentials,
 ) -> None:
-    async def nowhere(_: Client) -> Never:
-        raise ConnectionRefusedError
+    nowhere = Inside("/nowhere").connect
 
     async def lead_three() -> list[str]:
         async with opened_door(Trust(credentials("s1"))) as door:

@@ -528,7 +528,9 @@ def test_a_demonstration_is_shown_while_it_flies(page: Browser, tmp_path: Path) 
         assert page.violations() == []
         page.wait_until(lambda: shown_calls(page) > 1)  # the only call has none before it
         page.click("#previous")  # what was may be looked at while it goes on
-        assert page.find("#latest").get_attribute("aria-pressed") == "false"
+        page.wait_until(
+            lambda: page.find("#latest").get_attribute("aria-pressed") == "false"
+        )  # at the next frame
         page.click("#latest")
         page.wait_until(lambda: "mission completed" in page.text(".doing"), within_s=200)
         output = demonstration.communicate(timeout=60)[0]

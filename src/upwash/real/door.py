@@ -25,16 +25,17 @@ from typing import Any
 from upwash.core.allowance import Allowance
 from upwash.core.clients import Client
 from upwash.errors import CredentialsError, InstanceError
+from upwash.real.announced import Connect
 from upwash.real.crowd import Crowd, Recent, Turns
 from upwash.real.frames import Counted, FrameCounter
+from upwash.real.given_sockets import readable
 from upwash.real.log import Sparing
-from upwash.real.streams import CHUNK_BYTES, Streams, endpoint_of, hang_up, join, listening_socket
+from upwash.real.streams import End, endpoint_of, join, listening_socket
 from upwash.real.trust import Holder, Trust
 
 _log = logging.getLogger("upwash.door")
 _log.addFilter(Sparing())
 
-Connect = Callable[[Client], Awaitable[Streams]]
 Seen = Callable[[str, str], None]  # on the server of that name, the caller known by `Client.key`
 
 _OUT_OF_SOCKETS_S = 0.1
@@ -191,7 +192,7 @@ class Door:
         loop = asyncio.get_running_loop()
         with listening:
             while True:
-                await _readable(listening)
+                await readable(listening)
                 try:
                     connection, peer = listening.accept()
                 except BlockingIOError:
@@ -213,24 +214,24 @@ class Door:
         """From the first byte of a connection to its last."""
         try:
             async with asyncio.timeout(self._limits.silence_s):
-                await _readable(connection)  # who says nothing takes nobody's turn
+                await readable(connection)  # who says nothing takes nobody's turn
             await self._handshakes.of(address).turn()  # nothing that a stranger may do costs more
-            streams = await self._handshake(connection)
+            outer = await self._handshake(connection)
         except (OSError, asyncio.CancelledError) as error:
             connection.close()
             why = _plainly(error) if isinstance(error, OSError) else "it said nothing while others waited"
             _log.warning("refused %s: %s", address, why)
             return
-        certificate = streams[1].get_extra_info("ssl_object").getpeercert(binary_form=True)
+        certificate = outer.transport.get_extra_info("ssl_object").getpeercert(binary_form=True)
         try:
             holder = self._trust.holder(certificate)
             self._refuse_shut_out(holder)
         except CredentialsError as error:
             _log.warning("refused %s: %s", address, error)
             # Without a word: gRPC's clients would take any for the beginning of a connection, and try again at once.
-            await _hang_up_on(streams)
+            await _hang_up_on(outer)
             return
-        await self._serve(streams, certificate, holder, inside, server)
+        await self._serve(outer, certificate, holder, inside, server)
 
     def _new_site(self) -> Turns:
         return Turns(self._limits.handshakes_per_address_per_s)
@@ -241,18 +242,15 @@ class Door:
         if left_s > 0:
             raise CredentialsError(f"{holder.client.name} is shut out for another {left_s:.0f} s")
 
-    async def _handshake(self, connection: socket.socket) -> Streams:
-        loop = asyncio.get_running_loop()
-        reader = asyncio.StreamReader(limit=CHUNK_BYTES)
-        protocol = asyncio.StreamReaderProtocol(reader)
-        transport, _ = await loop.connect_accepted_socket(
-            lambda: protocol,
+    async def _handshake(self, connection: socket.socket) -> End:
+        _, outer = await asyncio.get_running_loop().connect_accepted_socket(
+            End,
             connection,
             ssl=self._trust.context,
             ssl_handshake_timeout=self._limits.handshake_s,
             ssl_shutdown_timeout=_LAST_WORDS_S,
         )
-        return reader, asyncio.StreamWriter(transport, protocol, reader, loop)
+        return outer
 
     def _watch(self, client: Client, server: str) -> Callable[[bytes], None]:
         """Is shown what comes on one connection; raises ConnectionAbortedError where it is too much."""
@@ -268,7 +266,7 @@ class Door:
         return shown
 
     async def _serve(
-        self, streams: Streams, certificate: bytes, holder: Holder, inside: Connect, server: str
+        self, outer: End, certificate: bytes, holder: Holder, inside: Connect, server: str
     ) -> None:
         client, task = holder.client, asyncio.current_task()
         assert task is not None  # noqa: S101 - this is one
@@ -279,8 +277,8 @@ class Door:
             leaving.cancel()
         left_s = (holder.ends - datetime.now(UTC)).total_seconds()
         try:
-            async with asyncio.timeout(left_s):
-                await join(streams, await inside(client), seen=self._watch(client, server))
+            async with asyncio.timeout(left_s), inside(client) as inner:
+                await join(outer, inner, seen=self._watch(client, server))
         except TimeoutError:
             _log.warning("hanging up: the certificate of %s has expired", client.name)
         except OSError as error:
@@ -288,26 +286,14 @@ class Door:
         except asyncio.CancelledError:
             pass  # it makes room, is revoked, or the door is closed
         finally:
-            await _hang_up_on(streams)
+            await _hang_up_on(outer)
             self._callers.leave(task)
             del self._certificates[task]
 
 
-async def _hang_up_on(streams: Streams) -> None:
-    hang_up(streams[1])
-    with contextlib.suppress(OSError):
-        await streams[1].wait_closed()
-
-
-async def _readable(connection: socket.socket) -> None:
-    """Returns when something has come."""
-    loop = asyncio.get_running_loop()
-    come = asyncio.Event()
-    loop.add_reader(connection, come.set)
-    try:
-        await come.wait()
-    finally:
-        loop.remove_reader(connection)
+async def _hang_up_on(outer: End) -> None:
+    outer.hang_up()
+    await asyncio.wait([outer.lost])
 
 
 def _close_unseen(connection: socket.socket, task: asyncio.Task[Any]) -> None:

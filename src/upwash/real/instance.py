@@ -18,7 +18,8 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
-from concurrent.futures import CancelledError, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import BinaryIO, NoReturn
 
@@ -57,6 +58,14 @@ _CALLS_PER_DRONE = 4  # one, and others that it has given up
 _LONGEST_REASON = 10_000  # characters
 _REPORT_PERIOD_S = 1.0  # leases last far longer than this
 _LAST_REPLY_S = 1.0  # to get on its way, when the last call has ended
+
+
+@dataclass(frozen=True, slots=True)
+class _Performed:
+    """A call that was computed: the reply to who called, and the report of it to the program."""
+
+    reply: bytes
+    report: Answered
 
 
 class ServiceInstance:
@@ -136,14 +145,15 @@ class ServiceInstance:
         whole_s = time.monotonic()
         try:
             call = self._calls.submit(self._perform, self._methods[path], body, caller, whole_s)
+            call.add_done_callback(self._report_answer)
         except RuntimeError:  # no calls are taken any more
             raise Refused(self._gate.closed) from None
         try:
-            return call.result()
+            return call.result().reply
         except CancelledError:  # while it waited for its turn
             raise Refused(self._gate.closed) from None
 
-    def _perform(self, method: Method, body: bytes, caller: Caller, whole_s: float) -> bytes:
+    def _perform(self, method: Method, body: bytes, caller: Caller, whole_s: float) -> _Performed:
         self._gate.require_still(caller.client)  # now that the call has arrived and its turn has come
         if not caller.is_waiting():
             raise Refused("nobody waits for this call any more")
@@ -153,12 +163,19 @@ class ServiceInstance:
         short_s = self._least_s(key, method.name, began_s) - (time.monotonic() - began_s)
         if short_s > 0:
             time.sleep(short_s)
-        ended_s = time.monotonic()
-        time.sleep(self._pause_s(ended_s))
-        self._report(
-            Answered(drone=drone, method=method.name, queued_s=began_s - whole_s, took_s=ended_s - began_s)
+        took_s = time.monotonic() - began_s
+        return _Performed(
+            reply, Answered(drone=drone, method=method.name, queued_s=began_s - whole_s, took_s=took_s)
         )
-        return reply
+
+    def _report_answer(self, call: Future[_Performed]) -> None:
+        """In the service's thread, whose next call waits for it; the answer is on its way meanwhile."""
+        if call.cancelled() or call.exception() is not None:
+            return
+        pause_s = self._pause_s(time.monotonic())
+        if pause_s > 0:
+            time.sleep(pause_s)
+        self._report(call.result().report)
 
     def _report_caller(self, drone: str, now_s: float) -> None:
         with self._sharing:

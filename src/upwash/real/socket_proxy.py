@@ -1,7 +1,8 @@
-"""The one way into an instance: connections to a socket from outside, handed on to gRPC's own unix socket inside.
+"""The one way into an instance: from a socket outside to gRPC's own unix socket inside.
 
 A socket belongs to the network that it was made in. The daemon makes the listening one and the instance inherits it,
-so that connections are accepted where there is no network at all.
+so that connections are accepted where there is no network at all. A door on the same machine is given a connection to
+gRPC for each caller that it announces; of all others the bytes are handed on.
 """
 
 from __future__ import annotations
@@ -13,15 +14,16 @@ import threading
 
 from upwash.core.clients import Client
 from upwash.real.announced import Inside, announced
-from upwash.real.streams import CHUNK_BYTES, join
+from upwash.real.given_sockets import give
+from upwash.real.streams import End, join
 
 _MOST_CONNECTIONS = 1024
 
 
 class SocketProxy:
-    """Hands connections on in a thread of its own until the process ends; so many at once, and no more.
+    """Lets callers in, in a thread of its own, until the process ends; so many at once, and no more.
 
-    Where a door stands outside, each begins with a line that announces who calls (`is_announced`).
+    Where a door stands outside, each connection begins with a line that announces who calls (`is_announced`).
     """
 
     def __init__(
@@ -36,25 +38,41 @@ class SocketProxy:
         self._inside = inside
         self._is_announced = is_announced
         self._context = context
-        self._connections = 0
+        self._callers: set[asyncio.Task[None]] = set()
 
     def open(self) -> None:
         """Begins to accept connections."""
         threading.Thread(target=asyncio.run, args=(self._serve(),), name="socket proxy", daemon=True).start()
 
     async def _serve(self) -> None:
-        start = asyncio.start_unix_server if self._outside.family == socket.AF_UNIX else asyncio.start_server
-        server = await start(self._connect, sock=self._outside, limit=CHUNK_BYTES, ssl=self._context)
+        loop = asyncio.get_running_loop()
+        listen = loop.create_unix_server if self._outside.family == socket.AF_UNIX else loop.create_server
+        server = await listen(lambda: End(self._enter), sock=self._outside, ssl=self._context)
         await server.serve_forever()
 
-    async def _connect(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._connections += 1
+    def _enter(self, caller: End) -> None:
+        if len(self._callers) >= _MOST_CONNECTIONS:
+            caller.hang_up()
+            return
+        task = asyncio.get_running_loop().create_task(self._serve_caller(caller))
+        self._callers.add(task)
+        task.add_done_callback(self._callers.discard)
+
+    async def _serve_caller(self, caller: End) -> None:
         try:
-            if self._connections <= _MOST_CONNECTIONS:
-                client = await announced(reader) if self._is_announced else Client("")
-                await join((reader, writer), await self._inside.connect(client))
+            await self._let_in(caller)
         except OSError:
             pass  # hung up
         finally:
-            self._connections -= 1
-            writer.close()
+            caller.close()
+
+    async def _let_in(self, caller: End) -> None:
+        """Returns when the caller, or the door on its behalf, has hung up."""
+        client = await announced(caller) if self._is_announced else Client("")
+        if self._is_announced and self._outside.family == socket.AF_UNIX:
+            async with self._inside.connection(client) as connection:
+                give(connection, over=caller.transport)
+                await caller.line()  # which never comes: it ends when the door hangs up
+        else:
+            async with self._inside.connect(client) as inside:
+                await join(caller, inside)

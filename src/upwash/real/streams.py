@@ -8,71 +8,122 @@ import socket
 from collections.abc import Callable
 from pathlib import Path
 
-CHUNK_BYTES = 2**18
+_MOST_EARLY_BYTES = 2**16
+_LONGEST_LINE_BYTES = 4096
 _BACKLOG = 512
 
-Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+class End(asyncio.Protocol):
+    """This end of a connection: what comes is kept until it is joined to another, and then handed on to there.
+
+    `made` is told once it is connected, and `lost` is done once it is not any more.
+    """
+
+    transport: asyncio.Transport
+
+    def __init__(self, made: Callable[[End], object] = lambda _: None) -> None:
+        self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.failure: OSError | None = None  # of what was shown what comes, for which it was broken off
+        self._made = made
+        self._early = bytearray()
+        self._come = asyncio.Event()
+        self._seen: Callable[[bytes], None] = lambda _: None
+        self._other: End | None = None
+
+    async def line(self) -> bytes:
+        """The first line that comes, before it is joined; raises OSError where none does, or a long one."""
+        while b"\n" not in self._early:
+            if self.lost.done() or len(self._early) > _LONGEST_LINE_BYTES:
+                raise ConnectionAbortedError("it said no line")
+            self._come.clear()
+            await self._come.wait()
+        line, _, rest = bytes(self._early).partition(b"\n")
+        self._early[:] = rest
+        return line
+
+    def lead_to(self, other: End, seen: Callable[[bytes], None] = lambda _: None) -> None:
+        """Hands on to there what has come and comes; `seen` is shown it before, and ends it by raising OSError."""
+        self._other, self._seen = other, seen
+        early = bytes(self._early)
+        self._early.clear()
+        self.transport.resume_reading()
+        if early:
+            self.data_received(early)
+
+    def close(self) -> None:
+        """Ends it when all is sent: once only, or a TLS connection could not be broken off in Python 3.11.2."""
+        if not self.transport.is_closing():
+            self.transport.close()
+
+    def hang_up(self) -> None:
+        """Breaks it off at once, if there still is one."""
+        _abort(self.transport)
+
+    # --- what asyncio calls ---------------------------------------------------------------------------------
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """It is connected."""
+        assert isinstance(transport, asyncio.Transport)  # noqa: S101 - of a stream
+        self.transport = transport
+        self._made(self)
+
+    def data_received(self, data: bytes) -> None:
+        """Some bytes have come."""
+        if self._other is None:
+            self._early += data
+            if len(self._early) > _MOST_EARLY_BYTES:
+                self.transport.pause_reading()
+            self._come.set()
+            return
+        try:
+            self._seen(data)
+        except OSError as error:
+            self.failure = error
+            self.hang_up()
+            return
+        if not self._other.transport.is_closing():
+            self._other.transport.write(data)
+
+    def pause_writing(self) -> None:
+        """The other end does not read fast enough."""
+        if self._other is not None:
+            self._other.transport.pause_reading()
+
+    def resume_writing(self) -> None:
+        """It has read enough."""
+        if self._other is not None:
+            self._other.transport.resume_reading()
+
+    def connection_lost(self, _error: Exception | None) -> None:
+        """It is over, however."""
+        if not self.lost.done():
+            self.lost.set_result(None)
+        self._come.set()
 
 
-async def join(outer: Streams, inner: Streams, *, seen: Callable[[bytes], None] = lambda _: None) -> None:
+async def join(outer: End, inner: End, *, seen: Callable[[bytes], None] = lambda _: None) -> None:
     """Hands on what comes at either end to the other, until one hangs up; then both are closed.
 
-    `seen` is shown what comes from outside before it is handed on, and ends it all by raising.
+    `seen` is shown what comes from outside before it is handed on, and ends it all by raising OSError.
     """
-    (hear_outer, tell_outer), (hear_inner, tell_inner) = outer, inner
-    back = asyncio.create_task(_hand_on(hear_inner, tell_outer))
-    try:
-        await _hand_on(hear_outer, tell_inner, seen)
-    finally:
-        close(tell_inner)
-        try:
-            await back
-        finally:
-            close(tell_outer)
-
-
-def close(writer: asyncio.StreamWriter) -> None:
-    """Closes it unless that was done: a TLS connection that is closed twice cannot be broken off in Python 3.11.2."""
-    if not writer.is_closing():
-        writer.close()
+    outer.lead_to(inner, seen)
+    inner.lead_to(outer)
+    await asyncio.wait([outer.lost, inner.lost], return_when=asyncio.FIRST_COMPLETED)
+    inner.hang_up()  # nobody is left to whom its answers could go, or it has hung up itself
+    outer.close()
+    await asyncio.wait([outer.lost])
+    if outer.failure is not None:
+        raise outer.failure
 
 
 def hang_up(writer: asyncio.StreamWriter) -> None:
     """Breaks the connection off at once, if there still is one."""
+    _abort(writer.transport)
+
+
+def _abort(transport: asyncio.WriteTransport) -> None:
     with contextlib.suppress(AttributeError):  # Python 3.11.2's word for a TLS connection that has ended
-        writer.transport.abort()
-
-
-async def _hand_on(
-    source: asyncio.StreamReader,
-    target: asyncio.StreamWriter,
-    seen: Callable[[bytes], None] = lambda _: None,
-) -> None:
-    """Copies what comes until it ends, then hangs up: gRPC never closes one half."""
-    try:
-        while chunk := await _next(source):
-            seen(chunk)
-            if not await _passed_on(chunk, target):
-                break
-    finally:
-        close(target)
-
-
-async def _next(source: asyncio.StreamReader) -> bytes:
-    """What comes next; nothing where the other end has hung up, however."""
-    try:
-        return await source.read(CHUNK_BYTES)
-    except OSError:
-        return b""
-
-
-async def _passed_on(chunk: bytes, target: asyncio.StreamWriter) -> bool:
-    try:
-        target.write(chunk)
-        await target.drain()
-    except OSError:
-        return False
-    return True
+        transport.abort()
 
 
 def listening_socket(address: str) -> socket.socket:

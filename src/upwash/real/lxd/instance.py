@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 
 import msgspec
 
@@ -25,7 +26,7 @@ from upwash.real.instance_control import LONGEST_LINE_BYTES, InstanceControl
 from upwash.real.lxd.container import Container
 from upwash.real.lxd.engine import Engine
 from upwash.real.output import Output
-from upwash.real.streams import CHUNK_BYTES, Streams
+from upwash.real.streams import End
 
 _log = logging.getLogger("upwash.lxd")
 
@@ -178,8 +179,8 @@ class ContainerInstance:
         """Leads callers to the service, once that was reached."""
         try:
             async with asyncio.timeout(_ANSWERS_S):
-                _, writer = await self._connect(Client(""))
-                writer.close()
+                async with self._connect(Client("")):
+                    pass
         except OSError as error:
             raise InstanceError(f"{self._name} runs, but does not answer: {error}") from error
         self._passage = await self._lead(self.container.server, self._connect)
@@ -190,15 +191,16 @@ class ContainerInstance:
             await self._passage.close()
             self._passage = None
 
-    async def _connect(self, client: Client) -> Streams:
-        reader, writer = await asyncio.open_connection(
-            self.container.address,
-            SERVICE_PORT,
-            ssl=self._credentials.context(is_server=False),
-            limit=CHUNK_BYTES,
+    @contextlib.asynccontextmanager
+    async def _connect(self, client: Client) -> AsyncIterator[End]:
+        _, end = await asyncio.get_running_loop().create_connection(
+            End, self.container.address, SERVICE_PORT, ssl=self._credentials.context(is_server=False)
         )
-        writer.write(announcement(client))
-        return reader, writer
+        try:
+            end.transport.write(announcement(client))
+            yield end
+        finally:
+            end.close()
 
     def _how_it_ended(self) -> str:
         assert self._control is not None  # noqa: S101 - it has begun
