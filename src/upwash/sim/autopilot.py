@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 from collections.abc import Callable, Sequence
 
 from upwash.config import FaultConfig
-from upwash.core.control import Control, Latch
+from upwash.core.control import Control, Latch, Report
 from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Circle, Position, Velocity
 from upwash.core.telemetry import Attitude, GpsFix, Telemetry
@@ -91,8 +90,11 @@ class ModelAutopilot:
         self._turned_to_deg: float | None = None
         self._given_back_unheard = given_back_unheard
         self._latch = Latch(self._loop.time())
+        self._reported: Report | None = None  # to the latch, last; the same again says nothing
         self._hear: Callable[[VehicleNews], None] = lambda _: None
-        self._lost = asyncio.Event()  # set for good once the vehicle is no longer the program's
+        self._lost: asyncio.Future[None] = (
+            self._loop.create_future()
+        )  # done once the vehicle is not the program's
         for takeover in takeovers:
             self._loop.call_at(takeover.from_s, self._be_taken, takeover)
         self._take_report()
@@ -303,14 +305,7 @@ class ModelAutopilot:
         """Returns just after the vehicle has crossed a border; AutopilotLost where its link is silent then."""
         while True:
             self._hear_of("watch the borders")
-            crossing_s = self._vehicle.next_crossing_s(circles)
-            if crossing_s is None:
-                await self._vehicle.changed.wait()
-                continue
-            try:
-                async with asyncio.timeout_at(crossing_s):
-                    await self._vehicle.changed.wait()
-            except TimeoutError:
+            if await self._vehicle.borders.crossed(circles):
                 self._hear_of("watch the borders")
                 return
 
@@ -345,14 +340,16 @@ class ModelAutopilot:
         return fault is not None and fault.kind == "off"
 
     def _take_report(self) -> None:
-        before = self._latch.control
-        self._latch.report(self._vehicle.report(), self._loop.time())
-        self._tell_control(before)
+        report, before = self._vehicle.report, self._latch.control
+        if report is not self._reported:
+            self._reported = report
+            self._latch.report(report, self._loop.time())
+            self._tell_control(before)
 
     def _tell_control(self, before: Control) -> None:
         if self.control != before:
             if before.is_ours:
-                self._lost.set()
+                self._lost.set_result(None)
             self._hear(self.control)
 
     def _be_taken(self, takeover: FaultConfig) -> None:
@@ -432,9 +429,7 @@ class ModelAutopilot:
 
     async def _pass(self, for_s: float) -> None:
         """Returns after that time, or once the vehicle is not the program's any more."""
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(for_s):
-                await self._lost.wait()
+        await asyncio.wait((self._lost,), timeout=for_s)
 
 
 def _bearing_deg(start: Position, end: Position, otherwise_deg: float) -> float:

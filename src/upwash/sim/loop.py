@@ -157,13 +157,13 @@ class VirtualLoop(base_events.BaseEventLoop):
         timers = self._timers
         while timers and timers[0][2]._cancelled:
             self._pop_timer()
-        if self._ready or self._stopping:  # type: ignore[attr-defined]
-            self._count_round()
-        elif not timers:
+        waits = not self._ready and not self._stopping  # type: ignore[attr-defined]
+        if waits and not timers:
             raise DeadlockError(f"everything waits and nothing is scheduled: {self._waiting()}")
-        else:
-            self._rounds = 0
-            self._now_s = max(self._now_s, timers[0][0])
+        if waits and timers[0][0] > self._now_s:
+            self._now_s, self._rounds = timers[0][0], 0
+        else:  # which a timer of no time is, too
+            self._count_round()
         due_s = self._now_s + _ALIKE_S
         while timers and timers[0][0] < due_s:
             self._ready.append(self._pop_timer())

@@ -1,0 +1,138 @@
+"""When a vehicle on paper crosses borders, for whoever waits for that.
+
+Nobody is woken when it begins to move otherwise: a timer is set anew for each who waits, for when they will have
+crossed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+from upwash.core.area_index import AreaIndex
+from upwash.core.geo import Circle, Position, ground_distance_m
+from upwash.vehicle.kinematics import Motion, Phase, elapsed_s
+
+_ROUNDING_M = 1e-6
+_PAST_THE_BORDER_S = 1e-6
+
+
+@dataclass(slots=True)
+class _Asked:
+    """Circles for which somebody has waited, ever."""
+
+    circles: Sequence[Circle]
+    index: AreaIndex
+    crossings_s: Sequence[float] | None = None  # of the present motion, once they were asked for
+
+
+@dataclass(slots=True, eq=False)
+class _Waiting:
+    """Somebody who waits now, and is woken with True for a border, and False where something else has happened."""
+
+    asked: _Asked
+    woken: asyncio.Future[bool]
+    timer: asyncio.TimerHandle | None = field(default=None)
+
+    def wake(self, crossed: bool) -> None:
+        if not self.woken.done():
+            self.woken.set_result(crossed)
+
+
+class Borders:
+    """Follows a vehicle from motion to motion."""
+
+    def __init__(self, motion: Motion[Phase]) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._motion = motion
+        self._asked: list[_Asked] = []
+        self._waiting: list[_Waiting] = []
+
+    def moves(self, motion: Motion[Phase]) -> None:
+        """The vehicle moves so from now on."""
+        self.settles(motion)
+        for waiting in self._waiting:
+            self._set_timer(waiting)
+
+    def settles(self, motion: Motion[Phase]) -> None:
+        """The vehicle rests where its motion led; a border that it has crossed just now is still told."""
+        self._motion = motion
+        for asked in self._asked:
+            asked.crossings_s = None
+
+    def interrupt(self) -> None:
+        """Wakes everybody who waits now."""
+        for waiting in self._waiting:
+            waiting.wake(crossed=False)
+
+    async def crossed(self, circles: Sequence[Circle]) -> bool:
+        """Returns True just after the vehicle has crossed one of the circles, False where it is interrupted."""
+        waiting = _Waiting(self._asked_for(circles), self._loop.create_future())
+        self._set_timer(waiting)
+        self._waiting.append(waiting)
+        try:
+            return await waiting.woken
+        finally:
+            self._waiting.remove(waiting)
+            if waiting.timer is not None:
+                waiting.timer.cancel()
+
+    def _set_timer(self, waiting: _Waiting) -> None:
+        if waiting.timer is not None:
+            waiting.timer.cancel()
+        next_s = self._next_crossing_s(waiting.asked)
+        waiting.timer = None if next_s is None else self._loop.call_at(next_s, waiting.wake, True)
+
+    def _next_crossing_s(self, asked: _Asked) -> float | None:
+        """Just after the present motion next crosses one of the circles; None where it crosses none."""
+        if asked.crossings_s is None:
+            asked.crossings_s = sorted(self._all_crossings_s(asked))
+        later = bisect_right(asked.crossings_s, self._loop.time())
+        return asked.crossings_s[later] if later < len(asked.crossings_s) else None
+
+    def _all_crossings_s(self, asked: _Asked) -> Iterator[float]:
+        """Just after each time at which the motion crosses one of the circles."""
+        phases, begun_s = self._motion.phases, self._motion.begun_s
+        if not phases:
+            return
+        way_m = sum(phase.travelled_m(phase.duration_s) for phase in phases) + _ROUNDING_M
+        near = (asked.circles[number] for number in asked.index.near(phases[0].start, way_m))
+        within_reach = [each for each in near if _is_near(phases[0].start, each, way_m)]
+        for phase in phases:
+            for circle in within_reach:
+                for crossing_s in _crossings_s(phase, circle):
+                    yield begun_s + crossing_s + _PAST_THE_BORDER_S
+            begun_s += phase.duration_s
+
+    def _asked_for(self, circles: Sequence[Circle]) -> _Asked:
+        asked = next((each for each in self._asked if each.circles is circles), None)
+        if asked is None:
+            asked = _Asked(circles, AreaIndex(circles))
+            self._asked.append(asked)
+        return asked
+
+
+def _is_near(place: Position, circle: Circle, within_m: float) -> bool:
+    """Whether the circle's border comes so near to the place."""
+    return abs(ground_distance_m(place, circle.centre) - circle.radius_m) <= within_m
+
+
+def _crossings_s(phase: Phase, circle: Circle) -> Iterator[float]:
+    """The times from the start of a phase at which it crosses the circle."""
+    heading_east, heading_north = phase.heading.east_m_s, phase.heading.north_m_s
+    squared = heading_east**2 + heading_north**2
+    if squared == 0:
+        return
+    east_m = phase.start.east_m - circle.centre.east_m
+    north_m = phase.start.north_m - circle.centre.north_m
+    half = (east_m * heading_east + north_m * heading_north) / squared
+    discriminant = half**2 - (east_m**2 + north_m**2 - circle.radius_m**2) / squared
+    if discriminant <= 0:
+        return
+    for travelled_m in (-half - math.sqrt(discriminant), -half + math.sqrt(discriminant)):
+        crossing_s = elapsed_s(phase, travelled_m)
+        if crossing_s is not None:
+            yield crossing_s
