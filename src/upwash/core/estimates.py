@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from upwash.core.coverage import Coverage
 
 WINDOW_LENGTH = 3
+_WINDOWS_KEPT = 256  # that have seen nothing yet: servers are often believed to be equal
 _CALLS_BEFORE_WEIGHING = 3  # until then every operation counts the same
 
 
@@ -53,6 +54,7 @@ class Window:
     values: tuple[float, ...]
 
     @classmethod
+    @lru_cache(_WINDOWS_KEPT, typed=True)
     def filled(cls, estimate_s: float) -> Window:
         """A window that has seen nothing but the offline estimate."""
         return cls((estimate_s,) * WINDOW_LENGTH)
@@ -151,6 +153,10 @@ class Estimates:
             max(window.mean_s, self._slow_s[server].get(operation, 0.0)) if measured_s is None else measured_s
         )
 
+    def is_hosted(self, server: str, operation: Operation) -> bool:
+        """Whether the server hosts the operation, as far as is believed."""
+        return operation in self._remote[server]
+
     def usual_s(self, server: str, operation: Operation) -> float | None:
         """As `remote_s`, whatever the last call there took."""
         window = self._remote[server].get(operation)
@@ -246,15 +252,11 @@ class Estimates:
 
     def next_forgetting_s(self, server: str, *, retry_s: float) -> float:
         """When `forget_slow_calls` next has something to forget; infinite where it has not."""
-        windows, slow_s = self._remote[server], self._slow_s[server]
-        return min(
-            (
-                last_s + retry_s
-                for operation, last_s in self._last_remote_call_s[server].items()
-                if operation in slow_s or windows[operation].mean_s >= self._local[operation].mean_s
-            ),
-            default=math.inf,
-        )
+        windows, slow_s, next_s = self._remote[server], self._slow_s[server], math.inf
+        for operation, last_s in self._last_remote_call_s[server].items():
+            if operation in slow_s or windows[operation].mean_s >= self._local[operation].mean_s:
+                next_s = min(next_s, last_s + retry_s)
+        return next_s
 
     def _measured_s(self, server: str, operation: Operation, at: Position | None) -> float | None:
         """What a call from that place comes to by the coverage; None where that knows nothing of it."""

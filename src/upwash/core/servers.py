@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -133,11 +132,11 @@ class Server:
         """Whether others waited for a slot, the last time that the server said so."""
         return now_s - self.contended_s < _REMEMBERED_S
 
-    def asked_again_s(self, now_s: float) -> Iterator[float]:
-        """When what it said of its slots is forgotten, as far as it is remembered."""
-        for said_s in (self.full_s, self.contended_s):
-            if now_s - said_s < _REMEMBERED_S:
-                yield said_s + _REMEMBERED_S
+    def asked_again_s(self, now_s: float) -> float:
+        """When something that it said of its slots is next forgotten; infinite where nothing is remembered."""
+        full_s = self.full_s + _REMEMBERED_S if self.is_full(now_s) else math.inf
+        contended_s = self.contended_s + _REMEMBERED_S if self.is_contended(now_s) else math.inf
+        return min(full_s, contended_s)
 
     def apply(self, event: Trigger, *, now_s: float, why: str = "") -> Change:
         """Takes the step that the table names; raises TransitionError, with the history, where it names none."""

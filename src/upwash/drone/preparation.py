@@ -121,8 +121,7 @@ def endpoints(
                 service.name
                 for service in config.services
                 if any(
-                    operation.service == service.name
-                    and estimates.remote_s(server.name, operation) is not None
+                    operation.service == service.name and estimates.is_hosted(server.name, operation)
                     for operation in estimates.operations
                 )
             ),
