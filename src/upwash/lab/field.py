@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
 
 from upwash.config import DroneConfig, ServerConfig, ServerTruth, server_truth
 from upwash.core.admission import AdmissionController, ServerOffer
+from upwash.core.clients import Client
 from upwash.lab.observer import Seen, ServerObserver
-from upwash.ports import Dialer, Program
+from upwash.ports import Program, Runtime
 from upwash.rpc.service import ServiceSpec
 from upwash.server.daemon import EdgeServer, Image
 from upwash.sim.chance import Chance
@@ -39,51 +41,67 @@ async def serving(
     config: DroneConfig, software: Software, *, seen: list[Seen] | None
 ) -> AsyncIterator[Switchboard]:
     """Runs the configured servers; drones reach them through the switchboard."""
-    switchboard, chance, faults = Switchboard({}), Chance(config.seed), Faults(config.faults)
-    addresses = {server.name: daemon_address(server.name) for server in config.servers}
     async with contextlib.AsyncExitStack() as stack:
+        yield _Field(config, software, seen, stack).switchboard
+
+
+class _Field:
+    """The servers, each of which is made as somebody first speaks to it: of a thousand a drone meets a few."""
+
+    def __init__(
+        self,
+        config: DroneConfig,
+        software: Software,
+        seen: list[Seen] | None,
+        stack: contextlib.AsyncExitStack,
+    ) -> None:
+        self.switchboard = Switchboard({})
+        self._config = config
+        self._software = software
+        self._seen = seen
+        self._stack = stack  # ends those that were made
+        self._chance = Chance(config.seed)
+        self._faults = Faults(config.faults)
+        self._addresses = {server.name: daemon_address(server.name) for server in config.servers}
+        answer = self._answer_first
         for server in config.servers:
-            truth = server_truth(server, config.services)
-            outside = FaultyServer(server.name, addresses[server.name], switchboard, faults=faults)
-            computer = ServerComputer(server.name, truth, faults=faults, noise=config.noise, chance=chance)
-            edge = _edge_server(
-                server, truth,
-                ModelRuntime(software.specs, computer, outside, objects=software.objects, lanes=truth.lanes),
-                outside=outside, specs=software.specs, programs=software.programs, addresses=addresses,
-                dialer=ModelDialer(server.name, switchboard, Wire()),
-                observer=ServerObserver(server.name, seen) if seen is not None else None,
-            )  # fmt: skip
-            stack.push_async_callback(edge.close)
-            watch = asyncio.create_task(edge.run(), name=f"daemon of {server.name}")
-            stack.callback(_end, watch)
-        yield switchboard
+            self.switchboard.plug(self._addresses[server.name], functools.partial(answer, server))
 
+    async def _answer_first(self, server: ServerConfig, path: str, body: bytes, client: Client) -> bytes:
+        self._make(server)
+        return await self.switchboard.handlers[self._addresses[server.name]](path, body, client)
 
-def _edge_server(
-    server: ServerConfig,
-    truth: ServerTruth,
-    runtime: ModelRuntime,
-    *,
-    outside: FaultyServer,
-    specs: Mapping[str, ServiceSpec],
-    programs: Mapping[str, Program],
-    addresses: Mapping[str, str],
-    dialer: Dialer,
-    observer: ServerObserver | None,
-) -> EdgeServer:
-    peers = {name: addresses[name] for name in truth.peers if name in addresses}
-    edge = EdgeServer(
-        AdmissionController({server.name: _offer(truth, specs)}, peers=peers),
-        images={name: Image(program) for name, program in programs.items()},
-        runtime=observer.runtime(runtime) if observer else runtime,
-        dialer=dialer,
-        peers=peers,
-        start_timeout_s=60.0,
-        drain_s=10.0,
-    )
-    handle = observer.daemon(edge.handle) if observer else edge.handle
-    outside.plug_daemon(handle, crash=runtime.crash)
-    return edge
+    def _make(self, server: ServerConfig) -> None:
+        """Runs the server's daemon, which answers at its address from now on."""
+        truth = server_truth(server, self._config.services)
+        outside = FaultyServer(
+            server.name, self._addresses[server.name], self.switchboard, faults=self._faults
+        )
+        computer = ServerComputer(
+            server.name, truth, faults=self._faults, noise=self._config.noise, chance=self._chance
+        )
+        runtime = ModelRuntime(
+            self._software.specs, computer, outside, objects=self._software.objects, lanes=truth.lanes
+        )
+        observer = ServerObserver(server.name, self._seen) if self._seen is not None else None
+        edge = self._daemon(server.name, truth, observer.runtime(runtime) if observer else runtime)
+        handle = observer.daemon(edge.handle) if observer else edge.handle
+        outside.plug_daemon(handle, crash=runtime.crash)
+        self._stack.push_async_callback(edge.close)
+        watch = asyncio.create_task(edge.run(), name=f"daemon of {server.name}")
+        self._stack.callback(_end, watch)
+
+    def _daemon(self, name: str, truth: ServerTruth, runtime: Runtime) -> EdgeServer:
+        peers = {peer: self._addresses[peer] for peer in truth.peers if peer in self._addresses}
+        return EdgeServer(
+            AdmissionController({name: _offer(truth, self._software.specs)}, peers=peers),
+            images={service: Image(program) for service, program in self._software.programs.items()},
+            runtime=runtime,
+            dialer=ModelDialer(name, self.switchboard, Wire()),
+            peers=peers,
+            start_timeout_s=60.0,
+            drain_s=10.0,
+        )
 
 
 def _offer(truth: ServerTruth, specs: Mapping[str, ServiceSpec]) -> ServerOffer:
