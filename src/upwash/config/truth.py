@@ -62,16 +62,20 @@ def server_truth(server: ServerConfig, services: Sequence[ServiceConfig]) -> Ser
 
 def _merged(
     belief: Mapping[str, Mapping[str, float]], truth: Mapping[str, Mapping[str, float]]
-) -> dict[str, dict[str, float]]:
+) -> Mapping[str, Mapping[str, float]]:
+    if not truth:
+        return belief
     return {
         service: {**belief.get(service, {}), **truth.get(service, {})}
         for service in dict.fromkeys([*belief, *truth])
     }
 
 
-def _occupying(server: ServerConfig) -> dict[str, dict[str, float]]:
+def _occupying(server: ServerConfig) -> Mapping[str, Mapping[str, float]]:
     """The processing times, but not those that are only believed where the call's delay is told truly."""
     told, delays = server.truth.processing_s, server.truth.remote_call_s
+    if not delays:
+        return _merged(server.processing_s, told)
     return {
         service: {
             key: seconds
@@ -82,11 +86,13 @@ def _occupying(server: ServerConfig) -> dict[str, dict[str, float]]:
     }
 
 
-def _remote_calls_still_believed(server: ServerConfig) -> dict[str, dict[str, float]]:
+def _remote_calls_still_believed(server: ServerConfig) -> Mapping[str, Mapping[str, float]]:
     """The believed delays, but for operations whose processing time or radio is told truly."""
     if server.truth.radio != "fixed":
         return {}
     told = server.truth.processing_s
+    if not told:
+        return server.remote_call_s
     return {
         service: {key: seconds for key, seconds in by_key.items() if key not in told.get(service, {})}
         for service, by_key in server.remote_call_s.items()

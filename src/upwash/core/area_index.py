@@ -11,6 +11,7 @@ from upwash.core.geo import Circle, Position
 
 _MOST_SQUARES = 64  # of one area, or of one question: what reaches further is looked at each time
 _LEAST_SIDE_M = 1.0
+_FEW = 4  # so many areas are sooner looked at than their squares
 
 
 class AreaIndex:
@@ -32,7 +33,7 @@ class AreaIndex:
 
     def near(self, place: Position, within_m: float = 0.0) -> list[int]:
         """All areas that reach to within that distance of the place over the ground, and few others, in order."""
-        squares = self._squares(place, within_m)
+        squares = self._squares(place, within_m) if len(self._all) > _FEW else None
         if squares is None:
             return self._all
         found = set(self._wide)
@@ -48,5 +49,5 @@ class AreaIndex:
         return [(one, other) for one in east for other in north]
 
     def _steps(self, middle_m: float, radius_m: float) -> range:
-        first, last = ((middle_m + way_m) // self._side_m for way_m in (-radius_m, radius_m))
+        first, last = (middle_m - radius_m) // self._side_m, (middle_m + radius_m) // self._side_m
         return range(int(first), int(last) + 1)

@@ -93,10 +93,12 @@ class _Way:
 class MissionModel:
     """Follows one mission over its legs and calls, and says what comes next."""
 
-    def __init__(self, beliefs: MissionBeliefs, areas: Mapping[str, Circle]) -> None:
+    def __init__(
+        self, beliefs: MissionBeliefs, areas: Mapping[str, Circle], index: AreaIndex | None = None
+    ) -> None:
         self._plan = beliefs.plan
         self._areas = list(areas.items())
-        self._index_of_areas = AreaIndex(list(areas.values()))
+        self._index_of_areas = index or AreaIndex(list(areas.values()))
         self._ground_speed_m_s = beliefs.ground_speed_m_s
         self._accelerations_m_s2 = deque([beliefs.acceleration_m_s2], maxlen=WINDOW_LENGTH)
         self._routine = tuple(beliefs.stop)

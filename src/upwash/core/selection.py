@@ -21,6 +21,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from upwash.core.area_index import AreaIndex
 from upwash.core.commands import Effect, Full, Mapped, Start
 from upwash.core.coverage import MeasuredPlace
 from upwash.core.energy import EnergyFacts
@@ -101,6 +102,7 @@ class Selection:
         mission: MissionBeliefs | None = None,
     ) -> None:
         settings, beliefs = settings or SelectionSettings(), mission or MissionBeliefs()
+        index = AreaIndex(list(areas.values()))
         self.estimates = estimates
         self.policy = policy
         self._recovery = recovery = Recovery(settings.probing) if settings.probing else None
@@ -118,7 +120,7 @@ class Selection:
             table=table,
             radios=radios,
             estimates=estimates,
-            mission=MissionModel(beliefs, areas),
+            mission=MissionModel(beliefs, areas, index),
             recovery=recovery,
             idle_s=settings.idle_s,
             retry_s=settings.retry_s,
@@ -128,6 +130,7 @@ class Selection:
             planning,
             beliefs,
             areas,
+            index,
             takeoff_s=settings.takeoff_s,
             lands=settings.lands,
             lighter=settings.lighter,

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 
 from msgspec import structs
 
+from upwash.core.area_index import AreaIndex
 from upwash.core.commands import Foreseen
 from upwash.core.energy import UNKNOWN, EnergyFacts, descent_s, time_home_s
 from upwash.core.geo import Circle, Position
@@ -35,6 +36,7 @@ class Timetable:
         planning: Planning,
         beliefs: MissionBeliefs,
         areas: Mapping[str, Circle],
+        index: AreaIndex,
         *,
         takeoff_s: float,
         lands: bool,
@@ -43,7 +45,9 @@ class Timetable:
         self.home_s = 0.0
         self._planning = planning
         self._beliefs = beliefs
-        self._mission = MissionModel(beliefs, areas)  # of its own: it sees the whole mission, from the ground
+        self._mission = MissionModel(
+            beliefs, areas, index
+        )  # of its own: it sees the whole mission, from the ground
         self._takeoff_s = takeoff_s
         self._lands = lands
         self._lighter = lighter

@@ -26,7 +26,7 @@ from upwash.config import (
     waypoints,
 )
 from upwash.core.coverage import Coverage
-from upwash.core.geo import Position
+from upwash.core.geo import Circle, Position
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import Cell, PositionNetwork
 from upwash.errors import MissionFailed, UpwashError, UsageError
@@ -235,7 +235,8 @@ async def _fly_one(
     )
     if seen is not None:
         observer = DroneObserver(config.name, seen, lambda: autopilot.position, life)
-    radios = _radios(config, autopilot, switchboard, faults, chance=chance, energy=energy, life=life)
+    areas = true_areas(config)
+    radios = _radios(config, areas, autopilot, switchboard, faults, chance=chance, energy=energy, life=life)
     flight = Flight(
         load_mission(config.mission.program, mode=config.mission.mode),
         config,
@@ -243,7 +244,7 @@ async def _fly_one(
         programs=software.programs,
         ports=_ports(config, autopilot, radios, journal, software=software, chance=chance, observer=observer),
     )
-    watching = observe(autopilot, true_areas(config), range_intervals)
+    watching = observe(autopilot, areas, range_intervals)
     watch = asyncio.create_task(watching, name="observer of ranges")
     try:
         await lived(flight.run(), life, until_s=presence.vanishes_s)
@@ -313,6 +314,7 @@ def _energy(config: DroneConfig) -> EnergyMeter | None:
 
 def _radios(
     config: DroneConfig,
+    areas: Mapping[str, Circle],
     autopilot: ModelAutopilot,
     switchboard: Switchboard,
     faults: Faults,
@@ -322,7 +324,6 @@ def _radios(
     life: Life,
 ) -> tuple[list[Network], Dialer]:
     """The networks in the drone's reach, for each of its radios, and the way to whoever is there."""
-    areas = true_areas(config)
     truths = {server.name: server_truth(server, config.services) for server in config.servers}
     radio = Radio(
         areas,
@@ -333,16 +334,17 @@ def _radios(
         energy=energy,
         reached=functools.partial(_is_reached, coverage_of(config), _truly_limited(config)),
     )
+    is_up, goes_down, factor = radio.is_up, radio.goes_down, chance.factor
     cells: dict[str, list[Cell]] = {}
     for server in config.servers:
         cells.setdefault(server.network, []).append(
             Cell(
                 areas[server.name],
                 truths[server.name].join_s,
-                is_up=functools.partial(radio.is_up, server.name),
-                goes_down=functools.partial(radio.goes_down, server.name),
+                is_up=functools.partial(is_up, server.name),
+                goes_down=functools.partial(goes_down, server.name),
                 leave_s=truths[server.name].leave_s,
-                stretch=functools.partial(chance.factor, f"join/{server.name}", config.noise.join),
+                stretch=functools.partial(factor, f"join/{server.name}", config.noise.join),
             )
         )
     networks: list[Network] = [
