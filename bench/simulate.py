@@ -39,6 +39,7 @@ CAMPAIGN_WORKERS = 2
 LEAST_REAL_TIME = 40_000
 LEAST_MISSIONS_PER_MINUTE = 2_000
 MOST_GROWTH = 1.2  # of the cost per waypoint and server in range, from the smallest to the largest
+MOST_GROWTH_IN_LINE = {100: 1.2, 1000: 2.0}  # of the cost per waypoint, by servers, few of which are in range
 
 
 @dataclass(frozen=True)
@@ -163,24 +164,42 @@ def measure_growth(config: DroneConfig, extent: Extent) -> None:
         [with_servers(config, count, spacing_m=spacing_m) for count in extent.servers]
         for spacing_m in (150.0, 0.5)
     )
-    for what, sizes in ("waypoints", grids), ("servers, in a line", in_line), ("servers, all near", near):
-        grow(what, sizes, rounds=extent.growth_rounds)
+    for what, sizes in ("waypoints", grids), ("servers, all near", near):
+        costs = measured(what, sizes, rounds=extent.growth_rounds)
+        judge("by server in range", costs[-1].by_server_us / costs[0].by_server_us, MOST_GROWTH)
+    costs = measured("servers, in a line", in_line, rounds=extent.growth_rounds)
+    for count, cost in zip(extent.servers, costs, strict=True):
+        if count in MOST_GROWTH_IN_LINE:
+            growth = cost.by_waypoint_us / costs[0].by_waypoint_us
+            judge(f"with {count} servers", growth, MOST_GROWTH_IN_LINE[count])
 
 
-def grow(what: str, sizes: Sequence[DroneConfig], *, rounds: int) -> None:
-    """Prints a line for each size, and how the cost per waypoint and server in range has grown."""
+@dataclass(frozen=True)
+class Cost:
+    """What a waypoint costs, and what it costs for itself and each server in range."""
+
+    by_waypoint_us: float
+    by_server_us: float
+
+
+def measured(what: str, sizes: Sequence[DroneConfig], *, rounds: int) -> list[Cost]:
+    """The cost of each size, of which a line is printed."""
     print(f"- {what}")
-    costs_us = []
+    costs = []
     found = [[seconds(config, rounds=1, warm_up=0)[0] for config in sizes] for _ in range(1 + rounds)]
     for config, took in zip(sizes, zip(*found[1:], strict=True), strict=True):  # the first round warms up
         took_s = median(took)
         count, servers, in_range = len(waypoints(config.mission)), len(config.servers), mean_in_range(config)
         cost_us = 1e6 * took_s / count
-        costs_us.append(cost_us / (1 + in_range))
+        costs.append(Cost(cost_us, cost_us / (1 + in_range)))
         print(f"{count:9}  {servers:7}  {in_range:8.1f}  {1e3 * took_s:7.1f}", end="")
-        print(f"  {cost_us:11.0f}  {costs_us[-1]:11.0f}")
-    growth = costs_us[-1] / costs_us[0]
-    print(f"  grown by {growth:.2f} (limit {MOST_GROWTH:.2f}: {'ok' if growth <= MOST_GROWTH else 'MISS'})")
+        print(f"  {cost_us:11.0f}  {costs[-1].by_server_us:11.0f}")
+    return costs
+
+
+def judge(what: str, growth: float, most: float) -> None:
+    """Prints by how much the cost has grown, and whether that is within the limit."""
+    print(f"  {what}: grown by {growth:.2f} (limit {most:.2f}: {'ok' if growth <= most else 'MISS'})")
 
 
 def with_grid(config: DroneConfig, side: int) -> DroneConfig:
