@@ -45,9 +45,8 @@ class Timetable:
         self.home_s = 0.0
         self._planning = planning
         self._beliefs = beliefs
-        self._mission = MissionModel(
-            beliefs, areas, index
-        )  # of its own: it sees the whole mission, from the ground
+        # Of its own: it sees the whole mission, from the ground.
+        self._mission = MissionModel(beliefs, areas, index)
         self._takeoff_s = takeoff_s
         self._lands = lands
         self._lighter = lighter

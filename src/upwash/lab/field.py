@@ -63,9 +63,8 @@ class _Field:
         self._chance = Chance(config.seed)
         self._faults = Faults(config.faults)
         self._addresses = {server.name: daemon_address(server.name) for server in config.servers}
-        answer = self._answer_first
         for server in config.servers:
-            self.switchboard.plug(self._addresses[server.name], functools.partial(answer, server))
+            self.switchboard.plug(self._addresses[server.name], functools.partial(self._answer_first, server))
 
     async def _answer_first(self, server: ServerConfig, path: str, body: bytes, client: Client) -> bytes:
         self._make(server)

@@ -334,17 +334,16 @@ def _radios(
         energy=energy,
         reached=functools.partial(_is_reached, coverage_of(config), _truly_limited(config)),
     )
-    is_up, goes_down, factor = radio.is_up, radio.goes_down, chance.factor
     cells: dict[str, list[Cell]] = {}
     for server in config.servers:
         cells.setdefault(server.network, []).append(
             Cell(
                 areas[server.name],
                 truths[server.name].join_s,
-                is_up=functools.partial(is_up, server.name),
-                goes_down=functools.partial(goes_down, server.name),
+                is_up=functools.partial(radio.is_up, server.name),
+                goes_down=functools.partial(radio.goes_down, server.name),
                 leave_s=truths[server.name].leave_s,
-                stretch=functools.partial(factor, f"join/{server.name}", config.noise.join),
+                stretch=functools.partial(chance.factor, f"join/{server.name}", config.noise.join),
             )
         )
     networks: list[Network] = [

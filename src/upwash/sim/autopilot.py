@@ -92,9 +92,8 @@ class ModelAutopilot:
         self._latch = Latch(self._loop.time())
         self._reported: Report | None = None  # to the latch, last; the same again says nothing
         self._hear: Callable[[VehicleNews], None] = lambda _: None
-        self._lost: asyncio.Future[None] = (
-            self._loop.create_future()
-        )  # done once the vehicle is not the program's
+        # Done once the vehicle is no longer the program's, and never will be again.
+        self._lost: asyncio.Future[None] = self._loop.create_future()
         for takeover in takeovers:
             self._loop.call_at(takeover.from_s, self._be_taken, takeover)
         self._take_report()

@@ -10,7 +10,7 @@ import asyncio
 import math
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from upwash.core.area_index import AreaIndex
 from upwash.core.geo import Circle, Position, ground_distance_m
@@ -35,7 +35,7 @@ class _Waiting:
 
     asked: _Asked
     woken: asyncio.Future[bool]
-    timer: asyncio.TimerHandle | None = field(default=None)
+    timer: asyncio.TimerHandle | None = None
 
     def wake(self, crossed: bool) -> None:
         if not self.woken.done():

@@ -65,16 +65,14 @@ class ModelVehicle:
         taken: Callable[[str], None] = lambda _: None,
         moved: Callable[[Motion[Phase]], None] = lambda _: None,
     ) -> None:
-        self.report = Report(
-            GUIDED, armed=hovers_at is not None
-        )  # what its heartbeat says: another one each time
+        # What its heartbeat says; a new object whenever that changes.
+        self.report = Report(GUIDED, armed=hovers_at is not None)
         self.changed = asyncio.Event()
         self._loop = asyncio.get_running_loop()
         self._manner = manner
         self._motion: Motion[Phase] = Motion(0.0, (), hovers_at or ground)
-        self._located_s = (
-            -math.inf
-        )  # when it was last computed where it is, which is asked many times an instant
+        # Where it is is asked many times an instant, and computed once.
+        self._located_s = -math.inf
         self._position = self._motion.end
         self.borders = Borders(self._motion)
         self._touchdown: asyncio.TimerHandle | None = None  # of a landing by itself or by a person

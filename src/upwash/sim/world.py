@@ -57,7 +57,7 @@ class Radio:
         self._bandwidths = {
             server: SteadyGoodput(truth.bandwidth_bit_s)
             for server, truth in truths.items()
-            if truth.bandwidth_bit_s and energy is not None
+            if truth.bandwidth_bit_s
         }
 
     def connected(self, server: str) -> bool:
