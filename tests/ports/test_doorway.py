@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from upwash.core.clients import Client
+from upwash.real import given_sockets
 from upwash.real.announced import Inside, announcing_at
 from upwash.real.given_sockets import GivenSocket, take
 from upwash.real.socket_proxy import SocketProxy
@@ -143,7 +144,7 @@ def test_only_a_connection_is_taken_and_nothing_else_kept() -> None:
     near, far = socket.socketpair()
     with near, far, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as mail:
         for wrong in ((), (telling,), (mail.fileno(),)):
-            with pytest.raises(OSError):
+            with pytest.raises(ConnectionAbortedError):
                 taken(*wrong)
         with taken(near.fileno(), telling) as given:
             far.sendall(b"photo")
@@ -151,6 +152,13 @@ def test_only_a_connection_is_taken_and_nothing_else_kept() -> None:
     os.close(telling)
     assert os.read(hearing, 1) == b""  # nobody has the other end any more
     os.close(hearing)
+
+
+def test_an_instance_that_gives_nothing_does_not_hold_the_door_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(given_sockets, "_GIVEN_S", 0.05)
+    silent, taking = socket.socketpair()
+    with silent, taking, pytest.raises(ConnectionAbortedError, match="no connection"):
+        asyncio.run(take(taking))
 
 
 def test_a_client_is_known_by_the_connection_that_it_is_given_until_it_hangs_up(tmp_path: Path) -> None:

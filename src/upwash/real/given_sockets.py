@@ -48,17 +48,20 @@ def give(connection: socket.socket, over: asyncio.Transport) -> None:
 
 
 async def take(over: socket.socket) -> GivenSocket:
-    """The connection that is given over that unix socket; raises OSError where that is none, or takes long."""
-    async with asyncio.timeout(_GIVEN_S):
-        await readable(over)
+    """The connection that is given over that unix socket; raises OSError where none is given in time."""
+    try:
+        async with asyncio.timeout(_GIVEN_S):
+            await readable(over)
+    except TimeoutError:
+        raise ConnectionAbortedError(f"an instance gave no connection to itself in {_GIVEN_S:g} s") from None
     _, files, _, _ = socket.recv_fds(over, len(_CARRIER), 1, socket.MSG_CMSG_CLOEXEC)
     if not files:
         raise ConnectionAbortedError("an instance gave no connection to itself")
     try:
         given = GivenSocket(fileno=files[0])
-    except OSError:  # no socket
+    except OSError:
         os.close(files[0])
-        raise
+        raise ConnectionAbortedError("an instance gave something that is no socket") from None
     if (given.family, given.type) != (socket.AF_UNIX, socket.SOCK_STREAM):
         given.close()
         raise ConnectionAbortedError("an instance gave a socket of another kind")

@@ -169,7 +169,7 @@ class ServiceInstance:
         )
 
     def _report_answer(self, call: Future[_Performed]) -> None:
-        """In the service's thread, whose next call waits for it; the answer is on its way meanwhile."""
+        """In the service's thread, whose next call waits for it, while the answer is on its way."""
         if call.cancelled() or call.exception() is not None:
             return
         pause_s = self._pause_s(time.monotonic())
