@@ -22,7 +22,7 @@ from tests.doors import behind_door
 
 from upwash.errors import CredentialsError, InstanceError, LinkError, Unreachable
 from upwash.real import authority as module
-from upwash.real.announced import Inside
+from upwash.real.announced import Inside, announcing_at
 from upwash.real.authority import keys_in, make_keys
 from upwash.real.credentials import Credentials, fingerprint, read_credentials
 from upwash.real.crowd import Crowd, Recent, Turns
@@ -30,6 +30,7 @@ from upwash.real.door import Door, DoorLimits, leading, opened_door
 from upwash.real.frames import PREFACE, Counted, FrameCounter
 from upwash.real.link import GrpcDialer
 from upwash.real.listener import Caller, Health, Listener, WhoIs
+from upwash.real.streams import listening_socket
 from upwash.real.trust import Trust
 from upwash.sim.loop import run_virtually
 
@@ -205,6 +206,38 @@ def test_who_begins_too_much_is_shut_out_and_nobody_else(
     said = "\n".join(caplog.messages)
     assert "hanging up on heron: it begins or breaks off more requests than any drone would" in said
     assert re.search("refused 127.0.0.1: heron is shut out for another [0-9]+ s", said)
+
+
+def test_a_service_whose_connection_blocks_keeps_nobody_else_waiting(
+    tmp_path: Path, keys: Path, credentials: ReadCredentials
+) -> None:
+    path, kept = str(tmp_path / "hostile"), contextlib.ExitStack()
+
+    def give_one_that_blocks() -> None:
+        asked, _ = asking.accept()
+        read, given = (kept.enter_context(each) for each in socket.socketpair())
+        with asked:
+            asked.recv(4096)
+            socket.send_fds(asked, [b"x"], [given.fileno()])
+            read.recv(1)  # the door has it, and hands on what comes
+            given.setblocking(True)
+            asked.recv(1)  # until the door hangs up
+
+    files = keys_in(keys, "stork")
+    context = ssl.create_default_context(cafile=str(files.authority))
+    context.load_cert_chain(files.certificate, files.key)
+    with kept, served(credentials("s1")) as (door, address):
+        asking = kept.enter_context(listening_socket(f"unix:{path}"))
+        hostile = threading.Thread(target=give_one_that_blocks)
+        hostile.start()
+        passage = asyncio.run(door.lead(listening_socket("127.0.0.1:0"), announcing_at(path)))
+        plain = socket.create_connection(("127.0.0.1", int(passage.endpoint[1:])))
+        with context.wrap_socket(plain, server_hostname="s1") as stork:
+            stork.settimeout(0.5)
+            with pytest.raises(TimeoutError):  # nobody reads
+                stork.sendall(PREFACE + (2**24 - 1).to_bytes(3) + bytes(6 + 2**24 - 1))
+            assert ask(address, credentials("heron")) == b"heron"
+    hostile.join()
 
 
 def test_a_health_check_is_answered_and_nothing_is_watched(credentials: ReadCredentials) -> None:
