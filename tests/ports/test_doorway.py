@@ -128,15 +128,12 @@ def test_who_gave_a_connection_cannot_have_the_other_end_wait(
 def taken(*files: int) -> GivenSocket:
     """What arrives of open files that are given."""
 
-    async def receive(over: socket.socket) -> GivenSocket:
-        return await take(over)
-
     giving, taking = socket.socketpair()
     with taking:
         with giving:
             if files:
                 socket.send_fds(giving, [b"x"], files)
-        return asyncio.run(receive(taking))
+        return asyncio.run(take(taking))
 
 
 def test_only_a_connection_is_taken_and_nothing_else_kept() -> None:

@@ -129,9 +129,9 @@ class Planning:
         """Before this time the policy need not be asked where nothing happens."""
         if self.changed:
             return now_s
-        look_s, slow_for_s = self._prewarm.due_s, self._slow_for_s
+        look_s = self._prewarm.due_s
         for server in self._table.in_range:
-            slow_until_s = self._estimates.next_forgetting_s(server.name, retry_s=slow_for_s)
+            slow_until_s = self._estimates.next_forgetting_s(server.name, retry_s=self._slow_for_s)
             look_s = min(look_s, slow_until_s, server.asked_again_s(now_s))
         return look_s
 

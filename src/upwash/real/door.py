@@ -28,9 +28,8 @@ from upwash.errors import CredentialsError, InstanceError
 from upwash.real.announced import Connect
 from upwash.real.crowd import Crowd, Recent, Turns
 from upwash.real.frames import Counted, FrameCounter
-from upwash.real.given_sockets import readable
 from upwash.real.log import Sparing
-from upwash.real.streams import End, endpoint_of, join, listening_socket
+from upwash.real.streams import End, endpoint_of, join, listening_socket, readable
 from upwash.real.trust import Holder, Trust
 
 _log = logging.getLogger("upwash.door")

@@ -12,6 +12,8 @@ import socket
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
+from upwash.real.streams import readable
+
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer, WriteableBuffer
 
@@ -66,14 +68,3 @@ async def take(over: socket.socket) -> GivenSocket:
         given.close()
         raise ConnectionAbortedError("an instance gave a socket of another kind")
     return given
-
-
-async def readable(connection: socket.socket) -> None:
-    """Returns when something has come."""
-    loop = asyncio.get_running_loop()
-    come = asyncio.Event()
-    loop.add_reader(connection, come.set)
-    try:
-        await come.wait()
-    finally:
-        loop.remove_reader(connection)

@@ -136,7 +136,7 @@ class InstanceControl:
         """Hangs up, by which the instance ends."""
         if self._listening is not None:
             self._listening.cancel()
-        hang_up(self._orders)  # whoever is frozen takes no part in a farewell
+        hang_up(self._orders.transport)  # whoever is frozen takes no part in a farewell
         with contextlib.suppress(OSError):
             await self._orders.wait_closed()
 
@@ -165,7 +165,7 @@ class InstanceControl:
     def _hang_up(self, why: str) -> None:
         self.fault = why
         _log.warning("%s: %s: hanging up", self._name, why)
-        hang_up(self._orders)
+        hang_up(self._orders.transport)
 
     async def _listen(self) -> None:
         try:

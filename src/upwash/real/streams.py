@@ -57,7 +57,7 @@ class End(asyncio.Protocol):
 
     def hang_up(self) -> None:
         """Breaks it off at once, if there still is one."""
-        _abort(self.transport)
+        hang_up(self.transport)
 
     # --- what asyncio calls ---------------------------------------------------------------------------------
 
@@ -116,14 +116,21 @@ async def join(outer: End, inner: End, *, seen: Callable[[bytes], None] = lambda
         raise outer.failure
 
 
-def hang_up(writer: asyncio.StreamWriter) -> None:
+def hang_up(transport: asyncio.WriteTransport) -> None:
     """Breaks the connection off at once, if there still is one."""
-    _abort(writer.transport)
-
-
-def _abort(transport: asyncio.WriteTransport) -> None:
     with contextlib.suppress(AttributeError):  # Python 3.11.2's word for a TLS connection that has ended
         transport.abort()
+
+
+async def readable(connection: socket.socket) -> None:
+    """Returns when something has come."""
+    loop = asyncio.get_running_loop()
+    come = asyncio.Event()
+    loop.add_reader(connection, come.set)
+    try:
+        await come.wait()
+    finally:
+        loop.remove_reader(connection)
 
 
 def listening_socket(address: str) -> socket.socket:
