@@ -230,7 +230,9 @@ def test_a_service_whose_connection_blocks_keeps_nobody_else_waiting(
         asking = kept.enter_context(listening_socket(f"unix:{path}"))
         hostile = threading.Thread(target=give_one_that_blocks)
         hostile.start()
-        passage = asyncio.run(door.lead(listening_socket("127.0.0.1:0"), announcing_at(path)))
+        listening = listening_socket("127.0.0.1:0")
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2**16)  # or the system keeps up to all that is sent
+        passage = asyncio.run(door.lead(listening, announcing_at(path)))
         plain = socket.create_connection(("127.0.0.1", int(passage.endpoint[1:])))
         with context.wrap_socket(plain, server_hostname="s1") as stork:
             stork.settimeout(0.5)
