@@ -57,13 +57,18 @@ class OwnEngine:
 
     def running(self) -> list[str]:
         """The names of the containers that run or are frozen."""
-        return [
-            name
-            for name, state in (
-                line.split(",") for line in self.command("list", "-f", "csv", "-c", "ns").split()
-            )
-            if state != "STOPPED"
-        ]
+        return [name for name, state in self._states() if state != "STOPPED"]
+
+    def frozen(self) -> list[str]:
+        """The names of the frozen ones."""
+        return [name for name, state in self._states() if state == "FROZEN"]
+
+    def there(self) -> list[str]:
+        """The names of all containers."""
+        return [name for name, _ in self._states()]
+
+    def _states(self) -> list[list[str]]:
+        return [line.split(",") for line in self.command("list", "-f", "csv", "-c", "ns").split()]
 
 
 def why_not(kind: Kind) -> str:

@@ -48,12 +48,12 @@ class OwnPodman:
         ).stdout
 
     def running(self) -> list[str]:
-        """The ids of the containers that run or are paused."""
-        return [
-            each["Id"]
-            for each in json.loads(self.command("ps", "--all", "--format", "json"))
-            if each["State"] in {"running", "paused"}
-        ]
+        """The ids of the containers that run or are frozen."""
+        return self._in("running", "paused")
+
+    def frozen(self) -> list[str]:
+        """The ids of the frozen ones."""
+        return self._in("paused")
 
     def there(self) -> list[str]:
         """The ids of all containers."""
@@ -62,6 +62,10 @@ class OwnPodman:
     def process_1(self, container: str) -> int:
         """The id of a running container's first process."""
         return int(self.command("inspect", "--format", "{{.State.Pid}}", container))
+
+    def _in(self, *states: str) -> list[str]:
+        containers = json.loads(self.command("ps", "--all", "--format", "json"))
+        return [each["Id"] for each in containers if each["State"] in states]
 
 
 def why_not() -> str:

@@ -231,7 +231,8 @@ def test_a_service_whose_connection_blocks_keeps_nobody_else_waiting(
         hostile = threading.Thread(target=give_one_that_blocks)
         hostile.start()
         listening = listening_socket("127.0.0.1:0")
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2**16)  # or the system keeps up to all that is sent
+        # Otherwise the system may keep for its reader all that is sent, and no sender waits.
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2**16)
         passage = asyncio.run(door.lead(listening, announcing_at(path)))
         plain = socket.create_connection(("127.0.0.1", int(passage.endpoint[1:])))
         with context.wrap_socket(plain, server_hostname="s1") as stork:

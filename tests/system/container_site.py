@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Awaitable, Callable
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tests.doors import reached
+from tests.engines import OwnEngine
+from tests.podman import OwnPodman
 
 from upwash.ports import Instance, InstanceSpec, Program, Runtime
 from upwash.real.link import GrpcDialer
@@ -49,3 +54,43 @@ class Site:
         finally:
             await link.close()
         return method.result(method.decode(reply))
+
+
+@dataclass(frozen=True)
+class Host:
+    """An engine of the tests' own, and how sites with its containers are opened."""
+
+    engine: OwnPodman | OwnEngine
+    open_site: Callable[..., AbstractAsyncContextManager[Site]]
+    left: Callable[[], list[str]]  # what there still is of instances; empty once all have ended
+    runtime: str  # the table of that name for a daemon's configuration
+    seen_of_a_kill: str  # what is said of a container that is killed from outside
+    writable: int  # folders of a container, each of which takes so many bytes
+
+    def at(self, use: Callable[[Site], Awaitable[None]], **settings: Any) -> None:
+        """Opens a site for something that uses it."""
+
+        async def run() -> None:
+            async with self.open_site(**settings) as site:
+                await use(site)
+
+        asyncio.run(run())
+
+    def configured(self, folder: Path, keys: Path, runtime: str = "") -> Path:
+        """The configuration of a daemon that soon finds containers idle, with more for its runtime."""
+        config = folder / "server.toml"
+        config.write_text(
+            f"""
+            listen = "127.0.0.1:0"
+            lease_s = 2.0
+            idle_stop_s = 0.5
+            keys = {{ authority = "{keys}/authority.pem", certificate = "{keys}/s1.pem", key = "{keys}/s1.key" }}
+            service = [{{ name = "workbench" }}, {{ name = "vandal" }}]
+            server = [{{ name = "s1" }}, {{ name = "s2", images = ["workbench"] }}]
+            [runtime]
+            {self.runtime}
+            memory_bytes = {MEMORY_BYTES}
+            {runtime}
+            """
+        )
+        return config

@@ -1,0 +1,149 @@
+"""What tests of containers share: the engines in which their services run."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
+from ipaddress import IPv4Network
+from pathlib import Path
+
+import pytest
+from tests.doors import led
+from tests.engines import OwnEngine
+from tests.podman import OwnPodman
+from tests.system.container_site import (
+    DISK_BYTES,
+    MAX_MESSAGE_BYTES,
+    MEMORY_BYTES,
+    PROCESSES,
+    Host,
+    Site,
+)
+
+from upwash.missions.bundled import load_service_alone
+from upwash.packaging.image import Recipe, package
+from upwash.real.credentials import Credentials, fingerprint
+from upwash.real.docker.container import ContainerSettings as DockerSettings
+from upwash.real.docker.engine import DockerEngine
+from upwash.real.docker.runtime import ContainerRuntime as DockerRuntime
+from upwash.real.link import GrpcDialer
+from upwash.real.lxd.container import ContainerSettings as LxdSettings
+from upwash.real.lxd.engine import Engine, EngineAddress
+from upwash.real.lxd.runtime import ContainerRuntime as LxdRuntime
+from upwash.real.runtime import sockets_in
+from upwash.real.service_image import reference_of
+
+SERVICES = ("workbench", "vandal")
+SUBNET = "10.147.71.0/24"
+ReadCredentials = Callable[[str], Credentials]
+
+
+@pytest.fixture(scope="session")
+def vandal_image(services: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The image of the vandal, as LXD takes it."""
+    recipe = Recipe(load_service_alone(f"{services}:Vandal"))
+    return package(recipe, tmp_path_factory.mktemp("images"), report=lambda _: None)
+
+
+@pytest.fixture(scope="session")
+def images_held(podman: OwnPodman, docker_images: list[Path]) -> None:
+    """Podman holds the images."""
+    for image in docker_images:
+        podman.command("load", "--input", str(image))
+
+
+@pytest.fixture
+def docker_host(
+    podman: OwnPodman, services: Path, credentials: ReadCredentials, images_held: None, tmp_path: Path
+) -> Host:
+    """Podman, by Docker's API."""
+
+    @asynccontextmanager
+    async def open_site(
+        *, freezes: bool = False, devices: Sequence[str] = (), images: dict[str, str] | None = None
+    ) -> AsyncIterator[Site]:
+        engine = DockerEngine(f"unix://{podman.socket}")
+        async with led(credentials("s1")) as lead:
+            runtime = DockerRuntime(
+                engine,
+                DockerSettings(
+                    tmp_path,
+                    memory_bytes=MEMORY_BYTES,
+                    processes=PROCESSES,
+                    disk_bytes=DISK_BYTES,
+                    devices=devices,
+                ),
+                images or {service: reference_of(service) for service in SERVICES},
+                listen=sockets_in(tmp_path),
+                freezes=freezes,
+                lead=lead,
+                max_message_bytes=MAX_MESSAGE_BYTES,
+            )
+            try:
+                await engine.connect()
+                await runtime.prepare(["s1", "s2"], list(images or SERVICES))
+                yield site_of(runtime, credentials("heron"), services)
+            finally:
+                await runtime.close()
+
+    return Host(
+        podman,
+        open_site,
+        left=podman.there,
+        runtime=f'kind = "docker"\nengine.addresses = ["unix://{podman.socket}"]',
+        seen_of_a_kill="killed by SIGKILL",
+        writable=3,  # /tmp, /var/tmp and /dev/shm
+    )
+
+
+@pytest.fixture
+def lxd_host(
+    lxd: OwnEngine,
+    services: Path,
+    credentials: ReadCredentials,
+    workbench_image: Path,
+    vandal_image: Path,
+) -> Host:
+    """LXD."""
+
+    @asynccontextmanager
+    async def open_site(*, freezes: bool = False) -> AsyncIterator[Site]:
+        engine = Engine([EngineAddress(f"unix:{lxd.socket}")], project="default")
+        async with led(credentials("s1")) as lead:
+            runtime = LxdRuntime(
+                engine,
+                LxdSettings(
+                    IPv4Network(SUBNET),
+                    memory_bytes=MEMORY_BYTES,
+                    processes=PROCESSES,
+                    disk_bytes=DISK_BYTES,
+                ),
+                freezes=freezes,
+                lead=lead,
+                max_message_bytes=MAX_MESSAGE_BYTES,
+            )
+            await engine.connect()
+            try:
+                await engine.import_image(workbench_image)
+                await engine.import_image(vandal_image)
+                await runtime.prepare(
+                    ["s1", "s2"], [("s1", "workbench"), ("s1", "vandal"), ("s2", "workbench")]
+                )
+                yield site_of(runtime, credentials("heron"), services)
+            finally:
+                await runtime.close()
+
+    return Host(
+        lxd,
+        open_site,
+        left=lxd.running,  # what was made is kept, and used again
+        runtime=f'kind = "lxd"\nnetwork.subnet = "{SUBNET}"\nengine.addresses = ["unix:{lxd.socket}"]',
+        seen_of_a_kill="the container is gone, or cannot be reached",
+        writable=2,
+    )
+
+
+def site_of(runtime: DockerRuntime | LxdRuntime, heron: Credentials, services: Path) -> Site:
+    """The runtime's, with heron to call."""
+    dialer = GrpcDialer("heron", heron, max_message_bytes=MAX_MESSAGE_BYTES)
+    return Site(runtime, dialer, services, frozenset({fingerprint(heron.certificate)}))

@@ -1,0 +1,73 @@
+"""Containers of a real LXD: what differs from those of other engines (test_containers.py)."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from tests.system.container_site import Host, Site
+
+from upwash.errors import InstanceError
+from upwash.ports import InstanceSpec, Program
+from upwash.real.control_credentials import SERVICE_PORT
+from upwash.real.lxd.instance import ContainerInstance
+
+pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group("lxd")]
+
+
+def test_a_service_has_no_rights_and_reaches_nobody(lxd_host: Host) -> None:
+    async def use(site: Site) -> None:
+        vandal, neighbour = await site.start("s1", "vandal"), await site.start("s2", "workbench")
+        assert await site.call(vandal, "s1", "identity") == [1000, 0]
+        assert isinstance(neighbour, ContainerInstance)
+        host = neighbour.container.address
+        assert await site.call(vandal, "s1", "reach", host, SERVICE_PORT) != "connected"
+        assert await site.call(vandal, "s1", "reach", "169.254.0.1", 22) == "TimeoutError"
+        assert await site.call(neighbour, "s2", "echo", b"photo") == b"photo"
+        for instance in (vandal, neighbour):
+            await instance.stop()
+
+    lxd_host.at(use)
+
+
+def test_containers_that_were_made_are_used_again(lxd_host: Host) -> None:
+    async def use(site: Site) -> None:
+        instance = await site.start("s2", "workbench")
+        assert await site.call(instance, "s2", "echo", b"photo") == b"photo"
+        await instance.stop()
+
+    lxd_host.at(use)
+    made = lxd_host.engine.there()
+    lxd_host.at(use)
+    assert lxd_host.engine.there() == made
+
+
+def test_a_paced_start_takes_its_time_and_a_thaw_does_not(lxd_host: Host) -> None:
+    async def use(site: Site) -> None:
+        slow = InstanceSpec("s1", "workbench", Program(""), start_pace_s=5.0)
+        for at_least_s, at_most_s in ((5.0, 60.0), (0.0, 4.0)):
+            began_s = time.monotonic()
+            instance = await site.runtime.start(slow, called=lambda _: None)
+            assert at_least_s <= time.monotonic() - began_s < at_most_s
+            await instance.stop()
+
+    lxd_host.at(use, freezes=True)
+
+
+def test_an_image_of_another_release_is_refused(lxd_host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def use(site: Site) -> None:
+        monkeypatch.setattr("upwash.real.service_image.version", lambda _: "9.9")
+        with pytest.raises(InstanceError, match=r"made with upwash .*, and this is 9\.9: make it again"):
+            await site.start("s1", "workbench")
+
+    lxd_host.at(use)
+
+
+def test_a_start_without_an_image_names_the_remedy(lxd_host: Host) -> None:
+    async def use(site: Site) -> None:
+        with pytest.raises(
+            InstanceError, match="no image of unpackaged: make one with `upwash package unpackaged`"
+        ):
+            await site.runtime.start(site.spec("s1", "unpackaged"), called=lambda _: None)
+
+    lxd_host.at(use)
