@@ -109,11 +109,10 @@ def open_in_turns(
     (base, base_s), *_ = took_s.items()
     for name, both in took_s.items():
         for what, each, other in zip(("opened at once", "opened again"), both, base_s, strict=True):
+            print(f"  {name}, {what}: {median(each):.2f} s (median), {max(each):.2f} s (longest)", end="")
+            print(" MISS" * (median(each) > limit_s), end="")
             ratio = median(mine / its for mine, its in zip(each, other, strict=True))
-            print(
-                f"  {name}, {what}: {median(each):.2f} s (median), {max(each):.2f} s (longest)"
-                f"{' MISS' * (median(each) > limit_s)}, {ratio:.2f} of {base}"
-            )
+            print("" if name == base else f", {ratio:.2f} of {base}")
 
 
 def opened_s(page: Browser, address: str, calls: int) -> float:
