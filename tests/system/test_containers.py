@@ -43,7 +43,8 @@ def test_an_instance_out_of_control_harms_neither_its_neighbours_nor_the_daemon(
             assert await site.call(neighbour, "s1", "echo", b"photo") == b"photo"
             await asyncio.sleep(0.1)
         match harm, rampage.exception() or rampage.result():
-            case "fork_without_end", int(children):
+            case "fork_without_end", children:
+                assert isinstance(children, int), children
                 assert 0 < children < PROCESSES
             case "fill_disk", int(written_bytes):
                 assert written_bytes <= host.writable * DISK_BYTES
