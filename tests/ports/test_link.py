@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import ExitStack, asynccontextmanager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from upwash.real.listener import Caller, Gate, Handler, Listener, WhoIs
 from upwash.rpc.protocol import AVAILABILITY, LONGEST_REPLY_BYTES, START, STATUS
 
 MAX_MESSAGE_BYTES = 100_000
+LARGE = 2**24  # bytes: more than sockets hold
 PATH = "/upwash.test/echo"
 
 ReadCredentials = Callable[[str], Credentials]
@@ -253,6 +254,52 @@ def test_closing_a_link_ends_its_requests_and_it_takes_no_more() -> None:
 
     with stuck() as (handler, address):
         asyncio.run(ask(handler, address))
+
+
+# HTTP/2's frames of a server that lets its client send 2 GB on each stream and altogether.
+BOUNDLESS = bytes.fromhex(
+    "000006 0400 00000000 0004 7fffffff"  # SETTINGS: INITIAL_WINDOW_SIZE
+    "000000 0401 00000000"  # SETTINGS, acknowledged
+    "000004 0800 00000000 7fff0000"  # WINDOW_UPDATE
+)
+
+
+@contextmanager
+def deaf(folder: Path) -> Iterator[str]:
+    """A server that lets its clients send whatever they want and reads none of it: a link with all its buffers full."""
+    with socket.socket(socket.AF_UNIX) as listening, ExitStack() as connections:
+        listening.bind(str(folder / "deaf"))
+        listening.listen()
+
+        def answer() -> None:
+            with suppress(OSError):  # the test is over
+                while True:
+                    connection = connections.enter_context(listening.accept()[0])
+                    connection.sendall(BOUNDLESS)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        try:
+            yield f"unix:{folder}/deaf"
+        finally:
+            listening.shutdown(socket.SHUT_RDWR)
+            thread.join()
+
+
+@pytest.mark.timeout(20)
+def test_a_request_of_which_nobody_reads_a_byte_ends_at_its_deadline_and_with_its_link(tmp_path: Path) -> None:
+    async def ask(address: str) -> None:
+        link = GrpcDialer("heron", None, max_message_bytes=LARGE).dial(address, server="s1")
+        with pytest.raises(DeadlineExceeded, match="no answer within 0.3 s"):
+            await link.request(PATH, bytes(LARGE), timeout_s=0.3)
+        asking = asyncio.create_task(link.request(PATH, bytes(LARGE), timeout_s=30.0))
+        await asyncio.sleep(0)
+        await link.close()
+        with pytest.raises(Unreachable, match="the link is closed"):
+            await asking
+
+    with deaf(tmp_path) as address:
+        asyncio.run(ask(address))
 
 
 @pytest.mark.parametrize("greeting", [b"", b"\x00garbage" * 100, b"HTTP/1.1 200 OK\r\n\r\n"])

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import re
+import threading
 from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any
@@ -110,6 +111,9 @@ class GrpcDialer:
 class GrpcLink:
     """One channel; requests are futures of the synchronous stack, settled on the event loop.
 
+    gRPC ends no request, at its deadline or as its channel closes, before the last byte that it has begun to write is
+    written. Where the other end reads nothing that may be never, so deadlines are kept here, and nobody waits for gRPC.
+
     `own_trouble` says what makes others refuse this end's certificate now, "" where nothing does.
     """
 
@@ -127,9 +131,13 @@ class GrpcLink:
         self._methods: dict[str, Any] = {}
         self._peer = f"{server} at {address}"
         self._metadata = ((DRONE_METADATA, drone),)
+        self._under_way: set[Callable[[], None]] = set()  # what has each request be looked at
+        self._closed = False
 
     async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
         """Sends one request and returns its reply; raises LinkError. Cancelling it cancels the call."""
+        if self._closed:
+            raise self._is_closed()
         method = self._methods.get(path)
         if method is None:
             method = self._methods[path] = self._channel.unary_unary(path)
@@ -144,16 +152,21 @@ class GrpcLink:
             with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
                 loop.call_soon_threadsafe(settle)
 
-        try:
-            call = method.future(body, timeout=timeout_s, metadata=self._metadata)
-        except ValueError as error:  # gRPC's word for a closed channel
-            raise Unreachable(f"{self._peer}: the link is closed") from error
+        call = method.future(body, timeout=timeout_s, metadata=self._metadata)
         call.add_done_callback(wake)
+        deadline = loop.call_later(timeout_s, settle)
+        self._under_way.add(settle)
         try:
             await ended
         except asyncio.CancelledError:
             call.cancel()
             raise
+        finally:
+            deadline.cancel()
+            self._under_way.remove(settle)
+        if not call.done():
+            call.cancel()
+            raise self._is_closed() if self._closed else self._is_late(timeout_s)
         if call.code() is grpc.StatusCode.OK:
             reply: bytes = call.result()
             return reply
@@ -161,12 +174,23 @@ class GrpcLink:
 
     async def close(self) -> None:
         """Breaks the connection off, with every request under way."""
-        self._channel.close()
+        if self._closed:
+            return
+        self._closed = True
+        for settle in self._under_way:
+            settle()
+        threading.Thread(target=self._channel.close, name="a link that closes", daemon=True).start()
+
+    def _is_closed(self) -> Unreachable:
+        return Unreachable(f"{self._peer}: the link is closed")
+
+    def _is_late(self, timeout_s: float) -> DeadlineExceeded:
+        return DeadlineExceeded(f"{self._peer}: no answer within {timeout_s:.1f} s")
 
     def _error(self, path: str, code: grpc.StatusCode, details: str, timeout_s: float) -> LinkError:
         match code:
             case grpc.StatusCode.DEADLINE_EXCEEDED:
-                return DeadlineExceeded(f"{self._peer}: no answer within {timeout_s:.1f} s")
+                return self._is_late(timeout_s)
             case grpc.StatusCode.UNAVAILABLE | grpc.StatusCode.CANCELLED:
                 own = self._own_trouble()
                 return Unreachable(f"{self._peer}: {_plainly(details)}{f'; {own}' if own else ''}")
