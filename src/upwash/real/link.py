@@ -111,8 +111,8 @@ class GrpcDialer:
 class GrpcLink:
     """One channel; requests are futures of the synchronous stack, settled on the event loop.
 
-    gRPC ends no request, at its deadline or as its channel closes, before the last byte that it has begun to write is
-    written. Where the other end reads nothing that may be never, so deadlines are kept here, and nobody waits for gRPC.
+    gRPC ends no request, at its deadline or as its channel closes, before what it has begun to write is written:
+    where the other end reads nothing, perhaps never. So deadlines are kept here, and nobody waits for gRPC.
 
     `own_trouble` says what makes others refuse this end's certificate now, "" where nothing does.
     """
