@@ -183,10 +183,15 @@ def test_a_service_that_crashes_and_leaves_a_child_behind_is_restarted(
     with_started(services, tmp_path, use)
 
 
-def test_a_frozen_service_is_ended_and_the_call_repeated(services: Path, tmp_path: Path) -> None:
+@pytest.mark.timeout(30)
+@pytest.mark.parametrize("photo", [b"photo", bytes(430_000)], ids=["small", "more than its socket holds"])
+def test_a_frozen_service_is_ended_and_the_call_repeated(
+    services: Path, tmp_path: Path, photo: bytes
+) -> None:
     async def use(drone: Onboard) -> None:
+        assert await drone.call("echo", photo) == photo
         os.kill(await drone.call("process_id"), signal.SIGSTOP)
-        assert await drone.call("echo", b"photo", timeout_s=1.0) == b"photo"
+        assert await drone.call("echo", photo, timeout_s=1.0) == photo
 
     with_started(services, tmp_path, use)
 
