@@ -8,6 +8,7 @@ the ratio. See docs/performance.md.
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import subprocess
 import sys
@@ -186,8 +187,12 @@ def measured(what: str, sizes: Sequence[DroneConfig], *, rounds: int) -> list[Co
     """The cost of each size, of which a line is printed."""
     print(f"- {what}")
     costs = []
-    found = [[seconds(config, rounds=1, warm_up=0)[0] for config in sizes] for _ in range(1 + rounds)]
-    for config, took in zip(sizes, zip(*found[1:], strict=True), strict=True):  # the first round warms up
+    for config in sizes:
+        seconds(config, rounds=1, warm_up=0)
+    gc.freeze()  # as the processes of a campaign do
+    found = [[seconds(config, rounds=1, warm_up=0)[0] for config in sizes] for _ in range(rounds)]
+    gc.unfreeze()
+    for config, took in zip(sizes, zip(*found, strict=True), strict=True):
         took_s = median(took)
         count, servers, in_range = len(waypoints(config.mission)), len(config.servers), mean_in_range(config)
         cost_us = 1e6 * took_s / count
