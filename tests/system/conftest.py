@@ -89,9 +89,9 @@ def docker_host(
     return Host(
         podman,
         open_site,
-        left=podman.there,
+        keeps=False,
         runtime=f'kind = "docker"\nengine.addresses = ["unix://{podman.socket}"]',
-        seen_of_a_kill="killed by SIGKILL",
+        seen_of_a_kill=".*killed by SIGKILL.*",
         writable=3,  # /tmp, /var/tmp and /dev/shm
     )
 
@@ -136,7 +136,7 @@ def lxd_host(
     return Host(
         lxd,
         open_site,
-        left=lxd.running,  # what was made is kept, and used again
+        keeps=True,
         runtime=f'kind = "lxd"\nnetwork.subnet = "{SUBNET}"\nengine.addresses = ["unix:{lxd.socket}"]',
         seen_of_a_kill="the container is gone, or cannot be reached",
         writable=2,

@@ -62,10 +62,14 @@ class Host:
 
     engine: OwnPodman | OwnEngine
     open_site: Callable[..., AbstractAsyncContextManager[Site]]
-    left: Callable[[], list[str]]  # what there still is of instances; empty once all have ended
+    keeps: bool  # what was made, to use it again
     runtime: str  # the table of that name for a daemon's configuration
-    seen_of_a_kill: str  # what is said of a container that is killed from outside
+    seen_of_a_kill: str  # what is said of a container that is killed from outside: a pattern
     writable: int  # folders of a container, each of which takes so many bytes
+
+    def left(self) -> list[str]:
+        """What there still is of instances; nothing once all have ended."""
+        return self.engine.running() if self.keeps else self.engine.there()
 
     def at(self, use: Callable[[Site], Awaitable[None]], **settings: Any) -> None:
         """Opens a site for something that uses it."""

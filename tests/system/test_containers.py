@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -83,7 +84,7 @@ def test_a_container_that_is_killed_from_outside_is_noticed_and_started_again(ho
         (container,) = host.engine.running()
         os.kill(host.engine.process_1(container), signal.SIGKILL)
         async with asyncio.timeout(10.0):
-            assert host.seen_of_a_kill in await instance.exited()
+            assert re.fullmatch(host.seen_of_a_kill, await instance.exited(), re.DOTALL)
         await instance.stop()
         again = await site.start("s1", "workbench")
         assert await site.call(again, "s1", "echo", b"photo") == b"photo"
@@ -141,9 +142,11 @@ def test_what_a_killed_daemon_left_ends_by_itself_or_at_the_next_start(
         await asyncio.to_thread(wait_for, lambda: len(host.engine.running()) == 1, within_s=10.0)
 
     host.at(use)
+    made = host.engine.there()
 
     async def again(site: Site) -> None:
         assert host.left() == []
+        assert host.engine.there() == (made if host.keeps else [])
         instance = await site.start("s2", "workbench")
         assert await site.call(instance, "s2", "echo", b"photo") == b"photo"
         await instance.stop()

@@ -30,18 +30,6 @@ def test_a_service_has_no_rights_and_reaches_nobody(lxd_host: Host) -> None:
     lxd_host.at(use)
 
 
-def test_containers_that_were_made_are_used_again(lxd_host: Host) -> None:
-    async def use(site: Site) -> None:
-        instance = await site.start("s2", "workbench")
-        assert await site.call(instance, "s2", "echo", b"photo") == b"photo"
-        await instance.stop()
-
-    lxd_host.at(use)
-    made = lxd_host.engine.there()
-    lxd_host.at(use)
-    assert lxd_host.engine.there() == made
-
-
 def test_a_paced_start_takes_its_time_and_a_thaw_does_not(lxd_host: Host) -> None:
     async def use(site: Site) -> None:
         slow = InstanceSpec("s1", "workbench", Program(""), start_pace_s=5.0)
