@@ -18,26 +18,16 @@ from upwash.errors import AutopilotError, AutopilotLost, AutopilotTimeout
 from upwash.mavlink.signing import Refusal, Signing
 from upwash.ports import LinkChanged, VehicleNews
 from upwash.real.mavlink.firmware import Firmware
-from upwash.real.mavlink.hearing import Message, from_autopilot
+from upwash.real.mavlink.hearing import Message
+from upwash.real.mavlink.identity import Identity, sender_of
 from upwash.real.mavlink.link import MavlinkLink
+from upwash.real.mavlink.numbering import Numbering
 from upwash.real.mavlink.settings import Patience
+from upwash.real.mavlink.streams import Streams
 from upwash.real.mavlink.telemetry import Telemetry
 
 _HEARTBEAT_S = 1.0
-_COPTERS = (
-    mavlink.MAV_TYPE_QUADROTOR,
-    mavlink.MAV_TYPE_COAXIAL,
-    mavlink.MAV_TYPE_HELICOPTER,
-    mavlink.MAV_TYPE_HEXAROTOR,
-    mavlink.MAV_TYPE_OCTOROTOR,
-    mavlink.MAV_TYPE_TRICOPTER,
-    mavlink.MAV_TYPE_DODECAROTOR,
-    mavlink.MAV_TYPE_DECAROTOR,
-)
 _TELL_THE_MODE = ("HEARTBEAT", "CURRENT_MODE", "FENCE_STATUS")
-_LATE_BY = 64  # messages, about a second: what is older by its sequence number comes from a restarted vehicle
-_ASKED_AT_ONCE = 10  # times that a missing stream is asked for each second
-_ASKED_EACH = 30  # and from then on only each so many
 _NEWS_KEPT = 1000  # until somebody listens
 _REMEDIES = {
     Refusal.UNSIGNED: "give it the key with a ground station, or leave autopilot.signing_key out",
@@ -63,9 +53,8 @@ class HeardVehicle:
         signing: Signing | None = None,
     ) -> None:
         self.telemetry = Telemetry()
-        self.firmware = firmwares[0]
         self.patience = patience
-        self._firmwares = {each.autopilot: each for each in firmwares}
+        self.identity = Identity(firmwares)
         self._loop = asyncio.get_running_loop()
         self.latch = Latch(self._loop.time())
         self._hear_news: Callable[[VehicleNews], None] | None = None
@@ -73,11 +62,8 @@ class HeardVehicle:
         self._listeners: list[Callable[[Message], None]] = []
         self._texts_told = 0
         self._silent_s = 0.0  # in all, of silences that are over
-        self._identity: tuple[int, int] | None = None  # its system and component
-        self._heard_s: dict[int, float] = {}  # when, by message number
-        self._asked_times: dict[int, int] = {}  # by message number, since it last came
-        self._sequence: int | None = None  # the number of its last message
-        self._unflyable: tuple[int, int] | None = None  # MAV_AUTOPILOT and MAV_TYPE of another that was heard
+        self._numbering = Numbering()
+        self._streams = Streams(self._ask_for_stream, quiet_after_s=patience.quiet_after_s)
         self._last_heard_s = self._loop.time()
         self.mode_told_s = -math.inf  # when it last was
         self._news = asyncio.Event()
@@ -85,7 +71,7 @@ class HeardVehicle:
             connection,
             self._hear,
             signing=signing,
-            follows=self._follows,
+            follows=self.identity.follows,
             moved_after_s=patience.dead_after_s,
         )
         self.heartbeat_word: Callable[[], int] = lambda: 0  # what else each of our heartbeats says
@@ -97,10 +83,20 @@ class HeardVehicle:
         """Returns when the vehicle's heartbeat has been heard; raises AutopilotError if it is not."""
         try:
             async with asyncio.timeout(within_s):
-                while self._identity is None:
+                while self.identity.ids is None:
                     await self._news.wait()
         except TimeoutError:
             raise AutopilotError("connect", self._why_not_found(within_s)) from None
+
+    @property
+    def firmware(self) -> Firmware:
+        """What it runs, once it was found."""
+        return self.identity.firmware
+
+    @property
+    def ids(self) -> tuple[int, int]:
+        """Its system and component; zeros, which stand for everybody, until it was found."""
+        return self.identity.ids or (0, 0)
 
     @property
     def now_s(self) -> float:
@@ -164,13 +160,15 @@ class HeardVehicle:
 
     def heard_since(self, number: int, time_s: float) -> bool:
         """Whether the message of that number has come since then."""
-        return self._heard_s.get(number, -math.inf) >= time_s
+        return self._streams.heard_s(number) >= time_s
 
     @property
     def unix_s(self) -> float | None:
         """The time now by the vehicle's GPS; None while it does not know it."""
         told_s = self.telemetry.unix_s
-        return told_s and told_s + self._loop.time() - self._heard_s[mavlink.MAVLINK_MSG_ID_SYSTEM_TIME]
+        return told_s and told_s + self._loop.time() - self._streams.heard_s(
+            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME
+        )
 
     async def close(self) -> None:
         """Gives up the connection."""
@@ -225,7 +223,7 @@ class HeardVehicle:
 
     def ask(self, message: Callable[[int, int], Message]) -> None:
         """Sends a question, made for a system and component: one that changes nothing about how the vehicle flies."""
-        self._link.send(message(*(self._identity or (0, 0))))
+        self._link.send(message(*self.ids))
 
     def ask_for(self, number: int) -> None:
         """Asks for one report of that message number. A mode comes by HEARTBEAT, up to a second late by itself."""
@@ -258,21 +256,19 @@ class HeardVehicle:
         return self._silent_s + (now_silent_s if now_silent_s >= self.patience.quiet_after_s else 0.0)
 
     def _hear(self, message: Message) -> None:
-        sender = (message.get_srcSystem(), message.get_srcComponent())
-        if self._identity is None and self._follows(message):
-            self._identity = sender
-            self.firmware = self._firmwares[message.autopilot]
+        if self.identity.meet(message):
             self._link.speak_as_part_of(message.get_srcSystem())
             self._ask_for_missing_streams()
-        if sender != self._identity or self._is_late(message.get_seq()):
+        if sender_of(message) != self.identity.ids or self._numbering.is_late(message, linked=self.linked):
             return
         now_s = self._loop.time()
         self._suspect_dead_man(now_s)
         self._silent_s = self._silence_so_far_s()
         if not self.linked:
             self.ask_for(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
-        self._sequence = message.get_seq()
-        self._last_heard_s = self._heard_s[message.get_msgId()] = now_s
+        self._numbering.take(message)
+        self._last_heard_s = now_s
+        self._streams.heard(message.get_msgId(), now_s)
         self.telemetry.take(message, now_s)
         self.firmware.take(self.telemetry, message, now_s)
         self._take_control(message)
@@ -306,10 +302,6 @@ class HeardVehicle:
         for _, text in list(self.telemetry.texts)[-new:] if new else ():
             self.tell(text)
 
-    def _is_late(self, sequence: int) -> bool:
-        """Whether a message is one that was heard already, or older; after a silence anything is news."""
-        return self._sequence is not None and self.linked and (self._sequence - sequence) % 256 <= _LATE_BY
-
     async def _accompany(self) -> None:
         """Heartbeats as a companion computer: as a ground station it would hide the loss of the real one."""
         while True:
@@ -321,7 +313,7 @@ class HeardVehicle:
 
     async def _watch_link(self) -> None:
         """Tells of each silence, once the vehicle was found."""
-        while self._identity is None:
+        while self.identity.ids is None:
             await self._news.wait()
         while True:
             await self.link_lost()
@@ -331,22 +323,12 @@ class HeardVehicle:
             self.tell(LinkChanged(linked=True, silent_s=self._last_heard_s - since_s))
 
     def _ask_for_missing_streams(self) -> None:
-        """Asks at the start, and again where a request was lost or the autopilot was restarted."""
-        if self._identity is None:
-            return
-        now_s = self._loop.time()
-        for number, rate_hz in self.firmware.streams_hz.items():
-            if self._heard_s.get(number, -math.inf) >= now_s - self.patience.quiet_after_s:
-                self._asked_times.pop(number, None)
-            elif self._is_to_be_asked_for(number):
-                self.question(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_hz)
+        if self.identity.ids is not None:
+            wanted_hz, now_s = self.firmware.streams_hz, self._loop.time()
+            self._streams.ask_for_missing(wanted_hz, now_s, linked=self.linked)
 
-    def _is_to_be_asked_for(self, number: int) -> bool:
-        """Ever more rarely: some reports never come, such as ArduCopter's of a fence that is switched off."""
-        times = self._asked_times.get(number, 0)
-        if self.linked:
-            self._asked_times[number] = times + 1
-        return times < _ASKED_AT_ONCE or times % _ASKED_EACH == 0
+    def _ask_for_stream(self, number: int, interval_us: float) -> None:
+        self.question(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, interval_us)
 
     def _leave_a_dead_connection(self) -> None:
         """A peer that vanished without a word leaves a connection behind on which nothing ever comes."""
@@ -354,28 +336,12 @@ class HeardVehicle:
         if self._loop.time() - last_sign_s > self.patience.dead_after_s:
             self._link.reopen()
 
-    def _follows(self, message: Message) -> bool:
-        """Whether it is the heartbeat of the vehicle, or of one that can be flown while there is none."""
-        if not from_autopilot(message):
-            return False
-        if self._identity is not None:
-            return (message.get_srcSystem(), message.get_srcComponent()) == self._identity
-        flyable = message.autopilot in self._firmwares and message.type in _COPTERS
-        if not flyable:
-            self._unflyable = message.autopilot, message.type
-        return flyable
-
     def _why_not_found(self, within_s: float) -> str:
         connection, refused = self._link.connection, self._link.refused
         if refused is not None:
             return f"an autopilot was heard on {connection}, and its messages {refused.value}; {_REMEDIES[refused]}"
-        if self._unflyable:
-            autopilot, kind = self._unflyable
-            return (
-                f"{name_of('MAV_AUTOPILOT', autopilot)} with {name_of('MAV_TYPE', kind)} was heard on {connection}, "
-                f"and nothing else within {within_s:g} s; only multicopters with "
-                f"{' or '.join(each.name for each in self._firmwares.values())} can be flown"
-            )
+        if unflyable := self.identity.why_unflyable(connection, within_s):
+            return unflyable
         return (
             f"no autopilot was heard on {connection} within {within_s:g} s{self._link.why_silent}; check that it is "
             "powered, that the address or device and its speed are right, and that no other program holds it"
@@ -384,9 +350,3 @@ class HeardVehicle:
     def _silence(self) -> str:
         link, lost_after_s = self._link, self.patience.lost_after_s
         return f"nothing was heard on {link.connection} for {lost_after_s:g} s{link.why_silent}"
-
-
-def name_of(enum: str, number: int | None) -> str:
-    """What MAVLink calls the number in that enumeration."""
-    entry = mavlink.enums[enum].get(number)
-    return entry.name if entry else f"number {number}"

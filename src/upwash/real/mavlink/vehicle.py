@@ -11,7 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition
 from upwash.errors import AutopilotRefused, AutopilotTimeout
-from upwash.real.mavlink.heard import HeardVehicle, name_of
+from upwash.mavlink.names import name_of
+from upwash.real.mavlink.heard import HeardVehicle
 from upwash.real.mavlink.hearing import Message
 
 _LATE_TEXT_S = 0.5
@@ -45,7 +46,7 @@ class MavlinkVehicle(HeardVehicle):
         """
 
         def message(attempt: int) -> Message:
-            system, component = self._identity or (0, 0)
+            system, component = self.ids
             padded = (*parameters, *[0.0] * (7 - len(parameters)))
             return mavlink.MAVLink_command_long_message(system, component, command, attempt, *padded)
 
@@ -57,7 +58,7 @@ class MavlinkVehicle(HeardVehicle):
         """The same with a place, whose degrees arrive exactly; its altitude is in the frame."""
 
         def message(_attempt: int) -> Message:
-            system, component = self._identity or (0, 0)
+            system, component = self.ids
             padded = (*parameters, *[0.0] * (4 - len(parameters)))
             x, y = round(place.latitude_deg * 1e7), round(place.longitude_deg * 1e7)
             return mavlink.MAVLink_command_int_message(
@@ -173,4 +174,4 @@ class MavlinkVehicle(HeardVehicle):
     def steer(self, step: str, message: Callable[[int, int], Message]) -> None:
         """Sends a command that gets no answer, made for a system and component; AutopilotOverruled if not ours."""
         self.require_control(step)
-        self._link.send(message(*(self._identity or (0, 0))))
+        self._link.send(message(*self.ids))
