@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.control import TRANSITIONS, Change, Latch, Owner, Report
+from upwash.core.geo import Position
 from upwash.errors import AutopilotOverruled
 
 OWN, OTHERS = "GUIDED", ("LOITER", "STABILIZE", "RTL", "LAND")
@@ -28,8 +29,10 @@ def test_every_owner_has_a_row_for_every_change_that_can_come() -> None:
         (Owner.NOBODY, change) for change in Change if change is not Change.DISARMED
     }
     told |= {(Owner.PROGRAM, change) for change in Change}
-    for lost in (Owner.PILOT, Owner.FAILSAFE, Owner.UNKNOWN):
-        told |= {(lost, change) for change in (Change.MODE_CHANGED, Change.MODE_FAILED_SAFE, Change.ARMED)}
+    told -= {(Owner.NOBODY, Change.TARGET_CHANGED), (Owner.NOBODY, Change.RESTARTED)}
+    for lost in (Owner.PILOT, Owner.GROUND_STATION, Owner.FAILSAFE, Owner.UNKNOWN):
+        changes = (Change.MODE_CHANGED, Change.MODE_FAILED_SAFE, Change.ARMED, Change.RESTARTED)
+        told |= {(lost, change) for change in changes}
     assert set(TRANSITIONS) == told
 
 
@@ -79,7 +82,9 @@ def test_switches_of_a_vehicle_that_stands_disarmed_are_nobodys_takeover() -> No
     [
         (Report("LOITER", armed=True), Owner.PILOT, "mode LOITER, GUIDED was commanded"),
         (Report("LAND", armed=True, failsafe="battery"), Owner.FAILSAFE, "mode LAND .battery., GUIDED was"),
-        (Report(OWN, armed=False), Owner.UNKNOWN, "disarmed"),
+        (Report(OWN, armed=False, on_ground=True), Owner.UNKNOWN, "disarmed on the ground"),
+        (Report(OWN, armed=False, on_ground=False), Owner.UNKNOWN, "its motors stopped in the air"),
+        (Report(OWN, armed=False), Owner.UNKNOWN, "does not say whether it stands"),
     ],
 )
 def test_the_first_difference_closes_the_latch(report: Report, owner: Owner, why: str) -> None:
@@ -128,7 +133,89 @@ def test_a_fail_safe_that_is_told_after_its_mode_is_still_known_as_one_and_a_pil
     assert owners == [Owner.PILOT, Owner.FAILSAFE, Owner.PILOT]
 
 
+HERE, THERE, ELSEWHERE = Position(0.0, 0.0, 20.0), Position(40.0, 0.0, 20.0), Position(-52.0, 0.0, 20.0)
+
+
+def sent(place: Position | None, latch: Latch, *, obeyed: bool = True) -> Latch:
+    latch.expect_target(place)
+    latch.settle_target(obeyed=obeyed)
+    return latch
+
+
+def test_a_target_that_the_program_did_not_command_closes_the_latch() -> None:
+    latch = sent(THERE, claimed(flying=True))
+    latch.report_target(Position(40.3, -0.4, 20.2), 3.0)
+    assert latch.control.is_ours
+    latch.report_target(ELSEWHERE, 4.0)
+    assert latch.control.owner is Owner.GROUND_STATION
+    assert "-52 m east, 0 m north, 92 m from where the program sent it" in latch.control.why
+
+
+@pytest.mark.parametrize("reported", [ELSEWHERE, Position(40.0, 0.0, 12.0), None])
+def test_another_place_another_altitude_and_a_velocity_are_each_somebody_elses_target(
+    reported: Position | None,
+) -> None:
+    latch = sent(THERE, claimed(flying=True))
+    latch.report_target(reported, 4.0)
+    assert latch.control.owner is Owner.GROUND_STATION
+
+
+def test_while_a_target_is_on_its_way_the_one_before_is_no_difference() -> None:
+    latch = sent(HERE, claimed(flying=True))
+    latch.expect_target(THERE)
+    for reported in HERE, THERE, HERE:
+        latch.report_target(reported, 3.0)
+        assert latch.control.is_ours
+    latch.settle_target(obeyed=True)
+    latch.report_target(HERE, 4.0)
+    assert latch.control.owner is Owner.GROUND_STATION
+
+
+def test_a_refused_target_leaves_the_one_before() -> None:
+    latch = sent(THERE, sent(HERE, claimed(flying=True)), obeyed=False)
+    latch.report_target(HERE, 3.0)
+    assert latch.control.is_ours
+    latch.report_target(THERE, 3.0)
+    assert not latch.control.is_ours
+
+
+def test_after_a_take_off_any_target_is_another_ones_until_the_first_of_the_program() -> None:
+    latch = sent(None, claimed(flying=True))
+    latch.report_target(HERE, 3.0)
+    assert latch.control.owner is Owner.GROUND_STATION
+
+
+def test_what_another_program_left_a_resumed_vehicle_with_is_no_difference() -> None:
+    latch = claimed(flying=True)
+    latch.report_target(None, 3.0)
+    latch.report_target(ELSEWHERE, 3.0)
+    assert latch.control.is_ours
+    latch.report_target(HERE, 4.0)
+    assert latch.control.owner is Owner.GROUND_STATION
+
+
+def test_targets_of_a_mode_that_was_commanded_say_nothing() -> None:
+    latch = sent(THERE, claimed(flying=True))
+    latch.expect_modes(("RTL",))
+    latch.report_target(ELSEWHERE, 3.0)
+    assert latch.control.is_ours
+
+
+def test_a_restart_in_flight_closes_the_latch_and_names_no_person() -> None:
+    latch = claimed(flying=True)
+    latch.report(Report("STABILIZE", armed=False), 3.0)
+    latch.report_restart("the autopilot restarted", 3.5)
+    assert (latch.control.owner, latch.control.why) == (Owner.UNKNOWN, "the autopilot restarted")
+
+
+def test_a_restart_on_the_ground_before_the_flight_is_no_loss() -> None:
+    latch = claimed()
+    latch.report_restart("the autopilot restarted", 3.0)
+    assert latch.control.is_ours
+
+
 REPORTS = st.builds(Report, MODES, st.booleans(), st.sampled_from(("", "battery")))
+PLACES = st.sampled_from((None, HERE, THERE, ELSEWHERE))
 STEPS = st.lists(
     st.one_of(
         REPORTS.map(lambda report: lambda latch, now_s: latch.report(report, now_s)),
@@ -137,6 +224,10 @@ STEPS = st.lists(
         ),
         st.booleans().map(lambda armed: lambda latch, _: latch.control.is_ours and latch.expect_armed(armed)),
         st.just(lambda latch, _: latch.withdraw()),
+        PLACES.map(lambda place: lambda latch, _: latch.expect_target(place)),
+        st.booleans().map(lambda obeyed: lambda latch, _: latch.settle_target(obeyed=obeyed)),
+        PLACES.map(lambda place: lambda latch, now_s: latch.report_target(place, now_s)),
+        st.just(lambda latch, now_s: latch.report_restart("it restarted", now_s)),
         st.booleans().map(
             lambda resumes: lambda latch, now_s: latch.claim(now_s, own_mode=OWN, resumes=resumes)
         ),

@@ -1,14 +1,16 @@
-"""Whose the vehicle is: the program's, the pilot's, a fail-safe's, or unknown.
+"""Whose the vehicle is: the program's, the pilot's, a ground station's, a fail-safe's, or unknown.
 
 Laws:
 
 1. A command is sent only while the vehicle is the program's.
 2. It becomes the program's by a claim alone. A person's act stands behind each claim: the program was started with
    the vehicle disarmed, or resumed with the vehicle in the program's own mode.
-3. From the first report whose mode or arming differs from what was commanded, it is not the program's any more.
-   No later report gives it back: a claim after that is refused for as long as the program runs.
+3. From the first report whose mode, arming or target differs from what was commanded, it is not the program's any
+   more. Nor is it after the autopilot restarted in a flight. No later report gives it back: a claim after that is
+   refused for as long as the program runs.
 4. While a command is on its way, the state before it and each state that it leads to are no difference.
 5. Silence changes nothing. What the vehicle did meanwhile shows in the first report after it.
+6. An owner is named by evidence alone. Later evidence may name another owner, never the program.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from enum import StrEnum
 
 import msgspec
 
+from upwash.core.geo import Position
+from upwash.core.targets import Targets
 from upwash.errors import AutopilotOverruled
 
 
@@ -28,6 +32,7 @@ class Owner(StrEnum):
     NOBODY = "nobody"  # not claimed yet
     PROGRAM = "program"
     PILOT = "pilot"
+    GROUND_STATION = "ground station"
     FAILSAFE = "fail-safe"
     UNKNOWN = "unknown"  # it does what nobody here commanded, and does not say why
 
@@ -36,6 +41,7 @@ _WHO = {
     Owner.NOBODY: "the program has not taken the vehicle",
     Owner.PROGRAM: "the program has the vehicle",
     Owner.PILOT: "the pilot has the vehicle",
+    Owner.GROUND_STATION: "a ground station or another program has the vehicle",
     Owner.FAILSAFE: "a fail-safe has the vehicle",
     Owner.UNKNOWN: "the program has lost the vehicle",
 }
@@ -49,6 +55,8 @@ class Change(StrEnum):
     MODE_FAILED_SAFE = "mode changed by a fail-safe"
     ARMED = "armed"
     DISARMED = "disarmed"
+    TARGET_CHANGED = "target changed"  # in the program's own mode: sticks cannot do that
+    RESTARTED = "autopilot restarted"
 
 
 TRANSITIONS: Mapping[tuple[Owner, Change], Owner] = {
@@ -61,18 +69,27 @@ TRANSITIONS: Mapping[tuple[Owner, Change], Owner] = {
     (Owner.PROGRAM, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
     (Owner.PROGRAM, Change.ARMED): Owner.PILOT,
     (Owner.PROGRAM, Change.DISARMED): Owner.UNKNOWN,  # the pilot, or its own delay on the ground
+    (Owner.PROGRAM, Change.TARGET_CHANGED): Owner.GROUND_STATION,
+    (Owner.PROGRAM, Change.RESTARTED): Owner.UNKNOWN,
     (Owner.PILOT, Change.MODE_CHANGED): Owner.PILOT,
     (Owner.PILOT, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
     (Owner.PILOT, Change.ARMED): Owner.PILOT,
+    (Owner.PILOT, Change.RESTARTED): Owner.UNKNOWN,
+    (Owner.GROUND_STATION, Change.MODE_CHANGED): Owner.PILOT,
+    (Owner.GROUND_STATION, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
+    (Owner.GROUND_STATION, Change.ARMED): Owner.PILOT,
+    (Owner.GROUND_STATION, Change.RESTARTED): Owner.UNKNOWN,
     (Owner.FAILSAFE, Change.MODE_CHANGED): Owner.PILOT,
     (Owner.FAILSAFE, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
     (Owner.FAILSAFE, Change.ARMED): Owner.PILOT,
+    (Owner.FAILSAFE, Change.RESTARTED): Owner.UNKNOWN,
     (Owner.UNKNOWN, Change.MODE_CHANGED): Owner.PILOT,
     (Owner.UNKNOWN, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
     (Owner.UNKNOWN, Change.ARMED): Owner.PILOT,
+    (Owner.UNKNOWN, Change.RESTARTED): Owner.UNKNOWN,
 }
-"""Complete but for what changes nothing: the claim of a vehicle that was lost (law 3), and where one that is not the
-program's is disarmed."""
+"""Complete but for what changes nothing: the claim of a vehicle that was lost (law 3), and, of a vehicle that is not
+the program's, that it is disarmed, is sent elsewhere, or restarts before the claim."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,11 +110,15 @@ class Control:
 
 
 class Report(msgspec.Struct, frozen=True, gc=False):
-    """What one heartbeat says; `failsafe` is why a fail-safe may have chosen the mode, or empty."""
+    """What one heartbeat says, and what is known with it.
+
+    `failsafe` is why a fail-safe may have chosen the mode, or empty. `on_ground` is None where it does not say.
+    """
 
     mode: str
     armed: bool
     failsafe: str = ""
+    on_ground: bool | None = None
 
 
 class Latch:
@@ -115,6 +136,7 @@ class Latch:
         self._modes_ahead: tuple[str, ...] = ()  # those that the command on its way leads to, in order
         self._armed = False
         self._armed_ahead: bool | None = None
+        self._targets = Targets()
 
     def claim(self, now_s: float, *, own_mode: str, resumes: bool) -> None:
         """Takes the vehicle for the program, if it may (law 2); `control` then says whether it did, or why not."""
@@ -147,6 +169,14 @@ class Latch:
         """A command that arms or disarms is about to be sent, or one at whose end the vehicle disarms itself."""
         self._armed_ahead = armed
 
+    def expect_target(self, place: Position | None) -> None:
+        """A command that sends the vehicle to this place is about to be sent; None for a take-off, straight up."""
+        self._targets.send(place)
+
+    def settle_target(self, *, obeyed: bool) -> None:
+        """The last command that sends the vehicle to a place was obeyed, or refused."""
+        self._targets.settle(obeyed=obeyed)
+
     def withdraw(self) -> None:
         """The command on its way was refused: it leads nowhere."""
         self._modes_ahead, self._armed_ahead = (), None
@@ -160,11 +190,27 @@ class Latch:
         elif before is not None:
             self._compare_lost(before, report, now_s)
 
+    def report_target(self, place: Position | None, now_s: float) -> None:
+        """Takes in a report of where the vehicle steers to (laws 3 and 4), in the program's own mode.
+
+        None where it follows a velocity, and no place.
+        """
+        if not self.control.is_ours or not self._armed or self._modes_ahead:
+            return
+        if difference := self._targets.difference(place):
+            self._take(Change.TARGET_CHANGED, difference, now_s)
+
+    def report_restart(self, why: str, now_s: float) -> None:
+        """Takes in that the autopilot has restarted; while it stands disarmed for the program, that is no loss."""
+        if self.control.owner is Owner.NOBODY or (self.control.is_ours and not self._armed):
+            return
+        self._take(Change.RESTARTED, why, now_s)
+
     def _compare_arming(self, report: Report, now_s: float) -> None:
         if report.armed == self._armed_ahead:
             self._armed, self._armed_ahead = report.armed, None
             if not report.armed:  # it stands, and may go back to the mode that it had before the flight
-                self._mode, self._modes_ahead = None, ()
+                self._mode, self._modes_ahead, self._targets = None, (), Targets()
         elif report.armed != self._armed:
             self._take(*_armed_or_disarmed(report), now_s)
 
@@ -196,7 +242,14 @@ class Latch:
             self.control = Control(owner, before.since_s if owner is before.owner else now_s, why)
 
 
+_DISARMED = {
+    True: "it was disarmed on the ground, or disarmed itself, as a vehicle does that stands armed for long",
+    False: "its motors stopped in the air, and it does not say who stopped them",
+    None: "its motors stopped, and it does not say whether it stands on the ground",
+}
+
+
 def _armed_or_disarmed(report: Report) -> tuple[Change, str]:
     if report.armed:
         return Change.ARMED, "somebody else armed it"
-    return Change.DISARMED, "it was disarmed, or disarmed itself, as one does that stands armed for long"
+    return Change.DISARMED, _DISARMED[report.on_ground]

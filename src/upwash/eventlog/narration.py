@@ -38,6 +38,7 @@ _OWNERS = {
     Owner.NOBODY: "nobody",
     Owner.PROGRAM: "the program",
     Owner.PILOT: "the pilot",
+    Owner.GROUND_STATION: "a ground station or another program",
     Owner.FAILSAFE: "a fail-safe",
     Owner.UNKNOWN: "nobody known",
 }

@@ -1,0 +1,96 @@
+"""Whether a vehicle can be where it reports: only where its speed allows it to have got since its last sure position.
+
+A position filter that has believed a wrong satellite fix moves the vehicle's reported place at once, and may say
+afterwards that all is well. The vehicle itself does not jump. Laws:
+
+1. A report that lies farther from the one before it than speed and time allow is a jump.
+2. A jump is undone by jumps that lead back, or by a receiver that never jumped and agrees with the new place.
+3. While a jump is not undone, nobody knows where the vehicle is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+from upwash.core.geo import Position, ground_distance_m
+
+_FASTER_M_S = 3.0  # than it reports: speeds are reported late, and smoothed
+_NOISE_M = 3.0  # of one report; a smaller jump moves no arrival by much
+_AGREES_M = 5.0  # a filter's place and its receiver's, in flight
+_JUMPS_KEPT = 16
+
+
+class Track:
+    """One series of positions, and the jumps in it that are not undone."""
+
+    def __init__(self) -> None:
+        self.place: Position | None = None
+        self.jumps: deque[tuple[float, float]] = deque(maxlen=_JUMPS_KEPT)  # when, and how far
+        self._time_s = -math.inf
+        self._off_east_m = self._off_north_m = 0.0
+
+    @property
+    def off_m(self) -> float:
+        """How far all jumps together have moved it."""
+        return math.hypot(self._off_east_m, self._off_north_m)
+
+    def take(self, place: Position, *, time_s: float, speed_m_s: float) -> None:
+        """Takes in a position of that time; the speed is the highest since the one before."""
+        before, passed_s = self.place, time_s - self._time_s
+        self.place, self._time_s = place, time_s
+        if before is None or passed_s < 0:  # a clock that goes back: nothing is known of the time between
+            return
+        moved_m = ground_distance_m(before, place)
+        if moved_m <= _NOISE_M + (speed_m_s + _FASTER_M_S) * passed_s:
+            return
+        self.jumps.append((time_s, moved_m))
+        self._off_east_m += place.east_m - before.east_m
+        self._off_north_m += place.north_m - before.north_m
+        if self.off_m <= _NOISE_M:
+            self.believe()
+
+    def believe(self) -> None:
+        """Its present place is the true one."""
+        self._off_east_m = self._off_north_m = 0.0
+
+
+class Continuity:
+    """The estimate that a vehicle flies by, held against its receiver's positions."""
+
+    def __init__(self) -> None:
+        self._estimate = Track()
+        self._receiver = Track()
+
+    @property
+    def doubt_m(self) -> float:
+        """How far the vehicle may be from where it reports to be: 0 where its position can be true (law 3)."""
+        return self._estimate.off_m
+
+    @property
+    def jumps(self) -> Sequence[tuple[float, float]]:
+        """The last jumps of the estimate: when, and how far in metres."""
+        return self._estimate.jumps
+
+    def take_estimate(self, place: Position, *, time_s: float, speed_m_s: float) -> None:
+        """Takes in the position that the vehicle flies by."""
+        self._estimate.take(place, time_s=time_s, speed_m_s=speed_m_s)
+        self._reconcile()
+
+    def take_receiver(self, place: Position, *, time_s: float, speed_m_s: float) -> None:
+        """Takes in what its satellite receiver alone says."""
+        self._receiver.take(place, time_s=time_s, speed_m_s=speed_m_s)
+        self._reconcile()
+
+    def believe(self) -> None:
+        """The present place is the true one, as of a vehicle that has stood still for a while."""
+        self._estimate.believe()
+        self._receiver.believe()
+
+    def _reconcile(self) -> None:
+        estimate, receiver = self._estimate, self._receiver
+        if not estimate.off_m or receiver.off_m or estimate.place is None or receiver.place is None:
+            return
+        if ground_distance_m(estimate.place, receiver.place) <= _AGREES_M:
+            estimate.believe()

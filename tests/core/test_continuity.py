@@ -1,0 +1,65 @@
+"""Whether a vehicle can be where it reports: jumps, their ends, and what is no jump."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from upwash.core.continuity import Continuity
+from upwash.core.geo import Position
+
+SPEED_M_S = 4.0
+
+
+def flown(
+    continuity: Continuity, east_m: list[float], *, begin_s: float = 0.0, step_s: float = 0.1
+) -> Continuity:
+    for index, each_m in enumerate(east_m):
+        continuity.take_estimate(Position(each_m, 0.0), time_s=begin_s + index * step_s, speed_m_s=SPEED_M_S)
+    return continuity
+
+
+def test_a_leg_at_its_speed_has_no_jump() -> None:
+    assert flown(Continuity(), [0.4 * each for each in range(200)]).doubt_m == 0
+
+
+def test_a_jump_leaves_doubt_however_long_the_estimate_stays_there() -> None:
+    doubted = flown(Continuity(), [0.0] * 10 + [56.0] * 600)
+    assert doubted.doubt_m == 56
+
+
+def test_the_jump_back_ends_the_doubt() -> None:
+    assert flown(Continuity(), [0.0] * 10 + [56.0, 56.4, 56.8, 0.8, 1.2]).doubt_m == 0
+
+
+def test_a_silence_allows_for_the_way_flown_meanwhile_and_no_more() -> None:
+    assert flown(flown(Continuity(), [0.0]), [60.0], begin_s=15.0).doubt_m == 0
+    assert flown(flown(Continuity(), [0.0]), [600.0], begin_s=15.0).doubt_m == 600
+
+
+def test_an_estimate_that_jumps_to_a_receiver_that_never_jumped_is_believed() -> None:
+    continuity = flown(Continuity(), [0.0])
+    continuity.take_receiver(Position(20.0, 0.0), time_s=0.0, speed_m_s=0.0)
+    flown(continuity, [20.0], begin_s=0.1)
+    assert continuity.doubt_m == 0
+
+
+def test_an_estimate_that_follows_a_receiver_that_jumped_is_not() -> None:
+    continuity = flown(Continuity(), [0.0])
+    for second, east_m in enumerate((0.0, 0.0, 56.0, 56.0)):
+        continuity.take_receiver(Position(east_m, 0.0), time_s=float(second), speed_m_s=0.0)
+    flown(continuity, [0.0, 56.0, 56.0], begin_s=4.0)
+    assert continuity.doubt_m == 56
+
+
+def test_a_clock_that_goes_back_begins_anew() -> None:
+    assert flown(flown(Continuity(), [0.0], begin_s=100.0), [90.0], begin_s=2.0).doubt_m == 0
+
+
+@given(st.lists(st.floats(-0.5, 0.5), min_size=2, max_size=200), st.floats(0.05, 2.0))
+def test_no_motion_at_the_reported_speed_is_a_jump(changes: list[float], step_s: float) -> None:
+    places, here_m = [], 0.0
+    for change in changes:
+        here_m += 2 * change * SPEED_M_S * step_s
+        places.append(here_m)
+    assert flown(Continuity(), places, step_s=step_s).doubt_m == 0
