@@ -13,7 +13,16 @@ from hypothesis import strategies as st
 from tests import events
 
 from upwash import Drone
-from upwash.config import DroneConfig, HomeConfig, ending, geofence, read_drone_config, waypoints
+from upwash.config import (
+    AltitudesAboveSea,
+    DroneConfig,
+    HomeConfig,
+    altitudes_above_sea,
+    ending,
+    geofence,
+    read_drone_config,
+    waypoints,
+)
 from upwash.config.drone_file import drone_config
 from upwash.core.geo import Position
 from upwash.errors import AutopilotRefused, ConfigError
@@ -83,6 +92,44 @@ def test_without_a_takeoff_the_drone_climbs_to_its_first_waypoint(tmp_path: Path
     plan = json.loads(json.dumps(PLAN))
     del plan["mission"]["items"][0]
     assert read(tmp_path, plan=plan).mission.altitude_m == 25.0
+
+
+def test_altitudes_above_the_sea_stay_known_beside_the_plans_home(tmp_path: Path) -> None:
+    mission = read(tmp_path, plan=LIST).mission
+    assert [each.above_sea_m for each in waypoints(mission)] == [None, 130.0, None]
+    assert altitudes_above_sea(mission) == AltitudesAboveSea(
+        item=4, home_m=100, reference_m=100, takeoff_m=None
+    )
+    assert altitudes_above_sea(read(tmp_path, plan=LIST.replace("\t0\t0\t16", "\t0\t3\t16")).mission) is None
+
+
+def above_sea(*altitudes_m: float, home_m: float | None, takeoff: bool = False) -> str:
+    """A list whose altitudes count from the sea; the first one is of a take-off if so wished."""
+    rows = [
+        (16, home_m or 0.0),
+        *((22 if takeoff and not index else 16, each) for index, each in enumerate(altitudes_m)),
+    ]
+    lines = [
+        f"{number} 0 0 {command} 0 0 0 0 39.3666 22.9507 {height_m} 1"
+        for number, (command, height_m) in enumerate(rows)
+    ]
+    return "\n".join(["QGC WPL 110", *lines])
+
+
+def test_an_altitude_of_home_that_the_plan_does_not_know_is_assumed(tmp_path: Path) -> None:
+    mission = read(tmp_path, plan=above_sea(530, 540, home_m=None)).mission
+    assert altitudes_above_sea(mission) == AltitudesAboveSea(1, home_m=None, reference_m=510, takeoff_m=530)
+    assert [each.position.altitude_m for each in waypoints(mission)] == [20, 30]
+    assert mission.altitude_m == 20
+
+
+def test_a_takeoff_above_the_sea_counts_unless_the_configuration_names_an_altitude(tmp_path: Path) -> None:
+    plan = above_sea(530, 540, home_m=500, takeoff=True)
+    found = [
+        altitudes_above_sea(read(tmp_path, plan=plan, mission=line).mission)
+        for line in ("", "altitude_m = 30.0")
+    ]
+    assert [each and each.takeoff_m for each in found] == [530, None]
 
 
 def test_a_plan_among_others_is_one_too_many(tmp_path: Path) -> None:

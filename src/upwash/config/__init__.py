@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from upwash.config.altitudes import AltitudesAboveSea, altitudes_above_sea
 from upwash.config.battery import finish_by_s, reserve_percent, usable_s
 from upwash.config.daemon import (
     DaemonConfig,
@@ -62,6 +63,7 @@ from upwash.config.truth import ServerTruth, server_truth
 from upwash.config.values import KeysConfig, SettingsTable, is_address, is_on_this_machine
 
 __all__ = [
+    "AltitudesAboveSea",
     "AutopilotConfig",
     "CameraConfig",
     "CoverageFile",
@@ -96,6 +98,7 @@ __all__ = [
     "SettingsTable",
     "TruthConfig",
     "VehicleConfig",
+    "altitudes_above_sea",
     "convert",
     "coverage_kept",
     "coverage_of",

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from upwash.config.altitudes import is_planned_home
 from upwash.config.battery import finish_by_s
 from upwash.config.drone import (
     RADIOS,
@@ -20,7 +21,7 @@ from upwash.config.drone import (
     ServiceConfig,
     TruthConfig,
 )
-from upwash.config.places import geofence, measured_servers, planned_home, sweeps_of, waypoints
+from upwash.config.places import geofence, measured_servers, sweeps_of, waypoints
 from upwash.config.problems import Problem, listed, metrics_problems, unknown
 from upwash.config.truth import server_truth
 from upwash.config.values import MDNS, is_address, repeated
@@ -175,7 +176,7 @@ def _network_problems(network: NetworkConfig) -> Iterator[Problem]:
 
 def plan_problems(mission: MissionConfig, plan: Plan) -> Iterator[Problem]:
     """Everything that keeps the mission's plan from being flown from the mission's home."""
-    if plan.above_sea_level is not None and mission.home != planned_home(plan):
+    if plan.above_sea_level is not None and not is_planned_home(mission, plan):
         yield (
             f"item {plan.above_sea_level}",
             "its altitude is above sea level, and mission.home is not the plan's home: give it above home",

@@ -34,7 +34,7 @@ def drone_config(document: Document, file: Path) -> DroneConfig:
     config = convert(tables, DroneConfig, file=file, as_written=document)
     mission = config.mission
     if mission.plan is not None:
-        mission = as_planned(mission, mission.plan.plan, named=document["mission"])
+        mission = as_planned(mission, mission.plan, named=document["mission"])
         config = msgspec.structs.replace(config, mission=mission)
     refuse_first(file, problems(config))
     refuse_first(file, fleet_problems(config))

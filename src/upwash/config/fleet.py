@@ -67,7 +67,7 @@ def _mission(mission: MissionConfig, drone: FleetDroneConfig) -> MissionConfig:
     mission = msgspec.structs.replace(
         mission, grid=drone.grid, waypoints_m=drone.waypoints_m, plan=drone.plan
     )
-    return mission if drone.plan is None else as_planned(mission, drone.plan.plan, named=("home",))
+    return mission if drone.plan is None else as_planned(mission, drone.plan, named=("home",))
 
 
 def _policy(policy: PolicyConfig, drone: FleetDroneConfig) -> PolicyConfig:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import msgspec
 
 from upwash.config.drone import DroneConfig, GridConfig, HomeConfig, MissionConfig, ServerConfig
+from upwash.config.values import PlanFile
 from upwash.core.coverage import Coverage
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.geofence import Fence
@@ -64,15 +65,18 @@ def planned_home(plan: Plan) -> HomeConfig | None:
     return HomeConfig(latitude_deg=home.latitude_deg, longitude_deg=home.longitude_deg) if home else None
 
 
-def as_planned(mission: MissionConfig, plan: Plan, *, named: Container[str]) -> MissionConfig:
-    """The mission, with what the plan says wherever the configuration names nothing."""
+def as_planned(mission: MissionConfig, file: PlanFile, *, named: Container[str]) -> MissionConfig:
+    """The mission over the file's plan, with what the plan says wherever the configuration names nothing."""
+    plan = replace(file.plan, takeoff_above_sea_m=None) if "altitude_m" in named else file.plan
     planned = {
         "home": planned_home(plan),
         "altitude_m": plan.takeoff_altitude_m or plan.waypoints[0].place.altitude_m,
         "ground_speed_m_s": plan.ground_speed_m_s or mission.ground_speed_m_s,
     }
     return msgspec.structs.replace(
-        mission, **{key: value for key, value in planned.items() if key not in named}
+        mission,
+        plan=PlanFile(file.file, plan),
+        **{key: value for key, value in planned.items() if key not in named},
     )
 
 
@@ -150,7 +154,7 @@ def _frame(home: HomeConfig | None) -> LocalFrame:
 
 def _planned_waypoints(plan: Plan, frame: LocalFrame) -> tuple[Waypoint, ...]:
     return tuple(
-        Waypoint(index, frame.position(each.place), each.ground_speed_m_s)
+        Waypoint(index, frame.position(each.place), each.ground_speed_m_s, each.above_sea_m)
         for index, each in enumerate(plan.waypoints)
     )
 

@@ -53,9 +53,9 @@ class PlanFile:
 
     # No dataclass: msgspec would look for its fields in the configuration instead of asking how to read it.
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file: Path, plan: Plan | None = None) -> None:
         self.file = file
-        self.plan: Plan = read_plan(file)
+        self.plan: Plan = plan or read_plan(file)
 
 
 class SettingsTable:

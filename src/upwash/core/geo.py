@@ -54,12 +54,14 @@ class GeoPosition:
 class Waypoint:
     """A place where the mission wants something done; `index` counts from 0 in flight order.
 
-    `ground_speed_m_s` is the speed of the way to it, None for the one that is set.
+    `ground_speed_m_s` is the speed of the way to it, None for the one that is set. `above_sea_m` is its altitude
+    where a plan counts it from the sea: the position's altitude is sure only where home's altitude above the sea is.
     """
 
     index: int
     position: Position
     ground_speed_m_s: float | None = None
+    above_sea_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

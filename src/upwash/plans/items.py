@@ -18,6 +18,7 @@ ABOVE_SEA_LEVEL = (0, 5)  # MAV_FRAME
 _ABOVE_HOME = (3, 6)
 _GROUND_SPEED = 1
 _SAME_PLACE_M = 1.0
+_ASSUMED_LOWEST_M = 20.0  # above home, of what counts from the sea where home's altitude is unknown
 
 
 class Command(IntEnum):
@@ -28,6 +29,9 @@ class Command(IntEnum):
     LAND = 21
     TAKEOFF = 22
     CHANGE_SPEED = 178
+
+
+_CLIMBING = (Command.WAYPOINT, Command.TAKEOFF)
 
 
 class Refusal(Exception):
@@ -41,11 +45,11 @@ class Refusal(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """The plan's home; its altitude is above sea level."""
+    """The plan's home; its altitude is above sea level, None where the ground station did not know it."""
 
     latitude_deg: float
     longitude_deg: float
-    altitude_m: float
+    altitude_m: float | None
 
     @property
     def place(self) -> GeoPosition:
@@ -90,7 +94,7 @@ def make_plan(
     ground_speed_m_s: float | None = None,
 ) -> Plan:
     """The plan that the items come to; raises Refusal for the first that is not understood."""
-    course = _Course(home)
+    course = _Course(home, _reference_above_sea_m(home, items))
     for item in items:
         course.take(item)
     course.finish()
@@ -101,7 +105,10 @@ def make_plan(
         takeoff_altitude_m=course.takeoff_altitude_m,
         ground_speed_m_s=ground_speed_m_s,
         ending=course.ending or "return",
+        takeoff_above_sea_m=course.climb_above_sea_m,
         above_sea_level=course.above_sea_level,
+        home_above_sea_m=home.altitude_m if home else None,
+        reference_above_sea_m=course.reference_above_sea_m,
     )
 
 
@@ -115,7 +122,10 @@ def checked_place(where: str, latitude_deg: float, longitude_deg: float) -> GeoP
 
 
 def home_at(where: str, latitude_deg: float, longitude_deg: float, altitude_m: float) -> Home | None:
-    """A plan's home, None for the 0, 0 of a ground station that knew none; raises Refusal for what is no place."""
+    """A plan's home; raises Refusal for what is no place.
+
+    A ground station writes 0, 0 where it knew no home, and an altitude of 0 where it knew no terrain: both are None.
+    """
     place = checked_place(where, latitude_deg, longitude_deg)
     if not abs(altitude_m) <= HIGHEST_M:
         raise Refusal(
@@ -123,7 +133,7 @@ def home_at(where: str, latitude_deg: float, longitude_deg: float, altitude_m: f
         )
     if (latitude_deg, longitude_deg) == (0, 0):
         return None
-    return Home(place.latitude_deg, place.longitude_deg, altitude_m)
+    return Home(place.latitude_deg, place.longitude_deg, altitude_m or None)
 
 
 def command_name(command: int) -> str:
@@ -134,10 +144,33 @@ def command_name(command: int) -> str:
     return entry.name if entry else "an unknown command"
 
 
+def _reference_above_sea_m(home: Home | None, items: list[Item]) -> float:
+    """Home's altitude above the sea.
+
+    An unknown one is assumed to be such that the lowest altitude that counts from the sea lies as high above home as
+    the take-off does, or 20 m where the take-off does not say.
+    """
+    if home is not None and home.altitude_m is not None:
+        return home.altitude_m
+    heights = [(item, item.parameters[6] or 0.0) for item in items if item.command in _CLIMBING]
+    from_sea_m = [height_m for item, height_m in heights if item.frame in ABOVE_SEA_LEVEL]
+    climb_m = next(
+        (
+            height_m
+            for item, height_m in heights
+            if item.command == Command.TAKEOFF and item.frame in _ABOVE_HOME
+        ),
+        _ASSUMED_LOWEST_M,
+    )
+    return min(filter(math.isfinite, from_sea_m), default=climb_m) - climb_m
+
+
 class _Course:
     """What the items come to, taken in one after the other."""
 
-    def __init__(self, home: Home | None) -> None:
+    def __init__(self, home: Home | None, reference_above_sea_m: float) -> None:
+        self.reference_above_sea_m = reference_above_sea_m
+        self._takeoff_above_sea_m: float | None = None
         self.waypoints: list[PlannedWaypoint] = []
         self.takeoff_altitude_m: float | None = None
         self.ending: Ending | None = None
@@ -175,10 +208,16 @@ class _Course:
         if self._unused_speed is not None:
             self._unused_speed.refuse("has no waypoint after it, and a return has the vehicle's own speed")
 
+    @property
+    def climb_above_sea_m(self) -> float | None:
+        """Of the take-off or, without one, of the first waypoint, where that counts from the sea."""
+        return self.waypoints[0].above_sea_m if self.takeoff_altitude_m is None else self._takeoff_above_sea_m
+
     def _take_waypoint(self, item: Item) -> None:
         item.require_unset(hold_time=1, acceptance_radius=2, pass_radius=3, yaw=4)
         place = self._place(item)
-        self.waypoints.append(PlannedWaypoint(item.number, place, self._ground_speed_m_s))
+        above_sea_m = _above_sea_m(item)
+        self.waypoints.append(PlannedWaypoint(item.number, place, self._ground_speed_m_s, above_sea_m))
         self._unused_speed = None
 
     def _take_takeoff(self, item: Item) -> None:
@@ -190,6 +229,7 @@ class _Course:
             if self._home is not None and not _is_near(ground, self._home.place):
                 item.refuse("lies away from home, where the vehicle takes off: move one to the other")
         self.takeoff_altitude_m = self._altitude_m(item)
+        self._takeoff_above_sea_m = _above_sea_m(item)
 
     def _take_speed(self, item: Item) -> None:
         kind = item.parameters[0]
@@ -211,11 +251,17 @@ class _Course:
             item.require_unset(altitude=7)
         else:
             ground = self._on_the_ground(item)
-            if abs(self._height_m(item)) > _SAME_PLACE_M:
+            if not self._is_at_home_altitude(item):
                 item.refuse("lands at an altitude: set it to home's, where a landing ends on the ground")
             if not self.waypoints or not _is_near(ground, self.waypoints[-1].place):
                 item.refuse("lands away from the last waypoint: add a waypoint above the place")
         self.ending = "land"
+
+    def _is_at_home_altitude(self, item: Item) -> bool:
+        """Whether it is, as far as the plan can know."""
+        if item.frame in ABOVE_SEA_LEVEL and (self._home is None or self._home.altitude_m is None):
+            return True
+        return abs(self._height_m(item)) <= _SAME_PLACE_M
 
     def _place(self, item: Item) -> GeoPosition:
         if _is_open(item):
@@ -240,15 +286,18 @@ class _Course:
         """Metres above home, whatever the item measures from."""
         altitude_m = item.number_of(7, "altitude")
         if item.frame in ABOVE_SEA_LEVEL:
-            if self._home is None:
-                item.refuse("has its altitude above sea level, and the plan has no home to measure from")
             self.above_sea_level = self.above_sea_level or item.number
-            altitude_m -= self._home.altitude_m
+            altitude_m -= self.reference_above_sea_m
         elif item.frame not in _ABOVE_HOME:
             item.refuse(
                 f"has frame {item.frame}, which is not understood: give its altitude above home or sea level"
             )
         return altitude_m
+
+
+def _above_sea_m(item: Item) -> float | None:
+    """The item's altitude where it counts from the sea."""
+    return item.number_of(7, "altitude") if item.frame in ABOVE_SEA_LEVEL else None
 
 
 def _is_open(item: Item) -> bool:

@@ -13,11 +13,15 @@ Ending = Literal["return", "land"]
 
 @dataclass(frozen=True, slots=True)
 class PlannedWaypoint:
-    """A waypoint, the number of its item, and the speed of the way to it where the plan changes it."""
+    """A waypoint, the number of its item, and the speed of the way to it where the plan changes it.
+
+    `above_sea_m` is its altitude where the plan counts it from the sea; None where it counts from home.
+    """
 
     item: int
     place: GeoPosition
     ground_speed_m_s: float | None = None
+    above_sea_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +54,11 @@ class PlannedCircle:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A flight: take-off, waypoints, and the end; `home` is None where the plan leaves it open."""
+    """A flight: take-off, waypoints, and the end; `home` is None where the plan leaves it open.
+
+    `home_above_sea_m` is None where the plan does not know it. `reference_above_sea_m` is the altitude of home from
+    which the altitudes above the sea were converted: that of the plan's home, or else an assumed one.
+    """
 
     home: GeoPosition | None
     waypoints: tuple[PlannedWaypoint, ...]
@@ -58,6 +66,7 @@ class Plan:
     takeoff_altitude_m: float | None = None
     ground_speed_m_s: float | None = None
     ending: Ending = "return"
-    above_sea_level: int | None = (
-        None  # the first item whose altitude was given so, and so hangs on this home
-    )
+    takeoff_above_sea_m: float | None = None  # or of the first waypoint without a take-off; None from home
+    above_sea_level: int | None = None  # the first item whose altitude counts from the sea
+    home_above_sea_m: float | None = None
+    reference_above_sea_m: float = 0.0
