@@ -34,7 +34,7 @@ error is an `UpwashError`.
 _SECTIONS = {
     "In a mission": (
         *("Drone", "Pending", "Demand", "Vehicle", "Photographer", "Payload", "User", "Waypoint", "Position"),
-        *("Telemetry", "Velocity", "Attitude", "GpsFix"),
+        *("Telemetry", "EarthPosition", "Velocity", "Attitude", "GpsFix"),
     ),
     "In a service": ("service", "once"),
     "In a notebook": (

@@ -43,6 +43,7 @@ __all__ = [
     "DeclarationError",
     "Demand",
     "Drone",
+    "EarthPosition",
     "EnergyTotals",
     "Event",
     "FleetBound",
@@ -79,11 +80,12 @@ __all__ = [
 
 if TYPE_CHECKING:
     from upwash.core.bound import Bound, FleetBound
-    from upwash.core.geo import Position, Velocity, Waypoint
+    from upwash.core.geo import EarthPosition, Position, Velocity, Waypoint
     from upwash.core.telemetry import Attitude, GpsFix, Telemetry
-    from upwash.drone.api import Drone, Photographer, User, Vehicle
+    from upwash.drone.api import Drone, User, Vehicle
     from upwash.drone.payload import Payload
     from upwash.drone.pending import Demand, Pending
+    from upwash.drone.photographer import Photographer
     from upwash.eventlog.log import read as read_log
     from upwash.eventlog.results import CallResult, EnergyTotals, RunResult, Totals, read_result
     from upwash.eventlog.schema import Event
@@ -99,13 +101,14 @@ else:
         "Demand": "upwash.drone.pending",
         "Drone": "upwash.drone.api",
         "EnergyTotals": "upwash.eventlog.results",
+        "EarthPosition": "upwash.core.geo",
         "Event": "upwash.eventlog.schema",
         "FleetBound": "upwash.core.bound",
         "FleetSimulation": "upwash.lab.fleet",
         "GpsFix": "upwash.core.telemetry",
         "Payload": "upwash.drone.payload",
         "Pending": "upwash.drone.pending",
-        "Photographer": "upwash.drone.api",
+        "Photographer": "upwash.drone.photographer",
         "Position": "upwash.core.geo",
         "RunResult": "upwash.eventlog.results",
         "Simulation": "upwash.lab.simulation",

@@ -13,7 +13,7 @@ from typing import Literal, Protocol, TypeAlias
 
 from upwash.core.control import Control
 from upwash.core.energy import EnergyFacts
-from upwash.core.geo import Circle, Position, Velocity
+from upwash.core.geo import Circle, EarthPosition, Position, Velocity
 from upwash.core.geofence import Fence
 from upwash.core.telemetry import Telemetry
 from upwash.eventlog.schema import Event
@@ -102,6 +102,10 @@ class Autopilot(Protocol):
     @property
     def position(self) -> Position:
         """The last known position, relative to the mission's home."""
+
+    @property
+    def earth_position(self) -> EarthPosition | None:
+        """The same on the Earth, above the sea, at the time of its GPS; None where the place is not known."""
 
     @property
     def battery_percent(self) -> float | None:

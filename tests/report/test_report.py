@@ -305,6 +305,7 @@ def test_geojson_is_as_rfc_7946_has_it_and_lies_where_the_mission_was(
     shapes = {kind: {feature["geometry"]["type"] for feature in found} for kind, found in kinds.items()}
     assert shapes == {
         "home": {"Point"}, "track": {"LineString"}, "range": {"Polygon"}, "waypoint": {"Point"}, "call": {"Point"},
+        "photo": {"Point"},
     }  # fmt: skip
     record = records[0]
     assert record.plan.home is not None
@@ -321,6 +322,13 @@ def test_geojson_is_as_rfc_7946_has_it_and_lies_where_the_mission_was(
         assert away_m == pytest.approx([area.radius_m] * len(ring), abs=0.02)
     told = [feature["properties"]["delay_s"] for feature in kinds["call"]]
     assert told == [call.delay_s for call in record.result.calls]
+    photos = [event for event in record.events if isinstance(event, schema.Photo)]
+    assert [feature["properties"]["photo"] for feature in kinds["photo"]] == list(range(len(photos)))
+    for feature, photo in zip(kinds["photo"], photos, strict=True):
+        place = position(frame, feature["geometry"]["coordinates"])
+        assert ground_distance_m(place, photo.position) < 0.03
+        assert feature["properties"]["source"] == photo.source
+        assert feature["properties"]["altitude_m"] == photo.position.altitude_m
     (track,) = kinds["track"]
     assert (
         len(track["geometry"]["coordinates"]) == len(track["properties"]["at_s"]) == len(list(record.track))

@@ -30,7 +30,9 @@ def add(commands: Commands) -> None:
         "-o", "--out", type=Path, metavar="FILE", help="an HTML page about all of them, side by side"
     )
     report.add_argument("--csv", type=Path, metavar="FILE", help="a row for each call; - prints it")
-    report.add_argument("--geojson", type=Path, metavar="FILE", help="tracks, waypoints, ranges and calls")
+    report.add_argument(
+        "--geojson", type=Path, metavar="FILE", help="tracks, waypoints, ranges, calls and photos"
+    )
     report.add_argument("--mcap", type=Path, metavar="FILE", help="a recording that Foxglove opens")
     report.add_argument(
         "--photos",

@@ -141,6 +141,12 @@ def _area(server: ServerConfig, config: DroneConfig, radius_m: float) -> Circle:
     return Circle(server_position(server, config.mission.home), radius_m)
 
 
+def frame_of(mission: MissionConfig) -> LocalFrame | None:
+    """Where on the Earth the mission's metres are; None where it has no home."""
+    home = _around(mission)
+    return None if home is None else LocalFrame(home)
+
+
 def _around(mission: MissionConfig) -> GeoPosition | None:
     home = mission.home
     return GeoPosition(home.latitude_deg, home.longitude_deg) if home is not None else None

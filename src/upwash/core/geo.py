@@ -51,6 +51,19 @@ class GeoPosition:
 
 
 @dataclass(frozen=True, slots=True)
+class EarthPosition:
+    """Where something is on the Earth: in degrees (WGS 84), metres above the sea, and when, in seconds since 1970.
+
+    The last two are None where they are not known.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    above_sea_m: float | None = None
+    unix_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Waypoint:
     """A place where the mission wants something done; `index` counts from 0 in flight order.
 
@@ -135,3 +148,8 @@ def ahead(place: Position, velocity: Velocity, time_s: float) -> Position:
 def distance_m(a: Position, b: Position) -> float:
     """Straight distance, altitude included."""
     return math.hypot(a.east_m - b.east_m, a.north_m - b.north_m, a.altitude_m - b.altitude_m)
+
+
+def rounded(position: Position) -> Position:
+    """To the centimetre."""
+    return Position(round(position.east_m, 2), round(position.north_m, 2), round(position.altitude_m, 2))

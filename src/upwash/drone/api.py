@@ -7,23 +7,22 @@ import contextlib
 from collections.abc import Callable, Coroutine, Iterator
 from typing import Any, Literal, ParamSpec, TypeVar
 
-import msgspec
-
 from upwash.core.estimates import Operation
 from upwash.core.events import Arrived, Event, LegBegun, MissionBegun, TargetUnknown
-from upwash.core.geo import Position, Waypoint, distance_m
+from upwash.core.geo import EarthPosition, Position, Waypoint, distance_m, rounded
 from upwash.core.geofence import breached_by_leg, breached_by_position
 from upwash.core.telemetry import Telemetry
 from upwash.drone.mission import MissionThread
 from upwash.drone.open_answer import Errand, Errands, OpenAnswer, index_of
 from upwash.drone.payload import Payload
 from upwash.drone.pending import Calls, Demand, Pending
+from upwash.drone.photographer import Photographer
 from upwash.drone.site import Site
 from upwash.errors import AutopilotError, AutopilotRefused, UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.schema import SEVERITIES
 from upwash.plans import Ending
-from upwash.ports import Autopilot, Camera, Journal, Notifier, VehicleLimits
+from upwash.ports import Autopilot, Journal, Notifier, VehicleLimits
 from upwash.rpc.service import Method, make_stub, spec_of
 from upwash.support.text import printable
 
@@ -68,6 +67,14 @@ class Vehicle:
     def position(self) -> Position:
         """Where the drone is, relative to the mission's home."""
         return self._autopilot.position
+
+    @property
+    def earth_position(self) -> EarthPosition | None:
+        """Where on the Earth it is, in degrees (WGS 84), and how high above the sea; None while that is not known.
+
+        `above_sea_m` and `unix_s`, the time by its GPS, are None where the vehicle does not say, as in a simulation.
+        """
+        return self._autopilot.earth_position
 
     @property
     def in_the_air(self) -> bool:
@@ -383,36 +390,6 @@ class Vehicle:
         self._journal.record(after(position=rounded(self._autopilot.position)))
 
 
-class Photographer:
-    """The camera as a mission uses it."""
-
-    def __init__(
-        self, camera: Camera, thread: MissionThread, journal: Journal, *, position: Callable[[], Position]
-    ) -> None:
-        self._camera = camera
-        self._thread = thread
-        self._journal = journal
-        self._position = position
-
-    def take_photo(self) -> bytes:
-        """Shoots and returns one JPEG; raises CameraError."""
-        return self._thread.call(self._take_photo())
-
-    async def _take_photo(self) -> bytes:
-        at = self._position()
-        photo = await self._camera.take_photo(at)
-        self._journal.record(
-            schema.Photo(
-                source=photo.source,
-                bytes=len(photo.jpeg),
-                age_s=round(asyncio.get_running_loop().time() - photo.captured_s, 6),
-                position=rounded(at),
-                truth=msgspec.to_builtins(photo.truth),
-            )
-        )
-        return photo.jpeg
-
-
 class User:
     """The drone's user as a mission knows them."""
 
@@ -522,8 +499,3 @@ class Drone:
 def position_of(place: Waypoint | Position) -> Position:
     """Where a waypoint is, or the position itself."""
     return place.position if isinstance(place, Waypoint) else place
-
-
-def rounded(position: Position) -> Position:
-    """To the centimetre."""
-    return Position(round(position.east_m, 2), round(position.north_m, 2), round(position.altitude_m, 2))

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 from upwash.config import DroneConfig, ending, geofence, measured_servers, server_areas
 from upwash.core.control import Control
-from upwash.core.geo import GeoPosition
+from upwash.core.geo import GeoPosition, rounded
 from upwash.core.order import Order
 from upwash.core.selection import Selection
 from upwash.core.stay_or_go import StayOrGo
-from upwash.drone.api import Drone, Mission, Photographer, User, Vehicle, rounded
+from upwash.drone.api import Drone, Mission, User, Vehicle
 from upwash.drone.contingency import end_safely, follow
 from upwash.drone.guard import FailSafeOffloading
 from upwash.drone.mission import MissionThread, mission_failed
@@ -24,6 +24,7 @@ from upwash.drone.open_answer import Errands
 from upwash.drone.order import order_of
 from upwash.drone.payload import Payload
 from upwash.drone.pending import Calls
+from upwash.drone.photographer import Photographer
 from upwash.drone.preparation import endpoints, make_hedging, make_selection
 from upwash.drone.reserve import ReserveWatch
 from upwash.drone.site import Site
@@ -344,7 +345,7 @@ class Flight:
                 self._ports.camera,
                 self._thread,
                 self._ports.journal,
-                position=lambda: self._ports.autopilot.position,
+                autopilot=self._ports.autopilot,
             ),
             payload=Payload(self._ports.autopilot, self._thread, self._ports.journal),
             user=User(self._ports.notifier, self._thread),

@@ -234,12 +234,18 @@ class Arrived(Event, frozen=True, kw_only=True):
 
 
 class Photo(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """A photo: its source, size in bytes, age when the mission got it, place, and its truth if it was rendered."""
+    """A photo: its source, size in bytes, age when the mission got it, place, and its truth if it was rendered.
+
+    Its place on the Earth in degrees (WGS 84), and above the sea, are absent where they were not known.
+    """
 
     source: str
     bytes: int
     age_s: float
     position: Position
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    above_sea_m: float | None = None
     truth: Sequence[object] | None = None
 
 

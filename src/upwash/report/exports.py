@@ -11,7 +11,9 @@ import msgspec
 
 from upwash.core.geo import Circle, LocalFrame, Position
 from upwash.errors import UsageError
+from upwash.eventlog import schema
 from upwash.eventlog.results import RunResult, as_json
+from upwash.eventlog.whereabouts import Whereabouts
 from upwash.report.palette import LIGHT
 from upwash.report.record import Record
 
@@ -63,7 +65,7 @@ def write_csv(records: Sequence[Record]) -> str:
 
 
 def write_geojson(records: Sequence[Record]) -> str:
-    """Tracks, waypoints, ranges and calls on the Earth (RFC 7946); UsageError for a run without a home."""
+    """Tracks, waypoints, ranges, calls and photos on the Earth (RFC 7946); UsageError for a run without a home."""
     features = [feature for record in records for feature in _features(record)]
     return msgspec.json.encode({"type": "FeatureCollection", "features": features}).decode()
 
@@ -107,6 +109,31 @@ def _features(record: Record) -> Iterator[dict[str, Any]]:
         if call.position is not None:
             facts = as_json(call.result)
             yield _feature(record, "call", "Point", _degrees(frame, call.position), **facts)
+    yield from _photos(record, frame)
+
+
+def _photos(record: Record, frame: LocalFrame) -> Iterator[dict[str, Any]]:
+    """Each photo where it was taken, by its number from 0 on; what is not known of it is absent."""
+    whereabouts, number = Whereabouts(), 0
+    for event in record.events:
+        whereabouts.take(event)
+        if not isinstance(event, schema.Photo):
+            continue
+        place = _degrees(frame, event.position)
+        if event.longitude_deg is not None and event.latitude_deg is not None:
+            place = [event.longitude_deg, event.latitude_deg]
+        facts = {
+            "photo": number,
+            "source": event.source,
+            "waypoint": whereabouts.here,
+            "at_s": event.t - record.began_s,
+            "altitude_m": event.position.altitude_m,
+            "above_sea_m": event.above_sea_m,
+        }
+        yield _feature(
+            record, "photo", "Point", place, **{key: each for key, each in facts.items() if each is not None}
+        )
+        number += 1
 
 
 def _planned(record: Record, frame: LocalFrame) -> Iterator[dict[str, Any]]:

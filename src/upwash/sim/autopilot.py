@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from upwash.config import FaultConfig
 from upwash.core.control import Control, Latch, Report
 from upwash.core.energy import EnergyFacts
-from upwash.core.geo import Circle, Position, Velocity
+from upwash.core.geo import Circle, EarthPosition, LocalFrame, Position, Velocity
 from upwash.core.telemetry import Attitude, GpsFix, Telemetry
 from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
 from upwash.eventlog.schema import SEVERITIES
@@ -44,7 +44,7 @@ class ModelDeadMan:
 
 
 class ModelAutopilot:
-    """Flies in its manner from the ground below `start`.
+    """Flies in its manner from the ground below `start`; its `frame` says where on the Earth that is.
 
     `stretch` gives a factor on the duration of each leg, for noise, `fault` what is wrong with the vehicle now, and
     `takeovers` who else takes it and when; `sim.faults` says what each fault means. `given_back_unheard` is told when
@@ -58,6 +58,7 @@ class ModelAutopilot:
         *,
         ground_speed_m_s: float,
         manner: Manner,
+        frame: LocalFrame | None = None,
         stretch: Callable[[], float] = lambda: 1.0,
         fault: Callable[[], FaultConfig | None] = lambda: None,
         takeovers: Sequence[FaultConfig] = (),
@@ -72,6 +73,7 @@ class ModelAutopilot:
         self._home = Position(start.east_m, start.north_m)
         self._ground_speed_m_s = ground_speed_m_s
         self._manner = manner
+        self._frame = frame
         self._stretch = stretch
         self._fault = fault
         self._waypoint = hovers_at
@@ -104,6 +106,14 @@ class ModelAutopilot:
     def position(self) -> Position:
         """Where it is now."""
         return self._vehicle.position
+
+    @property
+    def earth_position(self) -> EarthPosition | None:
+        """By the frame, where there is one; how high above the sea its ground is, and the date, nobody says."""
+        if self._frame is None:
+            return None
+        geo = self._frame.geo(self.position)
+        return EarthPosition(geo.latitude_deg, geo.longitude_deg)
 
     @property
     def battery_percent(self) -> float | None:

@@ -67,7 +67,9 @@ async def mavlink_autopilot() -> AsyncIterator[Autopilot]:
 def model(manner: Manner) -> Callable[[], AbstractAsyncContextManager[Autopilot]]:
     @asynccontextmanager
     async def made() -> AsyncIterator[Autopilot]:
-        autopilot = ModelAutopilot(Position(0.0, 0.0), ground_speed_m_s=SPEED_M_S, manner=manner)
+        autopilot = ModelAutopilot(
+            Position(0.0, 0.0), ground_speed_m_s=SPEED_M_S, manner=manner, frame=LocalFrame(HOME)
+        )
         yield autopilot
         await autopilot.close()
 
@@ -223,5 +225,22 @@ def test_a_border_is_reported_when_it_is_crossed_and_not_before(fly: Fly) -> Non
         entered_m, left_m = seen_m
         assert 12.0 - 0.01 <= entered_m < 20.0  # a report comes late on a busy machine
         assert 28.0 - 0.01 <= left_m < 36.0
+
+    fly(mission)
+
+
+def test_it_says_where_on_the_earth_it_is(fly: Fly) -> None:
+    async def mission(autopilot: Autopilot) -> None:
+        await take_off(autopilot)
+        place = Position(30.0, -40.0, 8.0)
+        await autopilot.goto(place)
+        told = autopilot.earth_position
+        assert told is not None
+        expected = LocalFrame(HOME).geo(autopilot.position)
+        assert abs(told.latitude_deg - expected.latitude_deg) < 1e-6
+        assert abs(told.longitude_deg - expected.longitude_deg) < 1e-6
+        if told.above_sea_m is not None:  # a model does not know how high its ground is
+            ground_m = told.above_sea_m - autopilot.position.altitude_m
+            assert abs(ground_m - (488.0 if autopilot.telemetry.mode == "OFFBOARD" else 0.0)) < 0.1
 
     fly(mission)

@@ -15,7 +15,15 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.control import Control
 from upwash.core.energy import EnergyFacts
-from upwash.core.geo import Circle, LocalFrame, Position, Velocity, distance_m, ground_distance_m
+from upwash.core.geo import (
+    Circle,
+    EarthPosition,
+    LocalFrame,
+    Position,
+    Velocity,
+    distance_m,
+    ground_distance_m,
+)
 from upwash.core.telemetry import Telemetry
 from upwash.errors import AutopilotRefused, UsageError
 from upwash.ports import ArmingDelayed, DeadMan, VehicleLimits, VehicleNews
@@ -142,6 +150,14 @@ class MavlinkAutopilot(ABC):
         """The last known position, relative to the mission's home; home until the vehicle knows its own."""
         geo = self._telemetry.position
         return self._frame.position(geo) if geo else _HOME
+
+    @property
+    def earth_position(self) -> EarthPosition | None:
+        """As it reports it; None until it knows its own."""
+        geo, told = self._telemetry.position, self._telemetry
+        if geo is None:
+            return None
+        return EarthPosition(geo.latitude_deg, geo.longitude_deg, told.above_sea_m, self.unix_s)
 
     async def link_lost(self) -> None:
         """Returns when the vehicle has not been heard for `patience.quiet_after_s`, which is below 3 s."""
