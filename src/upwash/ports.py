@@ -52,7 +52,23 @@ class LinkChanged:
     silent_s: float
 
 
-VehicleNews: TypeAlias = Control | VehicleText | ArmingDelayed | VehicleSetting | LinkChanged
+@dataclass(frozen=True, slots=True)
+class PositionDoubted:
+    """The vehicle cannot be where it reports, as its position jumped that far; 0: it can again."""
+
+    jumped_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class HomeMoved:
+    """The vehicle's home lies elsewhere than at take-off; its altitude is above the ground below the take-off."""
+
+    home: Position
+
+
+VehicleNews: TypeAlias = (
+    Control | VehicleText | ArmingDelayed | VehicleSetting | LinkChanged | PositionDoubted | HomeMoved
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,11 +42,13 @@ from upwash.ports import (
     Camera,
     Dialer,
     Finder,
+    HomeMoved,
     InstanceSpec,
     Journal,
     LinkChanged,
     Network,
     Notifier,
+    PositionDoubted,
     Program,
     Runtime,
     VehicleNews,
@@ -214,6 +216,13 @@ class Flight:
             case LinkChanged(linked, silent_s):
                 kind = schema.LinkRestored if linked else schema.LinkLost
                 journal.record(kind(silent_s=round(silent_s, 1)))
+            case PositionDoubted(jumped_m):
+                journal.record(schema.PositionDoubted(jumped_m=round(jumped_m, 1)))
+            case HomeMoved(home):
+                there = rounded(home)
+                journal.record(
+                    schema.HomeMoved(east_m=there.east_m, north_m=there.north_m, altitude_m=there.altitude_m)
+                )
             case ArmingDelayed(reasons):
                 journal.record(schema.ArmingDelayed(reasons=reasons))
             case Control(owner, _, why):

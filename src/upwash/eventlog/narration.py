@@ -248,6 +248,12 @@ def _vehicle_told(event: Event) -> Said | None:
             return Said(f"the vehicle is not heard any more, for {silent_s:.1f} s", Tone.TROUBLE)
         case schema.LinkRestored(silent_s=silent_s):
             return Said(f"the vehicle is heard again, after {silent_s:.1f} s")
+        case schema.PositionDoubted(jumped_m=jumped_m):
+            return _doubt(jumped_m)
+        case schema.HomeMoved(east_m=east_m, north_m=north_m, altitude_m=altitude_m):
+            there = f"{east_m:.0f} m east, {north_m:.0f} m north, {abs(altitude_m):.0f} m "
+            there += "higher" if altitude_m >= 0 else "lower"
+            return Said(f"the vehicle's home was moved to {there}: the vehicle returns there", Tone.TROUBLE)
         case schema.DeadManSet(silence_s=silence_s, action=action):
             doing = "returns" if action == "return" else "lands"
             said = f"the autopilot {doing} if it does not hear this program for {silence_s:g} s"
@@ -260,6 +266,15 @@ def _vehicle_told(event: Event) -> Said | None:
 def who_has_it(owner: str) -> str:
     """An owner of the vehicle, as a sentence names it."""
     return _OWNERS[Owner(owner)]
+
+
+def _doubt(jumped_m: float) -> Said:
+    if not jumped_m:
+        return Said("the vehicle's position can be true again")
+    said = (
+        f"the vehicle's reported position jumped {jumped_m:.0f} m, farther than it can fly: no arrival counts"
+    )
+    return Said(said, Tone.TROUBLE)
 
 
 def _control(owner: str, why: str) -> Said:

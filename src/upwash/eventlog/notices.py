@@ -124,6 +124,11 @@ def _vehicle(event: Event) -> Iterator[Notice]:
             )
         case schema.LinkRestored():
             yield Notice("link")
+        case schema.PositionDoubted(jumped_m=jumped_m):
+            doubt = f"The vehicle's reported position jumped {jumped_m:.0f} m, farther than it can fly"
+            yield _alarm("position", doubt, "Look where it is.") if jumped_m else Notice("position")
+        case schema.HomeMoved():
+            yield Notice("home", "The vehicle's home was moved in flight: it returns to the new home")
         case schema.ArmingDelayed(reasons=reasons):
             said = "; ".join(reasons) or "it does not say why"
             yield Notice("arming", f"The vehicle cannot be armed yet: {said}")
@@ -132,7 +137,7 @@ def _vehicle(event: Event) -> Iterator[Notice]:
         case schema.VehicleSetting(name=name, value=value, advice=advice):
             yield Notice(f"setting {name}", f"The vehicle's {name} is {value:g}: {advice}")
     if isinstance(event, _ON_GROUND):
-        for key in ("hovering", "safe end", "left", "link"):
+        for key in ("hovering", "safe end", "left", "link", "position", "home"):
             yield Notice(key)
 
 

@@ -334,6 +334,20 @@ class LinkRestored(Event, frozen=True, kw_only=True):
     silent_s: float
 
 
+class PositionDoubted(Event, frozen=True, kw_only=True):
+    """The vehicle cannot be where it reports: its position jumped that far; 0 once it can be there again."""
+
+    jumped_m: float
+
+
+class HomeMoved(Event, frozen=True, kw_only=True):
+    """The vehicle's home was moved in the flight; `altitude_m` is above the ground below the take-off."""
+
+    east_m: float
+    north_m: float
+    altitude_m: float
+
+
 class VehicleSaid(Event, frozen=True, kw_only=True):
     """The vehicle's own words and their severity, 0 (emergency) to 7 (debug)."""
 

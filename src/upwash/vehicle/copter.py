@@ -92,6 +92,11 @@ class Copter:
         """Where it is flying in GUIDED, if anywhere."""
         return self._flight.target(now_s)
 
+    @property
+    def climbs_to(self) -> Position | None:
+        """The top of its take-off, until its first target."""
+        return self._flight.climbs_to
+
     def armed(self, now_s: float) -> bool:
         """Whether its motors run."""
         return self._flight.armed(now_s)

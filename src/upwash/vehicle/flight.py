@@ -57,7 +57,6 @@ class Flight:
         self._lifts_off_s = now_s
         self._descends_s = math.inf
         self._target: Position | None = None
-        self._takeoff_target: Position | None = None
         self._legs_m_s = settings.ground_speed_m_s
         self._default_speed_cm_s = parameters["WPNAV_SPEED"]
         self._speed_m_s = settings.ground_speed_m_s
@@ -96,10 +95,13 @@ class Flight:
             self._told_deg = heading_deg
 
     def target(self, now_s: float) -> Position | None:
-        """Where it is flying in GUIDED, if anywhere."""
-        if self.mode is not Mode.GUIDED or not self.armed(now_s):
-            return None
-        return self._takeoff_target if self._doing is _Doing.TAKING_OFF else self._target
+        """Where it was sent in GUIDED, if it was: a take-off is no target."""
+        return self._target if self.mode is Mode.GUIDED and self.armed(now_s) else None
+
+    @property
+    def climbs_to(self) -> Position | None:
+        """The top of its take-off, until its first target."""
+        return self._motion.end if self._doing is _Doing.TAKING_OFF else None
 
     def armed(self, now_s: float) -> bool:
         """Whether its motors run; some time after touchdown, or without a take-off, they stop by themselves."""
@@ -153,10 +155,10 @@ class Flight:
         self._target = None
         self._speed_m_s = self._default_speed_m_s()
         here = self.position(now_s)
-        self._takeoff_target = here.at_altitude(altitude_m)
+        top = here.at_altitude(altitude_m)
         begun_s = max(self._armed_s, now_s - min(_ARMING_S, self._airframe.spool_up_s))
         self._lifts_off_s = begun_s + self._airframe.spool_up_s
-        self._move(begun_s, self._airframe.takeoff(here, altitude_m), self._takeoff_target)
+        self._move(begun_s, self._airframe.takeoff(here, altitude_m), top)
         return True
 
     def change_speed(self, now_s: float, speed_m_s: float) -> None:

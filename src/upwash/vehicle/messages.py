@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Velocity
 from upwash.vehicle.firmware import Message
 
-_ONLY_POSITION = 0b110111111000
+_ONLY_POSITION, _NO_POSITION = 0b110111111000, 0b110000000111
 _UNKNOWN_MV = 0xFFFF
 _AT_HOME = Position(0.0, 0.0)
 
@@ -180,15 +180,16 @@ def position_target_global(copter: Reporting, now_s: float, target: Position, *,
     )
 
 
-def position_target_local(copter: Reporting, now_s: float, target: Position) -> Message:
-    """POSITION_TARGET_LOCAL_NED: the same in metres."""
+def position_target_local(copter: Reporting, now_s: float, target: Position | None) -> Message:
+    """POSITION_TARGET_LOCAL_NED: the same in metres; without a target, that it follows a velocity, of 0."""
+    place = target or _AT_HOME
     return mavlink.MAVLink_position_target_local_ned_message(
         boot_ms(copter, now_s),
         mavlink.MAV_FRAME_LOCAL_NED,
-        _ONLY_POSITION,
-        target.north_m,
-        target.east_m,
-        -target.altitude_m,
+        _NO_POSITION if target is None else _ONLY_POSITION,
+        place.north_m,
+        place.east_m,
+        -place.altitude_m,
         *[0.0] * 8,
     )
 

@@ -142,6 +142,13 @@ def position_target(copter: Copter, now_s: float) -> Message | None:
     return messages.position_target_global(copter, now_s, target, frame=mavlink.MAV_FRAME_GLOBAL)
 
 
+def position_target_local(copter: Copter, now_s: float) -> Message | None:
+    """POSITION_TARGET_LOCAL_NED in GUIDED: its target or the top of its take-off; else that it has a velocity."""
+    if copter.mode is not Mode.GUIDED:
+        return None
+    return messages.position_target_local(copter, now_s, copter.target(now_s) or copter.climbs_to)
+
+
 def gps_global_origin(copter: Copter, now_s: float) -> Message | None:
     """GPS_GLOBAL_ORIGIN: what local positions count from, once that is known."""
     return messages.gps_global_origin(copter) if copter.health.knows_its_place(now_s) else None
@@ -199,6 +206,7 @@ REPORTS: dict[float, Report] = {
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: gps_global_origin,
     mavlink.MAVLINK_MSG_ID_VFR_HUD: vfr_hud,
     mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: position_target,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: position_target_local,
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: battery_status,
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status,

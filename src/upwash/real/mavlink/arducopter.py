@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.energy import ARDUCOPTER as ARDUCOPTER_WAY_HOME
 from upwash.core.energy import EnergyFacts, WayHome
-from upwash.core.geo import GeoPosition, Position, ahead, distance_m
+from upwash.core.geo import Position, ahead, distance_m
 from upwash.core.geofence import Fence
 from upwash.errors import AutopilotRefused
 from upwash.ports import DeadMan, VehicleLimits
@@ -67,9 +67,12 @@ ARDUCOPTER = Firmware(
     own_mode=_GUIDED,
     mode_name=_mode_name,
     failsafe=_failsafe,
+    keeps_targets=True,
     streams_hz={
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
         mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 4.0,
+        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 5.0,
+        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0,
         mavlink.MAVLINK_MSG_ID_ATTITUDE: 4.0,
         mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
         mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
@@ -181,21 +184,26 @@ class ArduCopter(MavlinkAutopilot):
         """Climbs straight up in GUIDED."""
         step = f"takeoff to {altitude_m:g} m"
         self._obeys_speed = False
+        self._where.fix_ground()
         async with self._vehicle.limited(step, self._vertical_s(altitude_m)):
             await self._lift_off(step, altitude_m)
             await self._while_ours(step, lambda: self._climbed(altitude_m))
 
     async def _lift_off(self, step: str, altitude_m: float) -> None:
         """Commands the take-off; a repeated command is refused in the air, where only its answer was lost."""
-        flew = self._telemetry.in_the_air
+        flew, latch = self._telemetry.in_the_air, self._vehicle.latch
+        take_off, straight_up = mavlink.MAV_CMD_NAV_TAKEOFF, (0.0,) * 6
         try:
-            await self._vehicle.command(step, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, altitude_m)
+            await self._vehicle.command(
+                step, take_off, *straight_up, altitude_m, expect=lambda: latch.expect_target(None)
+            )
         except AutopilotRefused:
             self._vehicle.require_control(step)
             if flew or not await self._vehicle.happens(
                 step, lambda: self._telemetry.in_the_air, within_s=_LIFT_REPORT_S
             ):
                 raise
+        latch.settle_target(obeyed=True)
 
     async def set_ground_speed(self, ground_speed_m_s: float) -> None:
         """By DO_CHANGE_SPEED, once it obeys that."""
@@ -229,8 +237,7 @@ class ArduCopter(MavlinkAutopilot):
         begun_s = self._vehicle.now_s
         async with self._vehicle.limited(step, timeout_s):
             await self._change_mode(step, mode)
-            self._vehicle.latch.expect_armed(False)  # it disarms itself some time after touchdown
-            await self._while_ours(step, lambda: self._landed(begun_s))
+            await self._touch_down(step, begun_s)
 
     async def _arrival(self, step: str, target: Position) -> None:
         """Returns on arrival; repeats the target, which may have been lost, while the vehicle comes no nearer."""
@@ -251,13 +258,21 @@ class ArduCopter(MavlinkAutopilot):
                 self._obeys_speed = True
 
     async def _send_target(self, step: str, position: Position) -> None:
-        place: GeoPosition = self._frame.geo(position)
-        frame, reposition = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, mavlink.MAV_CMD_DO_REPOSITION
+        """Above the sea: a home that a ground station moves changes no target."""
+        place, reposition = self._where.above_sea(position), mavlink.MAV_CMD_DO_REPOSITION
+        target, latch = self._frame.position(place), self._vehicle.latch
         try:
             await self._vehicle.command_at(
-                step, reposition, place, frame=frame, parameters=(-1.0, 0.0, 0.0, math.nan)
+                step,
+                reposition,
+                place,
+                frame=mavlink.MAV_FRAME_GLOBAL,
+                parameters=(-1.0, 0.0, 0.0, math.nan),
+                expect=lambda: latch.expect_target(target),
             )
+            latch.settle_target(obeyed=True)
         except AutopilotRefused as error:
+            latch.settle_target(obeyed=False)
             self._vehicle.require_control(step)
             if self._vehicle.telemetry.answers.get(reposition) != mavlink.MAV_RESULT_FAILED:
                 raise

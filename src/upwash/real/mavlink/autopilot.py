@@ -6,6 +6,7 @@ AutopilotOverruled, and no verb sends anything any more. What differs from firmw
 
 from __future__ import annotations
 
+import contextlib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -30,8 +31,10 @@ from upwash.ports import ArmingDelayed, DeadMan, VehicleLimits, VehicleNews
 from upwash.real.mavlink.dead_man import NoDeadMan
 from upwash.real.mavlink.settings import FlightSettings
 from upwash.real.mavlink.vehicle import MavlinkVehicle
+from upwash.real.mavlink.whereabouts import Whereabouts
 
 _HOME = Position(0.0, 0.0)
+_LOW_M = 1.0  # above home
 _TURN_S = 20.0  # half a turn, of a vehicle that turns slowly
 _POINTS_WITHIN_DEG = 5.0
 _HOME_POSITION, _EXTENDED_SYS_STATE = (
@@ -60,6 +63,9 @@ class MavlinkAutopilot(ABC):
         self._frame = frame
         self._settings = settings
         self._ground_speed_m_s = ground_speed_m_s
+        self._where = Whereabouts(vehicle, frame)
+        self._listening = contextlib.ExitStack()
+        self._listening.enter_context(vehicle.listening(self._where.hear))
         self._delayed_by: tuple[str, ...] | None = None  # why it could not be armed, as it was last told
 
     # --- what it reports ------------------------------------------------------------------------------------
@@ -117,8 +123,7 @@ class MavlinkAutopilot(ABC):
     @property
     def energy(self) -> EnergyFacts:
         """Its home; a subclass adds its battery's stages and how it returns."""
-        home = self._telemetry.home
-        return EnergyFacts(home=self._frame.position(home).at_altitude(0.0) if home else None)
+        return EnergyFacts(home=self._where.home)
 
     @property
     def unix_s(self) -> float | None:
@@ -137,8 +142,10 @@ class MavlinkAutopilot(ABC):
 
     @property
     def stands(self) -> bool:
-        """Whether it says so, or is disarmed."""
-        return self._telemetry.on_ground or not self._telemetry.armed
+        """By its landed state; where it tells none, by its altitude with its motors stopped."""
+        told = self._telemetry.stands
+        low = self._telemetry.position is None or abs(self.position.altitude_m) <= _LOW_M
+        return (not self._telemetry.armed and low) if told is None else told
 
     @property
     def linked(self) -> bool:
@@ -148,8 +155,7 @@ class MavlinkAutopilot(ABC):
     @property
     def position(self) -> Position:
         """The last known position, relative to the mission's home; home until the vehicle knows its own."""
-        geo = self._telemetry.position
-        return self._frame.position(geo) if geo else _HOME
+        return self._where.position
 
     @property
     def earth_position(self) -> EarthPosition | None:
@@ -184,8 +190,8 @@ class MavlinkAutopilot(ABC):
         return heard and (not telemetry.armed or (told and telemetry.position is not None))
 
     async def stood(self) -> None:
-        """When it is disarmed; sends nothing."""
-        await self._vehicle.until("follow", lambda: not self._telemetry.armed)
+        """When it stands disarmed; sends nothing."""
+        await self._vehicle.until("follow", lambda: not self._telemetry.armed and self.stands)
 
     async def border_crossed(self, circles: Sequence[Circle]) -> None:
         """Returns when the vehicle next enters or leaves any of the circles."""
@@ -194,6 +200,7 @@ class MavlinkAutopilot(ABC):
 
     async def close(self) -> None:
         """Gives up the connection to the vehicle; the vehicle is left as it is."""
+        self._listening.close()
         await self._vehicle.close()
 
     # --- verbs ----------------------------------------------------------------------------------------------
@@ -203,12 +210,15 @@ class MavlinkAutopilot(ABC):
         async with self._vehicle.limited("start", self._settings.margin_s):
             await self._vehicle.until("start", lambda: self._telemetry.mode is not None)
         self._vehicle.claim("start", resumes=resumes)
+        if self._telemetry.armed:
+            self._where.fix_ground()
 
     async def ready(self) -> None:
         """Waits for the vehicle's own checks; sends no command meanwhile, and tells its reasons as they change."""
         settings, vehicle = self._settings, self._vehicle
         deadline_s = vehicle.now_s + settings.ready_timeout_s
         while not self._may_be_armed():
+            self._refuse_two_vehicles()
             begun_s = vehicle.now_s
             self._ask_why_not_armable()
             within_s = min(settings.ask_again_s, max(deadline_s - begun_s, settings.patience.answer_s))
@@ -219,6 +229,17 @@ class MavlinkAutopilot(ABC):
                     self._tell_delay(self._reasons_since(begun_s) or self._own_reasons())
             if vehicle.now_s >= deadline_s and vehicle.linked and not self._may_be_armed():
                 raise self._not_ready(self._delayed_by or ())
+
+    def _refuse_two_vehicles(self) -> None:
+        if self._where.leaps_to_and_fro:
+            system, _ = self._vehicle.ids
+            raise AutopilotRefused(
+                "arm",
+                f"{self._where.restless}, again and again: either two vehicles send as system {system} on this link, "
+                "or its GPS is lost; give each vehicle a number of its own (SYSID_THISMAV or MAV_SYS_ID), or wait "
+                "for a good fix; nothing was sent",
+                self._vehicle.said_lately,
+            )
 
     def _tell_delay(self, reasons: tuple[str, ...]) -> None:
         """Tells why it cannot be armed, where that is new; it may be silent for a while about what it said before."""
@@ -237,8 +258,7 @@ class MavlinkAutopilot(ABC):
     async def limits(self) -> VehicleLimits:
         """Its home; a subclass adds its fence."""
         await self._know_home()
-        home = self._telemetry.home
-        return VehicleLimits(self._frame.position(home).at_altitude(0.0) if home else None)
+        return VehicleLimits(self._where.home)
 
     @abstractmethod
     async def arm(self) -> None:
@@ -279,7 +299,7 @@ class MavlinkAutopilot(ABC):
     async def return_home_and_land(self) -> None:
         """Flies back to where it took off and lands; returns on touchdown."""
         altitude_m = max(self.position.altitude_m, self._settings.return_altitude_m)
-        home_s = self._leg_s(_HOME) + 2 * self._vertical_s(altitude_m)
+        home_s = self._leg_s(self._where.home or _HOME) + 2 * self._vertical_s(altitude_m)
         await self._land_in("return home and land", self.return_mode, timeout_s=home_s)
 
     async def land(self) -> None:
@@ -317,7 +337,8 @@ class MavlinkAutopilot(ABC):
     def _may_be_armed(self) -> bool:
         """Whether its checks pass in the mode to be flown, or somebody else has it, which ends the wait too."""
         telemetry = self._telemetry
-        return bool(telemetry.can_be_armed and telemetry.knows_its_place) or not self._vehicle.is_ours
+        ready = telemetry.can_be_armed and telemetry.knows_its_place and not self._where.restless
+        return bool(ready) or not self._vehicle.is_ours
 
     def _reasons_since(self, since_s: float) -> tuple[str, ...]:
         texts = [text.text for said_s, text in self._telemetry.texts if said_s >= since_s]
@@ -326,7 +347,10 @@ class MavlinkAutopilot(ABC):
 
     def _own_reasons(self) -> tuple[str, ...]:
         """What its reports say where it gives no reason: its checks may pass in a mode that needs no position."""
-        return ("it does not know its position yet",) if self._telemetry.can_be_armed else ()
+        if self._where.restless:
+            return (self._where.restless,)
+        unsure = self._telemetry.can_be_armed and not self._telemetry.knows_its_place
+        return ("it does not know its position yet",) if unsure else ()
 
     async def _know_home(self) -> None:
         """Asks for its home where it has not told it."""
@@ -349,7 +373,7 @@ class MavlinkAutopilot(ABC):
 
     def _arrived(self, target: Position) -> bool:
         near = distance_m(self.position, target) <= self._settings.arrival_distance_m
-        return near and self._at_rest() and self._telemetry.knows_its_place is not False
+        return near and self._at_rest() and self._where.is_sure
 
     def _climbed(self, altitude_m: float) -> bool:
         """At rest at the altitude, and known to fly: what it says of that may come later than its position."""
@@ -361,9 +385,24 @@ class MavlinkAutopilot(ABC):
         return self._telemetry.speed_m_s < self._settings.arrival_speed_m_s
 
     def _landed(self, since_s: float) -> bool:
-        """Whether it says so, not whether it last did: the reports may have stopped before the take-off."""
-        told = self._vehicle.heard_since(_EXTENDED_SYS_STATE, since_s)
-        return (told and self._telemetry.on_ground) or not self._telemetry.armed
+        """By a landed state since then; where it tells none, by its motors, which it stops after touchdown."""
+        if self._telemetry.stands is None:
+            return not self._telemetry.armed
+        return self._telemetry.on_ground and self._vehicle.heard_since(_EXTENDED_SYS_STATE, since_s)
+
+    async def _touch_down(self, step: str, begun_s: float) -> None:
+        """Returns on touchdown; raises where the vehicle is lost, or its motors stop in the air, before."""
+        vehicle, told = self._vehicle, self._telemetry
+        vehicle.latch.expect_armed(False)  # it disarms itself some time after touchdown
+
+        def falls() -> bool:
+            heard = vehicle.heard_since(_EXTENDED_SYS_STATE, told.disarmed_s)
+            return not told.armed and told.in_the_air and heard and told.disarmed_s >= begun_s
+
+        await vehicle.until(step, lambda: self._landed(begun_s) or falls() or not vehicle.is_ours)
+        if not self._landed(begun_s):
+            vehicle.require_control(step)
+            raise AutopilotRefused(step, "its motors stopped in the air", vehicle.said_lately)
 
     def _inside(self, circles: Sequence[Circle]) -> list[bool]:
         return [circle.contains(self.position) for circle in circles]

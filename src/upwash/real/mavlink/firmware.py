@@ -28,5 +28,6 @@ class Firmware:
     mode_name: Callable[[int], str]
     failsafe: Callable[[Telemetry, str], str]
     streams_hz: Mapping[int, float]
+    keeps_targets: bool = False  # in `own_mode` it reports the last target that it was sent to
     take: Callable[[Telemetry, Message, float], None] = _nothing_more
     sends_parameters_as_bytes: bool = False  # an integer's bytes lie in the float that carries a parameter

@@ -14,9 +14,11 @@ from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.control import Latch, Report
+from upwash.core.geo import Position
 from upwash.errors import AutopilotError, AutopilotLost, AutopilotTimeout
 from upwash.mavlink.signing import Refusal, Signing
 from upwash.ports import LinkChanged, VehicleNews
+from upwash.real.mavlink.boot_clock import BootClock
 from upwash.real.mavlink.firmware import Firmware
 from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.identity import Identity, sender_of
@@ -63,6 +65,7 @@ class HeardVehicle:
         self._texts_told = 0
         self._silent_s = 0.0  # in all, of silences that are over
         self._numbering = Numbering()
+        self._clock = BootClock()
         self._streams = Streams(self._ask_for_stream, quiet_after_s=patience.quiet_after_s)
         self._last_heard_s = self._loop.time()
         self.mode_told_s = -math.inf  # when it last was
@@ -75,6 +78,7 @@ class HeardVehicle:
             moved_after_s=patience.dead_after_s,
         )
         self.heartbeat_word: Callable[[], int] = lambda: 0  # what else each of our heartbeats says
+        self.hindrance: Callable[[], str] = lambda: ""  # what is known of why it takes long
         self.missed_after_s = math.inf  # after so long a silence of the link its dead man may have acted
         self._accompanying = asyncio.create_task(self._accompany())
         self._watching = asyncio.create_task(self._watch_link())
@@ -102,6 +106,11 @@ class HeardVehicle:
     def now_s(self) -> float:
         """The loop's time."""
         return self._loop.time()
+
+    @property
+    def elapsed_s(self) -> float:
+        """The vehicle's own time, from when it was first heard."""
+        return self._clock.elapsed_s
 
     @property
     def mode_name(self) -> str:
@@ -216,7 +225,7 @@ class HeardVehicle:
                 timer = self._loop.call_later(timeout_s, look)
                 yield
         except TimeoutError:
-            problem = f"not done within {timeout_s:.0f} s, in mode {self.mode_name}"
+            problem = f"not done within {timeout_s:.0f} s, in mode {self.mode_name}{self.hindrance()}"
             raise AutopilotTimeout(step, problem, self.said_lately) from None
         finally:
             timer.cancel()
@@ -269,6 +278,7 @@ class HeardVehicle:
         self._numbering.take(message)
         self._last_heard_s = now_s
         self._streams.heard(message.get_msgId(), now_s)
+        self._look_for_restart(message, now_s)
         self.telemetry.take(message, now_s)
         self.firmware.take(self.telemetry, message, now_s)
         self._take_control(message)
@@ -284,17 +294,34 @@ class HeardVehicle:
         if silent_s >= self.missed_after_s:
             self.telemetry.suspect_dead_man(f"its dead man, after {silent_s:.0f} s without a link", now_s)
 
+    def _look_for_restart(self, message: Message, now_s: float) -> None:
+        """Tells the latch; what the vehicle said before of the ground is not true any more."""
+        before_s, boot_ms = self._clock.boot_s, getattr(message, "time_boot_ms", None)
+        if boot_ms is None or not self._clock.take(boot_ms / 1e3, now_s):
+            return
+        self.telemetry.landed_state = mavlink.MAV_LANDED_STATE_UNDEFINED
+        why = f"its autopilot restarted: its clock went from {before_s:.0f} s after boot to {boot_ms / 1e3:.0f} s"
+        self._judge(lambda: self.latch.report_restart(why, now_s))
+
+    def judge_target(self, place: Position | None) -> None:
+        """Tells the latch where the vehicle says that it steers to, above the sea; None: it follows a velocity."""
+        self._judge(lambda: self.latch.report_target(place, self._loop.time()))
+
+    def _judge(self, report: Callable[[], None]) -> None:
+        before = self.latch.control
+        report()
+        if self.latch.control != before:
+            self.tell(self.latch.control)
+
     def _take_control(self, message: Message) -> None:
         """Feeds the latch with each heartbeat, and with what says that a fail-safe chose the mode."""
         if self.telemetry.mode is None or message.get_type() not in _TELL_THE_MODE:
             return
         if message.get_type() != "FENCE_STATUS":
             self.mode_told_s = self._loop.time()
-        mode, before = self.mode_name, self.latch.control
-        report = Report(mode, self.telemetry.armed, self.firmware.failsafe(self.telemetry, mode))
-        self.latch.report(report, self._loop.time())
-        if self.latch.control != before:
-            self.tell(self.latch.control)
+        mode, told = self.mode_name, self.telemetry
+        report = Report(mode, told.armed, self.firmware.failsafe(told, mode), told.stands)
+        self._judge(lambda: self.latch.report(report, self._loop.time()))
 
     def _tell_texts(self) -> None:
         new = self.telemetry.texts_heard - self._texts_told

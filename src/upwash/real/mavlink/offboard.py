@@ -15,10 +15,11 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.geo import LocalFrame, Position, Velocity
+from upwash.core.geo import Velocity
 from upwash.real.mavlink.course import Abilities, Course
 from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle
+from upwash.real.mavlink.whereabouts import Whereabouts
 
 _PERIOD_S = 0.05
 _SILENT_AFTER_S = 0.6  # its position comes ten times a second; below COM_OF_LOSS_T, which is 1 s by default
@@ -30,12 +31,12 @@ _WITHOUT_YAW = mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE | _YAW_RATE_IGNORED
 class SetpointStream:
     """Has the vehicle follow a course, from `begin` to `end`."""
 
-    def __init__(self, vehicle: MavlinkVehicle, frame: LocalFrame) -> None:
+    def __init__(self, vehicle: MavlinkVehicle, where: Whereabouts) -> None:
         self.abilities = Abilities()
         self.course: Course | None = None
         self.heading_deg: float | None = None  # to be kept; without it PX4 has its own
         self._vehicle = vehicle
-        self._frame = frame
+        self._where = where
         self._silence_seen_s = vehicle.now_s
         self._task: asyncio.Task[None] | None = None
 
@@ -65,7 +66,7 @@ class SetpointStream:
             passed_s = min(vehicle.now_s - sent_s, _LONGEST_STEP_S)
             sent_s = vehicle.now_s
             if self.course is not None and self._is_heard():
-                self.course.advance(passed_s, vehicle=self._position())
+                self.course.advance(passed_s, vehicle=self._where.position)
                 self._send(self.course)
             await asyncio.sleep(_PERIOD_S)
         self.end()  # for good: nothing makes a vehicle ours again
@@ -82,9 +83,8 @@ class SetpointStream:
         return False
 
     def _send(self, course: Course) -> None:
-        place, velocity = self._frame.geo(course.position), course.setpoint_velocity
+        place, velocity = self._where.above_sea(course.position), course.setpoint_velocity
         push = course.setpoint_acceleration
-        above_sea_m = place.altitude_m + self._vehicle.telemetry.home_above_sea_m
 
         def message(system: int, component: int) -> Message:
             return mavlink.MAVLink_set_position_target_global_int_message(
@@ -95,7 +95,7 @@ class SetpointStream:
                 _WITHOUT_YAW if self.heading_deg is None else _YAW_RATE_IGNORED,
                 round(place.latitude_deg * 1e7),
                 round(place.longitude_deg * 1e7),
-                above_sea_m,
+                place.altitude_m,
                 velocity.north_m_s,
                 velocity.east_m_s,
                 -velocity.up_m_s,
@@ -109,8 +109,4 @@ class SetpointStream:
         self._vehicle.steer("setpoint", message)
 
     def _course_from_here(self) -> Course:
-        return Course(self._position(), self._vehicle.telemetry.velocity or Velocity(), self.abilities)
-
-    def _position(self) -> Position:
-        geo = self._vehicle.telemetry.position
-        return self._frame.position(geo) if geo else Position(0.0, 0.0)
+        return Course(self._where.position, self._vehicle.telemetry.velocity or Velocity(), self.abilities)

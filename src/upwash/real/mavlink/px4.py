@@ -53,7 +53,12 @@ _LONG_S = 10.0
 _FRESH_WITHIN_S = 0.5
 _BEFORE_OFFBOARD_S = 0.6  # PX4 looks at whether setpoints come twice a second
 _MODE_WITHIN_S = 1.5
-_LOITERS_BELOW_M = 2.0  # a take-off to 10 m ended 0.5 to 1.2 m below it
+_ENDS_BELOW_M = 2.0  # a take-off to 10 m ended 0.5 to 1.2 m below it
+_LEAST_CLIMB_M, _UP_M = (
+    4.0,
+    0.5,
+)  # so that OFFBOARD comes before the end of the lowest take-off, and in the air
+_TAKES_OVER_S = 1.2  # from when OFFBOARD is wanted until it is there
 _MEAN_OVER_S = 1.0  # of its velocity: hovering, it reports 0.28 m/s in the median, and 0.6 m/s at times
 _SETTLES_S = 1.0  # more than COM_FAIL_ACT_T
 _FAILS_AFTER_S = 5.0  # COM_FAIL_ACT_T, where it does not say
@@ -66,13 +71,11 @@ class Px4(MavlinkAutopilot):
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
-        self._stream = SetpointStream(self._vehicle, self._frame)
+        self._stream = SetpointStream(self._vehicle, self._where)
         self._velocities: deque[tuple[float, Velocity]] = deque()
-        self._listening = contextlib.ExitStack()
         self._listening.enter_context(self._vehicle.listening(self._hear_position))
         self._energy = EnergyFacts(way_home=PX4_WAY_HOME)
         self._holds = False
-        self._loiters_from_m: float | None = None  # while it takes off: the end of that is near
 
     async def close(self) -> None:
         """Leaves it hovering where it was told to hold: without setpoints, OFFBOARD ends in COM_OBL_RC_ACT."""
@@ -81,7 +84,6 @@ class Px4(MavlinkAutopilot):
                 with contextlib.suppress(AutopilotError):
                     await self._change_mode("leave hovering", LOITER)
         finally:
-            self._listening.close()
             await self._stream.close()
             await super().close()
 
@@ -140,23 +142,26 @@ class Px4(MavlinkAutopilot):
     # --- in the air -----------------------------------------------------------------------------------------
 
     async def takeoff(self, altitude_m: float) -> None:
-        """Climbs straight up in AUTO.TAKEOFF, then hovers in OFFBOARD."""
+        """Climbs in AUTO.TAKEOFF, and in OFFBOARD before that ends in Hold, which a pilot may choose, too."""
         step = f"takeoff to {altitude_m:g} m"
         async with self._vehicle.limited(step, self._vertical_s(altitude_m)):
             if not self._telemetry.armed:
                 raise AutopilotRefused(step, "the vehicle is not armed; nothing was sent")
             begun_s = self._vehicle.now_s  # home moves until the motors run
             await self._while_ours(step, lambda: self._vehicle.heard_since(_POSITION, begun_s))
-            above_sea_m = self._telemetry.home_above_sea_m + altitude_m
-            self._loiters_from_m = altitude_m - _LOITERS_BELOW_M
-            await self._lift_off(step, above_sea_m)
-            await self._while_ours(step, lambda: self._vehicle.mode_name == LOITER)
-            here = self.position
+            self._where.fix_ground()
+            here, top_m = self.position, max(altitude_m, _LEAST_CLIMB_M)
+            await self._lift_off(step, self._where.above_sea(here.at_altitude(top_m)).altitude_m)
+            await self._while_ours(step, lambda: self._nears(top_m))
             course = await self._enter_offboard(step)
-            course.aim(
-                Position(here.east_m, here.north_m, altitude_m), ground_speed_m_s=self._ground_speed_m_s
-            )
+            course.aim(here.at_altitude(altitude_m), ground_speed_m_s=self._ground_speed_m_s)
             await self._while_ours(step, lambda: course.ended and self._climbed(altitude_m))
+
+    def _nears(self, top_m: float) -> bool:
+        """Whether its take-off may end by itself before OFFBOARD has it, unless that begins now."""
+        climb_m_s = self._telemetry.velocity.up_m_s if self._telemetry.velocity else 0.0
+        from_m = max(_UP_M, top_m - _ENDS_BELOW_M - _TAKES_OVER_S * climb_m_s)
+        return self._telemetry.in_the_air and self.position.altitude_m >= from_m
 
     async def _lift_off(self, step: str, above_sea_m: float) -> None:
         nan = math.nan  # where it stands, headed as it is
@@ -203,11 +208,9 @@ class Px4(MavlinkAutopilot):
     async def _land_in(self, step: str, mode: str, *, timeout_s: float) -> None:
         begun_s = self._vehicle.now_s
         self._require_flying(step)
-        self._loiters_from_m = None
         async with self._vehicle.limited(step, timeout_s):
             await self._change_mode(step, mode)
-            self._vehicle.latch.expect_armed(False)  # it disarms itself some time after touchdown
-            await self._while_ours(step, lambda: self._landed(begun_s))
+            await self._touch_down(step, begun_s)
 
     # --- modes ----------------------------------------------------------------------------------------------
 
@@ -215,7 +218,7 @@ class Px4(MavlinkAutopilot):
         """Has it follow the course from now on: one from where it is, unless it follows one already."""
         vehicle, stream = self._vehicle, self._stream
         vehicle.require_control(step)
-        self._holds, self._loiters_from_m = False, None
+        self._holds = False
         if stream.course is not None and vehicle.mode_name == OFFBOARD:
             return stream.course
         await self._make_sure_of_mode(step)
@@ -356,9 +359,6 @@ class Px4(MavlinkAutopilot):
         velocity = self._telemetry.velocity
         if message.get_type() != "GLOBAL_POSITION_INT" or velocity is None:
             return
-        if self._loiters_from_m is not None and self.position.altitude_m >= self._loiters_from_m:
-            self._loiters_from_m = None  # not before: whoever has it hover farther down is a pilot
-            self._vehicle.latch.expect_modes((TAKEOFF, LOITER))
         now_s = self._vehicle.now_s
         self._velocities.append((now_s, velocity))
         while self._velocities[0][0] < now_s - _MEAN_OVER_S:

@@ -45,6 +45,7 @@ class Telemetry:
 
     mode: int | None = None
     armed: bool = False
+    disarmed_s: float = -math.inf  # when its motors were last seen to stop
     system_status: int = mavlink.MAV_STATE_UNINIT
     landed_state: int = mavlink.MAV_LANDED_STATE_UNDEFINED
     position: GeoPosition | None = None
@@ -80,7 +81,12 @@ class Telemetry:
         match message.get_type():
             case "HEARTBEAT":
                 self.mode = message.custom_mode
-                self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+                was_armed, self.armed = (
+                    self.armed,
+                    bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
+                )
+                if was_armed and not self.armed:
+                    self.disarmed_s = now_s
                 self.system_status = message.system_status
                 if now_s - self._dead_man_s > _LATELY_S:
                     self.dead_man = ""
@@ -178,6 +184,11 @@ class Telemetry:
     def on_ground(self) -> bool:
         """Whether it says that it stands on the ground."""
         return bool(self.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND)
+
+    @property
+    def stands(self) -> bool | None:
+        """Whether it says that it stands on the ground; None where it does not say."""
+        return None if self.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED else self.on_ground
 
     @property
     def in_the_air(self) -> bool:

@@ -53,7 +53,14 @@ class MavlinkVehicle(HeardVehicle):
         await self._answered(step, command, message, expect)
 
     async def command_at(
-        self, step: str, command: int, place: GeoPosition, *, frame: int, parameters: Sequence[float] = ()
+        self,
+        step: str,
+        command: int,
+        place: GeoPosition,
+        *,
+        frame: int,
+        parameters: Sequence[float] = (),
+        expect: Callable[[], None] | None = None,
     ) -> None:
         """The same with a place, whose degrees arrive exactly; its altitude is in the frame."""
 
@@ -65,7 +72,7 @@ class MavlinkVehicle(HeardVehicle):
                 system, component, frame, command, 0, 0, *padded, x, y, place.altitude_m
             )
 
-        await self._answered(step, command, message)
+        await self._answered(step, command, message, expect)
 
     async def _answered(
         self,

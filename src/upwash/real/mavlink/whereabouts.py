@@ -1,0 +1,163 @@
+"""Where a vehicle is by its reports, relative to the mission's home, and whether it can be there.
+
+Altitudes count from the ground below the take-off, by the vehicle's altitude above the sea. A ground station may move
+the vehicle's home in flight, and what the vehicle then says about its height above home changes at once.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.continuity import Continuity
+from upwash.core.geo import GeoPosition, LocalFrame, Position, distance_m
+from upwash.ports import HomeMoved, PositionDoubted
+from upwash.real.mavlink.hearing import Message
+from upwash.real.mavlink.vehicle import MavlinkVehicle
+
+_HOME = Position(0.0, 0.0)
+_NO_PLACE = (
+    mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE
+)
+_STAYS_M = 1.0  # what a home that was set again may differ by
+_RESTLESS_S = 5.0  # for this time after a jump the vehicle cannot be armed
+_MANY_JUMPS = 3  # in that time: no filter settles so
+_UNKNOWN_U16 = 0xFFFF
+
+
+class Whereabouts:
+    """Follows a vehicle's position, home and target; tells the latch of a target in the program's own mode."""
+
+    def __init__(self, vehicle: MavlinkVehicle, frame: LocalFrame) -> None:
+        self._vehicle = vehicle
+        self._telemetry = vehicle.telemetry
+        self._frame = frame
+        self._ground_m: float | None = None  # below the take-off, above the sea
+        self._home: Position | None = None  # the vehicle's, as it was last told of
+        self._continuity = Continuity()
+        self._last_jump: tuple[float, float] | None = None
+        self._jumped_s: deque[float] = deque(maxlen=_MANY_JUMPS)  # by this computer's clock
+        self._doubted = False
+        vehicle.hindrance = lambda: f": {self.doubt}" if self.doubt else ""
+        self.watches_targets = True  # not where the vehicle itself flies round obstacles
+
+    @property
+    def position(self) -> Position:
+        """The last known position; home until the vehicle knows its own."""
+        told = self._telemetry
+        if told.position is None:
+            return _HOME
+        here = self._frame.position(told.position)
+        if self._ground_m is None or told.above_sea_m is None:
+            return here
+        return here.at_altitude(told.above_sea_m - self._ground_m)
+
+    @property
+    def home(self) -> Position | None:
+        """Where it returns to; None while it does not say."""
+        home = self._telemetry.home
+        return self._frame.position(home).at_altitude(0.0) if home else None
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the vehicle can be where it says, and says that it is sure."""
+        return self._telemetry.knows_its_place is not False and not self._continuity.doubt_m
+
+    @property
+    def doubt(self) -> str:
+        """Why its position cannot be true, in words; empty where it can."""
+        doubt_m = self._continuity.doubt_m
+        return f"its reported position jumped {doubt_m:.0f} m, farther than it can fly" if doubt_m else ""
+
+    @property
+    def restless(self) -> str:
+        """Why its position is too restless for a take-off, in words; empty where it is calm."""
+        if not self._jumps_lately():
+            return ""
+        return f"its reported position jumped {self._continuity.jumps[-1][1]:.0f} m while it stands"
+
+    @property
+    def leaps_to_and_fro(self) -> bool:
+        """Whether its position jumps again and again, as where two vehicles send with one identity."""
+        return self._jumps_lately() >= _MANY_JUMPS
+
+    def fix_ground(self) -> None:
+        """Altitudes count from its home as it is now on."""
+        told = self._telemetry
+        if told.position is not None and told.above_sea_m is not None:
+            self._ground_m = told.home_above_sea_m
+        self._home = self._present_home()
+
+    def above_sea(self, position: Position) -> GeoPosition:
+        """The place on the Earth of a position; its altitude is above the sea."""
+        ground_m = self._telemetry.home_above_sea_m if self._ground_m is None else self._ground_m
+        return self._frame.geo(position.at_altitude(position.altitude_m + ground_m))
+
+    def hear(self, message: Message) -> None:
+        """Takes in a message of the vehicle."""
+        match message.get_type():
+            case "GLOBAL_POSITION_INT" if self._telemetry.position is not None:
+                here, speed_m_s = (
+                    self._frame.position(self._telemetry.position),
+                    self._telemetry.ground_speed_m_s,
+                )
+                self._continuity.take_estimate(here, time_s=self._vehicle.elapsed_s, speed_m_s=speed_m_s)
+                self._look_at_jumps()
+                self._look_at_home()
+            case "GPS_RAW_INT" if message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX:
+                there = self._frame.position(GeoPosition(message.lat / 1e7, message.lon / 1e7))
+                speed_m_s = (
+                    message.vel / 100 if message.vel != _UNKNOWN_U16 else self._telemetry.ground_speed_m_s
+                )
+                self._continuity.take_receiver(there, time_s=self._vehicle.elapsed_s, speed_m_s=speed_m_s)
+                self._look_at_jumps()
+            case "POSITION_TARGET_GLOBAL_INT" if self._steers_by_targets:
+                place = GeoPosition(message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
+                self._vehicle.judge_target(self._frame.position(place))
+            case "POSITION_TARGET_LOCAL_NED" if self._steers_by_targets:
+                if message.type_mask & _NO_PLACE == _NO_PLACE:
+                    self._vehicle.judge_target(None)
+
+    @property
+    def _steers_by_targets(self) -> bool:
+        firmware = self._vehicle.firmware
+        return (
+            self.watches_targets and firmware.keeps_targets and self._vehicle.mode_name == firmware.own_mode
+        )
+
+    def _look_at_jumps(self) -> None:
+        continuity, now_s = self._continuity, self._vehicle.now_s
+        jumps = continuity.jumps
+        if jumps and jumps[-1] != self._last_jump:
+            self._last_jump = jumps[-1]
+            self._jumped_s.append(now_s)
+        if not self._telemetry.armed and not self._jumps_lately():
+            continuity.believe()  # it stands, and its filter has settled
+        doubted = continuity.doubt_m > 0
+        if doubted != self._doubted:
+            self._doubted = doubted
+            if self._telemetry.armed:
+                self._vehicle.tell(PositionDoubted(jumped_m=continuity.doubt_m))
+
+    def _jumps_lately(self) -> int:
+        since_s = self._vehicle.now_s - _RESTLESS_S
+        return sum(jumped_s >= since_s for jumped_s in self._jumped_s)
+
+    def _look_at_home(self) -> None:
+        """Tells where a home was moved to; its altitude shows in the two that each position has."""
+        now, before = self._present_home(), self._home
+        if now is None or before is None or distance_m(now, before) <= _STAYS_M:
+            return
+        self._home = now
+        ground_m = self._ground_m or 0.0
+        self._vehicle.tell(HomeMoved(now.at_altitude(now.altitude_m - ground_m)))
+
+    def _present_home(self) -> Position | None:
+        """Its altitude is above the sea."""
+        told = self._telemetry
+        if told.home is None or told.position is None or told.above_sea_m is None:
+            return None
+        return self._frame.position(told.home).at_altitude(told.home_above_sea_m)
