@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from upwash.cli.exit_codes import MEANINGS
 from upwash.cli.main import command_line
 
 PAGE = Path(__file__).parents[1] / "docs" / "commands.md"
@@ -16,9 +17,10 @@ _HEAD = """\
 
 <!-- written by site/commands.py from the commands' own help: change that, then run `make docs` -->
 
-`upwash COMMAND --help` prints the same. [How a command ends](missions.md#how-a-command-ends): 0 it did what it
-should, 1 it failed (a check warns, a promise is broken), 2 what was typed or configured cannot work, 3 it worked and
-not all could be written, 130 Ctrl-C.
+`upwash COMMAND --help` prints the same. Every command ends with one of
+these [exit codes](missions.md#how-a-command-ends):
+
+CODES
 
 Every command takes `-v` (`--verbose`), which also prints where in the code an error arose, and `-h` (`--help`).
 """
@@ -30,7 +32,13 @@ def page() -> str:
     found = commands()
     listed = (f"| [`{name}`](#upwash-{name}) | {_said(help_)} |" for name, (help_, _) in found.items())
     sections = (_section(name, help_, each) for name, (help_, each) in found.items())
-    return "\n".join((_HEAD, "| command | |", "|---|---|", *listed, "", *sections))
+    head = _HEAD.replace("CODES", "\n".join(_codes()))
+    return "\n".join((head, "| command | |", "|---|---|", *listed, "", *sections))
+
+
+def _codes() -> Iterator[str]:
+    yield from ("| exit code | |", "|---|---|")
+    yield from (f"| {code:d} | {meaning} |" for code, meaning in MEANINGS.items())
 
 
 def commands() -> dict[str, tuple[str, argparse.ArgumentParser]]:

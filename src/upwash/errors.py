@@ -24,6 +24,7 @@ UpwashError
 ├── NotWritten                a file that was to be left could not be written: says what was kept
 ├── NotKept                   what was to be done was done, but not everything of it could be written
 ├── MissionStopped            the mission is being ended from outside
+│   └── ReserveReached          the battery is down to the reserve
 ├── MissionFailed             the mission program has a bug: it raised what is none of these
 └── TransitionError           a programming error: an event that a server's state does not allow
 """
@@ -54,6 +55,7 @@ __all__ = [
     "NotKept",
     "NotWritten",
     "Refused",
+    "ReserveReached",
     "ServiceError",
     "TransitionError",
     "Unreachable",
@@ -211,6 +213,10 @@ class NotKept(UpwashError):
 
 class MissionStopped(UpwashError):
     """The mission is being ended from outside; every verb raises this from now on."""
+
+
+class ReserveReached(MissionStopped):
+    """The mission was ended because the battery had come down to the reserve, or the way home would leave less."""
 
 
 class MissionFailed(UpwashError):

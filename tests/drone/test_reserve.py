@@ -19,7 +19,7 @@ from upwash.config import DroneConfig, SafeEnd
 from upwash.config.drone_file import drone_config
 from upwash.core.energy import STILL, EnergyFacts, time_home_s
 from upwash.core.geo import Position, Velocity
-from upwash.errors import MissionStopped
+from upwash.errors import MissionStopped, ReserveReached
 from upwash.eventlog.schema import Event
 from upwash.lab.run import Run, simulate
 from upwash.sim.autopilot import ModelAutopilot
@@ -197,7 +197,7 @@ def test_too_little_for_the_reserve_keeps_the_drone_on_the_ground() -> None:
         battery_percent = 10.0
 
     scene, error = fly(scenario(mission={"reserve_s": 60.0}, vehicle={"endurance_s": 300.0}), autopilot=Empty)
-    assert isinstance(error, MissionStopped) and "60 s of reserve 20 %, 10 % is left" in str(error)
+    assert isinstance(error, ReserveReached) and "60 s of reserve 20 %, 10 % is left" in str(error)
     assert not scene.events("took_off") and not scene.events("safe_end")
 
 

@@ -26,6 +26,7 @@ from upwash.errors import (
     InstanceError,
     MissionFailed,
     MissionStopped,
+    ReserveReached,
     Unreachable,
 )
 from upwash.eventlog.results import RunResult, read_result
@@ -226,7 +227,7 @@ def test_a_battery_below_the_reserve(action: SafeEnd) -> None:
         autopilot={"on_failure": action},
     )
     scene, error = fly(config)
-    assert isinstance(error, MissionStopped) and "reserve of 25 %" in str(error)
+    assert isinstance(error, ReserveReached) and "reserve of 25 %" in str(error)
     assert_ended_in(action, scene)
     assert scene.events("stopping")[0]["t"] == pytest.approx(0.75 * 80.0, abs=1.0)
     assert (scene.result.waypoints, scene.result.undone) == (4, [2, 3])
@@ -411,7 +412,7 @@ def test_a_person_is_told_in_words(action: SafeEnd) -> None:
     progress = Progress(["s1"], 4, console)
     for each in scene.journal.events:
         progress.follow(each)
-    print_result(scene.result, console, paced=False)
+    print_result(scene.result, console, paced=False, servers=True)
     told = console.file.getvalue()  # type: ignore[attr-defined]
     assert {"return": "returning to land", "land": "landing where it is", "hold": "stopping"}[action] in told
     assert "1 of 4 waypoints reached, left undone: 1-3" in told

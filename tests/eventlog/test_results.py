@@ -8,6 +8,7 @@ from tests.scenarios import fault, scenario, server
 
 from upwash.eventlog.results import CallResult, as_json, read_result
 from upwash.eventlog.schema import Event
+from upwash.eventlog.undone import left_undone
 from upwash.lab.run import simulate
 
 
@@ -203,3 +204,69 @@ def test_servers_that_failed_and_were_never_of_use_are_named_with_the_last_reaso
     )
     assert run.result.never_ready == {"s1": "nobody answers"}, "s2 came back"
     assert "never_ready" not in as_json(simulate(scenario()).result)
+
+
+# --- what was left undone ---------------------------------------------------------------------------------------
+
+
+def went_on(*events: Event) -> list[Event]:
+    """A drone that has left waypoint 0 with its answer open, and what happened then."""
+    return [
+        STARTED,
+        event(1.0, "arrived", waypoint=0),
+        started(2.0, 0),
+        event(2.0, "stay_or_go", waypoint=0, goes=True, why="it always goes", chance=0.25),
+        *events,
+    ]
+
+
+ENDED = event(30.0, "mission_ended", why="the pilot has the vehicle")
+ANSWERED = call(6.0, "local", 4.0)
+DEMANDED = event(6.0, "demanded", waypoint=0)
+BACK = [
+    event(7.0, "turned_back", waypoint=0),
+    event(9.0, "arrived", waypoint=0),
+    taken(9.0, 0, 0.0, demanded=True),
+]
+
+
+@pytest.mark.parametrize(
+    ("events", "said"),
+    [
+        ([ANSWERED, DEMANDED, ENDED], ["not done: what the answer at waypoint 0 demands"]),
+        ([ANSWERED, DEMANDED, *BACK, ENDED], ["not done: what the answer at waypoint 0 demands"]),
+        ([ANSWERED, DEMANDED, *BACK, event(10.0, "acted", waypoint=0), ENDED], []),
+        ([ENDED], ["not looked at: the answer at waypoint 0"]),
+        ([ANSWERED, ENDED], ["not looked at: the answer at waypoint 0"]),
+        ([ANSWERED, taken(6.0, 0, 0.0), ENDED], []),
+        ([event(20.0, "mission_completed")], []),  # it dropped the answer, and went on
+        (
+            [event(6.0, "demanded", waypoint=0, failed="it crashed"), ENDED],
+            ["the call at waypoint 0 failed, and the mission did nothing about it"],
+        ),
+        (
+            [taken(6.0, 0, 0.0, demanded=True, failed="it crashed"), event(6.0, "acted", waypoint=0), ENDED],
+            [],
+        ),
+        (
+            [ANSWERED, DEMANDED, started(7.0, 1), event(8.0, "demanded", waypoint=None), ENDED],
+            ["not done: what the answers at waypoint 0 and a place beside the plan demand",
+             "not looked at: the answer at waypoint 1"],
+        ),
+    ],
+)  # fmt: skip
+def test_what_answers_ask_for_and_nobody_did_is_left_undone(events: list[Event], said: list[str]) -> None:
+    assert list(left_undone(read_result(went_on(*events)))) == said
+
+
+def test_a_call_that_was_not_over_at_the_end_was_not_looked_at() -> None:
+    decided = event(
+        2.0, "decided", operation="detector.process_photo", decision="local", why="", local_s=None, selected=None,
+        state=None, remote_s=None, check_s=None, check_elapsed_s=None, position={"east_m": 0.0, "north_m": 0.0},
+    )  # fmt: skip
+    result = read_result([STARTED, event(1.0, "arrived", waypoint=2), decided, ENDED])
+    assert result.not_looked_at == [2]
+    assert (
+        read_result([STARTED, event(1.0, "arrived", waypoint=2), decided, ANSWERED, ENDED]).not_looked_at
+        == []
+    )

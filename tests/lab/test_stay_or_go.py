@@ -5,17 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from tests.scenarios import scenario, server
+from tests.scenarios import fault, scenario, server
 
 from upwash.config import DroneConfig
 from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate
 
 
-def survey(*servers: dict[str, Any], manner: str, **tables: Any) -> DroneConfig:
+def survey(
+    *servers: dict[str, Any], manner: str, ground_speed_m_s: float = 4.0, **tables: Any
+) -> DroneConfig:
     return scenario(
         *servers,
-        mission={"action_s": 5.0},
+        mission={"action_s": 5.0, "ground_speed_m_s": ground_speed_m_s},
         policy={"name": "location-aware", "stay_or_go": manner},
         **tables,
     )
@@ -75,3 +77,18 @@ def test_a_survey_that_stays_takes_no_longer_than_one_that_calls_and_waits() -> 
         event.waited_s == pytest.approx(call.delay_s)
         for event, call in zip(of(run, schema.AnswerTaken), run.result.calls, strict=True)
     )
+
+
+@pytest.mark.parametrize("after_s", [0.1, 3.0, 12.0])
+def test_a_demand_that_a_pilot_keeps_it_from_doing_is_left_undone(after_s: float) -> None:
+    slow = {
+        "manner": "go",
+        "ground_speed_m_s": 1.0,
+        "event": {"every": 4, "offset": 1},
+    }  # answers come on the way
+    demanded = of(simulate(survey(**slow)), schema.Demanded)
+    assert [event.waypoint for event in demanded] == [1, 5, 9, 13], "at the last waypoint it stays"
+    takes_s = demanded[1].t + after_s  # while it brakes, as it flies back, as it acts
+    run = simulate(survey(**slow, faults=[fault("autopilot", "pilot", from_s=takes_s, to_s=takes_s + 1e4)]))
+    assert not run.result.completed
+    assert run.result.not_acted_on == [5]

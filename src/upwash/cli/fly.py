@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from upwash.cli.arguments import add_live, flown_by, new_run_folder
+from upwash.cli.exit_codes import MEANINGS
 
 if TYPE_CHECKING:
     from upwash.cli.arguments import Commands
@@ -15,7 +16,12 @@ if TYPE_CHECKING:
 
 def add(commands: Commands) -> None:
     """Adds the command."""
-    fly = commands.add_parser("fly", help="fly a mission")
+    fly = commands.add_parser(
+        "fly",
+        help="fly a mission",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="\n".join(("exit codes:", *(f"  {code:<4}{meaning}" for code, meaning in MEANINGS.items()))),
+    )
     fly.add_argument(
         "mission", nargs="?", help="survey, or path/to/file.py:function (default: as configured)"
     )

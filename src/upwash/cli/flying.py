@@ -153,8 +153,8 @@ def _show_result(config: DroneConfig, log: Path, unwritten: Unwritten, show: Sho
         events = [*read_events(log), *map(event_log.decode, unwritten.lines)]
         if show is Show.JSON:
             sys.stdout.write(write_result(record_of(events, log)) + "\n")
-        elif (result := read_result(events)).calls and show is Show.PROGRESS:
-            _print_result(result, config, log)
+        elif show is Show.PROGRESS:
+            _print_result(read_result(events), config, log)
     except UsageError as error:
         problems.append(f"its result cannot be told: {error}")
     return problems
@@ -164,7 +164,8 @@ def _print_result(result: RunResult, config: DroneConfig, log: Path) -> None:
     from upwash.eventlog.terminal import print_result
 
     console = _console()
-    print_result(result, console, paced=any(service.local_pace_s for service in config.services))
+    paced = any(service.local_pace_s for service in config.services)
+    print_result(result, console, paced=paced, servers=bool(config.servers))
     console.print(f"event log: {log}", soft_wrap=True)
 
 

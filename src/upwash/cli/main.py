@@ -35,11 +35,19 @@ from upwash.cli import (
     vehicle,
     view,
 )
-from upwash.errors import MissionFailed, MissionStopped, NotKept, UpwashError, UsageError
+from upwash.cli.exit_codes import ExitCode
+from upwash.errors import (
+    AutopilotOverruled,
+    MissionFailed,
+    MissionStopped,
+    NotKept,
+    ReserveReached,
+    UpwashError,
+    UsageError,
+)
 from upwash.support.standard_streams import forgiving_streams, give_up_output, open_closed_streams
 from upwash.support.text import escaped_lines
 
-_OK, _FAILURE, _USAGE, _NOT_KEPT, _INTERRUPTED = 0, 1, 2, 3, 130
 _COMMANDS = (
     init,
     fly,
@@ -78,14 +86,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
             output.flush()
             if output.trouble is None:
                 raise
-            code = end.code if isinstance(end.code, int) else _OK if end.code is None else _FAILURE
+            code = _code_of(end)
     if output.trouble is None:
         return code
     give_up_output()
-    is_told = code == _NOT_KEPT or isinstance(output.trouble, BrokenPipeError)  # who closed a pipe has enough
-    if not is_told:
+    is_closed = isinstance(output.trouble, BrokenPipeError)  # who closed a pipe has enough
+    if code != ExitCode.NOT_KEPT and not is_closed:
         _complain(UpwashError(f"standard output cannot be written ({output.trouble.strerror})"), code)
-    return code or _NOT_KEPT
+    return code or ExitCode.NOT_KEPT
+
+
+def _code_of(end: SystemExit) -> int:
+    if isinstance(end.code, int):
+        return end.code
+    return ExitCode.DONE if end.code is None else ExitCode.FAILURE
 
 
 def _run(arguments: Sequence[str] | None) -> int:
@@ -93,28 +107,32 @@ def _run(arguments: Sequence[str] | None) -> int:
     options = parser.parse_args(arguments)
     if "run" not in options:
         parser.print_help(sys.stderr)
-        return _USAGE
+        return ExitCode.USAGE
     sys.path.append(str(Path.cwd()))  # so that `my_mission:fly` is found, as `python -m` would find it
     complain = functools.partial(_complain, with_trace=options.verbose)
     try:
-        return _OK if options.run(options) else _FAILURE
+        return ExitCode.DONE if options.run(options) else ExitCode.FAILURE
     except UsageError as error:
-        return complain(error, _USAGE)
+        return complain(error, ExitCode.USAGE)
+    except ReserveReached as error:
+        return complain(UpwashError(f"the mission was ended early: {error}"), ExitCode.RESERVE)
     except MissionStopped as error:
-        return complain(UpwashError(f"the mission was ended early: {error}"), _INTERRUPTED)
+        return complain(UpwashError(f"the mission was ended early: {error}"), ExitCode.INTERRUPTED)
     except MissionFailed as error:
         print(escaped_lines(error.trace), file=sys.stderr)
-        return complain(error, _FAILURE)
+        return complain(error, ExitCode.FAILURE)
     except NotKept as error:
-        return complain(error, _NOT_KEPT)
+        return complain(error, ExitCode.NOT_KEPT)
+    except AutopilotOverruled as error:
+        return complain(error, ExitCode.NOT_OURS)
     except UpwashError as error:
-        return complain(error, _FAILURE)
+        return complain(error, ExitCode.FAILURE)
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
-        return complain(UpwashError(f"{place}{error.strerror or error}"), _FAILURE)
+        return complain(UpwashError(f"{place}{error.strerror or error}"), ExitCode.FAILURE)
     except (KeyboardInterrupt, asyncio.CancelledError):
         print("upwash: stopped at once", file=sys.stderr)
-        return _INTERRUPTED
+        return ExitCode.INTERRUPTED
 
 
 def command_line() -> argparse.ArgumentParser:

@@ -50,7 +50,8 @@ def print_fleet_json(fleet: FleetSimulation) -> None:
 def print_simulation(simulation: Simulation) -> None:
     """One mission for a person: its calls, and how far it is from the bound."""
     console = Console(markup=False)
-    print_result(simulation, console, paced=False)
+    servers = any(isinstance(event, schema.Planned) and event.has_servers for event in simulation.events)
+    print_result(simulation, console, paced=False, servers=servers)
     if simulation.bound is not None:
         say(_beside(simulation, simulation.bound), console)
 

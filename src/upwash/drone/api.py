@@ -229,6 +229,8 @@ class Vehicle:
             return True
         try:
             goes_on = not unless.holds()
+            if not goes_on:  # before it brakes: who takes the vehicle then has it with this left undone
+                unless.pending._note_demand()
         except BaseException:
             self._thread.call(self._stop_short_of(position_of(place)))
             raise

@@ -33,6 +33,7 @@ from upwash.errors import (
     AutopilotOverruled,
     AutopilotRefused,
     MissionStopped,
+    ReserveReached,
     UpwashError,
 )
 from upwash.eventlog import schema
@@ -104,7 +105,7 @@ class Flight:
         self._order = order or order_of(config, specs)
         self._done = done
         self._plan = tuple(each for each in self._order.waypoints if each.index not in (done or ()))
-        self._stopped = ""  # why, once it is
+        self._stopped: MissionStopped | None = None  # why, once it is
         self.has_ended = False  # so that nothing more is to be said of it
         self._stop_following = asyncio.Event()
         self._last_words: deque[tuple[float, VehicleText]] = deque(maxlen=_WORDS_KEPT)  # with their times
@@ -200,9 +201,12 @@ class Flight:
 
     def stop(self, why: str) -> None:
         """Ends the mission early, in the configured action; where the vehicle is not ours, ends following it."""
-        self._stopped = self._stopped or why
-        self._ports.journal.record(schema.Stopping(why=why))
-        self._thread.stop(why)
+        self._end_mission(MissionStopped(why))
+
+    def _end_mission(self, error: MissionStopped) -> None:
+        self._stopped = self._stopped or error
+        self._ports.journal.record(schema.Stopping(why=str(error)))
+        self._thread.stop(str(error))
         self._stop_following.set()
 
     def _hear_vehicle(self, news: VehicleNews) -> None:
@@ -291,8 +295,10 @@ class Flight:
         watch = asyncio.create_task(self._watch_battery())
         try:
             await self._thread.run(self._fly_program)
-        except UpwashError:
+        except UpwashError as error:
             self._require_control()
+            if isinstance(error, MissionStopped) and self._stopped is not None:
+                raise self._stopped from error
             raise
         except Exception as error:
             raise mission_failed(error) from error
@@ -301,8 +307,8 @@ class Flight:
             await self._vehicle._end_leg()
             await self._calls.close()
         self._require_control()
-        if self._stopped:  # though the mission made nothing of it
-            raise MissionStopped(self._stopped)
+        if self._stopped is not None:  # though the mission made nothing of it
+            raise self._stopped
 
     def _fly_program(self) -> None:
         self._program()(self._drone())
@@ -342,7 +348,7 @@ class Flight:
         )
         why = await watch.reached()
         if not vehicle.coming_down:
-            self.stop(why)
+            self._end_mission(ReserveReached(why))
 
     def _drone(self) -> Drone:
         return Drone(

@@ -80,6 +80,7 @@ class OpenAnswer(Generic[T]):
         """Waits for the answer; does what it demands, at its waypoint, and returns to where the drone is."""
         here, waited_s = self._wings.place, self._errand.pending._wait()
         if self.is_away and self._demand.holds():
+            self._errand.pending._note_demand()
             self._come_back(waited_s)
             if here is not None:
                 self._wings._fly(here)

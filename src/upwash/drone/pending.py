@@ -100,6 +100,10 @@ class Pending(Generic[T]):
                 )
             )
 
+    def _note_demand(self) -> None:
+        """Logs that the answer, which is there, demands something at a waypoint where the drone is not."""
+        self._calls.note(schema.Demanded(waypoint=self._waypoint, failed=self._call.failure))
+
     async def _answered(self) -> None:
         """Returns once the answer is there, or will never be."""
         await self._call.over()

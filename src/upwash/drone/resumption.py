@@ -10,6 +10,7 @@ from upwash.core.geo import Waypoint
 from upwash.core.order import Order
 from upwash.errors import UsageError
 from upwash.eventlog import schema
+from upwash.eventlog.owed import Owed
 from upwash.eventlog.schema import Event
 from upwash.eventlog.whereabouts import Whereabouts
 
@@ -26,15 +27,16 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
     plan = {each.index: each for each in waypoints(config.mission)}
     results: dict[int, int] = {}  # of the last visit to each waypoint
     left: set[int] = set()
-    owed: set[int | None] = set()  # waypoints with an answer that was not taken, or not acted upon
+    owed = Owed()
     here: int | None = None
     whereabouts = Whereabouts()
     completed = False
     for event in events:
         whereabouts.take(event)
+        owed.take(event)
         match event:
             case schema.LogOpened():
-                results, left, owed, here, completed = {}, set(), set(), None, False
+                results, left, owed, here, completed = {}, set(), Owed(), None, False
             case schema.MissionCompleted():
                 completed = True
             case schema.MissionStarted():
@@ -48,19 +50,12 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
             case schema.Arrived(waypoint=int(index), east_m=east_m, north_m=north_m):
                 _require_same_place(index, east_m, north_m, plan.get(index))
                 here, results[index] = index, 0
-            case schema.CallStarted(waypoint=waypoint):
-                owed.add(waypoint)
-            case (
-                schema.AnswerTaken(waypoint=waypoint, demanded=False, failed="")
-                | schema.Acted(waypoint=waypoint)
-            ):
-                owed.discard(waypoint)
             case schema.Call() if (waypoint := whereabouts.of_call) is not None and waypoint in results:
                 results[waypoint] += 1
     if completed:
         raise UsageError("the mission in this log was completed: there is nothing to take up")
     wanted = max(1, max((results[each] for each in left), default=len(config.services)))
-    return frozenset((left | {index for index, count in results.items() if count >= wanted}) - owed)
+    return frozenset((left | {index for index, count in results.items() if count >= wanted}) - owed.waypoints)
 
 
 def order_begun(events: Iterable[Event], config: DroneConfig) -> Order | None:

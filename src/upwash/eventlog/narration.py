@@ -114,6 +114,7 @@ class Narrator:
         self.where = ""
         self._reached: set[int] = set()
         self._whereabouts = Whereabouts()
+        self._knows_servers = True  # until the plan says otherwise
         self.began = Beginning()
         self.started = False  # whether the mission has begun
         self.waits_since_s: float | None = None  # until the vehicle can be armed; None while it does not
@@ -129,6 +130,8 @@ class Narrator:
         """What the event says; None for one that is not worth a sentence."""
         self._whereabouts.take(event)
         self.began.take(event)
+        if isinstance(event, schema.Planned):
+            self._knows_servers = event.has_servers
         if type(event) in _NEVER_TOLD:
             return None
         match event:
@@ -165,7 +168,12 @@ class Narrator:
                 self.doing = "before take-off"
                 self._reached = set(done)
                 before = f"taken up again, {len(done)} waypoints done before" if done else "started"
-                return Said(f"mission {before}, policy {policy}")
+                under = f", policy {policy}" if self._knows_servers else ""
+                return Said(f"mission {before}{under}")
+            case schema.Demanded(waypoint=waypoint, failed=failed):
+                if failed:
+                    return Said(f"the call at {named(waypoint)} failed: {failed}", Tone.TROUBLE)
+                return Said(f"the answer at {named(waypoint)} demands something", Tone.FOUND)
             case schema.TurnedBack(waypoint=waypoint):
                 return Said(f"turning back to {named(waypoint)}, for its answer", Tone.FOUND)
             case schema.Foreseen():
@@ -186,10 +194,11 @@ class Narrator:
 
     def _call(self, call: schema.Call) -> Said:
         waited = f" after waiting {call.waited_s:.1f} s" if call.wait else ""
+        why = f" ({call.decision})" if self._knows_servers else ""
         asked_at = self._whereabouts.of_call
         where = self.doing if asked_at == self._whereabouts.here else f"{self.doing}, for {named(asked_at)}"
         return Said(
-            f"{where}: {call.operation} {ran_on(call.server)}, {call.delay_s:.2f} s{waited} ({call.decision})",
+            f"{where}: {call.operation} {ran_on(call.server)}, {call.delay_s:.2f} s{waited}{why}",
             Tone.PLAIN if call.server is None else Tone.REMOTE,
         )
 

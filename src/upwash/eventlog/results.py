@@ -14,21 +14,26 @@ from upwash.core.places import server_of
 from upwash.core.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.beginning import BEGINNING, Beginning
+from upwash.eventlog.owed import OWED, Owed
 from upwash.eventlog.schema import Event
 from upwash.eventlog.whereabouts import Whereabouts
 
 # Most events of a long log are positions, which are passed over at once: each case of a match takes time.
-_COUNTED = BEGINNING | {
-    schema.StayOrGo,
-    schema.TurnedBack,
-    schema.AnswerTaken,
-    schema.MissionCompleted,
-    schema.Arrived,
-    schema.EnergyUsed,
-    schema.LeftHovering,
-    *schema.STEPS.values(),
-}
-_RARE = ("hidden_s", "went_on", "turned_back", "never_ready")
+_COUNTED = (
+    BEGINNING
+    | OWED
+    | {
+        schema.StayOrGo,
+        schema.TurnedBack,
+        schema.Decided,
+        schema.MissionCompleted,
+        schema.Arrived,
+        schema.EnergyUsed,
+        schema.LeftHovering,
+        *schema.STEPS.values(),
+    }
+)
+_RARE = ("hidden_s", "went_on", "turned_back", "never_ready", "not_acted_on", "not_looked_at", "failed_calls")
 _LEAST_HIDDEN_S = 0.01  # what is less is the time between a call's end and the mission's next step
 
 
@@ -106,6 +111,10 @@ class EnergyTotals:
 class RunResult:
     """One run; `undone` are the waypoints that were not reached, `left_hovering` whether the pilot has to land.
 
+    `not_acted_on` are waypoints whose answers demand what was not done, and `failed_calls` those whose call failed,
+    which the mission did nothing about. Where it was not completed, `not_looked_at` are those whose answers it did
+    not look at. None stands for a place beside the plan.
+
     The mission's time is counted from arming; `arming_s` is how long it had waited for that. `energy` is None where
     nobody metered it: it is in simulations alone. `never_ready` says of servers that failed, and never were of use,
     why they did at last.
@@ -122,6 +131,9 @@ class RunResult:
     arming_s: float = 0.0
     energy: EnergyTotals | None = None
     never_ready: dict[str, str] = field(default_factory=dict)
+    not_acted_on: list[int | None] = field(default_factory=list)
+    failed_calls: list[int | None] = field(default_factory=list)
+    not_looked_at: list[int | None] = field(default_factory=list)
 
     def local_only_time_s(self) -> float | None:
         """How long the mission would have taken with every call at the mean measured local delay.
@@ -164,6 +176,8 @@ class Tally:
         self._waits: list[str] = []
         self._switches = self._fallbacks = self._went_on = self._turned_back = 0
         self._energy: EnergyTotals | None = None
+        self._owed = Owed()
+        self._calling: set[int | None] = set()  # where the call was made that is not over
         self._ready, self._failed = set[str](), dict[str, str]()  # servers; why each failed last
 
     def take(self, event: Event) -> None:
@@ -173,6 +187,7 @@ class Tally:
             return
         self._began.take(event)
         self._whereabouts.take(event)
+        self._owed.take(event)
         match event:
             case schema.MissionStarted():
                 self._policy, self._waypoints = event.policy, event.waypoints
@@ -187,7 +202,10 @@ class Tally:
                 self._take_step(event)
             case schema.EnergyUsed():
                 self._energy = _energy(event)
+            case schema.Decided():
+                self._calling = {self._whereabouts.of_call_under_way}
             case schema.Call():
+                self._calling = set()
                 self._calls.append(_call(event, self._whereabouts.of_call, self._began.at_s or 0.0))
                 self._waits += [event.wait] if event.wait else []
                 self._fallbacks += event.fell_back
@@ -204,6 +222,10 @@ class Tally:
             self._ready.add(step.server)
         elif step.after is State.BLACKLISTED:
             self._failed[step.server] = step.why.removeprefix(f"{step.server}: ")
+
+    @property
+    def _not_looked_at(self) -> set[int | None]:
+        return (self._calling | self._owed.answers) - self._owed.demands - self._owed.failures
 
     @property
     def began_s(self) -> float | None:
@@ -240,6 +262,9 @@ class Tally:
             never_ready={
                 server: why for server, why in sorted(self._failed.items()) if server not in self._ready
             },
+            not_acted_on=_in_order(self._owed.demands),
+            failed_calls=_in_order(self._owed.failures),
+            not_looked_at=[] if self.completed else _in_order(self._not_looked_at),
         )
 
 
@@ -263,6 +288,11 @@ def last_run(events: Iterable[Event]) -> list[Event]:
             run = []
         run.append(event)
     return run
+
+
+def _in_order(waypoints: Iterable[int | None]) -> list[int | None]:
+    """Places beside the plan first."""
+    return sorted(waypoints, key=lambda each: -1 if each is None else each)
 
 
 def _call(event: schema.Call, waypoint: int | None, began_s: float) -> CallResult:

@@ -22,7 +22,7 @@ from upwash.core.geo import Circle, GeoPosition, Position
 from upwash.core.places import server_of
 from upwash.core.servers import State, Trigger
 
-VERSION = 3  # of the log; logs of earlier releases have none
+VERSION = 4  # of the log; logs of earlier releases have none
 SEVERITIES = (
     "emergency",
     "alert",
@@ -153,6 +153,11 @@ class Planned(Event, frozen=True, kw_only=True):
     measured: Mapping[str, Sequence[Measured]] = {}
 
     @property
+    def has_servers(self) -> bool:
+        """Whether there is any server that calls could run on."""
+        return bool(self.ranges or self.measured)
+
+    @property
     def way_m(self) -> Sequence[tuple[float, float]]:
         """The waypoints in the order in which they are flown."""
         return [self.waypoints_m[index] for index in self._flown_order]
@@ -269,6 +274,13 @@ class StayOrGo(Event, frozen=True, kw_only=True):
     chance: float
     saved_s: float | None = None
     lost_s: float | None = None
+
+
+class Demanded(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """An answer that came on the way demands something at its waypoint, or its call `failed`, and why."""
+
+    waypoint: int | None
+    failed: str = ""
 
 
 class TurnedBack(Event, frozen=True, kw_only=True):

@@ -16,6 +16,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Said, Tone, counted, spans
 from upwash.eventlog.results import EnergyTotals, RunResult, Totals
 from upwash.eventlog.schema import Event
+from upwash.eventlog.undone import left_undone
 from upwash.support.sentences import say
 from upwash.support.text import printable
 
@@ -107,42 +108,57 @@ class Progress(LiveDisplay):
 
     def _picture(self) -> Group:
         now = self._narrator
-        servers = Table(box=None, padding=(0, 2))
-        servers.add_column("server")
-        servers.add_column("state")
-        servers.add_column("why", style="dim")
-        for name, (state, why) in self._states.items():
-            servers.add_row(name, Text(state, style=STATE_STYLES.get(state, "")), why)
         since_s = now.waits_since_s
         waited = "" if since_s is None else f" for {self._now_s - since_s:.0f} s"
         head = Text(
             f"{now.doing}{waited} · {now.reached} of {self._waypoints} waypoints reached · {now.where}"
         )
         taken = [Text(printable(now.control), style="bold red")] if now.control else []
-        return Group(head, *taken, servers)
+        return Group(head, *taken, *([self._servers()] if self._states else []))
+
+    def _servers(self) -> Table:
+        servers = Table(box=None, padding=(0, 2))
+        servers.add_column("server")
+        servers.add_column("state")
+        servers.add_column("why", style="dim")
+        for name, (state, why) in self._states.items():
+            servers.add_row(name, Text(state, style=STATE_STYLES.get(state, "")), why)
+        return servers
 
 
-def print_result(result: RunResult, console: Console, *, paced: bool) -> None:
-    """Prints a table of the calls, the totals, and the mission time against what local calls would have made it."""
-    _print_calls(result, console)
+def print_result(result: RunResult, console: Console, *, paced: bool, servers: bool) -> None:
+    """Prints a table of the calls, the totals, and the mission time against what local calls would have made it.
+
+    Without `servers` there is no word of what only they could have done; what was not in use is not counted.
+    """
     totals = result.totals
-    servers = ", ".join(f"{count} on {server}" for server, count in totals.remote.items())
-    say(
-        f"{counted(totals.calls, 'call')}: {totals.local} on the drone{', ' + servers if servers else ''}; "
-        f"{counted(totals.switches, 'selection')} of a server; {_waits(totals)}; "
-        f"{totals.fallbacks or 'none'} fell back to the drone; {totals.service_delay_s:.1f} s spent in calls",
-        console,
-    )
+    if result.calls:
+        _print_calls(result, console, servers=servers)
+        say(_calls_line(totals, servers=servers), console)
     if totals.lighter:
         say(_lighter_line(result), console)
-    if totals.went_on or totals.hidden_s:
-        say(_going_line(totals), console)
+    if going := _going_line(totals):
+        say(going, console)
     _print_times(result, console, paced=paced)
     if result.energy is not None:
         say(_energy_line(result.energy), console)
     _print_waypoints(result, console)
     for server, why in result.never_ready.items():
         say(Text(f"{server} never became ready: {printable(why)}", style="yellow"), console)
+
+
+def _calls_line(totals: Totals, *, servers: bool) -> str:
+    remote = "".join(f", {count} on {server}" for server, count in totals.remote.items())
+    parts = [f"{counted(totals.calls, 'call')}: {totals.local} on the drone{remote}"]
+    if totals.switches:
+        parts += [
+            f"{counted(totals.switches, 'selection')} of a server",
+            _waits(totals),
+            f"{totals.fallbacks or 'none'} fell back to the drone",
+        ]
+    elif servers:
+        parts.append("no server was selected")
+    return "; ".join((*parts, f"{totals.service_delay_s:.1f} s spent in calls"))
 
 
 def _waits(totals: Totals) -> str:
@@ -158,10 +174,10 @@ def _lighter_line(result: RunResult) -> str:
 
 
 def _going_line(totals: Totals) -> str:
-    return (
-        f"went on before the answer {counted(totals.went_on, 'time')}, turned back "
-        f"{counted(totals.turned_back, 'time')}; did other things during {totals.hidden_s:.1f} s of the calls"
-    )
+    back = totals.turned_back or "none"
+    went_on = f"flew on before {counted(totals.went_on, 'answer')}, and turned back for {back}"
+    busy = f"did other things during {totals.hidden_s:.1f} s of the calls"
+    return "; ".join([*([went_on] if totals.went_on else []), *([busy] if totals.hidden_s else [])])
 
 
 def _energy_line(energy: EnergyTotals) -> str:
@@ -175,12 +191,15 @@ def _energy_line(energy: EnergyTotals) -> str:
 def _print_waypoints(result: RunResult, console: Console) -> None:
     undone = f", left undone: {spans(result.undone)}" if result.undone else ""
     reached = result.waypoints - len(result.undone)
-    say(f"{reached} of {result.waypoints} waypoints reached{undone}", console)
+    if result.waypoints:
+        say(f"{reached} of {counted(result.waypoints, 'waypoint')} reached{undone}", console)
+    for phrase in left_undone(result):
+        say(Text(phrase, style="yellow"), console)
     if result.left_hovering:
         say(Text(LEFT_HOVERING, style="bold red"), console)
 
 
-def _print_calls(result: RunResult, console: Console) -> None:
+def _print_calls(result: RunResult, console: Console, *, servers: bool) -> None:
     operations = sorted({call.operation for call in result.calls})
     several = len(operations) > 1
     shown = _short_names(operations)
@@ -189,16 +208,19 @@ def _print_calls(result: RunResult, console: Console) -> None:
     table.add_column("waypoint", justify="right")
     if several:
         table.add_column("operation", no_wrap=True)
-    table.add_column("place", overflow="fold")
+    if servers:
+        table.add_column("place", overflow="fold")
     table.add_column("delay", justify="right", no_wrap=True)
-    table.add_column("waited", justify="right", no_wrap=True)
-    table.add_column("decision", min_width=_DECISION)
+    if servers:
+        table.add_column("waited", justify="right", no_wrap=True)
+        table.add_column("decision", min_width=_DECISION)
     for call in result.calls:
         waypoint = "" if call.waypoint is None else str(call.waypoint)
         operation = [shown[call.operation]] if several else []
-        place = call.server or "drone"
+        place = [call.server or "drone"] if servers else []
         waited = f"{call.waited_s:.1f} s" if call.waited_s >= _WORTH_SHOWING_S else ""
-        cells = (waypoint, *operation, place, f"{call.delay_s:.2f} s", waited, call.decision)
+        why = [waited, call.decision] if servers else []
+        cells = (waypoint, *operation, *place, f"{call.delay_s:.2f} s", *why)
         table.add_row(*(Text(printable(cell)) for cell in cells))  # as text: [heavy] is no markup
     console.print(table, width=None if console.is_terminal else _WIDE)
 

@@ -20,6 +20,7 @@ from upwash.eventlog.narration import (
 )
 from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import SEVERITIES, Event
+from upwash.eventlog.undone import left_undone
 from upwash.support.text import printable
 
 _LONGEST_LIST = 200  # characters
@@ -136,6 +137,7 @@ class NoticesTaken:
         if result.undone:
             which = printable(spans(result.undone), _LONGEST_LIST)
             yield f"{len(result.undone)} of {counted(result.waypoints, 'waypoint')} left undone: {which}"
+        yield from left_undone(result)
         for server, why in result.never_ready.items():
             yield f"The server {server} never became ready: {why}"
 

@@ -58,19 +58,26 @@ def what_it_came_to(run: Outcome, runs: Sequence[Outcome]) -> str:
         f"{run.name}: the mission took {result.mission_time_s:.1f} s under the policy {result.policy}{ended}."
     )
     took += _going(result.totals)
+    if not result.totals.calls:
+        return f"{took} It made no calls."
     if not result.totals.remote:
-        return f"{took} All {result.totals.calls} calls ran on the drone."
+        return f"{took} {_all(result.totals.calls)} on the drone."
     paced = (
         " Calls on the drone were paced to take as long as on a slower computer." if run.plan.paced else ""
     )
     return f"{took} {_saving(run)}{_against_reference(run, runs)}{paced}"
 
 
+def _all(calls: int) -> str:
+    return "Its one call ran" if calls == 1 else f"All {calls} calls ran"
+
+
 def _going(totals: Totals) -> str:
     if not totals.went_on:
         return ""
+    back = totals.turned_back or "none"
     return (
-        f" The drone went on before {counted(totals.went_on, 'answer')} and turned back for {totals.turned_back}: "
+        f" The drone flew on before {counted(totals.went_on, 'answer')} and turned back for {back}: "
         f"during {totals.hidden_s:.1f} s of the calls it did something else."
     )
 

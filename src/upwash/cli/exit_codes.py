@@ -1,0 +1,29 @@
+"""How a command ends, as scripts see it; docs/missions.md has the same table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """The codes."""
+
+    DONE = 0
+    FAILURE = 1
+    USAGE = 2
+    NOT_KEPT = 3
+    RESERVE = 4
+    NOT_OURS = 5
+    INTERRUPTED = 130
+
+
+MEANINGS: Mapping[ExitCode, str] = {
+    ExitCode.DONE: "it did what it should",
+    ExitCode.FAILURE: "it failed, or a check warns, or a promise is broken",
+    ExitCode.USAGE: "what was typed or configured cannot work; nothing was started",
+    ExitCode.NOT_KEPT: "it did what it should, and not all of the event log or of the output could be written",
+    ExitCode.RESERVE: "the battery ended the mission, at the reserve",
+    ExitCode.NOT_OURS: "the program does not have the vehicle: a person, a fail-safe or another program has it",
+    ExitCode.INTERRUPTED: "Ctrl-C or SIGTERM ended it",
+}
