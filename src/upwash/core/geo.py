@@ -52,9 +52,9 @@ class GeoPosition:
 
 @dataclass(frozen=True, slots=True)
 class EarthPosition:
-    """Where something is on the Earth: in degrees (WGS 84), metres above the sea, and when, in seconds since 1970.
+    """A place on the Earth in degrees (WGS 84), its altitude above the sea, and the time there in seconds since 1970.
 
-    The last two are None where they are not known.
+    Altitude and time are None where the vehicle does not report them.
     """
 
     latitude_deg: float

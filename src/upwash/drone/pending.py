@@ -101,7 +101,7 @@ class Pending(Generic[T]):
             )
 
     def _note_demand(self) -> None:
-        """Logs that the answer, which is there, demands something at a waypoint where the drone is not."""
+        """Logs the answer's demand, before the drone flies back to its waypoint."""
         self._calls.note(schema.Demanded(waypoint=self._waypoint, failed=self._call.failure))
 
     async def _answered(self) -> None:

@@ -29,7 +29,7 @@ class Photographer:
     def take_photo(self) -> bytes:
         """Shoots and returns one JPEG, with its place on the Earth as EXIF where that is known; raises CameraError.
 
-        A photo in which the camera wrote a place is returned as it is.
+        A photo with a place from the camera's own GPS is returned unchanged.
         """
         return self._thread.call(self._take_photo())
 

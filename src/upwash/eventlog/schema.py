@@ -277,7 +277,7 @@ class StayOrGo(Event, frozen=True, kw_only=True):
 
 
 class Demanded(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """An answer that came on the way demands something at its waypoint, or its call `failed`, and why."""
+    """On its way the drone received an answer with a demand at that waypoint, or the call `failed`, with the reason."""
 
     waypoint: int | None
     failed: str = ""

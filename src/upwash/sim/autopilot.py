@@ -109,7 +109,7 @@ class ModelAutopilot:
 
     @property
     def earth_position(self) -> EarthPosition | None:
-        """By the frame, where there is one; how high above the sea its ground is, and the date, nobody says."""
+        """The frame's; None without a frame. A model has no altitude above the sea and no date."""
         if self._frame is None:
             return None
         geo = self._frame.geo(self.position)

@@ -177,7 +177,7 @@ def _taken(shot: Shot) -> dict[int, _Value]:
 
 
 def _time(shot: Shot) -> datetime | None:
-    """None where it is not known, or no calendar has it: a receiver may say anything."""
+    """None where the time is not known, or is outside the calendar, as a receiver's nonsense may be."""
     try:
         return None if shot.unix_s is None else datetime.fromtimestamp(shot.unix_s, UTC)
     except (ValueError, OverflowError, OSError):
