@@ -81,7 +81,7 @@ def test_a_survey_that_stays_takes_no_longer_than_one_that_calls_and_waits() -> 
 
 @pytest.mark.parametrize("after_s", [0.1, 3.0, 12.0])
 def test_a_demand_that_a_pilot_keeps_it_from_doing_is_left_undone(after_s: float) -> None:
-    slow = {
+    slow: dict[str, Any] = {
         "manner": "go",
         "ground_speed_m_s": 1.0,
         "event": {"every": 4, "offset": 1},

@@ -277,7 +277,7 @@ class StayOrGo(Event, frozen=True, kw_only=True):
 
 
 class Demanded(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """On its way the drone received an answer with a demand at that waypoint, or the call `failed`, with the reason."""
+    """An answer that arrived on the way has a demand at that waypoint, or the call `failed`, with the reason."""
 
     waypoint: int | None
     failed: str = ""
