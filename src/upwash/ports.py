@@ -72,15 +72,35 @@ VehicleNews: TypeAlias = (
 
 
 @dataclass(frozen=True, slots=True)
+class FenceNames:
+    """What a vehicle calls the parameters of its fence and of its way home."""
+
+    highest: str = "its ceiling"
+    lowest: str = "its floor"
+    margin: str = "its margin"
+    returns_at: str = "its return altitude"
+
+
+@dataclass(frozen=True, slots=True)
 class VehicleLimits:
     """Where the vehicle returns to and what its own fence allows, relative to the mission's home.
 
-    `home` is None while it does not say, `highest_m` where no altitude is forbidden.
+    `home` and `home_above_sea_m` are None while the vehicle does not say. `highest_m` and `lowest_m` are the
+    altitudes above home at which its fence ends, None where there is none; the fence is breached at either.
+    A vehicle may overshoot by `margin_m`. `returns_at_m` is the altitude above home that its way home has at least.
+    `names` has the vehicle's parameter behind each of these, for messages. `untold` are parameters of its fence
+    that the vehicle did not tell.
     """
 
     home: Position | None = None
     fences: Sequence[Fence] = ()
     highest_m: float | None = None
+    lowest_m: float | None = None
+    margin_m: float = 0.0
+    returns_at_m: float = 0.0
+    home_above_sea_m: float | None = None
+    names: FenceNames = FenceNames()
+    untold: Sequence[str] = ()
 
 
 DeadManAction: TypeAlias = Literal["return", "land"]

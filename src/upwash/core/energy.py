@@ -70,6 +70,11 @@ class EnergyFacts:
     home: Position | None = None
     way_home: WayHome | None = None
 
+    @property
+    def return_altitude_m(self) -> float:
+        """The altitude above home that the way home has at least; 0 where it is not known."""
+        return self.way_home.altitude_m if self.way_home is not None else 0.0
+
 
 @dataclass(frozen=True, slots=True)
 class Report:

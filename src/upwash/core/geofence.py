@@ -40,18 +40,13 @@ class Polygon:
 
     def contains_leg(self, start: Position, end: Position) -> bool:
         """Whether all of a straight leg lies within the polygon."""
-        met_at = set(self._met_at(start, end))
-        if not met_at:
-            return self.contains(start)
-        shares = sorted({0.0, 1.0, *met_at})
-        halfway = [(before + after) / 2 for before, after in itertools.pairwise(shares)]
-        return all(self.contains(_along(start, end, share)) for share in [0.0, *halfway, 1.0])
+        return _contain_leg((self,), start, end)
 
     def meets_leg(self, start: Position, end: Position) -> bool:
         """Whether any of a straight leg lies within the polygon."""
-        return self.contains(start) or any(True for _ in self._met_at(start, end)) or self.contains(end)
+        return self.contains(start) or any(True for _ in self.met_at(start, end)) or self.contains(end)
 
-    def _met_at(self, start: Position, end: Position) -> Iterator[float]:
+    def met_at(self, start: Position, end: Position) -> Iterator[float]:
         """How far along the leg, from 0 to 1, it crosses a side or passes a corner."""
         for corner, following in self.borders:
             if _clearly_apart(start, end, corner, following):
@@ -65,11 +60,26 @@ class Polygon:
 
 
 @dataclass(frozen=True, slots=True)
+class AreaUnion:
+    """Areas of which one is enough to be in, as a vehicle joins them."""
+
+    areas: tuple[Polygon | Circle, ...]
+
+    def contains(self, position: Position) -> bool:
+        """Whether the position lies within one of the areas, its border included."""
+        return any(area.contains(position) for area in self.areas)
+
+    def contains_leg(self, start: Position, end: Position) -> bool:
+        """Whether each place of a straight leg lies within one of the areas."""
+        return _contain_leg(self.areas, start, end)
+
+
+@dataclass(frozen=True, slots=True)
 class Fence:
     """One area of a geofence, by the name that messages call it."""
 
     name: str
-    area: Polygon | Circle
+    area: Polygon | Circle | AreaUnion
     inclusion: bool  # stay in, as opposed to keep out
 
     def allows(self, position: Position) -> bool:
@@ -79,14 +89,22 @@ class Fence:
     def allows_leg(self, start: Position, end: Position) -> bool:
         """Whether the vehicle may fly there straight from `start`."""
         match self.area:
-            case Polygon() as polygon if self.inclusion:
-                return polygon.contains_leg(start, end)
-            case Polygon() as polygon:
-                return not polygon.meets_leg(start, end)
+            case Polygon() | AreaUnion() as area if self.inclusion:
+                return area.contains_leg(start, end)
             case Circle() as circle if self.inclusion:
                 return circle.contains(start) and circle.contains(end)
-            case circle:
-                return _distance_to_line_m(circle.centre, start, end) > circle.radius_m
+            case area:
+                return not any(_meets_leg(each, start, end) for each in _single(area))
+
+    def clearance_m(self, position: Position) -> float:
+        """How far a place that the fence allows is from what it forbids; a lower bound in joined areas."""
+        distances_m = (
+            _to_border_m(area, position) for area in _single(self.area) if self._counts(area, position)
+        )
+        return max(distances_m, default=0.0) if self.inclusion else min(distances_m, default=math.inf)
+
+    def _counts(self, area: Polygon | Circle, position: Position) -> bool:
+        return area.contains(position) == self.inclusion
 
 
 def breached_by_position(fences: Sequence[Fence], position: Position) -> Fence | None:
@@ -99,10 +117,49 @@ def breached_by_leg(fences: Sequence[Fence], start: Position, end: Position) -> 
     return next((fence for fence in fences if not fence.allows_leg(start, end)), None)
 
 
+def breached_by_move(fences: Sequence[Fence], start: Position, target: Position) -> Fence | None:
+    """The first of the fences that does not allow the target, or the straight leg there.
+
+    From a place that they do not allow a leg to an allowed one is: it has to come back in.
+    """
+    fence = breached_by_position(fences, target)
+    if fence is None and breached_by_position(fences, start) is None:
+        return breached_by_leg(fences, start, target)
+    return fence
+
+
 def breached_by_way(fences: Sequence[Fence], places: Sequence[Position]) -> Fence | None:
     """The first of the fences that does not allow one of the straight legs from place to place."""
     legs = itertools.pairwise(places) if fences else ()
     return next((fence for leg in legs if (fence := breached_by_leg(fences, *leg)) is not None), None)
+
+
+def _single(area: Polygon | Circle | AreaUnion) -> tuple[Polygon | Circle, ...]:
+    return area.areas if isinstance(area, AreaUnion) else (area,)
+
+
+def _contain_leg(areas: Sequence[Polygon | Circle], start: Position, end: Position) -> bool:
+    """Whether each place of the leg lies within one of the areas: it does all the way between two borders, or not."""
+    shares = sorted({0.0, 1.0, *(share for area in areas for share in _met_at(area, start, end))})
+    halfway = ((before + after) / 2 for before, after in itertools.pairwise(shares))
+    places = (_along(start, end, share) for share in (0.0, *halfway, 1.0))
+    return all(any(area.contains(place) for area in areas) for place in places)
+
+
+def _met_at(area: Polygon | Circle, start: Position, end: Position) -> Iterator[float]:
+    return area.met_at(start, end) if isinstance(area, Polygon) else _circle_met_at(area, start, end)
+
+
+def _meets_leg(area: Polygon | Circle, start: Position, end: Position) -> bool:
+    if isinstance(area, Polygon):
+        return area.meets_leg(start, end)
+    return _distance_to_line_m(area.centre, start, end) <= area.radius_m
+
+
+def _to_border_m(area: Polygon | Circle, position: Position) -> float:
+    if isinstance(area, Polygon):
+        return min(_distance_to_line_m(position, *side) for side in area.borders)
+    return abs(ground_distance_m(area.centre, position) - area.radius_m)
 
 
 def _clearly_apart(start: Position, end: Position, corner: Position, following: Position) -> bool:
@@ -130,6 +187,26 @@ def _nearest_share(position: Position, start: Position, end: Position) -> float:
         return 0.0
     ahead = (position.east_m - start.east_m) * east_m + (position.north_m - start.north_m) * north_m
     return min(1.0, max(0.0, ahead / squared))
+
+
+def _circle_met_at(circle: Circle, start: Position, end: Position) -> Iterator[float]:
+    """How far along the leg, from 0 to 1, it crosses the circle."""
+    length_m = ground_distance_m(start, end)
+    if length_m == 0:
+        return
+    to_east_m, to_north_m = circle.centre.east_m - start.east_m, circle.centre.north_m - start.north_m
+    ahead_m = (
+        to_east_m * (end.east_m - start.east_m) + to_north_m * (end.north_m - start.north_m)
+    ) / length_m
+    half_chord_squared = circle.radius_m**2 - (to_east_m**2 + to_north_m**2 - ahead_m**2)
+    if half_chord_squared < 0:
+        return
+    half_chord_m = math.sqrt(half_chord_squared)
+    yield from (
+        crossing_m / length_m
+        for crossing_m in (ahead_m - half_chord_m, ahead_m + half_chord_m)
+        if 0 <= crossing_m <= length_m
+    )
 
 
 def _distance_to_line_m(position: Position, start: Position, end: Position) -> float:

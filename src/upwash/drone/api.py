@@ -10,15 +10,14 @@ from typing import Any, Literal, ParamSpec, TypeVar
 from upwash.core.estimates import Operation
 from upwash.core.events import Arrived, Event, LegBegun, MissionBegun, TargetUnknown
 from upwash.core.geo import EarthPosition, Position, Waypoint, distance_m, rounded
-from upwash.core.geofence import breached_by_leg, breached_by_position
 from upwash.core.telemetry import Telemetry
 from upwash.drone.mission import MissionThread
 from upwash.drone.open_answer import Errand, Errands, OpenAnswer, index_of
 from upwash.drone.payload import Payload
 from upwash.drone.pending import Calls, Demand, Pending
 from upwash.drone.photographer import Photographer
-from upwash.drone.site import Site
-from upwash.errors import AutopilotError, AutopilotRefused, UsageError
+from upwash.drone.site import Site, require_altitude
+from upwash.errors import AutopilotError, UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.schema import SEVERITIES
 from upwash.plans import Ending
@@ -52,6 +51,7 @@ class Vehicle:
         self._thread = thread
         self._journal = journal
         self._site = site
+        self._limits = VehicleLimits()  # as they were read before arming
         self._tell = tell
         self._in_the_air = False
         self._found_flying = False  # it has taken off before this program began, and not landed since
@@ -277,7 +277,7 @@ class Vehicle:
         ground_speed_m_s: float | None = None,
         back: bool = False,
     ) -> None:
-        self._require_allowed(position)
+        self._site.require_leg(self._limits, self._stands_at or self._autopilot.position, position)
         if ground_speed_m_s is not None and ground_speed_m_s != self._ground_speed_m_s:
             await self._set_ground_speed(ground_speed_m_s)
         self._journal.record(
@@ -338,8 +338,12 @@ class Vehicle:
         await self._autopilot.ready()
         limits = await self._autopilot.limits()
         self._record_limits(limits)
-        self._site.require_reachable(self._autopilot.position)
-        self._site.require_within(limits)
+        stands = self._autopilot.position
+        self._site.require_reachable(stands)
+        self._site.require_within(limits, stands)
+        for why in self._site.doubts(limits, stands):
+            self._journal.record(schema.SiteDoubt(why=why))
+        self._limits = limits
         self._journal.record(schema.Arming())
         await self._autopilot.arm()
         self._tell(MissionBegun(self._autopilot.energy))
@@ -348,24 +352,15 @@ class Vehicle:
         self._journal.record(
             schema.VehicleLimits(
                 home=rounded(limits.home) if limits.home else None,
+                home_above_sea_m=limits.home_above_sea_m,
                 highest_m=limits.highest_m,
+                lowest_m=limits.lowest_m,
                 fences=[fence.name for fence in limits.fences],
             )
         )
 
-    def _require_allowed(self, target: Position) -> None:
-        start = self._stands_at or self._autopilot.position
-        fences = self._site.fences
-        fence = breached_by_position(fences, target)
-        if fence is None and breached_by_position(fences, start) is None:  # else it has to come back in
-            fence = breached_by_leg(fences, start, target)
-        if fence is not None:
-            step = f"goto {target.east_m:.1f} m east, {target.north_m:.1f} m north"
-            raise AutopilotRefused(
-                step, f"{fence.name} of the plan's geofence is in the way; nothing was sent"
-            )
-
     async def _takeoff(self, altitude_m: float) -> None:
+        require_altitude(self._limits, altitude_m, step=f"takeoff to {altitude_m:g} m")
         self._tell(TargetUnknown())
         self._journal.record(schema.TakingOff(altitude_m=altitude_m))
         await self._autopilot.takeoff(altitude_m)
@@ -376,6 +371,7 @@ class Vehicle:
     async def _climb(self, altitude_m: float) -> None:
         here = self._autopilot.position
         if here.altitude_m < altitude_m:  # never down: only the plan knows what is below
+            require_altitude(self._limits, altitude_m, step=f"climb to {altitude_m:g} m")
             await self._autopilot.goto(Position(here.east_m, here.north_m, altitude_m))
 
     async def _logged(

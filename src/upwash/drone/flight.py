@@ -123,6 +123,8 @@ class Flight:
                 waypoints=self._plan,
                 fences=geofence(config.mission),
                 farthest_start_m=config.autopilot.farthest_start_m,
+                takeoff_m=config.mission.altitude_m,
+                ending=ending(config.mission),
             ),
             tell=self._offloading.tell,
         )

@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from upwash.core.geo import Position, Waypoint, ground_distance_m
-from upwash.core.geofence import Fence, breached_by_leg, breached_by_position
+from upwash.core.geo import Circle, Position, Waypoint, ground_distance_m
+from upwash.core.geofence import Fence, breached_by_leg, breached_by_move, breached_by_position
 from upwash.errors import AutopilotRefused
+from upwash.plans import Ending
 from upwash.ports import VehicleLimits
+
+_REMEDY = "change the plan or the vehicle's fence; nothing was sent"
 
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """The waypoints of a mission, the fences of its plan, and from how far away it may begin."""
+    """The waypoints of a mission, the fences of its plan, and how it begins and ends.
+
+    `takeoff_m` is the altitude of its take-off, `farthest_start_m` from how far away it may begin.
+    """
 
     waypoints: Sequence[Waypoint]
     fences: Sequence[Fence]
     farthest_start_m: float
+    takeoff_m: float
+    ending: Ending = "return"
 
     def require_reachable(self, vehicle: Position) -> None:
         """Raises AutopilotRefused where the vehicle stands too far from all of the mission."""
@@ -32,27 +40,145 @@ class Site:
                 "waypoints and where the vehicle believes to be, or raise it; nothing was sent",
             )
 
-    def require_within(self, limits: VehicleLimits) -> None:
-        """Raises AutopilotRefused where the vehicle's own fence forbids a waypoint or the way to one."""
+    def require_within(self, limits: VehicleLimits, vehicle: Position) -> None:
+        """Raises AutopilotRefused where the vehicle's own fence forbids a part of the flight.
+
+        The parts are where the vehicle stands, the take-off, each way and waypoint, the way home and the landing.
+        """
+        problems = itertools.chain(
+            self._at_the_start(limits, vehicle),
+            self._on_the_way(limits, vehicle),
+            self._at_the_end(limits, vehicle),
+        )
+        for what, why in problems:
+            raise AutopilotRefused("arm", f"the vehicle's own fence forbids {what}: {why}; {_REMEDY}")
+
+    def require_leg(self, limits: VehicleLimits, start: Position, target: Position) -> None:
+        """Raises AutopilotRefused where the plan's geofence or the vehicle's own fence is in the way."""
+        step = f"goto {target.east_m:.1f} m east, {target.north_m:.1f} m north"
+        if (fence := breached_by_move(self.fences, start, target)) is not None:
+            raise AutopilotRefused(
+                step, f"{fence.name} of the plan's geofence is in the way; nothing was sent"
+            )
+        if (fence := breached_by_move(limits.fences, start, target)) is not None:
+            raise AutopilotRefused(step, f"{fence.name} is in the way; nothing was sent")
+        require_altitude(limits, target.altitude_m, step=step)
+
+    def doubts(self, limits: VehicleLimits, vehicle: Position) -> Iterator[str]:
+        """What a person should know of a flight that the vehicle's own fence does not forbid."""
+        if limits.untold:
+            yield (
+                f"the vehicle did not tell {', '.join(limits.untold)}: the mission is not held against all of its own "
+                "fence"
+            )
+        yield from itertools.islice(self._too_near(limits), 1)
+        home = _home(limits, vehicle)
+        crossing = [
+            (waypoint.index, fence)
+            for waypoint in self.waypoints
+            if (fence := breached_by_leg(limits.fences, waypoint.position, home)) is not None
+        ]
+        if crossing:
+            indices, (_, fence) = [index for index, _ in crossing], crossing[0]
+            yield (
+                f"a straight way home from {_waypoints(indices)} leaves {fence.name}"
+                if fence.inclusion
+                else f"a straight way home from {_waypoints(indices)} crosses {fence.name}"
+            ) + ": a return that begins there, by a fail-safe too, breaches the vehicle's own fence"
+
+    def _at_the_start(self, limits: VehicleLimits, vehicle: Position) -> Iterator[tuple[str, str]]:
+        if why := _outside_areas(limits, vehicle):
+            yield f"the place where the vehicle stands ({_place(vehicle)})", why
+        if why := _outside_altitudes(limits, self.takeoff_m):
+            yield f"the take-off to {self.takeoff_m:g} m", why
+
+    def _on_the_way(self, limits: VehicleLimits, vehicle: Position) -> Iterator[tuple[str, str]]:
+        before, whence = vehicle, f"where the vehicle stands ({_place(vehicle)})"
         for waypoint in self.waypoints:
-            place = waypoint.position
-            if limits.highest_m is not None and place.altitude_m > limits.highest_m:
-                _refuse(
-                    waypoint, f"it is {place.altitude_m:g} m up, the fence ends at {limits.highest_m:g} m"
+            place, name = waypoint.position, f"waypoint {waypoint.index}"
+            if why := _outside_altitudes(limits, place.altitude_m) or _outside_areas(limits, place):
+                yield name, why
+            if why := _crossed_areas(limits, before, place):
+                yield name, f"the way there from {whence} {why}"
+            before, whence = place, name
+
+    def _at_the_end(self, limits: VehicleLimits, vehicle: Position) -> Iterator[tuple[str, str]]:
+        names, home = limits.names, _home(limits, vehicle)
+        if limits.highest_m is not None and limits.returns_at_m >= limits.highest_m:
+            why = f"it ends at {names.highest} = {limits.highest_m:g} m; lower {names.returns_at}"
+            yield f"the way home at {names.returns_at} = {limits.returns_at_m:g} m", why
+        if self.ending != "return" or not self.waypoints:
+            return
+        if why := _outside_areas(limits, home):
+            yield f"the landing at the vehicle's home ({_place(home)})", why
+        last = self.waypoints[-1]
+        if why := _crossed_areas(limits, last.position, home):
+            yield f"the way home from waypoint {last.index}", f"it {why}"
+
+    def _too_near(self, limits: VehicleLimits) -> Iterator[str]:
+        """The places that are nearer to the fence than the vehicle's margin, where it may overshoot."""
+        names, margin_m = limits.names, limits.margin_m
+        spots = [(f"waypoint {each.index}", each.position.altitude_m) for each in self.waypoints]
+        for what, altitude_m in [("the take-off", self.takeoff_m), *spots]:
+            if limits.highest_m is not None and limits.highest_m - altitude_m < margin_m:
+                yield (
+                    f"{what} at {altitude_m:g} m is nearer than {names.margin} = {margin_m:g} m to "
+                    f"{names.highest} = {limits.highest_m:g} m: the vehicle may overshoot into its own fence"
                 )
-            if (fence := breached_by_position(limits.fences, place)) is not None:
-                _refuse(waypoint, f"it lies {'outside' if fence.inclusion else 'inside'} {fence.name}")
-        for start, end in itertools.pairwise(self.waypoints):
-            if (fence := breached_by_leg(limits.fences, start.position, end.position)) is not None:
-                _refuse(end, f"the way there from waypoint {start.index} crosses {fence.name}")
+        for waypoint, fence in itertools.product(self.waypoints, limits.fences):
+            if (clearance_m := fence.clearance_m(waypoint.position)) < margin_m:
+                yield (
+                    f"waypoint {waypoint.index} is {clearance_m:.1f} m from the border of {fence.name}, nearer than "
+                    f"{names.margin} = {margin_m:g} m: the vehicle may overshoot into its own fence"
+                )
 
 
-def _refuse(waypoint: Waypoint, why: str) -> None:
-    raise AutopilotRefused(
-        "arm",
-        f"the vehicle's own fence forbids waypoint {waypoint.index}: {why}; change the plan or the vehicle's fence; "
-        "nothing was sent",
-    )
+def require_altitude(limits: VehicleLimits, altitude_m: float, *, step: str) -> None:
+    """Raises AutopilotRefused where the vehicle's own fence forbids the altitude above home."""
+    if why := _outside_altitudes(limits, altitude_m):
+        raise AutopilotRefused(step, f"the vehicle's own fence forbids it: {why}; nothing was sent")
+
+
+def _outside_altitudes(limits: VehicleLimits, altitude_m: float) -> str:
+    """Why the vehicle's own fence does not allow the altitude above home; empty where it does."""
+    if limits.highest_m is not None and altitude_m >= limits.highest_m:
+        return f"it is {altitude_m:g} m up, the fence ends at {limits.names.highest} = {limits.highest_m:g} m"
+    if limits.lowest_m is not None and altitude_m <= limits.lowest_m:
+        return f"it is {altitude_m:g} m up, the fence begins at {limits.names.lowest} = {limits.lowest_m:g} m"
+    return ""
+
+
+def _outside_areas(limits: VehicleLimits, place: Position) -> str:
+    """Why the vehicle's own fence does not allow the place on the ground; empty where it does."""
+    fence = breached_by_position(limits.fences, place)
+    if fence is None:
+        return ""
+    apart = ""
+    if isinstance(fence.area, Circle):
+        away_m, radius_m = ground_distance_m(place, fence.area.centre), fence.area.radius_m
+        apart = f", {away_m:.0f} m from its centre with a radius of {radius_m:g} m"
+    return f"it lies {'outside' if fence.inclusion else 'inside'} {fence.name}{apart}"
+
+
+def _crossed_areas(limits: VehicleLimits, start: Position, end: Position) -> str:
+    """What of the vehicle's own fence a straight way crosses; empty where it crosses nothing."""
+    fence = breached_by_leg(limits.fences, start, end)
+    return "" if fence is None else f"{'leaves' if fence.inclusion else 'crosses'} {fence.name}"
+
+
+def _home(limits: VehicleLimits, vehicle: Position) -> Position:
+    """Where the vehicle returns to: home, and where it does not tell that, where it stands."""
+    return vehicle if limits.home is None else limits.home
+
+
+def _place(place: Position) -> str:
+    return f"{place.east_m:.0f} m east, {place.north_m:.0f} m north"
+
+
+def _waypoints(indices: Sequence[int]) -> str:
+    if len(indices) == 1:
+        return f"waypoint {indices[0]}"
+    return f"{len(indices)} waypoints, the first of them {indices[0]},"
 
 
 def _far(distance_m: float) -> str:

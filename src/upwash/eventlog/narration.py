@@ -251,7 +251,7 @@ def _vehicle_told(event: Event) -> Said | None:
             return Said(f"the vehicle says: {text} ({SEVERITIES[severity]})", Tone.TROUBLE)
         case schema.VehicleSetting(name=name, value=value, advice=advice):
             return Said(f"the vehicle's {name} is {value:g}: {advice}", Tone.TROUBLE)
-        case schema.UnsignedPort(why=why):
+        case schema.UnsignedPort(why=why) | schema.SiteDoubt(why=why):
             return Said(why, Tone.TROUBLE)
         case schema.LinkLost(silent_s=silent_s):
             return Said(f"the vehicle is not heard any more, for {silent_s:.1f} s", Tone.TROUBLE)

@@ -136,6 +136,8 @@ def _vehicle(event: Event) -> Iterator[Notice]:
             yield Notice("arming")
         case schema.VehicleSetting(name=name, value=value, advice=advice):
             yield Notice(f"setting {name}", f"The vehicle's {name} is {value:g}: {advice}")
+        case schema.SiteDoubt(why=why):
+            yield Notice(f"site {why}", _sentence(why))
     if isinstance(event, _ON_GROUND):
         for key in ("hovering", "safe end", "left", "link", "position", "home"):
             yield Notice(key)

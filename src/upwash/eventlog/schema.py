@@ -382,11 +382,19 @@ class ArmingDelayed(Event, frozen=True, kw_only=True):
 
 
 class VehicleLimits(Event, frozen=True, kw_only=True):
-    """The vehicle's home, the altitude above which it may not fly, and its fences by name, as read before arming."""
+    """The vehicle's home, the altitudes between which it may fly, and its fences by name, as read before arming."""
 
     home: Position | None
     highest_m: float | None
     fences: Sequence[str]
+    lowest_m: float | None = None
+    home_above_sea_m: float | None = None
+
+
+class SiteDoubt(Event, frozen=True, kw_only=True):
+    """What a person should know before arming of where the mission is flown: nothing forbids it."""
+
+    why: str
 
 
 class DeadManSet(Event, frozen=True, kw_only=True):

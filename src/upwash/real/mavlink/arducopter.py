@@ -13,12 +13,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.energy import ARDUCOPTER as ARDUCOPTER_WAY_HOME
 from upwash.core.energy import EnergyFacts, WayHome
 from upwash.core.geo import Position, ahead, distance_m
-from upwash.core.geofence import Fence
 from upwash.errors import AutopilotRefused
 from upwash.ports import DeadMan, VehicleLimits
 from upwash.real.mavlink.autopilot import MavlinkAutopilot, check_speed
 from upwash.real.mavlink.dead_man import LuaDeadMan
-from upwash.real.mavlink.fence import circle_around, download_fence
+from upwash.real.mavlink.fence_settings import ARDUCOPTER_FENCE, arducopter_limits
 from upwash.real.mavlink.firmware import Firmware
 from upwash.real.mavlink.parameters import read_parameters
 from upwash.real.mavlink.telemetry import Telemetry
@@ -32,14 +31,13 @@ _NUMBERS = {
 _FAILSAFE_MODES = ("RTL", "LAND", "SMART_RTL", "BRAKE", "AUTO", "AUTO_RTL")
 _CRITICAL = (mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_EMERGENCY)
 _READ_BEFORE_ARMING = (
-    "FENCE_ENABLE", "FENCE_TYPE", "FENCE_RADIUS", "FENCE_ALT_MAX",
+    *ARDUCOPTER_FENCE,
     "BATT_CAPACITY", "BATT_LOW_MAH", "BATT_CRT_MAH",
     "RTL_ALT", "RTL_SPEED", "RTL_LOIT_TIME", "WPNAV_SPEED", "WPNAV_SPEED_UP", "WPNAV_SPEED_DN", "WPNAV_ACCEL",
     "LAND_ALT_LOW", "LAND_SPEED",
 )  # fmt: skip
 _USUAL_LOITER_MS = 5_000.0
 _SETTLES_S = ARDUCOPTER_WAY_HOME.hover_s - _USUAL_LOITER_MS / 1e3
-_FENCE_ALTITUDE, _FENCE_CIRCLE, _FENCE_AREAS = 1, 2, 4  # of FENCE_TYPE
 _BRAKES_M_S2 = 1.83  # as recorded flights do (SITL 4.7, default parameters)
 _REACTS_S = 0.1
 _LIFT_REPORT_S = 1.0  # for a report that it has left the ground, while some get lost
@@ -144,16 +142,8 @@ class ArduCopter(MavlinkAutopilot):
         limits = await super().limits()
         told = await read_parameters(self._vehicle, _READ_BEFORE_ARMING)
         self._energy = _energy(told)
-        if not told.get("FENCE_ENABLE"):
-            return limits
-        kinds = int(told.get("FENCE_TYPE", 0))
-        fences: list[Fence] = []
-        if kinds & _FENCE_CIRCLE:
-            fences += circle_around(limits.home, told.get("FENCE_RADIUS", 0.0))
-        if kinds & _FENCE_AREAS:
-            fences += await download_fence(self._vehicle, self._frame)
-        highest_m = told.get("FENCE_ALT_MAX") if kinds & _FENCE_ALTITUDE else None
-        return replace(limits, fences=fences, highest_m=highest_m)
+        limits = replace(limits, returns_at_m=self._energy.return_altitude_m)
+        return await arducopter_limits(self._vehicle, self._frame, limits, told)
 
     @property
     def energy(self) -> EnergyFacts:

@@ -258,7 +258,8 @@ class MavlinkAutopilot(ABC):
     async def limits(self) -> VehicleLimits:
         """Its home; a subclass adds its fence."""
         await self._know_home()
-        return VehicleLimits(self._where.home)
+        home = self._telemetry.home
+        return VehicleLimits(self._where.home, home_above_sea_m=round(home.altitude_m, 2) if home else None)
 
     @abstractmethod
     async def arm(self) -> None:

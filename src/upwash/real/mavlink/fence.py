@@ -1,4 +1,4 @@
-"""The fence that a vehicle holds: downloaded, and as places of the mission."""
+"""The list of areas that a vehicle's fence has: downloaded, and as places of the mission."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position
-from upwash.core.geofence import Fence, Polygon
+from upwash.core.geofence import AreaUnion, Fence, Polygon
 from upwash.errors import AutopilotTimeout
 from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle
@@ -32,9 +32,13 @@ class _Item:
     place: GeoPosition
 
 
-async def download_fence(vehicle: MavlinkVehicle, frame: LocalFrame) -> list[Fence]:
-    """The areas of the vehicle's fence list; AutopilotTimeout where it does not give all of it."""
-    return _areas(await _items(vehicle), frame)
+async def download_fence(vehicle: MavlinkVehicle, frame: LocalFrame, *, joins: bool = False) -> list[Fence]:
+    """The areas of the vehicle's fence list; AutopilotTimeout where it does not give all of it.
+
+    A vehicle that `joins` the areas to stay in has one fence of them: one area is enough.
+    """
+    fences = _areas(await _items(vehicle), frame)
+    return _joined(fences) if joins else fences
 
 
 def circle_around(home: Position | None, radius_m: float) -> list[Fence]:
@@ -105,3 +109,13 @@ def _areas(items: Sequence[_Item], frame: LocalFrame) -> list[Fence]:
                 fences.append(Fence(name, Polygon(tuple(corners)), inclusion))
                 corners = []
     return fences
+
+
+def _joined(fences: Sequence[Fence]) -> list[Fence]:
+    """The areas to stay in as one fence, in the place of the first of them."""
+    inclusions = [fence for fence in fences if fence.inclusion]
+    if len(inclusions) < 2:
+        return list(fences)
+    areas = tuple(fence.area for fence in inclusions if not isinstance(fence.area, AreaUnion))
+    name = f"all {len(areas)} areas to stay in of the vehicle's fence"
+    return [Fence(name, AreaUnion(areas), True), *(fence for fence in fences if not fence.inclusion)]

@@ -15,13 +15,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.energy import PX4 as PX4_WAY_HOME
 from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Position, Velocity
-from upwash.core.geofence import Fence
 from upwash.errors import AutopilotError, AutopilotRefused
 from upwash.mavlink.px4 import RUN_PREARM_CHECKS
 from upwash.ports import VehicleLimits, VehicleSetting
 from upwash.real.mavlink.autopilot import MavlinkAutopilot, check_speed
 from upwash.real.mavlink.course import Abilities, Course
-from upwash.real.mavlink.fence import circle_around, download_fence
+from upwash.real.mavlink.fence_settings import PX4_FENCE, px4_limits
 from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.offboard import SetpointStream
 from upwash.real.mavlink.parameters import read_parameters
@@ -42,7 +41,7 @@ _LEAST_BLOCKING = (
     mavlink.MAV_SEVERITY_ERROR
 )  # a failed check that is less severe does not keep it from being armed
 _READ_BEFORE_ARMING = (
-    "GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST",
+    *PX4_FENCE, "COM_OBL_RC_ACT",
     "BAT_LOW_THR", "BAT_CRIT_THR", "RTL_RETURN_ALT",
     "MPC_XY_CRUISE", "MPC_XY_VEL_MAX", "MPC_Z_V_AUTO_UP", "MPC_Z_V_AUTO_DN", "MPC_ACC_HOR",
 )  # fmt: skip
@@ -108,11 +107,8 @@ class Px4(MavlinkAutopilot):
         told = await read_parameters(self._vehicle, _READ_BEFORE_ARMING)
         self._energy = _energy(told)
         self._learn_abilities(told)
-        if not told.get("GF_ACTION"):
-            return limits
-        fences: list[Fence] = circle_around(limits.home, told.get("GF_MAX_HOR_DIST", 0.0))
-        fences += await download_fence(self._vehicle, self._frame)
-        return replace(limits, fences=fences, highest_m=told.get("GF_MAX_VER_DIST") or None)
+        limits = replace(limits, returns_at_m=self._energy.return_altitude_m)
+        return await px4_limits(self._vehicle, self._frame, limits, told)
 
     @property
     def energy(self) -> EnergyFacts:
