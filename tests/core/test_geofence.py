@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.geo import Circle, Position
-from upwash.core.geofence import Fence, Polygon, breached_by_leg, breached_by_position
+from upwash.core.geofence import AreaUnion, Fence, Polygon, breached_by_leg, breached_by_position
 
 SQUARE = Polygon((Position(0, 0), Position(100, 0), Position(100, 100), Position(0, 100)))
 # A U, open to the north: the notch lies between 40 and 60 m east, above 20 m north.
@@ -124,3 +124,52 @@ def test_a_leg_is_allowed_exactly_where_all_its_places_are(
             for step, corner in itertools.product(steps, polygon.corners)
         )
         assert not polygon.meets_leg(start, end) or missed_m < 1.0
+
+
+BESIDE = Polygon((Position(100, 0), Position(200, 0), Position(200, 100), Position(100, 100)))
+APART = Polygon((Position(110, 0), Position(200, 0), Position(200, 100), Position(110, 100)))
+
+
+@pytest.mark.parametrize(
+    ("areas", "start", "end", "contained"),
+    [
+        ((SQUARE, BESIDE), (10, 50), (190, 50), True),  # over the border that they share
+        ((SQUARE, BESIDE), (100, 10), (100, 90), True),  # along it
+        ((SQUARE, BESIDE), (10, 50), (190, 150), False),
+        ((SQUARE, APART), (10, 50), (190, 50), False),  # over the gap of 10 m
+        ((SQUARE, APART, Circle(Position(105, 50), 10)), (10, 50), (190, 50), True),
+        ((SQUARE, APART, Circle(Position(105, 50), 10)), (10, 58), (190, 58), True),
+        ((SQUARE, APART, Circle(Position(105, 50), 10)), (10, 59.5), (190, 59.5), False),  # beside its chord
+        ((Circle(Position(0, 0), 30), Circle(Position(40, 0), 30)), (-20, 0), (60, 0), True),
+        ((Circle(Position(0, 0), 30), Circle(Position(70, 0), 30)), (-20, 0), (80, 0), False),
+        ((SQUARE, BESIDE), (150, 50), (150, 50), True),  # hovering
+        ((SQUARE, BESIDE), (250, 50), (250, 50), False),
+    ],
+)
+def test_which_legs_keep_to_joined_areas(
+    areas: tuple[Polygon | Circle, ...],
+    start: tuple[float, float],
+    end: tuple[float, float],
+    contained: bool,
+) -> None:
+    joined = Fence("", AreaUnion(areas), inclusion=True)
+    assert joined.allows_leg(at(*start), at(*end)) == contained
+    assert joined.allows_leg(at(*end), at(*start)) == contained
+    assert joined.allows(at(*start)) == any(area.contains(at(*start)) for area in areas)
+
+
+@pytest.mark.parametrize(
+    ("fence", "place", "clearance_m"),
+    [
+        (Fence("", SQUARE, True), (3, 50), 3.0),
+        (Fence("", SQUARE, False), (104, 50), 4.0),
+        (Fence("", DISC, True), (70, 50), 10.0),
+        (Fence("", DISC, False), (90, 50), 10.0),
+        (Fence("", AreaUnion((SQUARE, DISC)), True), (1, 50), 1.0),
+        (Fence("", AreaUnion((SQUARE, DISC)), True), (50, 50), 50.0),
+    ],
+)
+def test_how_far_a_place_is_from_what_a_fence_forbids(
+    fence: Fence, place: tuple[float, float], clearance_m: float
+) -> None:
+    assert fence.clearance_m(at(*place)) == pytest.approx(clearance_m)

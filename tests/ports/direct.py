@@ -21,12 +21,13 @@ from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.px4.telemetry import UNASKED_S
 from upwash.vehicle.px4.vehicle import Quadrotor
 from upwash.vehicle.server import firmware
+from upwash.vehicle.settings import VehicleSettings
 
 
 class Sky:
     """The stand-in, who talks to it, and what the driver has said to it."""
 
-    def __init__(self, settings: Px4Settings) -> None:
+    def __init__(self, settings: Px4Settings | VehicleSettings) -> None:
         clock = Clock(settings.speedup)
         autopilot = firmware(settings, now_s=clock.now_s())
         self.vehicle = Vehicle(autopilot, clock)
@@ -126,7 +127,7 @@ async def connected_to(
 
 @asynccontextmanager
 async def flown_directly(
-    settings: Px4Settings,
+    settings: Px4Settings | VehicleSettings,
     flight: FlightSettings | None = None,
     ground_speed_m_s: float = 5.0,
     before: Callable[[Sky], Awaitable[None]] | None = None,

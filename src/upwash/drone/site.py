@@ -68,8 +68,8 @@ class Site:
         """What a person should know of a flight that the vehicle's own fence does not forbid."""
         if limits.untold:
             yield (
-                f"the vehicle did not tell {', '.join(limits.untold)}: the mission is not held against all of its own "
-                "fence"
+                f"the vehicle did not tell {', '.join(limits.untold)}: the mission is not held against all of its "
+                "own fence"
             )
         yield from itertools.islice(self._too_near(limits), 1)
         home = _home(limits, vehicle)

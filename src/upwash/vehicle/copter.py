@@ -64,9 +64,11 @@ class Copter:
                 raise UsageError(f"vehicle: it has no parameter {name}, or not with the value {value:g}")
         self.fence = FenceWatch(self.parameters, now_s)
         self.health = Health(settings, now_s=now_s)
-        self._flight = Flight(settings, self.parameters, now_s=now_s)
+        self._flight = Flight(settings, self.parameters, now_s=now_s, ceiling_m=lambda: self.fence.ceiling_m)
         self._was_armed = False
         self._aligned_in_flight = False
+        self._is_up = False  # its take-off has ended
+        self._recovers_from_fence = False  # in a mode that its fence has chosen
         self._battery = Battery(settings.battery_percent, 100 / settings.endurance_s)
 
     # --- what it reports ------------------------------------------------------------------------------------
@@ -129,8 +131,6 @@ class Copter:
             return ("System not initialised",)
         placed = self.health.knows_its_place(now_s)
         reasons = list(self.health.boot.sensors_object(uptime_s))
-        if self.fence.selects_nothing():
-            reasons.append("Fences enabled, but none selected")
         if self.suffers(FaultKind.ARMING, now_s):
             reasons.append("Hardware safety switch")
         if self.suffers(FaultKind.COMPASS, now_s):
@@ -140,8 +140,7 @@ class Copter:
             gps=not self.suffers(FaultKind.GPS, now_s),
             by_position=self.mode in BY_POSITION,
         )
-        if not placed and self.fence.needs_place():
-            reasons.append("Fence requires position")
+        reasons += self.fence.objections(self.position(now_s) if placed else None)
         if self.health.failsafes.battery:
             reasons += ["Battery 1 low voltage failsafe", "Battery failsafe"]
         elif self.battery_percent(now_s) <= _EMPTY_PERCENT:
@@ -182,7 +181,7 @@ class Copter:
         self._battery.draining_since_s = now_s
         self._flight.start_motors(now_s)
         self._was_armed, self._aligned_in_flight = True, False
-        return Answer(Result.ACCEPTED, (_ARMING,))
+        return Answer(Result.ACCEPTED, (_ARMING, *self.fence.arm()))
 
     def disarm(self, now_s: float, *, forced: bool = False) -> Answer:
         """Stops the motors: on the ground only, unless forced, and then it falls."""
@@ -194,7 +193,7 @@ class Copter:
         stopped = self.armed(now_s)
         self._flight.stop_motors()
         self._was_armed = False
-        return Answer(Result.ACCEPTED, (_DISARMING,) if stopped else ())
+        return Answer(Result.ACCEPTED, (_DISARMING, *self.fence.disarm()) if stopped else ())
 
     def take_off(self, now_s: float, altitude_m: float) -> Answer:
         """Climbs straight up, from the ground, armed and in GUIDED."""
@@ -224,6 +223,9 @@ class Copter:
         if self.health.lacks_place(now_s) and mode in BY_POSITION and self.armed(now_s):
             refusal = Text(f"Mode change to {mode.name} failed: requires position", WARNING)
             return Answer(Result.FAILED, (refusal,))
+        if self._recovers_from_fence and self.fence.locks_mode and self.armed(now_s):
+            refusal = Text(f"Mode change to {mode.name} failed: in fence recovery", WARNING)
+            return Answer(Result.FAILED, (refusal,))
         self._flight.take_mode(now_s, mode)
         return _ACCEPTED
 
@@ -247,7 +249,7 @@ class Copter:
         said = [*self.health.boot.texts(uptime_s)]
         if self._was_armed and not self.armed(now_s):
             self._was_armed = False
-            said.append(_DISARMING)
+            said += [_DISARMING, *self.fence.disarm()]
             self.health.boot.complain_at(uptime_s + _COMPLAINS_AFTER_DISARMING_S)
         high = self.flying(now_s) and self.position(now_s).altitude_m > _ALIGNS_IN_FLIGHT_M
         if high and not self._aligned_in_flight:
@@ -282,10 +284,24 @@ class Copter:
         return said
 
     def _watch_fence(self, now_s: float) -> Sequence[Text]:
+        state, breaches = self.landed_state(now_s), self.fence.breaches
+        said = [*self._switch_fence(state)]
         watched = self.armed(now_s) and self.flying(now_s)
-        said = list(self.fence.watch(self.position(now_s) if watched else None, now_s))
+        said += self.fence.watch(self.position(now_s) if watched else None, now_s)
+        self._recovers_from_fence &= self.fence.breach is not Breach.NONE
         acts = self.parameters["FENCE_ACTION"] and self.mode not in (Mode.RTL, Mode.LAND)
-        if said and self.fence.breach is not Breach.NONE and acts:
+        if self.fence.breaches > breaches and acts:
             self._flight.take_mode(now_s, Mode.RTL)
+            self._recovers_from_fence = True
             said.append(Text("Manual recovery started", INFORMATION))
         return said
+
+    def _switch_fence(self, state: LandedState) -> Sequence[Text]:
+        """Kinds of its fence are switched on where its take-off ends, and off where it comes down."""
+        if state in (LandedState.LANDING, LandedState.ON_GROUND):
+            self._is_up = False
+            return self.fence.begin_landing()
+        if state is LandedState.TAKEOFF or self._is_up:
+            return ()
+        self._is_up = True
+        return self.fence.end_takeoff()

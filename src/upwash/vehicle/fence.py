@@ -1,4 +1,8 @@
-"""The vehicle's fence: a greatest height, a circle around home, and areas to keep to or to keep out of."""
+"""The vehicle's fence: two heights, a circle around home, and areas to keep to or to keep out of.
+
+As ArduPilot's AC_Fence has it: which kinds are switched on changes with FENCE_ENABLE, and with arming and the end
+of a take-off where FENCE_AUTOENABLE says that. Home is at the origin.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +17,19 @@ from upwash.core.geo import Position, ground_distance_m
 from upwash.vehicle.boot import NOTICE, Text
 from upwash.vehicle.parameters import Parameters
 
-_HEIGHT, _CIRCLE, _AREAS = 1, 2, 4  # FENCE_TYPE's bits
+_CEILING, _CIRCLE, _AREAS, _FLOOR = 1, 2, 4, 8  # FENCE_TYPE's bits
+_ALL = _CEILING | _CIRCLE | _AREAS | _FLOOR
+_NAMES = {_CEILING: "Max Alt", _CIRCLE: "Circle", _AREAS: "Polygon", _FLOOR: "Min Alt"}
+_AFTER_TAKEOFF, _WHEN_ARMED = (1, 2), 3  # FENCE_AUTOENABLE
+_LOCKS_MODE, _JOINS = 1, 2  # FENCE_OPTIONS' bits
+_HOME = Position(0.0, 0.0)
 
 
 class Breach(IntEnum):
     """FENCE_BREACH."""
 
     NONE = 0
+    FLOOR = 1
     HEIGHT = 2
     BOUNDARY = 3
 
@@ -92,29 +102,39 @@ def _areas(items: Sequence[FenceItem]) -> Iterator[Area]:
         left = left[count:]
 
 
-def breach(parameters: Parameters, areas: Sequence[Area], position: Position) -> Breach:
-    """Which part of the fence is not kept to at the place; home is at its origin."""
-    kinds = int(parameters["FENCE_TYPE"]) if parameters["FENCE_ENABLE"] else 0
-    if kinds & _HEIGHT and position.altitude_m > parameters["FENCE_ALT_MAX"]:
-        return Breach.HEIGHT
-    home = Position(0.0, 0.0)
-    if kinds & _CIRCLE and ground_distance_m(position, home) > parameters["FENCE_RADIUS"]:
-        return Breach.BOUNDARY
-    if kinds & _AREAS and not all(area.allows(position) for area in areas):
-        return Breach.BOUNDARY
-    return Breach.NONE
-
-
 class FenceWatch:
-    """The fence that it has, and whether it is kept to."""
+    """The fence that it has, which kinds of it are switched on, and whether they are kept to."""
 
     def __init__(self, parameters: Parameters, now_s: float) -> None:
         self.items: tuple[FenceItem, ...] = ()
-        self.breach = Breach.NONE
         self.breaches = 0  # so far
         self.breached_s = now_s  # the last time
         self._areas: tuple[Area, ...] = ()
         self._parameters = parameters
+        self._on = 0  # the kinds that are switched on
+        self._switches = (0.0, 0.0)  # FENCE_ENABLE and FENCE_AUTOENABLE, as they were last seen
+        self._broken = 0  # the kinds that are not kept to
+
+    @property
+    def breach(self) -> Breach:
+        """What is not kept to, as FENCE_STATUS has it."""
+        if self._broken & (_CIRCLE | _AREAS):
+            return Breach.BOUNDARY
+        if self._broken & _CEILING:
+            return Breach.HEIGHT
+        return Breach.FLOOR if self._broken else Breach.NONE
+
+    @property
+    def ceiling_m(self) -> float | None:
+        """As high as it returns: its ceiling without its margin; None where that is not switched on."""
+        if not self._enabled() & _CEILING:
+            return None
+        return self._parameters["FENCE_ALT_MAX"] - self._parameters["FENCE_MARGIN"]
+
+    @property
+    def locks_mode(self) -> bool:
+        """Whether nobody changes its mode while a breach lasts."""
+        return bool(self._broken) and bool(int(self._parameters["FENCE_OPTIONS"]) & _LOCKS_MODE)
 
     def set(self, items: tuple[FenceItem, ...]) -> None:
         """Takes the areas of a new fence; ValueError where the items describe none."""
@@ -122,28 +142,118 @@ class FenceWatch:
         self.items = items
         self._parameters.set("FENCE_TOTAL", len(items))
 
-    def allows(self, position: Position) -> bool:
-        """Whether the fence lets it fly there."""
-        return breach(self._parameters, self._areas, position) is Breach.NONE
+    def allows(self, target: Position) -> bool:
+        """Whether the fence lets it fly there: up to its borders."""
+        on, told = self._enabled(), self._parameters
+        if on & _CEILING and target.altitude_m > told["FENCE_ALT_MAX"]:
+            return False
+        if on & _FLOOR and target.altitude_m < told["FENCE_ALT_MIN"]:
+            return False
+        if on & _CIRCLE and ground_distance_m(target, _HOME) > told["FENCE_RADIUS"]:
+            return False
+        return not on & _AREAS or self._in_areas(target)
 
-    def selects_nothing(self) -> bool:
-        """Whether it is switched on and has nothing to keep to."""
-        kinds = int(self._parameters["FENCE_TYPE"]) if self._parameters["FENCE_ENABLE"] else -1
-        return kinds == 0 or (kinds == _AREAS and not self._areas)
+    def objections(self, place: Position | None) -> list[str]:
+        """What keeps it from being armed at that place; None where it does not know its place."""
+        told = self._parameters
+        configured = int(told["FENCE_TYPE"])
+        counts = bool(told["FENCE_ENABLE"] or told["FENCE_AUTOENABLE"])
+        objections = []
+        if told["FENCE_ENABLE"] and not self._present():
+            objections.append("Fences enabled, but none selected")
+        if place is None:
+            placeless = configured & (_CIRCLE | _AREAS) and counts and self._present()
+            return [*objections, "Fence requires position"] if placeless else objections
+        armed_only = self._present() & _AREAS if told["FENCE_AUTOENABLE"] == _WHEN_ARMED else 0
+        if broken := self._breached(place, (self._enabled() | armed_only) & (_CIRCLE | _AREAS)):
+            objections.append(f"Vehicle breaching {_named(broken)}")
+        return objections
 
-    def needs_place(self) -> bool:
-        """Whether the fence cannot be watched without knowing the place."""
-        kinds = int(self._parameters["FENCE_TYPE"]) if self._parameters["FENCE_ENABLE"] else 0
-        return bool(kinds & _CIRCLE) or bool(kinds & _AREAS and self._areas)
+    def arm(self) -> Sequence[Text]:
+        """Its motors start."""
+        return self._switch_on(_ALL & ~_FLOOR) if self._parameters["FENCE_AUTOENABLE"] == _WHEN_ARMED else ()
+
+    def disarm(self) -> Sequence[Text]:
+        """Its motors have stopped."""
+        self._broken = 0
+        return self._switch_off(_ALL) if self._parameters["FENCE_AUTOENABLE"] == _WHEN_ARMED else ()
+
+    def end_takeoff(self) -> Sequence[Text]:
+        """It has reached the altitude of its take-off."""
+        return self._switch_on(_ALL) if self._parameters["FENCE_AUTOENABLE"] in _AFTER_TAKEOFF else ()
+
+    def begin_landing(self) -> Sequence[Text]:
+        """It comes down to land: its floor does not count, nor any of it with FENCE_AUTOENABLE 1."""
+        return self._switch_off(_ALL if self._parameters["FENCE_AUTOENABLE"] == 1 else _FLOOR)
 
     def watch(self, position: Position | None, now_s: float) -> Sequence[Text]:
         """What it says about the place where it flies; None where it does not fly."""
-        found = Breach.NONE if position is None else breach(self._parameters, self._areas, position)
-        if found is self.breach:
-            return ()
-        self.breach = found
-        if found is Breach.NONE:
-            return (Text("Fence breach cleared", NOTICE),)
-        self.breaches += 1
-        self.breached_s = now_s
-        return (Text(f"{'Max Alt' if found is Breach.HEIGHT else 'Circle'} fence breached", NOTICE),)
+        said: list[Text] = []
+        if position is not None and self._reaches_floor(position):
+            self._on |= _FLOOR
+            said.append(Text("Min Alt fence enabled (auto enable)", NOTICE))
+        broken = 0 if position is None else self._breached(position, self._enabled())
+        new, before, self._broken = broken & ~self._broken, self._broken, broken
+        if new:
+            self.breaches += 1
+            self.breached_s = now_s
+            said.append(Text(f"{_named(new)} breached", NOTICE))
+        elif before and not broken:
+            said.append(Text("Fence breach cleared", NOTICE))
+        return said
+
+    def _enabled(self) -> int:
+        """The kinds that are switched on and present; a changed parameter sets them anew."""
+        switches = self._parameters["FENCE_ENABLE"], self._parameters["FENCE_AUTOENABLE"]
+        if switches != self._switches:
+            self._switches = switches
+            self._on = _ALL & ~_FLOOR if switches[0] else 0
+        return self._on & self._present()
+
+    def _present(self) -> int:
+        """The kinds that FENCE_TYPE selects, areas only where there are any."""
+        return int(self._parameters["FENCE_TYPE"]) & (_ALL if self._areas else _ALL & ~_AREAS)
+
+    def _switch_on(self, kinds: int) -> Sequence[Text]:
+        new = kinds & self._present() & ~self._enabled()
+        self._on |= kinds
+        return (Text(f"{_named(new)} auto-enabled", NOTICE),) if new else ()
+
+    def _switch_off(self, kinds: int) -> Sequence[Text]:
+        gone = kinds & self._enabled()
+        self._on &= ~kinds
+        return (Text(f"{_named(gone)} auto-disabled", NOTICE),) if gone else ()
+
+    def _reaches_floor(self, position: Position) -> bool:
+        """Whether it is above its floor for the first time, where that is switched on then."""
+        told = self._parameters
+        may = bool(told["FENCE_ENABLE"]) or told["FENCE_AUTOENABLE"] in (2, _WHEN_ARMED)
+        off = bool(self._present() & _FLOOR & ~self._enabled())
+        return may and off and position.altitude_m >= told["FENCE_ALT_MIN"] + told["FENCE_MARGIN"]
+
+    def _breached(self, position: Position, kinds: int) -> int:
+        """The kinds of those that are not kept to at the place: at a border they are not."""
+        told, broken = self._parameters, 0
+        if kinds & _CEILING and position.altitude_m >= told["FENCE_ALT_MAX"]:
+            broken |= _CEILING
+        if kinds & _FLOOR and position.altitude_m <= told["FENCE_ALT_MIN"]:
+            broken |= _FLOOR
+        if kinds & _CIRCLE and ground_distance_m(position, _HOME) >= told["FENCE_RADIUS"]:
+            broken |= _CIRCLE
+        if kinds & _AREAS and not self._in_areas(position):
+            broken |= _AREAS
+        return broken
+
+    def _in_areas(self, position: Position) -> bool:
+        """Whether it keeps to its areas; FENCE_OPTIONS may say that one of those to stay in is enough."""
+        inclusions = [area.allows(position) for area in self._areas if area.inclusion]
+        enough = any if int(self._parameters["FENCE_OPTIONS"]) & _JOINS else all
+        outside = all(area.allows(position) for area in self._areas if not area.inclusion)
+        return outside and (not inclusions or enough(inclusions))
+
+
+def _named(kinds: int) -> str:
+    names = [name for kind, name in _NAMES.items() if kinds & kind]
+    if len(names) == 1:
+        return f"{names[0]} fence"
+    return f"{', '.join(names[:-1])} and {names[-1]} fences"

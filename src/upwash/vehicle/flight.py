@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from enum import Enum, auto
 
 from upwash.core.geo import Position, Velocity, distance_m, ground_distance_m
@@ -41,8 +42,16 @@ class _Doing(Enum):
 class Flight:
     """The flight mode, the motors, and the motion that comes of them."""
 
-    def __init__(self, settings: VehicleSettings, parameters: Parameters, *, now_s: float) -> None:
+    def __init__(
+        self,
+        settings: VehicleSettings,
+        parameters: Parameters,
+        *,
+        now_s: float,
+        ceiling_m: Callable[[], float | None] = lambda: None,
+    ) -> None:
         self.mode = Mode.STABILIZE
+        self._ceiling_m = ceiling_m  # as high as its fence lets it return
         self._parameters = parameters
         self._airframe: Airframe = (
             arducopter
@@ -238,9 +247,8 @@ class Flight:
 
     def _return_altitude_m(self) -> float:
         """As high as it returns, no higher than its fence allows."""
-        altitude_m = self._parameters["RTL_ALT"] / 100
-        fenced = self._parameters["FENCE_ENABLE"] and int(self._parameters["FENCE_TYPE"]) & 1
-        return min(altitude_m, self._parameters["FENCE_ALT_MAX"]) if fenced else altitude_m
+        altitude_m, ceiling_m = self._parameters["RTL_ALT"] / 100, self._ceiling_m()
+        return altitude_m if ceiling_m is None else min(altitude_m, ceiling_m)
 
     def _stop(self, now_s: float) -> None:
         here = self.position(now_s)

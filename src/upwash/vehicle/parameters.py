@@ -46,6 +46,7 @@ _DEFAULTS: dict[str, tuple[float, int]] = {
     "FENCE_AUTOENABLE": (0, _INT8),
     "FENCE_ENABLE": (0, _INT8),
     "FENCE_MARGIN": (2, _REAL32),
+    "FENCE_OPTIONS": (0, _INT16),
     "FENCE_RADIUS": (150, _REAL32),
     "FENCE_TOTAL": (0, _INT8),
     "FENCE_TYPE": (7, _INT8),

@@ -11,7 +11,7 @@ from upwash.vehicle.px4.failsafe import Action, Cause, Change, Danger
 from upwash.vehicle.px4.inputs import Heard
 from upwash.vehicle.px4.parameters import Parameters
 
-_FENCE_ACTIONS = {1: Action.WARN, 2: Action.HOLD, 3: Action.RTL, 5: Action.LAND}
+_FENCE_ACTIONS = {1: Action.WARN, 2: Action.HOLD, 3: Action.RTL, 4: Action.TERMINATE, 5: Action.LAND}
 _OFFBOARD_ACTIONS = {
     0: Action.POSCTL,
     1: Action.ALTCTL,
@@ -19,9 +19,10 @@ _OFFBOARD_ACTIONS = {
     3: Action.RTL,
     4: Action.LAND,
     5: Action.HOLD,
+    6: Action.TERMINATE,
     7: Action.DISARM,
 }
-_LINK_ACTIONS = {1: Action.HOLD, 2: Action.RTL, 3: Action.LAND, 6: Action.DISARM}
+_LINK_ACTIONS = {1: Action.HOLD, 2: Action.RTL, 3: Action.LAND, 5: Action.TERMINATE, 6: Action.DISARM}
 _NAMED_CAUSES = {
     Cause.MANUAL_CONTROL: 1,
     Cause.GROUND_STATION: 2,

@@ -34,6 +34,7 @@ class Action(IntEnum):
     LAND = 7
     DESCEND = 8
     DISARM = 9
+    TERMINATE = 10
 
 
 MODES_OF_ACTIONS = {
@@ -116,8 +117,9 @@ class Failsafe:
         cause = max(acting, key=lambda each: acting[each].action)
         danger = acting[cause]
         if self.action is None:
-            self._acts_s = now_s if danger.at_once or danger.action <= Action.HOLD else now_s + delay_s
-        elif danger.at_once:
+            waits = Action.HOLD < danger.action < Action.DISARM and not danger.at_once
+            self._acts_s = now_s + delay_s if waits else now_s
+        elif danger.at_once or danger.action >= Action.DISARM:
             self._acts_s = min(self._acts_s, now_s)
         change = Change(cause, danger.action, waits=now_s < self._acts_s)
         if change != self._announced and not (change.waits and self.waits):

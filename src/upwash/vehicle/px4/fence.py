@@ -32,14 +32,14 @@ class Polygon:
 
 @dataclass(frozen=True, slots=True)
 class Fence:
-    """Where it may fly: in one of the inclusions, if there are any, and in none of the exclusions."""
+    """Where it may fly: in each of the inclusions, and in none of the exclusions (PX4 1.15 and later)."""
 
     inclusions: tuple[Polygon | Circle, ...] = ()
     exclusions: tuple[Polygon | Circle, ...] = ()
 
     def allows(self, position: Position) -> bool:
         """Whether it may fly there."""
-        inside = not self.inclusions or any(area.contains(position) for area in self.inclusions)
+        inside = all(area.contains(position) for area in self.inclusions)
         return inside and not any(area.contains(position) for area in self.exclusions)
 
 

@@ -157,7 +157,8 @@ class Px4:
             "check_battery_critical": copter.health.battery_level(now_s) == 3,
             "check_battery_emergency": copter.health.battery_level(now_s) == 4,
         }
-        return tuple(name for name, objects in names.items() if objects)
+        breaches = () if copter.armed else copter.breaches()  # in flight the fail-safe tells them
+        return (*(name for name, objects in names.items() if objects), *breaches)
 
     def _hear_event_request(self, _now_s: float, message: Message) -> Reply:
         events, missed = self.copter.events, message.first_sequence

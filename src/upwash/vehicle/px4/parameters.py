@@ -43,6 +43,7 @@ _DEFAULTS: dict[str, float | int] = {
     "GF_ACTION": 2,
     "GF_MAX_HOR_DIST": 0.0,
     "GF_MAX_VER_DIST": 0.0,
+    "GF_PREDICT": 0,
     "MAV_COMP_ID": 1,
     "MAV_SYS_ID": 1,
     "MAV_TYPE": 2,

@@ -145,8 +145,14 @@ class Quadrotor:
             and not self.suffers(FaultKind.ARMING, now_s)
             and self.health.battery_level(now_s) < 3
             and (not self.parameters["NAV_DLL_ACT"] or self.heard.hears_ground_station(now_s))
-            and not self._breaches()
+            and not self.breaches()
         )
+
+    def breaches(self) -> list[str]:
+        """The events that tell which of its fences it is outside of."""
+        if not (self.parameters["GF_ACTION"] and self.gps.placed):
+            return []
+        return breaches(self.parameters, self.fence, self._body.position)
 
     def landed_state(self, now_s: float) -> LandedState:
         """On the ground, in the air, or on the way between."""
@@ -341,11 +347,11 @@ class Quadrotor:
                 announce(
                     change,
                     intended=self.intended,
-                    breaches=self._breaches(),
+                    breaches=self.breaches(),
                     delay_s=delay_s,
                     tell=self._happened,
                 )
-            if self._failsafe.action is Action.DISARM:
+            if self._failsafe.action in (Action.DISARM, Action.TERMINATE):
                 self._ground.falls = not self._ground.grounded
                 self._disarm(DISARMED_BY_COMMAND)
         self._choose_mode()
@@ -363,7 +369,7 @@ class Quadrotor:
             intended=self.intended,
             grounded=self._ground.grounded,
             placed=self.gps.placed,
-            breached=bool(self._breaches()),
+            breached=bool(self.breaches()),
             battery_level=self.health.battery_level(self._time_s),
         )
         return dangers(situation, self.heard, self.parameters)
@@ -372,12 +378,6 @@ class Quadrotor:
         self.events.happened(name, self.uptime_s(self._time_s), *arguments)
 
     # --- the fence ------------------------------------------------------------------------------------------
-
-    def _breaches(self) -> list[str]:
-        """The events that tell which of its fences it is outside of."""
-        if not (self.parameters["GF_ACTION"] and self.gps.placed):
-            return []
-        return breaches(self.parameters, self.fence, self._body.position)
 
     def _may_be_at(self, place: Position) -> bool:
         return not self.parameters["GF_ACTION"] or not breaches(self.parameters, self.fence, place)
