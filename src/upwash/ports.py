@@ -85,8 +85,8 @@ class FenceNames:
 class VehicleLimits:
     """Where the vehicle returns to and what its own fence allows, relative to the mission's home.
 
-    `home` and `home_above_sea_m` are None while the vehicle does not say. `highest_m` and `lowest_m` are the
-    altitudes above home at which its fence ends, None where there is none; the fence is breached at either.
+    `home` and `home_above_sea_m` are None while the vehicle does not say. `highest_m` and `lowest_m` are
+    altitudes above home: there its fence is breached. None where its fence has no such border.
     A vehicle may overshoot by `margin_m`. `returns_at_m` is the altitude above home that its way home has at least.
     `names` has the vehicle's parameter behind each of these, for messages. `untold` are parameters of its fence
     that the vehicle did not tell.

@@ -61,7 +61,7 @@ class Polygon:
 
 @dataclass(frozen=True, slots=True)
 class AreaUnion:
-    """Areas of which one is enough to be in, as a vehicle joins them."""
+    """Joined areas: a place has to be in at least one of them."""
 
     areas: tuple[Polygon | Circle, ...]
 

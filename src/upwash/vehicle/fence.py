@@ -112,7 +112,7 @@ class FenceWatch:
         self._areas: tuple[Area, ...] = ()
         self._parameters = parameters
         self._on = 0  # the kinds that are switched on
-        self._switches = (0.0, 0.0)  # FENCE_ENABLE and FENCE_AUTOENABLE, as they were last seen
+        self._switches = (0.0, 0.0)  # FENCE_ENABLE and FENCE_AUTOENABLE, read last
         self._broken = 0  # the kinds that are not kept to
 
     @property
@@ -133,7 +133,7 @@ class FenceWatch:
 
     @property
     def locks_mode(self) -> bool:
-        """Whether nobody changes its mode while a breach lasts."""
+        """Whether a breach keeps its mode from being changed."""
         return bool(self._broken) and bool(int(self._parameters["FENCE_OPTIONS"]) & _LOCKS_MODE)
 
     def set(self, items: tuple[FenceItem, ...]) -> None:
@@ -183,7 +183,7 @@ class FenceWatch:
         return self._switch_on(_ALL) if self._parameters["FENCE_AUTOENABLE"] in _AFTER_TAKEOFF else ()
 
     def begin_landing(self) -> Sequence[Text]:
-        """It comes down to land: its floor does not count, nor any of it with FENCE_AUTOENABLE 1."""
+        """It comes down to land: its floor is switched off, and with FENCE_AUTOENABLE 1 all of its fence."""
         return self._switch_off(_ALL if self._parameters["FENCE_AUTOENABLE"] == 1 else _FLOOR)
 
     def watch(self, position: Position | None, now_s: float) -> Sequence[Text]:
@@ -203,7 +203,7 @@ class FenceWatch:
         return said
 
     def _enabled(self) -> int:
-        """The kinds that are switched on and present; a changed parameter sets them anew."""
+        """The kinds that are switched on and present; a changed parameter resets them."""
         switches = self._parameters["FENCE_ENABLE"], self._parameters["FENCE_AUTOENABLE"]
         if switches != self._switches:
             self._switches = switches
@@ -225,7 +225,7 @@ class FenceWatch:
         return (Text(f"{_named(gone)} auto-disabled", NOTICE),) if gone else ()
 
     def _reaches_floor(self, position: Position) -> bool:
-        """Whether it is above its floor for the first time, where that is switched on then."""
+        """Whether it rises above its floor, which is switched on at that moment."""
         told = self._parameters
         may = bool(told["FENCE_ENABLE"]) or told["FENCE_AUTOENABLE"] in (2, _WHEN_ARMED)
         off = bool(self._present() & _FLOOR & ~self._enabled())
@@ -245,7 +245,7 @@ class FenceWatch:
         return broken
 
     def _in_areas(self, position: Position) -> bool:
-        """Whether it keeps to its areas; FENCE_OPTIONS may say that one of those to stay in is enough."""
+        """Whether it keeps to its areas; FENCE_OPTIONS may join the areas to stay in."""
         inclusions = [area.allows(position) for area in self._areas if area.inclusion]
         enough = any if int(self._parameters["FENCE_OPTIONS"]) & _JOINS else all
         outside = all(area.allows(position) for area in self._areas if not area.inclusion)

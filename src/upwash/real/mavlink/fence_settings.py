@@ -34,8 +34,8 @@ async def arducopter_limits(
 ) -> VehicleLimits:
     """An ArduCopter's, whose way home is kept below its ceiling by its margin.
 
-    FENCE_AUTOENABLE switches the fence on at arming (3) or at the end of the take-off (1, 2), whatever FENCE_ENABLE
-    says. Targets up to the border are accepted; the margin keeps none out.
+    FENCE_AUTOENABLE switches the fence on at arming (3) or at the end of the take-off (1, 2), with FENCE_ENABLE
+    0 too. Targets up to the border are accepted; the margin keeps none out.
     """
     if not (told.get("FENCE_ENABLE") or told.get("FENCE_AUTOENABLE")):
         return replace(limits, untold=_untold(told, "FENCE_ENABLE"))
