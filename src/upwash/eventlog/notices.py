@@ -136,20 +136,20 @@ def _vehicle(event: Event) -> Iterator[Notice]:
             yield Notice("arming")
         case schema.VehicleSetting(name=name, value=value, advice=advice):
             yield Notice(f"setting {name}", f"The vehicle's {name} is {value:g}: {advice}")
-        case schema.SiteDoubt(why=why):
-            yield Notice(f"site {why}", _sentence(why))
     if isinstance(event, _ON_GROUND):
         for key in ("hovering", "safe end", "left", "link", "position", "home"):
             yield Notice(key)
 
 
 def _defects(event: Event) -> Iterator[Notice]:
-    """What does not work from now on."""
+    """What does not work from now on, or is in doubt."""
     match event:
         case schema.OffloadingFailed(why=why):
             yield Notice("offloading", f"Every call runs on the drone from now on, after a defect: {why}")
         case schema.UnsignedPort(why=why):
             yield Notice("unsigned", _sentence(why))
+        case schema.SiteDoubt(why=why):
+            yield Notice(f"site {why}", _sentence(why))
         case schema.DeadManFailed(why=why):
             yield Notice("dead man", f"The autopilot will not notice a silence of this program: {why}")
         case schema.BatteryWatchFailed(why=why):
