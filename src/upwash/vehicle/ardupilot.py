@@ -58,13 +58,13 @@ class ArduCopter:
         self._said_by_scripts.clear()
 
     def obey(self, now_s: float, message: Message) -> Reply:
-        """Its one answer, and its reason in words; at arming it tells everyone its origin."""
+        """Its one answer, and its reason in words; at arming, and for a new home, it tells everyone its origin."""
         if message.command == MAV_CMD_SCRIPTING:
             return Reply((self._scripting.obey(message.param1, self.files),))
-        was_armed = self.copter.armed(now_s)
+        was_armed, home = self.copter.armed(now_s), self.copter.home
         answer = obey(self.copter, now_s, read_command(message))
         to_all = [_text(text) for text in answer.texts]
-        if self.copter.armed(now_s) and not was_armed:
+        if (self.copter.armed(now_s) and not was_armed) or self.copter.home != home:
             to_all += self._origin(now_s)
         return Reply((answer.result,), to_all=tuple(to_all))
 

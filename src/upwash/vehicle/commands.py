@@ -61,7 +61,9 @@ def position_in_frame(
     """The position, relative to home; None in a frame that it does not know or at no place on the Earth."""
     if frame in _ABOVE_SEA:
         altitude_m -= copter.settings.home_altitude_m
-    elif frame not in _RELATIVE:
+    elif frame in _RELATIVE:
+        altitude_m += copter.home.altitude_m
+    else:
         return None
     if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180):
         return None
@@ -108,6 +110,17 @@ def _turn(copter: Copter, now_s: float, command: VehicleCommand) -> Answer:
     return copter.turn(now_s, angle_deg + relative * copter.heading_deg(now_s))
 
 
+def _set_home(copter: Copter, now_s: float, command: VehicleCommand) -> Answer:
+    """Where it is, or at the place, whose altitude is above the sea unless the frame says otherwise."""
+    if command.parameters[0] == 1:
+        return copter.set_home(copter.position(now_s))
+    latitude_deg, longitude_deg, altitude_m = command.place
+    place = position_in_frame(
+        copter, command.frame, latitude_deg=latitude_deg, longitude_deg=longitude_deg, altitude_m=altitude_m
+    )
+    return Answer(Result.DENIED) if place is None else copter.set_home(place)
+
+
 def _use_payload(_copter: Copter, _now_s: float, _command: VehicleCommand) -> Answer:
     """It carries one of everything."""
     return _ACCEPTED
@@ -151,6 +164,7 @@ _HANDLERS: dict[int, Handler] = {
     mavlink.MAV_CMD_DO_SET_MODE: _set_mode,
     mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
     mavlink.MAV_CMD_DO_REPOSITION: _reposition,
+    mavlink.MAV_CMD_DO_SET_HOME: _set_home,
     mavlink.MAV_CMD_RUN_PREARM_CHECKS: _run_prearm_checks,
     mavlink.MAV_CMD_CONDITION_YAW: _turn,
     **dict.fromkeys(PAYLOAD_COMMANDS, _use_payload),

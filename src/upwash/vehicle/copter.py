@@ -86,6 +86,11 @@ class Copter:
         return self._flight.heading_deg(now_s)
 
     @property
+    def home(self) -> Position:
+        """Where it returns to, relative to where it was switched on."""
+        return self._flight.home
+
+    @property
     def mode(self) -> Mode:
         """Its flight mode."""
         return self._flight.mode
@@ -214,6 +219,13 @@ class Copter:
     def steer(self, now_s: float, target: Position) -> bool:
         """Flies to the target; outside its fence, or not flying in GUIDED, nothing happens and nothing is said."""
         return is_sensible(target) and self.fence.allows(target) and self._flight.steer(now_s, target)
+
+    def set_home(self, place: Position) -> Answer:
+        """Returns there from now on, and tells its altitudes from there."""
+        if not is_sensible(place.at_altitude(abs(place.altitude_m))):
+            return Answer(Result.DENIED)
+        self._flight.home = place
+        return _ACCEPTED
 
     def change_mode(self, now_s: float, number: float) -> Answer:
         """Changes the flight mode, and does in flight what the mode is for."""

@@ -52,6 +52,7 @@ class Flight:
     ) -> None:
         self.mode = Mode.STABILIZE
         self._ceiling_m = ceiling_m  # as high as its fence lets it return
+        self.home = _GROUND
         self._parameters = parameters
         self._airframe: Airframe = (
             arducopter
@@ -231,11 +232,11 @@ class Flight:
             stretches = self._airframe.way_home(
                 here,
                 velocity,
-                _GROUND,
+                self.home.at_altitude(0.0),
                 ground_speed_m_s=self._return_speed_m_s(),
-                altitude_m=self._return_altitude_m(),
+                altitude_m=self._return_altitude_m() + self.home.altitude_m,
             )
-            here = _GROUND.at_altitude((stretches[-1].end if stretches else here).altitude_m)
+            here = self.home.at_altitude((stretches[-1].end if stretches else here).altitude_m)
         else:
             stretches = self._airframe.brake(here, velocity)
             here = stretches[-1].end if stretches else here

@@ -202,12 +202,14 @@ def gps_global_origin(copter: Reporting) -> Message:
     )
 
 
-def home_position(copter: Reporting, *, altitude_mm: int, time_us: int = 0) -> Message:
+def home_position(
+    copter: Reporting, *, altitude_mm: int, place: Position = _AT_HOME, time_us: int = 0
+) -> Message:
     """HOME_POSITION: where it returns to."""
-    home = copter.settings.home
+    geo = copter.frame.geo(place)
     return mavlink.MAVLink_home_position_message(
-        latitude=degrees_e7(home.latitude_deg),
-        longitude=degrees_e7(home.longitude_deg),
+        latitude=degrees_e7(geo.latitude_deg),
+        longitude=degrees_e7(geo.longitude_deg),
         altitude=altitude_mm,
         x=0,
         y=0,

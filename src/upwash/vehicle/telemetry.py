@@ -8,7 +8,6 @@ from typing import TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.geo import Position
 from upwash.vehicle import messages
 from upwash.vehicle.answers import LandedState
 from upwash.vehicle.copter import Copter
@@ -125,7 +124,7 @@ def ekf_status(copter: Copter, now_s: float) -> Message:
 def global_position(copter: Copter, now_s: float) -> Message:
     """GLOBAL_POSITION_INT: latitude and longitude are 0 until they are known."""
     known = copter.health.knows_its_place(now_s) or copter.health.has_fix(now_s)
-    above_home_mm = round(copter.position(now_s).altitude_m * 1e3)
+    above_home_mm = round((copter.position(now_s).altitude_m - copter.home.altitude_m) * 1e3)
     return messages.global_position(copter, now_s, above_home_mm=above_home_mm, known=known)
 
 
@@ -144,7 +143,7 @@ def position_target(copter: Copter, now_s: float) -> Message | None:
 
 def position_target_local(copter: Copter, now_s: float) -> Message | None:
     """POSITION_TARGET_LOCAL_NED in GUIDED: its target or the top of its take-off; else that it has a velocity."""
-    if copter.mode is not Mode.GUIDED:
+    if copter.mode is not Mode.GUIDED or not copter.armed(now_s):
         return None
     return messages.position_target_local(copter, now_s, copter.target(now_s) or copter.climbs_to)
 
@@ -158,7 +157,8 @@ def home_position(copter: Copter, now_s: float) -> Message | None:
     """HOME_POSITION: where it returns to, once it knows where it is."""
     if not copter.health.knows_its_place(now_s):
         return None
-    return messages.home_position(copter, altitude_mm=above_sea_mm(copter, Position(0.0, 0.0)))
+    home = copter.home
+    return messages.home_position(copter, altitude_mm=above_sea_mm(copter, home), place=home)
 
 
 def extended_sys_state(copter: Copter, now_s: float) -> Message:
