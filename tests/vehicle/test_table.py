@@ -14,6 +14,7 @@ from tests.vehicle.direct import directly_linked
 
 from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
+from upwash.mavlink.version import Version
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.connection import Vehicle
 from upwash.vehicle.copter import Copter
@@ -442,3 +443,29 @@ def test_faults_are_read_with_their_times() -> None:
     assert read_fault("arming") == Fault(FaultKind.ARMING)
     assert read_fault("link:30") == Fault(FaultKind.LINK, 30.0)
     assert read_fault("gps:60-90") == Fault(FaultKind.GPS, 60.0, 90.0)
+
+
+@pytest.mark.parametrize(
+    ("version", "name", "value"), [("4.7.0-dev", "RTL_ALT", 2_000.0), ("4.7.0", "RTL_ALT_M", 20.0)]
+)
+def test_parameters_have_the_names_and_units_of_the_version(version: str, name: str, value: float) -> None:
+    async def scenario(client: Client, vehicle: Vehicle) -> None:
+        other = {"RTL_ALT": "RTL_ALT_M", "RTL_ALT_M": "RTL_ALT"}[name]
+        for asked in (other, name):
+            client.say(mavlink.MAVLink_param_request_read_message(1, 1, asked.encode(), -1))
+        told = await client.next("PARAM_VALUE")
+        assert (told.param_id, told.param_value) == (name, pytest.approx(value))
+        client.say(mavlink.MAVLink_param_set_message(1, 1, name.encode(), value / 2, told.param_type))
+        assert (await client.next("PARAM_VALUE")).param_value == pytest.approx(value / 2)
+        client.say(mavlink.MAVLink_command_long_message(1, 1, 520, 0, 1, *(0.0,) * 6))
+        told = await client.next("AUTOPILOT_VERSION")
+        assert Version.of(told.flight_sw_version) == Version.read(version)
+
+    talk(scenario, replace(SETTINGS, version=Version.read(version), parameters={name: value}))
+
+
+def test_a_parameter_of_another_version_is_refused() -> None:
+    with pytest.raises(
+        UsageError, match=r"version 4\.7\.0 has no parameter RTL_ALT, or not with the value 2000"
+    ):
+        Copter(replace(SETTINGS, version=Version(4, 7), parameters={"RTL_ALT": 2_000.0}), now_s=0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from upwash.cli.arguments import announce, place
 from upwash.errors import UsageError
@@ -24,6 +24,10 @@ def add(commands: Commands) -> None:
         help="what it flies, answers and speaks like (default: arducopter)",
     )  # fmt: skip
     vehicle.add_argument("--listen", default="udp:127.0.0.1:14550", help="udp:HOST:PORT or tcp:HOST:PORT")
+    vehicle.add_argument(
+        "--version", metavar="X.Y.Z",
+        help="of its firmware (default: 4.7.0-dev, PX4: 1.16.1): its names of parameters, and what it knows",
+    )  # fmt: skip
     _add_start(vehicle)
     _add_flight(vehicle)
     vehicle.add_argument(
@@ -96,7 +100,6 @@ def _arducopter(options: argparse.Namespace) -> VehicleSettings:
     from upwash.vehicle.settings import VehicleSettings
 
     _refuse(options, {"--one-peer": options.one_peer})
-    given = {} if options.armable_after is None else {"armable_after_s": options.armable_after}
     return VehicleSettings(
         home=GeoPosition(*options.home),
         home_altitude_m=options.home_altitude,
@@ -106,7 +109,7 @@ def _arducopter(options: argparse.Namespace) -> VehicleSettings:
         clock_offset_s=options.clock_offset,
         parameters=dict(read_setting(text) for text in options.parameters),
         faults=tuple(read_fault(text) for text in options.faults),
-        **given,
+        **_given(options),
     )
 
 
@@ -120,7 +123,6 @@ def _px4(options: argparse.Namespace) -> Px4Settings:
         options,
         {"--acceleration": options.acceleration is not None, "--clock-offset": options.clock_offset},
     )
-    given = {} if options.armable_after is None else {"armable_after_s": options.armable_after}
     return Px4Settings(
         home=GeoPosition(*options.home),
         home_altitude_m=options.home_altitude,
@@ -129,8 +131,23 @@ def _px4(options: argparse.Namespace) -> Px4Settings:
         faults=tuple(read_fault(text) for text in options.faults),
         parameters=dict(read_setting(text) for text in options.parameters),
         one_peer=options.one_peer,
-        **given,
+        **_given(options),
     )
+
+
+def _given(options: argparse.Namespace) -> dict[str, Any]:
+    """What has another default for each autopilot."""
+    from upwash.mavlink.version import Version
+
+    given: dict[str, Any] = {}
+    if options.armable_after is not None:
+        given["armable_after_s"] = options.armable_after
+    if options.version is not None:
+        try:
+            given["version"] = Version.read(options.version)
+        except ValueError as error:
+            raise UsageError(f"vehicle: --version {error}") from None
+    return given
 
 
 def _refuse(options: argparse.Namespace, given: dict[str, object]) -> None:

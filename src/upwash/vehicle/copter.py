@@ -57,11 +57,14 @@ class Copter:
                 "WPNAV_SPEED": settings.return_speed_m_s * 100,
                 "RTL_ALT": settings.return_altitude_m * 100,
                 "SIM_SPEEDUP": settings.speedup,
-            }
+            },
+            settings.version,
         )
         for name, value in settings.parameters.items():
             if not self.parameters.set(name, value):
-                raise UsageError(f"vehicle: it has no parameter {name}, or not with the value {value:g}")
+                raise UsageError(
+                    f"vehicle: version {settings.version} has no parameter {name}, or not with the value {value:g}"
+                )
         self.fence = FenceWatch(self.parameters, now_s)
         self.health = Health(settings, now_s=now_s)
         self._flight = Flight(settings, self.parameters, now_s=now_s, ceiling_m=lambda: self.fence.ceiling_m)

@@ -1,6 +1,7 @@
 """The stand-in's parameters: a few of ArduCopter's 1,354, those that programs ask for, with version 4.7's values.
 
-It obeys those for fences, fail-safes, returns and disarming by itself; the rest it only keeps and gives back.
+It obeys those for fences, fail-safes, returns and disarming by itself; the rest it only keeps and gives back. Inside,
+each parameter has its name and its unit of version 4.6.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import UsageError
+from upwash.mavlink.version import Version
 
 _INT8 = mavlink.MAV_PARAM_TYPE_INT8
 _INT16 = mavlink.MAV_PARAM_TYPE_INT16
@@ -93,6 +95,26 @@ _DEFAULTS: dict[str, tuple[float, int]] = {
     "WPNAV_SPEED_UP": (250, _REAL32),
     "WP_YAW_BEHAVIOR": (2, _INT8),
 }
+_RENAMED_FROM = Version(4, 7)
+_CENTI, _ONE = 0.01, 1.0
+_RENAMED: dict[str, tuple[str, float]] = {
+    "LAND_ALT_LOW": ("LAND_ALT_LOW_M", _CENTI),
+    "LAND_SPEED": ("LAND_SPD_MS", _CENTI),
+    "LAND_SPEED_HIGH": ("LAND_SPD_HIGH_MS", _CENTI),
+    "LOIT_SPEED": ("LOIT_SPEED_MS", _CENTI),
+    "PILOT_SPEED_UP": ("PILOT_SPD_UP", _CENTI),
+    "RTL_ALT": ("RTL_ALT_M", _CENTI),
+    "RTL_ALT_FINAL": ("RTL_ALT_FINAL_M", _CENTI),
+    "RTL_CLIMB_MIN": ("RTL_CLIMB_MIN_M", _CENTI),
+    "RTL_SPEED": ("RTL_SPEED_MS", _CENTI),
+    "WPNAV_ACCEL": ("WP_ACC", _CENTI),
+    "WPNAV_ACCEL_Z": ("WP_ACC_Z", _CENTI),
+    "WPNAV_JERK": ("WP_JERK", _ONE),
+    "WPNAV_RADIUS": ("WP_RADIUS_M", _CENTI),
+    "WPNAV_SPEED": ("WP_SPD", _CENTI),
+    "WPNAV_SPEED_DN": ("WP_SPD_DN", _CENTI),
+    "WPNAV_SPEED_UP": ("WP_SPD_UP", _CENTI),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,12 +128,14 @@ class Parameter:
 
 
 class Parameters:
-    """All parameters, in an order that stays."""
+    """All parameters, in an order that stays; outside, each has the name of the version."""
 
-    def __init__(self, values: Mapping[str, float]) -> None:
+    def __init__(self, values: Mapping[str, float], version: Version) -> None:
         self._values = {name: value for name, (value, _) in _DEFAULTS.items()} | dict(values)
         self._kinds = {name: kind for name, (_, kind) in _DEFAULTS.items()}
-        self._names = list(_DEFAULTS)
+        renamed = _RENAMED if version >= _RENAMED_FROM else {}
+        self._names = [renamed[name][0] if name in renamed else name for name in _DEFAULTS]
+        self._inside = {outside: (name, size) for name, (outside, size) in renamed.items()}
 
     def __len__(self) -> int:
         return len(self._names)
@@ -121,9 +145,11 @@ class Parameters:
 
     def named(self, name: str) -> Parameter | None:
         """The parameter of that name, if there is one."""
-        if name not in self._kinds:
+        if name not in self._names:
             return None
-        return Parameter(name, self._names.index(name), self._values[name], self._kinds[name])
+        inside, size = self._inside.get(name, (name, 1.0))
+        kind = _REAL32 if name in self._inside else self._kinds[name]
+        return Parameter(name, self._names.index(name), self._values[inside] * size, kind)
 
     def at(self, index: int) -> Parameter | None:
         """The parameter at that place, if there is one."""
@@ -131,18 +157,19 @@ class Parameters:
 
     def add(self, name: str, value: float) -> None:
         """One that a script brings with it."""
-        if name not in self._kinds:
+        if name not in self._names:
             self._names.append(name)
         self._kinds[name], self._values[name] = _REAL32, value
 
     def set(self, name: str, value: float) -> bool:
         """Changes one; whether it is there and the value fits its type."""
-        if name not in self._kinds:
+        if name not in self._names:
             return False
-        kind = self._kinds[name]
-        if not (math.isfinite(value) and abs(value) < _LIMITS[kind]):
+        inside, size = self._inside.get(name, (name, 1.0))
+        kind = self._kinds[inside]
+        if not (math.isfinite(value) and abs(value / size) < _LIMITS[kind]):
             return False
-        self._values[name] = value if kind == _REAL32 else round(value)
+        self._values[inside] = value / size if kind == _REAL32 else round(value / size)
         return True
 
 

@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 
 from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
+from upwash.mavlink.version import Version
 from upwash.vehicle.boot import RECORDED_S
 from upwash.vehicle.faults import Fault
 
+RECORDED_VERSION = Version(4, 7, kind=0)  # in development: with the parameters' names of 4.6
 FASTEST_M_S = 300.0  # a report holds 327 m/s at most
 _RATES = ("ground_speed_m_s", "climb_m_s", "descent_m_s", "return_speed_m_s", "endurance_s", "speedup")
 
@@ -35,6 +37,7 @@ class VehicleSettings:
     auto_disarm_s: float = 2.0
     battery_percent: float = 100.0
     endurance_s: float = 1_200.0  # of a full battery with the motors running
+    version: Version = RECORDED_VERSION
     speedup: float = 1.0  # of its clock, against everyone else's
     clock_offset_s: float | None = (
         0.0  # of its receiver's time of day, against this machine's; None: it tells none

@@ -37,13 +37,13 @@ _SENSORS = (
 )
 _SATELLITES, _TOO_FEW_SATELLITES = 10, 3
 _CAPABILITIES = (
-    mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+    mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
 )
-_VERSION_4_7 = 4 << 24 | 7 << 16
 
 
 def heartbeat(copter: Copter, now_s: float) -> Message:
@@ -187,10 +187,13 @@ def mission_current(_copter: Copter, _now_s: float) -> Message:
     return mavlink.MAVLink_mission_current_message(0)
 
 
-def autopilot_version(_copter: Copter, _now_s: float) -> Message:
+def autopilot_version(copter: Copter, _now_s: float) -> Message:
     """AUTOPILOT_VERSION: what a client may expect."""
     return messages.autopilot_version(
-        capabilities=_CAPABILITIES, version=_VERSION_4_7, middleware_version=0, board_version=0
+        capabilities=_CAPABILITIES,
+        version=copter.settings.version.number,
+        middleware_version=0,
+        board_version=0,
     )
 
 

@@ -11,11 +11,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import GeoPosition, Position, Velocity
 from upwash.mavlink.px4 import (
     AVAILABLE_MODES,
+    CURRENT_MODE,
     CUSTOM_MODE_FLAG,
     EventMessage,
     ResponseEventErrorMessage,
     event_text,
 )
+from upwash.mavlink.version import Version
 from upwash.vehicle.firmware import NOTHING, Message, Reply, Report, asked_by_number
 from upwash.vehicle.px4.commands import obey, set_mode
 from upwash.vehicle.px4.fence_transfer import FenceTransfer
@@ -32,6 +34,8 @@ _FRAMES_ABOVE_SEA = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
 _FRAMES_ABOVE_HOME = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 _NO_EAST_NORTH, _NO_ALTITUDE, _NO_VELOCITY, _NO_YAW = 0b11, 0b100, 0b111_000, 1 << 10
 _STICK_FULL = 1000.0
+_TELLS_MODES_FROM = Version(1, 15, kind=0)
+_TELLS_MODES = (AVAILABLE_MODES, CURRENT_MODE)
 _COMPANIONS = (mavlink.MAV_TYPE_ONBOARD_CONTROLLER,)
 _ALL_MODES = 2**32 - 1
 # The summaries of the checks, as recorded: their bits are not modelled.
@@ -52,7 +56,9 @@ class Px4:
     def __init__(self, copter: Quadrotor) -> None:
         self.copter = copter
         self.reports: Mapping[float, Report] = {
-            number: partial(report, copter) for number, report in REPORTS.items()
+            number: partial(report, copter)
+            for number, report in REPORTS.items()
+            if number not in _TELLS_MODES or copter.settings.version >= _TELLS_MODES_FROM
         } | dict.fromkeys(UNMODELLED, _nothing)
         self._beats_s: float | None = None
         self._checked: tuple[str, ...] | None = None
@@ -80,7 +86,7 @@ class Px4:
 
     def requested(self, now_s: float, message: Message) -> Iterable[Message]:
         """The report of that number; AVAILABLE_MODES by index, 0 for all."""
-        if message.param1 == AVAILABLE_MODES:
+        if message.param1 == AVAILABLE_MODES and AVAILABLE_MODES in self.reports:
             index = message.param2
             return available_modes(int(index)) if math.isfinite(index) and 0 <= index < 2**16 else ()
         return asked_by_number(self.reports, now_s, message.param1)

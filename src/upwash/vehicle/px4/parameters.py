@@ -55,6 +55,8 @@ _DEFAULTS: dict[str, float | int] = {
     "MPC_VEL_MANUAL": 10.0,
     "MPC_XY_CRUISE": 5.0,
     "MPC_XY_VEL_MAX": 12.0,
+    "MPC_Z_V_AUTO_DN": 1.5,
+    "MPC_Z_V_AUTO_UP": 3.0,
     "MPC_Z_VEL_MAX_DN": 1.5,
     "MPC_Z_VEL_MAX_UP": 3.0,
     "NAV_ACC_RAD": 2.0,

@@ -8,7 +8,10 @@ from dataclasses import dataclass, field
 
 from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
+from upwash.mavlink.version import Version
 from upwash.vehicle.faults import Fault
+
+RECORDED_VERSION = Version(1, 16, 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +26,7 @@ class Px4Settings:
     armable_after_s: float = 4.0
     battery_percent: float = 100.0
     endurance_s: float = 1_200.0  # of a full battery with the motors running
+    version: Version = RECORDED_VERSION
     speedup: float = 1.0  # of its clock, against everyone else's
     faults: tuple[Fault, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)

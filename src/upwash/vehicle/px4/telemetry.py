@@ -58,7 +58,6 @@ _ARMABLE_BIT = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 _ESTIMATES_ALL = 831  # attitude, velocities, positions; neither by dead reckoning nor with a GPS glitch
 _ESTIMATES_WITHOUT_GPS = 165
 _CAPABILITIES = 59_647  # as recorded
-_VERSION_1_16_1 = 1 << 24 | 16 << 16 | 1 << 8 | 255
 
 
 def heartbeat(copter: Quadrotor, now_s: float) -> Message | None:
@@ -239,12 +238,12 @@ def mission_current(_copter: Quadrotor, _now_s: float) -> Message:
     return mavlink.MAVLink_mission_current_message(0, total=0xFFFF)
 
 
-def autopilot_version(_copter: Quadrotor, _now_s: float) -> Message:
+def autopilot_version(copter: Quadrotor, _now_s: float) -> Message:
     """AUTOPILOT_VERSION: what a client may expect."""
     return messages.autopilot_version(
         capabilities=_CAPABILITIES,
-        version=_VERSION_1_16_1,
-        middleware_version=_VERSION_1_16_1,
+        version=copter.settings.version.number,
+        middleware_version=copter.settings.version.number,
         board_version=1,
     )
 
