@@ -37,10 +37,10 @@ class ArmingDelayed:
 
 @dataclass(frozen=True, slots=True)
 class VehicleSetting:
-    """A parameter of the vehicle that the user should know before the flight, and why."""
+    """A parameter of the vehicle that the user should know before the flight, and why; None: it is not known."""
 
     name: str
-    value: float
+    value: float | None
     advice: str
 
 

@@ -59,6 +59,15 @@ def test_no_recorded_return_took_longer_than_expected_nor_much_less(
     assert took_s <= expected_s <= 1.3 * took_s
 
 
+def test_what_is_guessed_is_among_the_words_of_a_margin() -> None:
+    energy = Energy(Reserve(60.0), endurance_s=1000.0)
+    report = Report(0.0, HOME, percent=50.0)
+    energy.take(report)
+    known = energy.margin(report, HOME, EnergyFacts(way_home=PX4))
+    guessed = energy.margin(report, HOME, EnergyFacts(way_home=PX4, guessed=("RTL_ALT",)))
+    assert str(guessed) == f"{known} (guessed: RTL_ALT is not known)"
+
+
 def test_the_way_home_is_the_sum_of_its_parts() -> None:
     way = WayHome(
         altitude_m=30.0, climb_m_s=2.0, speed_m_s=10.0, acceleration_m_s2=1.0, hover_s=5.0, descent_m_s=2.0,

@@ -21,6 +21,12 @@ def held(*events: Event) -> dict[str, Notice]:
     return now
 
 
+def test_a_parameter_that_is_not_known_is_a_caution() -> None:
+    now = held(event("vehicle_setting", 1.0, name="RTL_ALT", value=None, advice="15 m are guessed"))
+    assert now["setting RTL_ALT"].cause == "The vehicle's RTL_ALT is not known: 15 m are guessed"
+    assert now["setting RTL_ALT"].level is Level.CAUTION
+
+
 def test_a_vehicle_that_nobody_flies_is_an_alarm_until_somebody_does() -> None:
     hovering = [
         event("safe_end", 5.0, action="hold", why="it did not arrive"),

@@ -93,3 +93,28 @@ def test_a_terminals_picture_says_what_the_drone_is_doing(then: list[Event], sho
 def test_the_altitude_is_shown_while_it_climbs() -> None:
     climbs = [event("taking_off", 9.0, altitude_m=20.0), event("position", 12.0, **PLACE, altitude_m=13.2)]
     assert head([STARTED, *climbs]).endswith("13 m up")
+
+
+def test_what_the_reserve_guesses_is_beside_what_it_reckons() -> None:
+    numbers = {
+        "left_percent": 59.0,
+        "rate_percent_s": 0.08,
+        "home_s": 45.0,
+        "needed_percent": 4.0,
+        "floor_percent": 2.0,
+        "margin_percent": 53.0,
+    }
+    said = lines(
+        [
+            event(
+                "vehicle_setting", 0.1, name="RTL_ALT", value=None, advice="the vehicle has no such parameter"
+            ),
+            event("energy", 0.2, **numbers),
+            event("energy", 0.3, **numbers, guessed=["RTL_ALT", "LAND_SPEED"]),
+        ]
+    )
+    assert said == [
+        "the vehicle's RTL_ALT is not known: the vehicle has no such parameter",
+        "battery 59 %, home in 45 s, 53 % to spare",
+        "battery 59 %, home in 45 s, 53 % to spare (guessed: RTL_ALT, LAND_SPEED are not known)",
+    ]

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from upwash.core.geo import Position, Velocity, ground_distance_m
@@ -62,18 +63,24 @@ UNKNOWN = PX4  # the slower one, of a vehicle that has not said what it is
 class EnergyFacts:
     """What a vehicle says of its battery's stages and of its way home; None where it does not.
 
-    `home` is where it returns to.
+    `home` is where it returns to. `guessed` lists its parameters that are not known; a usual value stands for each.
     """
 
     low_percent: float | None = None
     critical_percent: float | None = None
     home: Position | None = None
     way_home: WayHome | None = None
+    guessed: tuple[str, ...] = ()
 
     @property
     def return_altitude_m(self) -> float:
         """The altitude above home that the way home has at least; 0 where it is not known."""
         return self.way_home.altitude_m if self.way_home is not None else 0.0
+
+
+def in_words(guessed: Sequence[str]) -> str:
+    """What is guessed, in words, by the names of the vehicle's parameters that are not known."""
+    return f"guessed: {', '.join(guessed)} {'is' if len(guessed) == 1 else 'are'} not known"
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +114,7 @@ class Margin:
     reserve: Reserve
     reserve_s_percent: float  # what the reserve's seconds are
     low_percent: float | None
+    guessed: tuple[str, ...] = ()
 
     @property
     def floor_percent(self) -> float:
@@ -127,7 +135,8 @@ class Margin:
         home = f"{self.home_s:.0f} s to home need {self.needed_percent:.0f} %"
         if self.rate_percent_s is None:
             home = f"{self.home_s:.0f} s to home need what is not known yet"
-        return f"{home}, {self._floor}, {self.left_percent:.0f} % is left"
+        said = f"{home}, {self._floor}, {self.left_percent:.0f} % is left"
+        return f"{said} ({in_words(self.guessed)})" if self.guessed else said
 
     @property
     def _floor(self) -> str:
@@ -146,6 +155,7 @@ def margin(
     home_s: float,
     reserve: Reserve,
     low_percent: float | None = None,
+    guessed: tuple[str, ...] = (),
 ) -> Margin:
     """The margin by the laws above; without a rate the way home and the reserve's seconds count nothing."""
     rate = rate_percent_s or 0.0
@@ -157,6 +167,7 @@ def margin(
         reserve=reserve,
         reserve_s_percent=rate * reserve.seconds,
         low_percent=low_percent,
+        guessed=guessed,
     )
 
 
@@ -356,6 +367,7 @@ class Energy:
             home_s=_LOOK_S + self._down_s(report, facts.home or home, way),
             reserve=self.reserve,
             low_percent=facts.low_percent,
+            guessed=facts.guessed,
         )
 
     def _down_s(self, report: Report, home: Position, way: WayHome) -> float:

@@ -126,5 +126,6 @@ class ReserveWatch:
                 needed_percent=round(now.needed_percent, 1),
                 floor_percent=round(now.floor_percent, 1),
                 margin_percent=round(now.percent, 1),
+                guessed=list(now.guessed),
             )
         )

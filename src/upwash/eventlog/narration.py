@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from upwash.core.control import Owner
+from upwash.core.energy import in_words
 from upwash.core.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.beginning import Beginning
@@ -250,7 +251,7 @@ def _vehicle_told(event: Event) -> Said | None:
                 return None
             return Said(f"the vehicle says: {text} ({SEVERITIES[severity]})", Tone.TROUBLE)
         case schema.VehicleSetting(name=name, value=value, advice=advice):
-            return Said(f"the vehicle's {name} is {value:g}: {advice}", Tone.TROUBLE)
+            return Said(f"the vehicle's {name} is {known(value)}: {advice}", Tone.TROUBLE)
         case schema.UnsignedPort(why=why) | schema.SiteDoubt(why=why):
             return Said(why, Tone.TROUBLE)
         case schema.LinkLost(silent_s=silent_s):
@@ -267,9 +268,15 @@ def _vehicle_told(event: Event) -> Said | None:
             doing = "returns" if action == "return" else "lands"
             said = f"the autopilot {doing} if it does not hear this program for {silence_s:g} s"
             return Said(said, Tone.ASIDE)
-        case schema.Energy(left_percent=left, home_s=home_s, margin_percent=spare):
-            return Said(f"battery {left:.0f} %, home in {home_s:.0f} s, {spare:.0f} % to spare", Tone.ASIDE)
+        case schema.Energy(left_percent=left, home_s=home_s, margin_percent=spare, guessed=guessed):
+            said = f"battery {left:.0f} %, home in {home_s:.0f} s, {spare:.0f} % to spare"
+            return Said(f"{said} ({in_words(guessed)})" if guessed else said, Tone.ASIDE)
     return None
+
+
+def known(value: float | None) -> str:
+    """A value, or that it is not known."""
+    return "not known" if value is None else f"{value:g}"
 
 
 def who_has_it(owner: str) -> str:

@@ -9,7 +9,7 @@ from enum import StrEnum
 from upwash.core.control import Owner
 from upwash.core.servers import State
 from upwash.eventlog import schema
-from upwash.eventlog.narration import SAFE_ENDS, WARNING, counted, who_has_it
+from upwash.eventlog.narration import SAFE_ENDS, WARNING, counted, known, who_has_it
 from upwash.eventlog.schema import SEVERITIES, Event
 
 _TAKE_OVER = "Take over with the remote control."
@@ -135,7 +135,7 @@ def _vehicle(event: Event) -> Iterator[Notice]:
         case schema.Armed():
             yield Notice("arming")
         case schema.VehicleSetting(name=name, value=value, advice=advice):
-            yield Notice(f"setting {name}", f"The vehicle's {name} is {value:g}: {advice}")
+            yield Notice(f"setting {name}", f"The vehicle's {name} is {known(value)}: {advice}")
     if isinstance(event, _ON_GROUND):
         for key in ("hovering", "safe end", "left", "link", "position", "home"):
             yield Notice(key)

@@ -368,10 +368,10 @@ class VehicleSaid(Event, frozen=True, kw_only=True):
 
 
 class VehicleSetting(Event, frozen=True, kw_only=True):
-    """A parameter of the vehicle that the user should know before the flight, and why."""
+    """A parameter of the vehicle that the user should know before the flight, and why; null: it is not known."""
 
     name: str
-    value: float
+    value: float | None
     advice: str
 
 
@@ -526,7 +526,8 @@ class BorderWatchFailed(Event, frozen=True, kw_only=True):
 class Energy(Event, frozen=True, kw_only=True):
     """With `reserve_s`: what is left in the battery, its loss a second, the time home, what that needs and leaves.
 
-    Written when it is first known, after a change of the margin by more than 3 %, and each minute.
+    Written when it is first known, after a change of the margin by more than 3 %, and each minute. `guessed` lists
+    the vehicle's parameters that are not known; a usual value stands for each.
     """
 
     left_percent: float
@@ -535,6 +536,7 @@ class Energy(Event, frozen=True, kw_only=True):
     needed_percent: float
     floor_percent: float
     margin_percent: float
+    guessed: list[str] = []
 
 
 class EnergyUsed(Event, frozen=True, kw_only=True, omit_defaults=True):

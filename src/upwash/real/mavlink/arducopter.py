@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.energy import ARDUCOPTER as ARDUCOPTER_WAY_HOME
-from upwash.core.energy import EnergyFacts, WayHome
+from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Position, ahead, distance_m
 from upwash.errors import AutopilotRefused
 from upwash.ports import DeadMan, VehicleLimits
@@ -20,7 +19,9 @@ from upwash.real.mavlink.dead_man import LuaDeadMan
 from upwash.real.mavlink.fence_settings import ARDUCOPTER_FENCE, arducopter_limits
 from upwash.real.mavlink.firmware import Firmware
 from upwash.real.mavlink.parameters import read_parameters
+from upwash.real.mavlink.quantities import read_quantities
 from upwash.real.mavlink.telemetry import Telemetry
+from upwash.real.mavlink.way_home import ARDUCOPTER_QUANTITIES, arducopter_energy
 
 _GUIDED, _RTL, _LAND = "GUIDED", "RTL", "LAND"
 _NUMBERS = {
@@ -30,14 +31,6 @@ _NUMBERS = {
 }
 _FAILSAFE_MODES = ("RTL", "LAND", "SMART_RTL", "BRAKE", "AUTO", "AUTO_RTL")
 _CRITICAL = (mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_EMERGENCY)
-_READ_BEFORE_ARMING = (
-    *ARDUCOPTER_FENCE,
-    "BATT_CAPACITY", "BATT_LOW_MAH", "BATT_CRT_MAH",
-    "RTL_ALT", "RTL_SPEED", "RTL_LOIT_TIME", "WPNAV_SPEED", "WPNAV_SPEED_UP", "WPNAV_SPEED_DN", "WPNAV_ACCEL",
-    "LAND_ALT_LOW", "LAND_SPEED",
-)  # fmt: skip
-_USUAL_LOITER_MS = 5_000.0
-_SETTLES_S = ARDUCOPTER_WAY_HOME.hover_s - _USUAL_LOITER_MS / 1e3
 _BRAKES_M_S2 = 1.83  # as recorded flights do (SITL 4.7, default parameters)
 _REACTS_S = 0.1
 _LIFT_REPORT_S = 1.0  # for a report that it has left the ground, while some get lost
@@ -79,35 +72,8 @@ ARDUCOPTER = Firmware(
         mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
         mavlink.MAVLINK_MSG_ID_WIND: 1.0,
     },
+    always_has="FRAME_CLASS",
 )
-
-
-def _energy(told: Mapping[str, float]) -> EnergyFacts:
-    """Stages in percent of the capacity, and the way home, by parameters in ArduCopter's units: cm, cm/s, ms, mAh."""
-    usual, capacity = ARDUCOPTER_WAY_HOME, told.get("BATT_CAPACITY", 0.0)
-
-    def stage_percent(name: str) -> float | None:
-        stage = told.get(name, 0.0)
-        return 100 * stage / capacity if stage > 0 and capacity > 0 else None
-
-    def metres(name: str, default: float) -> float:
-        value = told.get(name, 0.0)
-        return value / 100 if value > 0 else default
-
-    return EnergyFacts(
-        low_percent=stage_percent("BATT_LOW_MAH"),
-        critical_percent=stage_percent("BATT_CRT_MAH"),
-        way_home=WayHome(
-            altitude_m=metres("RTL_ALT", usual.altitude_m),
-            climb_m_s=metres("WPNAV_SPEED_UP", usual.climb_m_s),
-            speed_m_s=metres("RTL_SPEED", metres("WPNAV_SPEED", usual.speed_m_s)),
-            acceleration_m_s2=metres("WPNAV_ACCEL", usual.acceleration_m_s2),
-            hover_s=told.get("RTL_LOIT_TIME", _USUAL_LOITER_MS) / 1e3 + _SETTLES_S,
-            descent_m_s=metres("WPNAV_SPEED_DN", usual.descent_m_s),
-            slowly_below_m=metres("LAND_ALT_LOW", usual.slowly_below_m),
-            landing_m_s=metres("LAND_SPEED", usual.landing_m_s),
-        ),
-    )
 
 
 class ArduCopter(MavlinkAutopilot):
@@ -140,10 +106,13 @@ class ArduCopter(MavlinkAutopilot):
     async def limits(self) -> VehicleLimits:
         """Home, and what its parameters and its fence list say; the energy facts are read with them."""
         limits = await super().limits()
-        told = await read_parameters(self._vehicle, _READ_BEFORE_ARMING)
-        self._energy = _energy(told)
+        await self._learn()
+        told = await read_parameters(self._vehicle, ARDUCOPTER_FENCE)
         limits = replace(limits, returns_at_m=self._energy.return_altitude_m)
         return await arducopter_limits(self._vehicle, self._frame, limits, told)
+
+    async def _learn(self) -> None:
+        self._energy = arducopter_energy(await read_quantities(self._vehicle, ARDUCOPTER_QUANTITIES))
 
     @property
     def energy(self) -> EnergyFacts:

@@ -210,8 +210,9 @@ class MavlinkAutopilot(ABC):
         async with self._vehicle.limited("start", self._settings.margin_s):
             await self._vehicle.until("start", lambda: self._telemetry.mode is not None)
         self._vehicle.claim("start", resumes=resumes)
-        if self._telemetry.armed:
+        if self._telemetry.armed:  # it flies already: `limits` is for a vehicle that stands
             self._where.fix_ground()
+            await self._learn()
 
     async def ready(self) -> None:
         """Waits for the vehicle's own checks; sends no command meanwhile, and tells its reasons as they change."""
@@ -260,6 +261,10 @@ class MavlinkAutopilot(ABC):
         await self._know_home()
         home = self._telemetry.home
         return VehicleLimits(self._where.home, home_above_sea_m=round(home.altitude_m, 2) if home else None)
+
+    @abstractmethod
+    async def _learn(self) -> None:
+        """Reads what its parameters say of its battery's stages, of its way home and of what it can do."""
 
     @abstractmethod
     async def arm(self) -> None:

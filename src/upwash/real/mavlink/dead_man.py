@@ -74,9 +74,13 @@ class LuaDeadMan:
             return ""
         install = "install it with: upwash check CONFIG --install-dead-man"
         if scripting is None:
-            return "the autopilot says nothing of SCR_ENABLE: its firmware has no scripting, or the link is too bad"
+            if _SCRIPTING_ON in told.absent:
+                return "the autopilot has no parameter SCR_ENABLE: its firmware has no scripting, and so no dead man"
+            return told.why_unknown(_SCRIPTING_ON)
         if not scripting:
             return f"scripting is off in the autopilot (SCR_ENABLE is 0), and so the dead man; {install}"
+        if running is None and VERSION not in told.absent:
+            return told.why_unknown(VERSION)
         if running is None:
             return f"the dead man is not in the autopilot, or was not started; {install}"
         return f"the dead man in the autopilot is of another version of upwash; {install}"

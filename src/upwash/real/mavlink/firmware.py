@@ -19,7 +19,8 @@ class Firmware:
 
     `mode_name` names a custom mode, `own_mode` is the one in which the program steers. `failsafe` says why a
     fail-safe may have chosen the mode of that name, or nothing. `streams_hz` are the reports that the driver needs,
-    by message. `take` has the telemetry remember what only this firmware reports, at that time.
+    by message. `always_has` is the name of a parameter that all its versions have. `take` has the telemetry remember
+    what only this firmware reports, at that time.
     """
 
     name: str
@@ -28,6 +29,7 @@ class Firmware:
     mode_name: Callable[[int], str]
     failsafe: Callable[[Telemetry, str], str]
     streams_hz: Mapping[int, float]
+    always_has: str
     keeps_targets: bool = False  # in `own_mode` it reports the last target that it was sent to
     take: Callable[[Telemetry, Message, float], None] = _nothing_more
     sends_parameters_as_bytes: bool = False  # an integer's bytes lie in the float that carries a parameter

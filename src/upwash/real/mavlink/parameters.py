@@ -1,12 +1,19 @@
-"""Reading and setting a vehicle's parameters."""
+"""Reading and setting a vehicle's parameters.
+
+MAVLink has an answer for a parameter that a vehicle does not have (PARAM_ERROR). Today's autopilots do not send that
+answer: a missing parameter and a lost question look alike. So the last question of each round is for a parameter that
+every version of the firmware has. If the last answer comes in several rounds, and the answer for another parameter
+never comes, the vehicle does not have the other parameter.
+"""
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
+from typing import TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -14,7 +21,17 @@ from upwash.errors import AutopilotTimeout
 from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
-_ATTEMPTS = 3
+Names: TypeAlias = tuple[str, ...]
+"""What one parameter is called, by versions of a firmware."""
+
+_ATTEMPTS = 12
+_SETS = 3
+_ROUNDS_THAT_TELL = (
+    3  # with the last answer and without the answer for a parameter: the vehicle does not have it
+)
+_ROUNDS_THAT_TELL_WITH_LOSSES = 6  # the same, over a link that lost a question or an answer meanwhile
+_ASKED_AT_ONCE = 5  # parameters, of up to two names each: ArduPilot keeps 20 questions of all links
+_LATER_S = 0.1  # a datagram may come later than the next one
 _AS_BYTES = {
     mavlink.MAV_PARAM_TYPE_UINT8: "<Bxxx",
     mavlink.MAV_PARAM_TYPE_INT8: "<bxxx",
@@ -25,15 +42,43 @@ _AS_BYTES = {
 }
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading(Mapping[str, float]):
+    """The values of a vehicle's parameters, by name.
+
+    `absent` holds the names of parameters that the vehicle does not have. No answer came for a parameter that is in
+    neither.
+    """
+
+    values_by_name: Mapping[str, float]
+    absent: frozenset[str]
+
+    def __getitem__(self, name: str) -> float:
+        return self.values_by_name[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.values_by_name)
+
+    def __len__(self) -> int:
+        return len(self.values_by_name)
+
+    def why_unknown(self, *names: str) -> str:
+        """Why nothing is known of a parameter of these names."""
+        if self.absent.issuperset(names):
+            return f"the vehicle has no parameter {' or '.join(names)}"
+        return f"the vehicle did not answer what its {' or '.join(names)} is: the link loses messages"
+
+
 @dataclass(frozen=True, slots=True)
 class _Parameter:
     value: float
     kind: int  # MAV_PARAM_TYPE
 
 
-async def read_parameters(vehicle: MavlinkVehicle, names: Collection[str]) -> dict[str, float]:
-    """The values by name, without those that the vehicle does not have, or does not tell."""
-    return {name: found.value for name, found in (await _read(vehicle, names)).items()}
+async def read_parameters(vehicle: MavlinkVehicle, wanted: Iterable[str | Names]) -> Reading:
+    """Asks for each parameter, by its name or by all its names at once; one answer is enough."""
+    told, absent = await _read(vehicle, wanted)
+    return Reading({name: each.value for name, each in told.items()}, absent)
 
 
 async def set_parameter(vehicle: MavlinkVehicle, name: str, value: float) -> None:
@@ -41,43 +86,94 @@ async def set_parameter(vehicle: MavlinkVehicle, name: str, value: float) -> Non
 
     It does not ask whose the vehicle is: only for parameters that leave the flight as it is.
     """
-    before = (await _read(vehicle, [name])).get(name)
+    told, absent = await _read(vehicle, [name])
+    before = told.get(name)
     if before is None:
-        raise AutopilotTimeout("parameter", f"the vehicle does not know {name}", vehicle.said_lately)
+        raise AutopilotTimeout("parameter", Reading({}, absent).why_unknown(name), vehicle.said_lately)
     wire = _encoded(value, before.kind) if vehicle.firmware.sends_parameters_as_bytes else value
-    for _ in range(_ATTEMPTS):
+    for _ in range(_SETS):
         vehicle.ask(
             lambda system, component: mavlink.MAVLink_param_set_message(
                 system, component, name.encode(), wire, before.kind
             )
         )
-        after = (await _read(vehicle, [name])).get(name)
+        after = (await _read(vehicle, [name]))[0].get(name)
         if after is not None and math.isclose(after.value, value, rel_tol=1e-6, abs_tol=1e-6):
             return
     raise AutopilotTimeout("parameter", f"{name} was not set to {value:g}", vehicle.said_lately)
 
 
-async def _read(vehicle: MavlinkVehicle, names: Collection[str]) -> dict[str, _Parameter]:
-    """Asks for all at once, and again for those that were not told."""
-    found: dict[str, _Parameter] = {}
-
-    def hear(message: Message) -> None:
-        if message.get_type() == "PARAM_VALUE" and message.param_id in names:
-            found[message.param_id] = _Parameter(_decoded(vehicle, message), message.param_type)
-
-    with vehicle.listening(hear):
-        for _ in range(_ATTEMPTS):
-            for name in names:
-                if name not in found:
-                    vehicle.ask(partial(_question, name))
-            all_told = partial(_are_told, names, found)
-            if await vehicle.happens("parameters", all_told, within_s=vehicle.patience.answer_s):
-                break
-    return found
+async def _read(
+    vehicle: MavlinkVehicle, wanted: Iterable[str | Names]
+) -> tuple[dict[str, _Parameter], frozenset[str]]:
+    """The parameters with an answer, and the names of the parameters that the vehicle does not have."""
+    groups = [(each,) if isinstance(each, str) else each for each in wanted]
+    told: dict[str, _Parameter] = {}
+    absent: set[str] = set()
+    for begin in range(0, len(groups), _ASKED_AT_ONCE):
+        questions = _Questions(vehicle, groups[begin : begin + _ASKED_AT_ONCE])
+        with vehicle.listening(questions.hear):
+            await questions.ask()
+        told |= questions.told
+        absent |= questions.absent
+    return told, frozenset(absent)
 
 
-def _are_told(names: Collection[str], found: Mapping[str, _Parameter]) -> bool:
-    return all(name in found for name in names)
+@dataclass(slots=True)
+class _Questions:
+    """Some parameters, which are asked for together until each has an answer or is known to be missing."""
+
+    vehicle: MavlinkVehicle
+    groups: Sequence[Names]
+    told: dict[str, _Parameter] = field(default_factory=dict)
+    absent: set[str] = field(default_factory=set)
+    _unanswered: dict[Names, int] = field(default_factory=dict)  # in how many rounds that tell
+    _last_is_told: bool = False
+    _loses: bool = False
+
+    def hear(self, message: Message) -> None:
+        match message.get_type():
+            case "PARAM_VALUE" if any(message.param_id in group for group in self.groups):
+                self.told[message.param_id] = _Parameter(_decoded(self.vehicle, message), message.param_type)
+            case "PARAM_ERROR" if message.error == mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST:
+                self.absent.update(
+                    name for group in self.groups for name in group if name == message.param_id
+                )
+        if message.get_type() == "PARAM_VALUE" and message.param_id == self.vehicle.firmware.always_has:
+            self._last_is_told = True
+
+    async def ask(self) -> None:
+        """Returns when nothing is left to ask, or after the last round."""
+        for attempt in range(_ATTEMPTS):
+            if not (missing := self._missing()):
+                return
+            self._last_is_told = False
+            for name in (*(name for group in missing for name in group), self.vehicle.firmware.always_has):
+                self.vehicle.ask(partial(_question, name))
+            await self._answered(lambda: self._last_is_told, within_s=self.vehicle.patience.answer_s)
+            await self._answered(lambda: False, within_s=_LATER_S)
+            came_late = attempt > 0 and len(self._missing()) < len(missing)
+            self._loses |= came_late or not self._last_is_told
+            if self._last_is_told:
+                self._count_unanswered()
+
+    async def _answered(self, or_else: Callable[[], bool], *, within_s: float) -> None:
+        await self.vehicle.happens("parameters", lambda: not self._missing() or or_else(), within_s=within_s)
+
+    def _missing(self) -> list[Names]:
+        """The parameters without an answer so far."""
+        return [
+            group
+            for group in self.groups
+            if not any(name in self.told for name in group) and not self.absent.issuperset(group)
+        ]
+
+    def _count_unanswered(self) -> None:
+        enough = _ROUNDS_THAT_TELL_WITH_LOSSES if self._loses else _ROUNDS_THAT_TELL
+        for group in self._missing():
+            self._unanswered[group] = self._unanswered.get(group, 0) + 1
+            if self._unanswered[group] >= enough:
+                self.absent.update(group)
 
 
 def _question(name: str, system: int, component: int) -> Message:

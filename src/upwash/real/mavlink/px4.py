@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import math
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,9 +17,9 @@ from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Position, Velocity
 from upwash.errors import AutopilotError, AutopilotRefused
 from upwash.mavlink.px4 import RUN_PREARM_CHECKS
-from upwash.ports import VehicleLimits, VehicleSetting
+from upwash.ports import VehicleLimits
 from upwash.real.mavlink.autopilot import MavlinkAutopilot, check_speed
-from upwash.real.mavlink.course import Abilities, Course
+from upwash.real.mavlink.course import Course
 from upwash.real.mavlink.fence_settings import PX4_FENCE, px4_limits
 from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.offboard import SetpointStream
@@ -35,20 +35,14 @@ from upwash.real.mavlink.px4_firmware import (
     failsafe,
     words_of,
 )
+from upwash.real.mavlink.px4_settings import check_settings, failsafe_delay_s
+from upwash.real.mavlink.quantities import read_quantities
+from upwash.real.mavlink.way_home import PX4_QUANTITIES, px4_abilities, px4_energy
 
 _POSITION = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 _LEAST_BLOCKING = (
     mavlink.MAV_SEVERITY_ERROR
 )  # a failed check that is less severe does not keep it from being armed
-_READ_BEFORE_ARMING = (
-    *PX4_FENCE, "COM_OBL_RC_ACT",
-    "BAT_LOW_THR", "BAT_CRIT_THR", "RTL_RETURN_ALT",
-    "MPC_XY_CRUISE", "MPC_XY_VEL_MAX", "MPC_Z_V_AUTO_UP", "MPC_Z_V_AUTO_DN", "MPC_ACC_HOR",
-)  # fmt: skip
-_FALLS = {6.0: "terminate", 7.0: "disarm"}
-_GOES_ON = (3.0, 5.0)
-_STICKS_IN_OFFBOARD = 2
-_LONG_S = 10.0
 _FRESH_WITHIN_S = 0.5
 _BEFORE_OFFBOARD_S = 0.6  # PX4 looks at whether setpoints come twice a second
 _MODE_WITHIN_S = 1.5
@@ -60,7 +54,6 @@ _LEAST_CLIMB_M, _UP_M = (
 _TAKES_OVER_S = 1.2  # from when OFFBOARD is wanted until it is there
 _MEAN_OVER_S = 1.0  # of its velocity: hovering, it reports 0.28 m/s in the median, and 0.6 m/s at times
 _SETTLES_S = 1.0  # more than COM_FAIL_ACT_T
-_FAILS_AFTER_S = 5.0  # COM_FAIL_ACT_T, where it does not say
 
 
 class Px4(MavlinkAutopilot):
@@ -91,24 +84,26 @@ class Px4(MavlinkAutopilot):
     async def claim(self, *, resumes: bool) -> None:
         """Waits where a fail-safe has only begun: PX4 hovers for some seconds before it acts."""
         if resumes and self._telemetry.armed and failsafe(self._telemetry, ""):
-            told = await read_parameters(self._vehicle, ["COM_FAIL_ACT_T"])
-            wait_s = told.get("COM_FAIL_ACT_T", _FAILS_AFTER_S) + _SETTLES_S
+            wait_s = await failsafe_delay_s(self._vehicle) + _SETTLES_S
             await self._vehicle.happens("start", lambda: self._vehicle.mode_name != LOITER, within_s=wait_s)
         await super().claim(resumes=resumes)
 
     async def ready(self) -> None:
         """Looks first at what it would do without the program."""
-        await self._check_settings()
+        await check_settings(self._vehicle)
         await super().ready()
 
     async def limits(self) -> VehicleLimits:
         """Home, and what its parameters and its fence list say."""
         limits = await super().limits()
-        told = await read_parameters(self._vehicle, _READ_BEFORE_ARMING)
-        self._energy = _energy(told)
-        self._learn_abilities(told)
+        await self._learn()
+        told = await read_parameters(self._vehicle, (*PX4_FENCE, "COM_OBL_RC_ACT"))
         limits = replace(limits, returns_at_m=self._energy.return_altitude_m)
         return await px4_limits(self._vehicle, self._frame, limits, told)
+
+    async def _learn(self) -> None:
+        told = await read_quantities(self._vehicle, PX4_QUANTITIES)
+        self._energy, self._stream.abilities = px4_energy(told), px4_abilities(told)
 
     @property
     def energy(self) -> EnergyFacts:
@@ -297,41 +292,6 @@ class Px4(MavlinkAutopilot):
 
     # --- what it reports ------------------------------------------------------------------------------------
 
-    def _learn_abilities(self, told: Mapping[str, float]) -> None:
-        usual = Abilities()
-        self._stream.abilities = Abilities(
-            told.get("MPC_XY_VEL_MAX") or usual.ground_speed_m_s,
-            told.get("MPC_Z_V_AUTO_UP") or usual.climb_m_s,
-            told.get("MPC_Z_V_AUTO_DN") or usual.descent_m_s,
-            told.get("MPC_ACC_HOR") or usual.acceleration_m_s2,
-        )
-
-    async def _check_settings(self) -> None:
-        """Tells what the vehicle does without the program, and refuses to fly where it falls then."""
-        vehicle = self._vehicle
-        told = await read_parameters(vehicle, ["COM_OBL_RC_ACT", "COM_OF_LOSS_T", "COM_RC_OVERRIDE"])
-        lost, after_s = told.get("COM_OBL_RC_ACT"), told.get("COM_OF_LOSS_T")
-        override = told.get("COM_RC_OVERRIDE")
-        if lost in _FALLS:
-            raise AutopilotRefused(
-                "arm",
-                f"COM_OBL_RC_ACT is {lost:g} ({_FALLS[lost]}): the vehicle falls when the program or its link is "
-                "lost; set it to 3 (return) or 5 (hover); nothing was sent",
-            )
-        if lost is not None and lost not in _GOES_ON:
-            what = "comes down where it is, unless a pilot has it by stick" if lost in (0, 1, 2) else "lands"
-            advice = f"without the program the vehicle {what}; 3 has it return, 5 hover"
-            vehicle.tell(VehicleSetting("COM_OBL_RC_ACT", lost, advice))
-        if after_s is not None and after_s > _LONG_S:
-            vehicle.tell(
-                VehicleSetting("COM_OF_LOSS_T", after_s, "so many seconds pass before it notices the loss")
-            )
-        if override is not None and not int(override) & _STICKS_IN_OFFBOARD:
-            advice = (
-                "sticks do not take the vehicle from the program, a mode switch does; 3 has sticks do it, too"
-            )
-            vehicle.tell(VehicleSetting("COM_RC_OVERRIDE", override, advice))
-
     def _may_be_armed(self) -> bool:
         """By its checks for AUTO.LOITER, whatever mode it is in."""
         telemetry = self._telemetry
@@ -369,20 +329,3 @@ class Px4(MavlinkAutopilot):
         north_m_s = sum(each.north_m_s for each in velocities)
         up_m_s = sum(each.up_m_s for each in velocities)
         return math.hypot(east_m_s, north_m_s, up_m_s) / len(velocities) < self._settings.arrival_speed_m_s
-
-
-def _energy(told: Mapping[str, float]) -> EnergyFacts:
-    """Its stages and its way home, by parameters in PX4's units: shares of a full battery, metres, m/s."""
-
-    def percent(name: str) -> float | None:
-        share = told.get(name, 0.0)
-        return 100 * share if share > 0 else None
-
-    usual = PX4_WAY_HOME
-    way_home = replace(
-        usual,
-        altitude_m=told.get("RTL_RETURN_ALT") or usual.altitude_m,
-        speed_m_s=told.get("MPC_XY_CRUISE") or usual.speed_m_s,
-        descent_m_s=told.get("MPC_Z_V_AUTO_DN") or usual.descent_m_s,
-    )
-    return EnergyFacts(percent("BAT_LOW_THR"), percent("BAT_CRIT_THR"), way_home=way_home)

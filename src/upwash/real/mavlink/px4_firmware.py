@@ -141,5 +141,6 @@ PX4 = Firmware(
         mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
         CURRENT_MODE: 50.0,  # it comes when the mode changes, and twice a second
     },
+    always_has="SYS_AUTOSTART",
     sends_parameters_as_bytes=True,
 )

@@ -1,0 +1,131 @@
+"""A vehicle's parameters of its battery's stages, its way home and its legs.
+
+Up to version 4.6, ArduCopter's parameters are in cm, cm/s, cm/s² and ms. Version 4.7.0 renamed most of them, and
+counts in metres. PX4's parameters are in metres and in shares of a full battery.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from upwash.core.energy import ARDUCOPTER, PX4, EnergyFacts, WayHome
+from upwash.real.mavlink.course import Abilities
+from upwash.real.mavlink.quantities import Quantity, Told
+
+_CENTI = 0.01
+_SLOWEST_M_S, _WEAKEST_M_S2 = 0.01, 0.01
+_USUAL_LOITER_S = 5.0
+_SETTLES_S = ARDUCOPTER.hover_s - _USUAL_LOITER_S
+_USUAL = Abilities()
+_NO_STAGE = "the reserve does not count with this stage of the battery"
+
+
+def _speed(
+    what: str, names: Mapping[str, float], usual_m_s: float, *, least_m_s: float = _SLOWEST_M_S
+) -> Quantity:
+    return Quantity(what, names, "m/s", usual_m_s, least_m_s)
+
+
+# --- ArduCopter ---------------------------------------------------------------------------------------------
+
+_CAPACITY = Quantity("", {"BATT_CAPACITY": 1.0}, "mAh", None, without=_NO_STAGE)
+_LOW = Quantity("", {"BATT_LOW_MAH": 1.0}, "mAh", None, without=_NO_STAGE)
+_CRITICAL = Quantity("", {"BATT_CRT_MAH": 1.0}, "mAh", None, without=_NO_STAGE)
+_ALTITUDE = Quantity(
+    "the altitude of returns", {"RTL_ALT": _CENTI, "RTL_ALT_M": 1.0}, "m", ARDUCOPTER.altitude_m
+)
+_RETURN = _speed(
+    "the speed of returns (0: that of legs)", {"RTL_SPEED": _CENTI, "RTL_SPEED_MS": 1.0}, 0.0, least_m_s=0.0
+)
+_LEGS = _speed("the speed of legs", {"WPNAV_SPEED": _CENTI, "WP_SPD": 1.0}, ARDUCOPTER.speed_m_s)
+_CLIMB = _speed("the speed of climbs", {"WPNAV_SPEED_UP": _CENTI, "WP_SPD_UP": 1.0}, ARDUCOPTER.climb_m_s)
+_DESCENT = _speed(
+    "the speed of descents", {"WPNAV_SPEED_DN": _CENTI, "WP_SPD_DN": 1.0}, ARDUCOPTER.descent_m_s
+)
+_ACCELERATION = Quantity(
+    "the acceleration of legs",
+    {"WPNAV_ACCEL": _CENTI, "WP_ACC": 1.0},
+    "m/s²",
+    ARDUCOPTER.acceleration_m_s2,
+    _WEAKEST_M_S2,
+)
+_LOITER = Quantity("the wait above home", {"RTL_LOIT_TIME": 1e-3}, "s", _USUAL_LOITER_S)
+_HIGH_LANDING = _speed(
+    "the speed of a landing's first part (0: that of descents)",
+    {"LAND_SPEED_HIGH": _CENTI, "LAND_SPD_HIGH_MS": 1.0},
+    0.0,
+    least_m_s=0.0,
+)
+_SLOWLY_BELOW = Quantity(
+    "the height of a landing's last part",
+    {"LAND_ALT_LOW": _CENTI, "LAND_ALT_LOW_M": 1.0},
+    "m",
+    ARDUCOPTER.slowly_below_m,
+)
+_LANDING = _speed(
+    "the speed of a landing's last part", {"LAND_SPEED": _CENTI, "LAND_SPD_MS": 1.0}, ARDUCOPTER.landing_m_s
+)
+ARDUCOPTER_QUANTITIES = (
+    _CAPACITY, _LOW, _CRITICAL, _ALTITUDE, _RETURN, _LEGS, _CLIMB, _DESCENT, _ACCELERATION, _LOITER, _HIGH_LANDING,
+    _SLOWLY_BELOW, _LANDING,
+)  # fmt: skip
+
+
+def arducopter_energy(told: Told) -> EnergyFacts:
+    """The stages in percent of the capacity, and the way home."""
+    return EnergyFacts(
+        low_percent=_stage_percent(told, _LOW),
+        critical_percent=_stage_percent(told, _CRITICAL),
+        way_home=WayHome(
+            altitude_m=told[_ALTITUDE],
+            climb_m_s=told[_CLIMB],
+            speed_m_s=told[_RETURN] or told[_LEGS],
+            acceleration_m_s2=told[_ACCELERATION],
+            hover_s=told[_LOITER] + _SETTLES_S,
+            descent_m_s=told[_HIGH_LANDING] or told[_DESCENT],
+            slowly_below_m=told[_SLOWLY_BELOW],
+            landing_m_s=told[_LANDING],
+        ),
+        guessed=told.guessed,
+    )
+
+
+def _stage_percent(told: Told, stage: Quantity) -> float | None:
+    """The stage is a charge that is left; 0 stands for none."""
+    left_mah, capacity_mah = told.known(stage), told.known(_CAPACITY)
+    return 100 * left_mah / capacity_mah if left_mah and capacity_mah else None
+
+
+# --- PX4 ----------------------------------------------------------------------------------------------------
+
+_LOW_SHARE = Quantity("", {"BAT_LOW_THR": 100.0}, "%", None, without=_NO_STAGE)
+_CRITICAL_SHARE = Quantity("", {"BAT_CRIT_THR": 100.0}, "%", None, without=_NO_STAGE)
+_PX4_ALTITUDE = Quantity("the altitude of returns", {"RTL_RETURN_ALT": 1.0}, "m", PX4.altitude_m)
+_CRUISE = _speed("the speed of returns", {"MPC_XY_CRUISE": 1.0}, PX4.speed_m_s)
+_FASTEST = _speed("the highest speed of legs", {"MPC_XY_VEL_MAX": 1.0}, _USUAL.ground_speed_m_s)
+_PX4_CLIMB = _speed("the speed of climbs", {"MPC_Z_V_AUTO_UP": 1.0}, _USUAL.climb_m_s)
+_PX4_DESCENT = _speed("the speed of descents", {"MPC_Z_V_AUTO_DN": 1.0}, PX4.descent_m_s)
+_PX4_ACCELERATION = Quantity(
+    "the acceleration of legs", {"MPC_ACC_HOR": 1.0}, "m/s²", _USUAL.acceleration_m_s2, _WEAKEST_M_S2
+)
+PX4_QUANTITIES = (
+    _LOW_SHARE, _CRITICAL_SHARE, _PX4_ALTITUDE, _CRUISE, _FASTEST, _PX4_CLIMB, _PX4_DESCENT, _PX4_ACCELERATION,
+)  # fmt: skip
+
+
+def px4_energy(told: Told) -> EnergyFacts:
+    """The stages, and the way home."""
+    return EnergyFacts(
+        low_percent=told.known(_LOW_SHARE) or None,  # 0 stands for none
+        critical_percent=told.known(_CRITICAL_SHARE) or None,
+        way_home=replace(
+            PX4, altitude_m=told[_PX4_ALTITUDE], speed_m_s=told[_CRUISE], descent_m_s=told[_PX4_DESCENT]
+        ),
+        guessed=told.guessed,
+    )
+
+
+def px4_abilities(told: Told) -> Abilities:
+    """How its legs may be flown."""
+    return Abilities(told[_FASTEST], told[_PX4_CLIMB], told[_PX4_DESCENT], told[_PX4_ACCELERATION])
