@@ -128,7 +128,7 @@ def make_scene(config: DroneConfig, mission: Callable[[Drone], None], kind: type
             return_and_land_s=vehicle.return_and_land_s,
         ),
         fault=lambda: faults.now("autopilot"),
-        takeovers=faults.takeovers,
+        incidents=faults.incidents,
         endurance_s=vehicle.endurance_s,
     )
     computer = DroneComputer(config.services, heat=None, joining=Joining(), noise=0.0, chance=Chance(1))

@@ -57,7 +57,7 @@ def test_a_border_that_the_vehicle_turns_away_from_is_not_told() -> None:
 def test_a_pilot_who_lands_before_the_border_crosses_none() -> None:
     async def fly() -> None:
         pilot = FaultConfig(target="autopilot", kind="pilot", from_s=12.0, to_s=20.0)
-        autopilot = await hovering(takeovers=[pilot])
+        autopilot = await hovering(incidents=[pilot])
         crossing = asyncio.create_task(autopilot.border_crossed(AREA))
         with pytest.raises(AutopilotOverruled):
             await autopilot.goto(Position(100.0, 0.0, 5.0))

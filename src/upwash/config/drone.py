@@ -51,6 +51,9 @@ AtLeastOneSecond = Annotated[float, Meta(ge=1, description="a number of at least
 DeadManSilence = Annotated[float, Meta(ge=5, le=600, description="a number from 5 to 600, in seconds")]
 Level = Annotated[float, Meta(ge=0, lt=100, description="a number from 0 to below 100, in percent")]
 PairInMetres = Annotated[tuple[float, float], Meta(description="a pair [east, north] in metres")]
+ShiftInMetres = Annotated[
+    tuple[float, float, float], Meta(description="three numbers [east, north, up] in metres")
+]
 PlacesInMetres = Annotated[
     tuple[PairInMetres, ...],
     Meta(min_length=1, description="pairs [east, north] in metres, at least one"),
@@ -60,6 +63,10 @@ Radios = Annotated[int, Meta(ge=1, le=2, description="1 or 2")]
 PolicyName = Literal["local-only", "opportunistic", "location-aware", "look-ahead"]
 SafeEnd = Literal["return", "hold", "land"]
 Lie = Literal["elsewhere", "unwanted", "oversized", "lease", "types", "faults", "control"]
+FaultKind = Literal[
+    "off", "stuck", "slow", "garbage", "wrong", "lying", "flapping", "full", "crash",
+    "pilot", "fail-safe", "diverted", "home", "jump", "restart", "impostor",
+]  # fmt: skip
 Corner = Literal["top-left", "top-right", "bottom-left", "bottom-right"]
 RADIOS = ("fixed", "disc54", "disc12")  # or a csv file of goodput by distance
 
@@ -440,9 +447,7 @@ class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
     target: Text
     """A server's name, `link:` and a server's name, or `autopilot`."""
-    kind: Literal[
-        "off", "stuck", "slow", "garbage", "wrong", "lying", "flapping", "full", "crash", "pilot", "fail-safe"
-    ]
+    kind: FaultKind
     """What goes wrong."""
     lie: Lie = "elsewhere"
     """What a server that is `lying` lies about."""
@@ -452,6 +457,8 @@ class FaultConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """When it ends, in seconds."""
     extra_s: NotNegative = 5.0
     """How much longer things take while the target is `slow`, in seconds."""
+    moved_m: ShiftInMetres = (40.0, 30.0, 0.0)
+    """How far `diverted` leads, `home` is moved and the position jumps: metres east, north and up."""
 
 
 class FleetDroneConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -186,7 +186,10 @@ class Latch:
         before, self._reported = self._reported, report
         if self.control.is_ours:
             self._compare_arming(report, now_s)
-            self._compare_mode(report, now_s)
+            if (
+                self.control.is_ours or report.failsafe
+            ):  # a mode beside stopped motors is nobody's act: a restart's
+                self._compare_mode(report, now_s)
         elif before is not None:
             self._compare_lost(before, report, now_s)
 

@@ -13,8 +13,11 @@ An observer stands between a program and a port and lets everything through as i
 | `instance_started`, `instance_ended` | server, service, endpoint; from the first moment of its start |
 | `admitted` | the drones that an instance answers from now on |
 | `served` | an instance begins a drone's call |
-| `commanded`, `taken` | a command of the drone's program reaches its vehicle; a pilot or a fail-safe takes it |
+| `commanded` | a command of the drone's program reaches its vehicle |
+| `taken` | a pilot, a ground station, a fail-safe or its own restart takes it: `by` |
 | `given_back_unheard` | a pilot gives it back, all of whose turn lay within one silence of the vehicle's link |
+| `reached` | the vehicle counts as arrived, and truly is so far from there |
+| `jumped_unheard` | its reported position jumps within a silence of the vehicle's link |
 | `flight_over` | the drone, and how high it is |
 """
 
@@ -60,6 +63,7 @@ class Seen(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     drones: Sequence[str] = ()
     command: str = ""
     altitude_m: float = 0.0
+    off_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

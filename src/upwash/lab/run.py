@@ -232,7 +232,9 @@ async def _fly_one(
         energy,
         commanded=lambda command: saw(lambda: Seen(event="commanded", command=command)),
         taken=lambda by: saw(lambda: Seen(event="taken", by=by)),
+        reached=lambda off_m: saw(lambda: Seen(event="reached", off_m=off_m)),
         given_back_unheard=lambda: saw(lambda: Seen(event="given_back_unheard")),
+        jumped_unheard=lambda: saw(lambda: Seen(event="jumped_unheard")),
     )
     if seen is not None:
         observer = DroneObserver(config.name, seen, lambda: autopilot.position, life)
@@ -331,7 +333,7 @@ def _radios(
         truths,
         config.services,
         faults=faults,
-        position=lambda: autopilot.position,
+        position=lambda: autopilot.true_position,
         energy=energy,
         reached=functools.partial(_is_reached, coverage_of(config), _truly_limited(config)),
     )
@@ -348,7 +350,7 @@ def _radios(
             )
         )
     networks: list[Network] = [
-        PositionNetwork(cells, lambda: autopilot.position) for _ in range(config.network.radios)
+        PositionNetwork(cells, lambda: autopilot.true_position) for _ in range(config.network.radios)
     ]
     return networks, ModelDialer(config.name, switchboard, radio, life=life)
 
@@ -394,7 +396,9 @@ def _autopilot(
     *,
     commanded: Callable[[str], None],
     taken: Callable[[str], None],
+    reached: Callable[[float], None],
     given_back_unheard: Callable[[], None],
+    jumped_unheard: Callable[[], None],
 ) -> ModelAutopilot:
     vehicle = config.vehicle
     return ModelAutopilot(
@@ -404,10 +408,12 @@ def _autopilot(
         frame=frame_of(config.mission),
         stretch=lambda: chance.factor("leg", config.noise.leg),
         fault=lambda: faults.now("autopilot"),
-        takeovers=faults.takeovers,
+        incidents=faults.incidents,
         endurance_s=vehicle.endurance_s,
         energy=energy,
         commanded=commanded,
         taken=taken,
+        reached=reached,
         given_back_unheard=given_back_unheard,
+        jumped_unheard=jumped_unheard,
     )

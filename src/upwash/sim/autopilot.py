@@ -7,21 +7,20 @@ import math
 from collections.abc import Callable, Sequence
 
 from upwash.config import FaultConfig
-from upwash.core.control import Control, Latch, Report
+from upwash.core.control import Control
 from upwash.core.energy import EnergyFacts
-from upwash.core.geo import Circle, EarthPosition, LocalFrame, Position, Velocity
+from upwash.core.geo import Circle, EarthPosition, LocalFrame, Position, Velocity, distance_m
 from upwash.core.telemetry import Attitude, GpsFix, Telemetry
-from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
-from upwash.eventlog.schema import SEVERITIES
-from upwash.ports import DeadMan, DeadManAction, VehicleLimits, VehicleNews, VehicleText
+from upwash.errors import AutopilotRefused, AutopilotTimeout
+from upwash.ports import DeadMan, DeadManAction, VehicleLimits, VehicleNews
 from upwash.sim.energy import EnergyMeter
+from upwash.sim.hearing import Hearing
+from upwash.sim.incidents import Incidents
 from upwash.sim.vehicle import GUIDED, LAND, RETURN, Manner, ModelVehicle
 from upwash.vehicle.flight import TURN_DEG_S
 from upwash.vehicle.kinematics import Phase, duration_s, stretched
 
 _PATIENCE_S = 60.0  # a leg has failed that takes so much longer than it should
-_HEARTBEAT_S = 1.0
-_CRITICAL = SEVERITIES.index("critical")
 _GPS = GpsFix("3d", satellites=12, hdop=0.8)
 
 
@@ -47,9 +46,10 @@ class ModelAutopilot:
     """Flies in its manner from the ground below `start`; its `frame` says where on the Earth that is.
 
     `stretch` gives a factor on the duration of each leg, for noise, `fault` what is wrong with the vehicle now, and
-    `takeovers` who else takes it and when; `sim.faults` says what each fault means. `given_back_unheard` is told when
-    a pilot gives it back of whom the program has heard nothing. The battery is as full as `energy` says, or else
-    empty `endurance_s` after the first take-off. One that `hovers_at` a place has been left there by another program.
+    `incidents` what befalls it and when; `sim.faults` says what each fault means. `reached` is called on an arrival
+    with the distance of the vehicle's true place from the waypoint; `sim.incidents` explains the last two callbacks.
+    The battery is as full as `energy` says, or else empty `endurance_s` after the first take-off. A vehicle that
+    `hovers_at` a place has been left there by another program.
     """
 
     def __init__(
@@ -61,17 +61,17 @@ class ModelAutopilot:
         frame: LocalFrame | None = None,
         stretch: Callable[[], float] = lambda: 1.0,
         fault: Callable[[], FaultConfig | None] = lambda: None,
-        takeovers: Sequence[FaultConfig] = (),
+        incidents: Sequence[FaultConfig] = (),
         endurance_s: float | None = None,
         energy: EnergyMeter | None = None,
         hovers_at: Position | None = None,
         commanded: Callable[[str], None] = lambda _: None,
         taken: Callable[[str], None] = lambda _: None,
+        reached: Callable[[float], None] = lambda _: None,
         given_back_unheard: Callable[[], None] = lambda: None,
+        jumped_unheard: Callable[[], None] = lambda: None,
     ) -> None:
         self._loop = asyncio.get_running_loop()
-        self._home = Position(start.east_m, start.north_m)
-        self._ground_speed_m_s = ground_speed_m_s
         self._manner = manner
         self._frame = frame
         self._stretch = stretch
@@ -81,8 +81,9 @@ class ModelAutopilot:
         self._energy = energy
         self._took_off_s: float | None = None
         self._vehicle = ModelVehicle(
-            self._home,
+            Position(start.east_m, start.north_m),
             manner,
+            ground_speed_m_s=ground_speed_m_s,
             hovers_at=hovers_at,
             commanded=commanded,
             taken=taken,
@@ -90,21 +91,23 @@ class ModelAutopilot:
         )
         self._nose_deg = 0.0  # where it points once it hovers
         self._turned_to_deg: float | None = None
-        self._given_back_unheard = given_back_unheard
-        self._latch = Latch(self._loop.time())
-        self._reported: Report | None = None  # to the latch, last; the same again says nothing
-        self._hear: Callable[[VehicleNews], None] = lambda _: None
-        # Done once the vehicle is no longer the program's, and never will be again.
-        self._lost: asyncio.Future[None] = self._loop.create_future()
-        for takeover in takeovers:
-            self._loop.call_at(takeover.from_s, self._be_taken, takeover)
-        self._take_report()
+        self._ground_m = self._vehicle.home.altitude_m  # below the take-off, above the sea
+        self._reached = reached
+        self._hearing = Hearing(self._vehicle, is_off=self._is_off)
+        Incidents(
+            incidents,
+            self._vehicle,
+            self._hearing,
+            given_back_unheard=given_back_unheard,
+            jumped_unheard=jumped_unheard,
+        )
+        self._hearing.take()
         if energy is not None:
             self._watch_battery(energy, energy.failsafe_percent)
 
     @property
     def position(self) -> Position:
-        """Where it is now."""
+        """Where it reports to be."""
         return self._vehicle.position
 
     @property
@@ -114,6 +117,11 @@ class ModelAutopilot:
             return None
         geo = self._frame.geo(self.position)
         return EarthPosition(geo.latitude_deg, geo.longitude_deg)
+
+    @property
+    def true_position(self) -> Position:
+        """Where it is, which no program knows."""
+        return self._vehicle.true_position
 
     @property
     def battery_percent(self) -> float | None:
@@ -166,16 +174,19 @@ class ModelAutopilot:
 
     @property
     def energy(self) -> EnergyFacts:
-        """It returns to where it took off; its battery's one stage is that of its fail-safe."""
+        """It returns to its home; its battery's one stage is that of its fail-safe."""
         stage = self._energy.failsafe_percent if self._energy else None
         return EnergyFacts(
-            low_percent=stage, critical_percent=stage, home=self._home, way_home=self._manner.returning
+            low_percent=stage,
+            critical_percent=stage,
+            home=self._hearing.home.at_altitude(0.0),
+            way_home=self._manner.returning,
         )
 
     @property
     def control(self) -> Control:
         """Who has it."""
-        return self._latch.control
+        return self._hearing.control
 
     @property
     def dead_man(self) -> DeadMan:
@@ -193,34 +204,36 @@ class ModelAutopilot:
         return not self._vehicle.flies
 
     def listen(self, hear: Callable[[VehicleNews], None]) -> None:
-        """It says nothing in words."""
-        self._hear = hear
+        """All news from now on."""
+        self._hearing.listen(hear)
 
     async def in_the_air(self) -> bool:
         """By its altitude."""
-        self._hear_of("start")
+        await self._booted()
+        self._hearing.require("start")
         return self._vehicle.flies
 
     async def claim(self, *, resumes: bool) -> None:
         """At once."""
-        self._hear_of("start")
-        before = self._latch.control
-        self._latch.claim(self._loop.time(), own_mode=GUIDED, resumes=resumes)
-        self._tell_control(before)
-        self._latch.require("start")
+        self._hearing.require("start")
+        latch, before = self._hearing.latch, self.control
+        latch.claim(self._loop.time(), own_mode=GUIDED, resumes=resumes)
+        self._hearing.tell_control(before)
+        latch.require("start")
 
     async def stood(self) -> None:
         """When its altitude is 0 and its motors stand still."""
         while self._vehicle.flies or self._vehicle.armed:
             await self._vehicle.changed.wait()
-        self._take_report()
+        self._hearing.take_soon()
 
     async def limits(self) -> VehicleLimits:
         """Its home is where it stood; it has no fence."""
-        return VehicleLimits(self._home)
+        return VehicleLimits(self._hearing.home.at_altitude(0.0))
 
     async def ready(self) -> None:
-        """At once."""
+        """At once, or when its autopilot has restarted."""
+        await self._booted()
         self._reach("arm")
 
     async def arm(self) -> None:
@@ -232,7 +245,7 @@ class ModelAutopilot:
         self._reach("take-off")
         if not self._vehicle.armed:
             raise AutopilotRefused("take-off", "the vehicle is not armed")
-        self._command("take-off")
+        self._command("take-off", goes=True)
         if self._took_off_s is None:
             self._took_off_s = self._loop.time()
         await self._move("take-off", self._manner.takeoff(self.position, altitude_m))
@@ -240,7 +253,7 @@ class ModelAutopilot:
     async def set_ground_speed(self, ground_speed_m_s: float) -> None:
         """At once, for the legs that follow."""
         self._command("ground speed")
-        self._ground_speed_m_s = ground_speed_m_s
+        self._vehicle.ground_speed_m_s = ground_speed_m_s
 
     async def goto(self, position: Position) -> None:
         """Flies a leg from rest; returns when the vehicle counts as arrived."""
@@ -250,22 +263,24 @@ class ModelAutopilot:
         fault = self._fault()
         if fault is not None and fault.kind == "slow":
             await self._pass(fault.extra_s)
-        self._command("goto")
-        noise = self._stretch()
+        self._command("goto", goes=True, target=self._above_sea(position))
+        noise, begun_s = self._stretch(), self._loop.time()
+        end = self._vehicle.target or position
 
         def leg_from(start: Position) -> tuple[Phase, ...]:
-            return self._manner.waypoint_leg(start, position, ground_speed_m_s=self._ground_speed_m_s)
+            return self._manner.waypoint_leg(start, end, ground_speed_m_s=self._vehicle.ground_speed_m_s)
 
         arrival_s = self._manner.arrival_s(stretched(leg_from(self._waypoint or self.position), noise))
         phases = stretched(self._in_time(leg_from, self._manner.arrival_s), noise)
         if fault is not None and fault.kind == "stuck":
             await self._pass(arrival_s + _PATIENCE_S)
             self._reach("goto")
-            raise AutopilotTimeout(
-                "goto", f"the vehicle did not arrive within {arrival_s + _PATIENCE_S:.0f} s"
-            )
+            raise _late("goto", arrival_s)
         self._nose_deg = _bearing_deg(self.position, position, self._nose_deg)
         await self._move("goto", phases, until_s=arrival_s)
+        while self._hearing.doubt:
+            await self._become_sure(begun_s, arrival_s)
+        self._reached(distance_m(self._vehicle.true_position, position))
         self._waypoint = position
 
     async def turn_to(self, heading_deg: float) -> None:
@@ -287,14 +302,15 @@ class ModelAutopilot:
 
     async def hold(self) -> None:
         """Brakes, and stops where that ends."""
-        self._command("hold")
+        self._command("hold", goes=True, target=self.stopping_place)
         await self._move("hold", self._braking())
 
     async def return_home_and_land(self) -> None:
-        """Back to where it took off."""
+        """Back to its home."""
         self._command("return", modes=(RETURN,))
-        way = self._in_time(lambda start: self._manner.return_and_land(start, self._home), duration_s)
-        await self._move("return", way, end=self._home)
+        home = self._vehicle.home.at_altitude(0.0)
+        way = self._in_time(lambda start: self._manner.return_and_land(start, home), duration_s)
+        await self._move("return", way, end=home)
 
     async def land(self) -> None:
         """Straight down."""
@@ -313,62 +329,52 @@ class ModelAutopilot:
     async def border_crossed(self, circles: Sequence[Circle]) -> None:
         """Returns just after the vehicle has crossed a border; AutopilotLost where its link is silent then."""
         while True:
-            self._hear_of("watch the borders")
+            self._hearing.require("watch the borders")
             if await self._vehicle.borders.crossed(circles):
-                self._hear_of("watch the borders")
+                self._hearing.require("watch the borders")
                 return
 
     async def close(self) -> None:
         """Tells nothing more."""
-        self._hear = lambda _: None
+        self._hearing.listen(lambda _: None)
 
     # --- commands and reports -------------------------------------------------------------------------------
 
-    def _command(self, step: str, *, modes: tuple[str, ...] = (), armed: bool | None = None) -> None:
-        """The one way by which a command reaches the vehicle."""
+    def _command(
+        self,
+        step: str,
+        *,
+        modes: tuple[str, ...] = (),
+        armed: bool | None = None,
+        goes: bool = False,
+        target: Position | None = None,
+    ) -> None:
+        """The one way by which a command reaches the vehicle; one that `goes` without a target leads straight up."""
         self._reach(step)
+        latch = self._hearing.latch
         if modes:
-            self._latch.expect_modes(modes)
+            latch.expect_modes(modes)
         if armed is not None:
-            self._latch.expect_armed(armed)
-        self._vehicle.obey(step, mode=modes[-1] if modes else None, armed=armed)
-        self._take_report()
+            latch.expect_armed(armed)
+        if goes:
+            latch.expect_target(target)
+        self._vehicle.obey(step, mode=modes[-1] if modes else None, armed=armed, target=target)
+        self._hearing.take()
+        if goes:
+            latch.settle_target(obeyed=True)
+
+    def _above_sea(self, place: Position) -> Position:
+        """Targets are commanded above the sea, so that a home that is moved in flight changes none."""
+        return place.at_altitude(place.altitude_m + self._ground_m) if self._ground_m else place
 
     def _reach(self, step: str) -> None:
         """Raises where the vehicle is not heard, or is not the program's."""
-        self._hear_of(step)
-        self._latch.require(step)
+        self._hearing.require(step)
+        self._hearing.latch.require(step)
 
-    def _hear_of(self, step: str) -> None:
-        if self._is_silent():
-            raise AutopilotLost(step, "the vehicle's link is silent")
-        self._take_report()
-
-    def _is_silent(self) -> bool:
+    def _is_off(self) -> bool:
         fault = self._fault()
         return fault is not None and fault.kind == "off"
-
-    def _take_report(self) -> None:
-        report, before = self._vehicle.report, self._latch.control
-        if report is not self._reported:
-            self._reported = report
-            self._latch.report(report, self._loop.time())
-            self._tell_control(before)
-
-    def _tell_control(self, before: Control) -> None:
-        if self.control != before:
-            if before.is_ours:
-                self._lost.set_result(None)
-            self._hear(self.control)
-
-    def _be_taken(self, takeover: FaultConfig) -> None:
-        if takeover.kind == "pilot":
-            self._vehicle.be_taken_by_pilot(
-                back_after_s=takeover.to_s - takeover.from_s, before_back=self._check_unheard
-            )
-        else:
-            self._vehicle.fail_safe()
-        self._take_heartbeats()
 
     def _watch_battery(self, energy: EnergyMeter, level_percent: float) -> None:
         """Has the vehicle land by itself once the battery is down to the level, and fall once it is empty."""
@@ -379,28 +385,13 @@ class ModelAutopilot:
             self._loop.call_later(energy.lasts_s(level_percent), self._watch_battery, energy, level_percent)
             return
         if left_percent > 0:
-            self._say(f"Battery Failsafe: {left_percent:.0f} % is left")
+            self._hearing.say(f"Battery Failsafe: {left_percent:.0f} % is left")
             self._vehicle.fail_safe()
             self._watch_battery(energy, 0.0)
         else:
-            self._say("Battery empty: the motors stop")
+            self._hearing.say("Battery empty: the motors stop")
             self._vehicle.fall()
-        self._take_heartbeats()
-
-    def _say(self, text: str) -> None:
-        if self._vehicle.armed and not self._is_silent():
-            self._hear(VehicleText(_CRITICAL, text))
-
-    def _take_heartbeats(self) -> None:
-        """One that tells of the takeover comes at once, or in the first second after the silence of the link."""
-        if not self._is_silent():
-            self._take_report()
-        elif self.control.is_ours:
-            self._loop.call_later(_HEARTBEAT_S, self._take_heartbeats)
-
-    def _check_unheard(self) -> None:
-        if self.control.is_ours:
-            self._given_back_unheard()
+        self._hearing.take_soon()
 
     def _in_time(
         self, way: Callable[[Position], tuple[Phase, ...]], takes_s: Callable[[tuple[Phase, ...]], float]
@@ -431,14 +422,51 @@ class ModelAutopilot:
         end = end or (phases[-1].end if phases else self.position)
         self._waypoint = self._turned_to_deg = None
         self._vehicle.move(phases, end)
+        motion = self._vehicle.motion
         await self._pass(duration_s(phases) if until_s is None else until_s)
+        if motion is not self._vehicle.motion:
+            await self._rest(step)
         if until_s is None and self.control.is_ours:
-            self._vehicle.settle(end)
+            self._vehicle.settle(self._vehicle.motion.end)
         self._reach(step)
+
+    async def _rest(self, step: str) -> None:
+        """Returns where the vehicle, whose position jumped, has corrected its course and rests."""
+        self._waypoint = None
+        self._reach(step)
+        while (left_s := self._vehicle.motion.ends_s - self._loop.time()) > 0:
+            await self._pass(left_s)
+            self._reach(step)
+
+    async def _become_sure(self, begun_s: float, arrival_s: float) -> None:
+        """Returns at rest after its position has jumped again; AutopilotTimeout where that takes too long."""
+        left_s = begun_s + arrival_s + _PATIENCE_S - self._loop.time()
+        if left_s <= 0:
+            raise _late("goto", arrival_s, self._hearing.doubt)
+        jumped = asyncio.create_task(self._hearing.jumped.wait())
+        try:
+            await asyncio.wait(
+                (self._hearing.lost, jumped), timeout=left_s, return_when=asyncio.FIRST_COMPLETED
+            )
+        finally:
+            jumped.cancel()
+        await self._rest("goto")
+
+    async def _booted(self) -> None:
+        """Returns once its autopilot has started."""
+        while self._vehicle.is_booting:
+            await self._vehicle.changed.wait()
 
     async def _pass(self, for_s: float) -> None:
         """Returns after that time, or once the vehicle is not the program's any more."""
-        await asyncio.wait((self._lost,), timeout=for_s)
+        await asyncio.wait((self._hearing.lost,), timeout=for_s)
+
+
+def _late(step: str, arrival_s: float, doubt: str = "") -> AutopilotTimeout:
+    because = f": {doubt}" if doubt else ""
+    return AutopilotTimeout(
+        step, f"the vehicle did not arrive within {arrival_s + _PATIENCE_S:.0f} s{because}"
+    )
 
 
 def _bearing_deg(start: Position, end: Position, otherwise_deg: float) -> float:

@@ -30,6 +30,13 @@ On the autopilot:
 - `pilot`: a person switches to another mode, hovers, and lands after 20 s; when the fault is over, back to the
   program's mode
 - `fail-safe`: the vehicle lands where it is, by its own decision
+- `diverted`: a ground station sends it `moved_m` away in the program's own mode, and lands it after 20 s
+- `home`: a ground station moves the vehicle's home by `moved_m`, in flight
+- `jump`: in flight the vehicle's estimate of its position jumps by `moved_m` over the ground, and jumps back when the
+  fault is over; the vehicle corrects its course by the estimate, and so flies to a wrong place
+- `restart`: the autopilot restarts and is silent until the fault is over; its motors stand still meanwhile, and stay
+  off unless that took 1 s at most
+- `impostor`: another program sends heartbeats with the vehicle's ids, once a second: disarmed, in another mode
 """
 
 from __future__ import annotations
@@ -67,7 +74,15 @@ _LEAST_STEP_S = 1e-6  # so that a flap that rounding puts at this very moment is
 _MOVING = ("off", "stuck", "slow", "flapping")  # what can befall links and the autopilot
 _MOST_STRANGERS = 64
 _SERVER = (*_MOVING, "garbage", "wrong", "lying", "full", "crash")
-_TAKEOVERS = ("pilot", "fail-safe")  # what only the autopilot suffers, at once and for good
+_INCIDENTS = (
+    "pilot",
+    "fail-safe",
+    "diverted",
+    "home",
+    "jump",
+    "restart",
+    "impostor",
+)  # of the autopilot alone
 _NOBODY = ":1"
 _UNDECODABLE = b"\xc1" * 16  # the one byte that MessagePack never uses
 
@@ -82,8 +97,8 @@ class Faults:
                 raise UsageError(
                     f"fault[{index}].kind: {fault.target} cannot be {fault.kind}: give one of {', '.join(allowed)}"
                 )
-        self.takeovers = tuple(fault for fault in faults if fault.kind in _TAKEOVERS)
-        self._faults = [fault for fault in faults if fault.kind not in _TAKEOVERS]
+        self.incidents = tuple(fault for fault in faults if fault.kind in _INCIDENTS)
+        self._faults = [fault for fault in faults if fault.kind not in _INCIDENTS]
 
     def now(self, target: str) -> FaultConfig | None:
         """The fault of the target that is on now, the first one where there are several; flapping shows as off."""
@@ -108,7 +123,7 @@ class Faults:
 
 def _kinds_at(target: str) -> tuple[str, ...]:
     if target == "autopilot":
-        return _MOVING + _TAKEOVERS
+        return _MOVING + _INCIDENTS
     return _MOVING if target.startswith("link:") else _SERVER
 
 

@@ -1,11 +1,15 @@
-"""A vehicle on paper: its mode, its motors and how it moves. It obeys every command, whoever it belongs to."""
+"""A vehicle on paper: its mode, its motors and how it moves. It obeys every command, whoever it belongs to.
+
+The vehicle steers by its own estimate of its position, and all of its motions are in terms of that estimate. The
+estimate is the true position until it jumps.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import math
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import msgspec
 
@@ -15,10 +19,13 @@ from upwash.core.geo import Position, Velocity
 from upwash.sim.borders import Borders
 from upwash.vehicle.kinematics import Motion, Phase
 
-GUIDED, LOITER, RETURN, LAND = "GUIDED", "LOITER", "RTL", "LAND"
+GUIDED, LOITER, RETURN, LAND, STABILIZE = "GUIDED", "LOITER", "RTL", "LAND", "STABILIZE"
 
-_PILOT_LANDS_AFTER_S = 20.0
+_PILOT_LANDS_AFTER_S = 20.0  # also a ground station, and a vehicle that has caught itself after a restart
+_CATCHES_ITSELF_WITHIN_S = 1.0  # a restart that takes longer leaves the motors off
+_LOWEST_M = 2.0  # above the ground, that a ground station sends it to
 _GRAVITY_M_S2 = 9.81
+_Way: TypeAlias = Callable[[Position], tuple[Phase, ...]]
 
 
 class Manner(Protocol):
@@ -52,7 +59,7 @@ class ModelVehicle:
 
     `commanded` is told the name of each command that reaches it, `taken` by whom it was taken over, and `moved` each
     motion as it begins. `changed` is set, anew each time, when its motors start or stop, and when it begins to do
-    something by itself; whoever waits for a border is woken then, too.
+    something by itself; whoever waits for a border is woken then, too. Altitudes count from the ground at its start.
     """
 
     def __init__(
@@ -60,6 +67,7 @@ class ModelVehicle:
         ground: Position,
         manner: Manner,
         *,
+        ground_speed_m_s: float,
         hovers_at: Position | None = None,
         commanded: Callable[[str], None] = lambda _: None,
         taken: Callable[[str], None] = lambda _: None,
@@ -68,14 +76,21 @@ class ModelVehicle:
         # What its heartbeat says; a new object whenever that changes.
         self.report = Report(GUIDED, armed=hovers_at is not None)
         self.changed = asyncio.Event()
+        self.ground_speed_m_s = ground_speed_m_s  # of its legs
+        self.home = ground
+        self.target: Position | None = None  # that it was last sent to
+        self.boots = 0  # of its autopilot, since the start
+        self.is_booting = False
         self._loop = asyncio.get_running_loop()
         self._manner = manner
         self._motion: Motion[Phase] = Motion(0.0, (), hovers_at or ground)
         # Where it is is asked many times an instant, and computed once.
         self._located_s = -math.inf
         self._position = self._motion.end
+        self._astray_east_m = self._astray_north_m = 0.0  # of the estimate, from the true position
         self.borders = Borders(self._motion)
         self._touchdown: asyncio.TimerHandle | None = None  # of a landing by itself or by a person
+        self._way_down: _Way = manner.landing
         self._commanded = commanded
         self._taken = taken
         self._moved = moved
@@ -92,8 +107,23 @@ class ModelVehicle:
         return self.report.armed
 
     @property
-    def position(self) -> Position:
+    def motion(self) -> Motion[Phase]:
+        """How it moves from the last command on, or from what it last did by itself."""
+        return self._motion
+
+    @property
+    def true_position(self) -> Position:
         """Where it is now."""
+        here = self.position
+        if not (self._astray_east_m or self._astray_north_m):
+            return here
+        return Position(
+            here.east_m - self._astray_east_m, here.north_m - self._astray_north_m, here.altitude_m
+        )
+
+    @property
+    def position(self) -> Position:
+        """Where it reports to be now: its own estimate."""
         now_s = self._loop.time()
         if self._located_s != now_s:
             self._located_s, self._position = now_s, self._motion.position(now_s)
@@ -109,13 +139,22 @@ class ModelVehicle:
         """Whether it is off the ground."""
         return self.position.altitude_m > 0
 
-    def obey(self, command: str, *, mode: str | None = None, armed: bool | None = None) -> None:
-        """Changes its mode or motors, or neither, by a command of the program."""
+    def obey(
+        self,
+        command: str,
+        *,
+        mode: str | None = None,
+        armed: bool | None = None,
+        target: Position | None = None,
+    ) -> None:
+        """Changes its mode, its motors, its target or none of them, by a command of the program."""
         self._commanded(command)
         if mode is not None:
             self._report(mode=mode)
+        if target is not None:
+            self.target = target
         if armed is not None:
-            self._report(armed=armed)
+            self._report(armed=armed, on_ground=None)
             self._tell_change()
 
     def move(self, phases: tuple[Phase, ...], end: Position) -> None:
@@ -144,6 +183,61 @@ class ModelVehicle:
             self._loop.call_later(back_after_s, self._be_given_back, before_back)
         self._loop.call_later(_PILOT_LANDS_AFTER_S, self._land)
 
+    def be_diverted(self, shift: tuple[float, float, float]) -> None:
+        """A ground station sends it so far east, north and up in the program's own mode, and later lands it.
+
+        No ground station can send it anywhere in another mode, or while it stands.
+        """
+        if not (self.flies and self.mode == GUIDED):
+            return
+        self._taken("ground station")
+        here, (east_m, north_m, up_m) = self.position, shift
+        altitude_m = max(_LOWEST_M, here.altitude_m + up_m)
+        self.target = Position(here.east_m + east_m, here.north_m + north_m, altitude_m)
+        self._move_by_itself(self._leg_to(self.target), self.target)
+        self._loop.call_later(_PILOT_LANDS_AFTER_S, self._land)
+
+    def move_home(self, shift: tuple[float, float, float]) -> None:
+        """A ground station moves its home so far; one that stands sets it anew when it is armed."""
+        if self.flies:
+            east_m, north_m, up_m = shift
+            home = self.home
+            self.home = Position(home.east_m + east_m, home.north_m + north_m, home.altitude_m + up_m)
+
+    def jump(self, east_m: float, north_m: float) -> tuple[Position, Position]:
+        """Its estimate jumps so far, and in the air it corrects its course by that; where it was and is by it."""
+        before = self.position
+        here = Position(before.east_m + east_m, before.north_m + north_m, before.altitude_m)
+        self._astray_east_m += east_m
+        self._astray_north_m += north_m
+        end = self._motion.end
+        self._begin((), here)
+        self._correct_course(here, end)
+        return before, here
+
+    def restart(self, *, back_after_s: float) -> None:
+        """Its autopilot starts anew: until it is back, it says nothing and its motors stand still.
+
+        One that is back soon catches itself in the air, in the mode that it had; later a pilot lands it. Others fall.
+        """
+        if self.armed:
+            self._taken("restarted autopilot")
+        self.is_booting = True
+        if self.flies:
+            self._come_down(_falling)
+        self._loop.call_later(back_after_s, self._be_back, back_after_s <= _CATCHES_ITSELF_WITHIN_S)
+
+    def _be_back(self, soon: bool) -> None:
+        self.is_booting = False
+        self.boots += 1
+        if soon and self.flies:
+            self._stop_coming_down()
+            self._move_by_itself((), self.position)
+            self._loop.call_later(_PILOT_LANDS_AFTER_S, self._be_landed_by_pilot)
+        else:
+            self._report(mode=STABILIZE, armed=False, on_ground=not self.flies)
+            self._tell_change()
+
     def fail_safe(self) -> None:
         """Its battery is empty, say: it lands where it is; while it stands disarmed there is nothing to do."""
         if not self.armed:
@@ -162,29 +256,60 @@ class ModelVehicle:
         self._come_down(_falling)
 
     def _be_given_back(self, before_back: Callable[[], None]) -> None:
+        if self.is_booting or (self.flies and not self.armed):  # it falls
+            return
         before_back()
         self._change_mode(GUIDED)
 
     def _change_mode(self, mode: str) -> None:
-        if self._touchdown is not None:
-            self._touchdown.cancel()
+        self._stop_coming_down()
         self._report(mode=mode)
         self._move_by_itself((), self.position)
 
-    def _land(self) -> None:
-        self._change_mode(LAND)
-        self._come_down(self._manner.landing)
+    def _be_landed_by_pilot(self) -> None:
+        if self.armed:
+            self._taken("pilot")
+            self._land()
 
-    def _come_down(self, way: Callable[[Position], tuple[Phase, ...]]) -> None:
+    def _land(self) -> None:
+        if self.armed and not self.is_booting:
+            self._change_mode(LAND)
+            self._come_down(self._manner.landing)
+
+    def _come_down(self, way: _Way) -> None:
+        self._stop_coming_down()
         here = self.position
         ground = Position(here.east_m, here.north_m)
         self._move_by_itself(way(here) if self.flies else (), ground)
+        self._way_down = way
         self._touchdown = self._loop.call_at(self._motion.ends_s, self._touch_down, ground)
 
+    def _stop_coming_down(self) -> None:
+        if self._touchdown is not None:
+            self._touchdown.cancel()
+            self._touchdown = None
+
     def _touch_down(self, ground: Position) -> None:
+        self._touchdown = None
         self.settle(ground)
-        self._report(armed=False)
+        self._report(armed=False, on_ground=True)
         self._tell_change()
+
+    def _correct_course(self, here: Position, end: Position) -> None:
+        """From a place where it finds itself at once, to the end of the motion that it was in."""
+        if not self.flies:
+            self.borders.settles(self._motion)
+        elif self._touchdown is not None:
+            self._come_down(self._way_down)
+        elif self.mode == RETURN:
+            self._move_by_itself(self._manner.return_and_land(here, end), end)
+        elif self.mode == LAND:
+            self._move_by_itself(self._manner.landing(here), Position(here.east_m, here.north_m))
+        else:
+            self._move_by_itself(self._leg_to(end), end)
+
+    def _leg_to(self, end: Position) -> tuple[Phase, ...]:
+        return self._manner.waypoint_leg(self.position, end, ground_speed_m_s=self.ground_speed_m_s)
 
     def _move_by_itself(self, phases: tuple[Phase, ...], end: Position) -> None:
         self.move(phases, end)

@@ -7,6 +7,7 @@ scenario, each with faults of its own.
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,10 +21,19 @@ from upwash.eventlog.schema import Event
 from upwash.lab.faults import mission as probing
 from upwash.lab.observer import Seen
 
+_NOT_AIMED_AT = ("reached",)  # seen since worlds were first drawn: each seed keeps its faults
 _SERVER_KINDS = ("off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash")
 _MOVING_KINDS = ("off", "stuck", "slow", "flapping")
 _LIES = get_args(Lie)
 _LONGEST_FAULT_S = 10_000.0  # longer than any of these missions
+_INCIDENTS = {  # how long each lasts, in seconds
+    "diverted": (_LONGEST_FAULT_S,),
+    "home": (_LONGEST_FAULT_S,),
+    "jump": (2.0, 12.0, 40.0, _LONGEST_FAULT_S),
+    "restart": (0.3, 0.7, 2.0, 4.0),
+    "impostor": (0.5, 5.0),
+}
+_MOVED_M, _RAISED_M = (20.0, 100.0), (6.0, 15.0)  # by an incident, over the ground and up or down
 SEEDS_PER_SCENARIO = 4  # so that most of the time goes into flights with faults
 _MOMENTS = (
     "selected", "found_stopped", "found_running", "started", "deselected", "decided", "call", "leg", "arrived",
@@ -72,6 +82,7 @@ class World:
 
     def faulty(self, seed: int, events: Sequence[Moment]) -> list[Document]:
         """The same with the faults of the seed, aimed at moments of these events of the calm flight."""
+        events = [event for event in events if event.what not in _NOT_AIMED_AT]
         chance = random.Random(f"faults/{seed}")  # noqa: S311 - not for secrets
         names = [server["name"] for server in self._documents[0]["server"]]
         moments = [event for event in events if event.what in _MOMENTS]
@@ -81,6 +92,7 @@ class World:
         if chance.random() < 0.15:
             faults += [_autopilot_fault(chance, events) for _ in range(chance.randint(1, 2))]
         faults += _takeovers(seed, events)
+        faults += _incidents(seed, events)
         faults += _lies(seed, names, moments)
         return [{**document, "fault": faults} for document in self._documents]
 
@@ -375,6 +387,30 @@ def _takeovers(seed: int, events: Sequence[Moment]) -> list[dict[str, Any]]:
         return []
     kinds = chance.choice((["pilot"], ["fail-safe"], ["fail-safe", "pilot"]))
     return [{**_autopilot_fault(chance, events), "kind": kind} for kind in kinds]
+
+
+def _incidents(seed: int, events: Sequence[Moment]) -> list[dict[str, Any]]:
+    """In every eighth world others move the vehicle or its home, its position jumps, or its autopilot restarts."""
+    chance = random.Random(f"incidents/{seed}")  # noqa: S311 - not for secrets
+    if chance.random() > 1 / 8:
+        return []
+    return [_incident(chance, events) for _ in range(chance.choice((1, 1, 2)))]
+
+
+def _incident(chance: random.Random, events: Sequence[Moment]) -> dict[str, Any]:
+    kind = chance.choice(tuple(_INCIDENTS))
+    from_s = round(max(0.0, (chance.choice(events).t if events else 0.0) + chance.uniform(-1.0, 1.0)), 4)
+    lasts_s = round(chance.choice(_INCIDENTS[kind]) * chance.uniform(0.5, 1.5), 4)
+    angle, far_m = chance.uniform(0.0, math.tau), chance.uniform(*_MOVED_M)
+    up_m = chance.choice((-1, 1)) * chance.uniform(*_RAISED_M)
+    moved_m = (far_m * math.cos(angle), far_m * math.sin(angle), up_m)
+    return {
+        "target": "autopilot",
+        "kind": kind,
+        "from_s": from_s,
+        "to_s": round(from_s + lasts_s, 4),
+        "moved_m": [round(each_m, 2) for each_m in moved_m],
+    }
 
 
 def _lies(seed: int, servers: Sequence[str], moments: Sequence[Moment]) -> list[dict[str, Any]]:

@@ -22,7 +22,7 @@ from upwash.lab.faults.promises.missions import autonomy, no_harm
 from upwash.lab.faults.promises.recovery import recovered
 from upwash.lab.faults.promises.servers import in_range, one_selection, respect
 from upwash.lab.faults.promises.turns import turns
-from upwash.lab.faults.promises.vehicle import pilot_wins, vehicle_first
+from upwash.lab.faults.promises.vehicle import arrived_truly, named_truly, pilot_wins, vehicle_first
 
 __all__ = ["CHECKS", "Broken", "History", "Promise", "broken_promises"]
 
@@ -46,6 +46,8 @@ class Promise(IntEnum):
     RECOVERY = 17
     TURNS = 18
     ANSWERS = 19
+    ARRIVALS = 20
+    WHO_ACTED = 21
 
     def __str__(self) -> str:
         return f"promise {self.value} ({self.name.lower().replace('_', ' ')})"
@@ -80,6 +82,8 @@ CHECKS: Mapping[Promise, Callable[[History], Iterator[Breach]]] = {
     Promise.RECOVERY: recovered,
     Promise.TURNS: turns,
     Promise.ANSWERS: answers,
+    Promise.ARRIVALS: arrived_truly,
+    Promise.WHO_ACTED: named_truly,
 }
 
 

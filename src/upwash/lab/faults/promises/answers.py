@@ -12,7 +12,7 @@ from upwash.drone.resumption import waypoints_done
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults.mission import Done, demands_something
-from upwash.lab.faults.promises.history import Breach, History
+from upwash.lab.faults.promises.history import Breach, History, position_jumps
 
 _AT_PLACE_M = 1.0  # within which a vehicle counts as arrived
 _MOST_CRASHES = 12  # that a flight is tested with
@@ -23,8 +23,10 @@ def answers(history: History) -> Iterator[Breach]:
     if not history.config.mission.program.endswith(":look_later"):
         return
     places = [each.position for each in waypoints(history.config.mission)]
-    yield from _done_at_its_place(history.run.events, places)
-    yield from _flown_back_too_far(history.run.events, places)
+    yield from _done_twice(history.run.events)
+    if not position_jumps(history.config):
+        yield from _done_elsewhere(history.run.events, places)
+        yield from _flown_back_too_far(history.run.events, places)
     yield from _lost_in_a_crash(history)
     for event in history.run.events:
         if isinstance(event, schema.StayOrGo) and event.goes and event.waypoint == len(places) - 1:
@@ -36,11 +38,15 @@ def answers(history: History) -> Iterator[Breach]:
             yield None, f"actions {wanted} were demanded, and {done} done"
 
 
-def _done_at_its_place(events: Sequence[Event], places: Sequence[Position]) -> Iterator[Breach]:
-    told = set[int]()
+def _done_elsewhere(events: Sequence[Event], places: Sequence[Position]) -> Iterator[Breach]:
     for event, action in _done(events):
         if ground_distance_m(event.at, places[action.done]) > _AT_PLACE_M:
             yield event, f"action {action.done} was done beside its waypoint"
+
+
+def _done_twice(events: Sequence[Event]) -> Iterator[Breach]:
+    told = set[int]()
+    for event, action in _done(events):
         if action.done in told:
             yield event, f"action {action.done} was done twice"
         told.add(action.done)

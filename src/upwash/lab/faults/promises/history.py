@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from upwash.config import DroneConfig
+from upwash.config import DroneConfig, FaultConfig
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.observer import Seen
@@ -15,6 +16,7 @@ Fact = Event | Seen
 Breach = tuple[Fact | None, str]  # the bad event, where one can be named, and what is bad about it
 SLACK_S = 0.1
 ROUNDING_S = 2e-6  # of the times in a log
+_SOON_BACK_S = 40.0  # a vehicle whose position jumped, and well within the patience with a leg
 ANSWER_S = 5.0  # for which a daemon's word is waited for
 
 
@@ -105,7 +107,24 @@ def calls_of(events: Sequence[Event]) -> Iterator[FlownCall]:
 
 def may_be_cut_short(config: DroneConfig) -> bool:
     """Whether the autopilot fails in this world, so that the mission may end early, in its safe action."""
-    return any(fault.target == "autopilot" and fault.kind != "slow" for fault in config.faults)
+    return any(not _is_overcome(fault, config) for fault in config.faults if fault.target == "autopilot")
+
+
+def position_jumps(config: DroneConfig) -> bool:
+    """Whether a log of this world may not say where the drone truly is."""
+    return any(fault.kind == "jump" for fault in config.faults)
+
+
+def _is_overcome(fault: FaultConfig, config: DroneConfig) -> bool:
+    """Whether the mission goes on after it: no leg of its way may take longer than the patience with it."""
+    match fault.kind:
+        case "slow" | "home" | "impostor":
+            return True
+        case "jump":
+            east_m, north_m, _ = fault.moved_m
+            to_and_fro_s = 2 * math.hypot(east_m, north_m) / config.mission.ground_speed_m_s
+            return fault.to_s - fault.from_s + to_and_fro_s < _SOON_BACK_S
+    return False
 
 
 def service_of(fact: schema.Call | schema.Decided | Seen) -> str:

@@ -12,7 +12,7 @@ from upwash.core.recovery import REST_S
 from upwash.core.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
-from upwash.lab.faults.promises.history import ANSWER_S, ROUNDING_S, Breach, History
+from upwash.lab.faults.promises.history import ANSWER_S, ROUNDING_S, Breach, History, position_jumps
 
 _CHECK_LEAST_S, _CHECK_FACTOR = 10.0, 3.0  # of how long joining may take, by what is believed of it
 _WELL_S = 60.0  # without failures, until those before are forgotten
@@ -88,6 +88,8 @@ def _trusted_too_soon(events: Iterable[Event]) -> Iterator[Breach]:
 
 def _left_unused(history: History) -> Iterator[Breach]:
     """A failed server that is well again, and in range all the time, does not stay blacklisted."""
+    if position_jumps(history.config):
+        return
     events, spells = history.run.events, spells_of(history)
     ends = (each.t for each in events if isinstance(each, (schema.MissionEnded, schema.MissionCompleted)))
     end_s = next(ends, events[-1].t)

@@ -1,4 +1,4 @@
-"""Promises about the vehicle: 13, that it is ended safely, and 14, that a pilot wins."""
+"""Promises about the vehicle: 13, that it is ended safely, 14, that a pilot wins, 20, arrivals, and 21, who acted."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from upwash.core.control import Owner
 from upwash.eventlog import schema
-from upwash.lab.faults.promises.history import Breach, History
+from upwash.lab.faults.promises.history import ROUNDING_S, Breach, History
 from upwash.lab.observer import Seen
 
 _DONE = {
@@ -15,6 +15,13 @@ _DONE = {
     "hold": schema.LeftHovering,
     "disarm": schema.Disarmed,
 }
+_NAMED_AFTER = {  # who is named, by who has taken the vehicle before
+    Owner.PILOT: ("pilot", "ground station"),  # which lands it in another mode, as a pilot does
+    Owner.GROUND_STATION: ("ground station",),
+    Owner.FAILSAFE: ("fail-safe",),
+    Owner.UNKNOWN: ("pilot", "ground station", "fail-safe", "restarted autopilot"),
+}
+_AT_WAYPOINT_M = 5.0
 _KEEP_TRYING_S = 600.0  # a safe end is given up no earlier
 
 
@@ -47,7 +54,7 @@ def vehicle_first(history: History) -> Iterator[Breach]:
 
 
 def pilot_wins(history: History) -> Iterator[Breach]:
-    """From the moment that a pilot or a fail-safe has the vehicle, no command reaches it, and it is not taken back.
+    """From the moment that the vehicle is not the program's, no command reaches it, and it is not taken back.
 
     While its link is silent the program cannot know, but it sends nothing then either. A pilot who takes it and gives
     it back within one silence leaves nothing that the program could hear of: that turn does not count.
@@ -66,6 +73,31 @@ def pilot_wins(history: History) -> Iterator[Breach]:
     owners = _owners(history)
     if Owner.PROGRAM in owners[1:]:
         yield None, f"the vehicle was the {' then the '.join(owners)}'s: it was taken back"
+
+
+def arrived_truly(history: History) -> Iterator[Breach]:
+    """An arrival is counted only where the vehicle truly is at the place, at its altitude above the take-off.
+
+    A jump of its position within a silence may be a way that it has flown: what comes after it is not judged.
+    """
+    for fact in history.own("reached", "jumped_unheard"):
+        if fact.event == "jumped_unheard":
+            return
+        if fact.off_m > _AT_WAYPOINT_M:
+            yield fact, f"the vehicle counted as arrived {fact.off_m:.1f} m from there"
+
+
+def named_truly(history: History) -> Iterator[Breach]:
+    """Nobody is said to have the vehicle who has not taken it before, and no person where none has."""
+    taken = list(history.own("taken"))
+    for event in history.run.events:
+        if isinstance(event, schema.Control) and event.owner in _NAMED_AFTER:
+            before = {fact.by for fact in taken if fact.t <= event.t + ROUNDING_S}
+            if before.isdisjoint(_NAMED_AFTER[event.owner]):
+                yield (
+                    event,
+                    f"it is said to be the {event.owner}'s, and was taken by {sorted(before) or 'nobody'}",
+                )
 
 
 def _owners(history: History) -> list[Owner]:

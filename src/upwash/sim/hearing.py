@@ -1,0 +1,128 @@
+"""What the program hears of a vehicle on paper, and what it knows by that: whose the vehicle is, and where."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from upwash.core.continuity import Continuity
+from upwash.core.control import Control, Latch, Report
+from upwash.core.geo import Position
+from upwash.errors import AutopilotLost
+from upwash.eventlog.schema import SEVERITIES
+from upwash.ports import HomeMoved, PositionDoubted, VehicleNews, VehicleText
+from upwash.sim.vehicle import GUIDED, ModelVehicle
+
+_HEARTBEAT_S = 1.0
+_CRITICAL = SEVERITIES.index("critical")
+_FLOWN_M_S = 1e9  # between two jumps: no bound on what was flown there
+
+
+class Hearing:
+    """Takes in the vehicle's reports while its link is not silent, and feeds the latch with them.
+
+    `is_off` is whether the link is down. `lost` is done once the vehicle is not the program's any more.
+    """
+
+    def __init__(self, vehicle: ModelVehicle, *, is_off: Callable[[], bool]) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._vehicle = vehicle
+        self._is_off = is_off
+        self.latch = Latch(self._loop.time())
+        self.lost: asyncio.Future[None] = self._loop.create_future()
+        self.jumped = asyncio.Event()  # set, anew each time, when the doubt about its place changes
+        self.home = vehicle.home
+        self._continuity = Continuity()
+        self._doubted = False
+        self._reported: Report | None = None  # to the latch, last; the same again says nothing
+        self._target: Position | None = None  # the same
+        self._boots = vehicle.boots
+        self._tell: Callable[[VehicleNews], None] = lambda _: None
+
+    @property
+    def control(self) -> Control:
+        """Who has it."""
+        return self.latch.control
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether nothing is heard of it now."""
+        return self._vehicle.is_booting or self._is_off()
+
+    @property
+    def doubt(self) -> str:
+        """Why it cannot be where it reports, in words; empty where it can."""
+        doubt_m = self._continuity.doubt_m
+        return f"its reported position jumped {doubt_m:.0f} m, farther than it can fly" if doubt_m else ""
+
+    def listen(self, tell: Callable[[VehicleNews], None]) -> None:
+        """Has all news told there from now on."""
+        self._tell = tell
+
+    def say(self, text: str) -> None:
+        """The vehicle says it in words, which it does while its motors run."""
+        if self._vehicle.armed and not self.is_silent:
+            self._tell(VehicleText(_CRITICAL, text))
+
+    def require(self, step: str) -> None:
+        """Raises AutopilotLost where nothing is heard of it; takes in what it reports otherwise."""
+        if self.is_silent:
+            raise AutopilotLost(step, "the vehicle's link is silent")
+        self.take()
+
+    def take(self) -> None:
+        """Takes in what it reports now: its heartbeat, its time since boot, its target and its home."""
+        vehicle, now_s = self._vehicle, self._loop.time()
+        if vehicle.report is not self._reported:
+            self._reported = vehicle.report
+            self._judge(lambda: self.latch.report(vehicle.report, now_s))
+        if vehicle.boots != self._boots:
+            self._boots = vehicle.boots
+            why = "its autopilot restarted: its time since boot went back"
+            self._judge(lambda: self.latch.report_restart(why, now_s))
+        if vehicle.target is not self._target and vehicle.mode == GUIDED:
+            self._target = vehicle.target
+            self._judge(lambda: self.latch.report_target(vehicle.target, now_s))
+        if vehicle.home is not self.home:
+            self.home = vehicle.home
+            self._tell(HomeMoved(vehicle.home))
+
+    def take_soon(self) -> None:
+        """The same at once, or in the first second after the silence of the link."""
+        if not self.is_silent:
+            self.take()
+        elif self.control.is_ours:
+            self._loop.call_later(_HEARTBEAT_S, self.take_soon)
+
+    def take_heartbeat(self, report: Report, *, by_autopilot: bool) -> None:
+        """Takes in a heartbeat with the vehicle's ids, which another program may have sent."""
+        if not self.is_silent and self._is_believed(by_autopilot=by_autopilot):
+            self._judge(lambda: self.latch.report(report, self._loop.time()))
+
+    def take_jump(self, before: Position, after: Position) -> None:
+        """Takes in that its reported place was one a moment ago, and is another now."""
+        now_s = self._loop.time()
+        self._continuity.take_estimate(before, time_s=now_s, speed_m_s=_FLOWN_M_S)
+        self._continuity.take_estimate(after, time_s=now_s, speed_m_s=0.0)
+        doubt_m = self._continuity.doubt_m
+        if self._doubted != (doubt_m > 0) and self._vehicle.armed:
+            self._tell(PositionDoubted(jumped_m=doubt_m))
+        self._doubted = doubt_m > 0
+        jumped, self.jumped = self.jumped, asyncio.Event()
+        jumped.set()
+
+    def _is_believed(self, *, by_autopilot: bool) -> bool:
+        return by_autopilot
+
+    def _judge(self, report: Callable[[], None]) -> None:
+        """Has the latch take in a report, and tells where that changes whose the vehicle is."""
+        before = self.latch.control
+        report()
+        self.tell_control(before)
+
+    def tell_control(self, before: Control) -> None:
+        """Tells whose the vehicle is, where it was otherwise before."""
+        if self.control != before:
+            if before.is_ours and not self.control.is_ours:
+                self.lost.set_result(None)
+            self._tell(self.control)

@@ -1,0 +1,83 @@
+"""What befalls a vehicle on paper at set moments, by others or by itself; `sim.faults` says what each kind means."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Sequence
+
+from upwash.config import FaultConfig
+from upwash.core.control import Report
+from upwash.sim.hearing import Hearing
+from upwash.sim.vehicle import STABILIZE, ModelVehicle
+
+_HEARTBEAT_S = 1.0
+
+
+class Incidents:
+    """Has each of them happen at its time.
+
+    `given_back_unheard` is told when a pilot gives the vehicle back of whom the program has heard nothing, and
+    `jumped_unheard` when its position jumps and nothing is heard of that.
+    """
+
+    def __init__(
+        self,
+        incidents: Sequence[FaultConfig],
+        vehicle: ModelVehicle,
+        hearing: Hearing,
+        *,
+        given_back_unheard: Callable[[], None],
+        jumped_unheard: Callable[[], None],
+    ) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._vehicle = vehicle
+        self._hearing = hearing
+        self._given_back_unheard = given_back_unheard
+        self._jumped_unheard = jumped_unheard
+        for incident in incidents:
+            self._loop.call_at(incident.from_s, self._happen, incident)
+
+    def _happen(self, incident: FaultConfig) -> None:
+        vehicle, lasts_s = self._vehicle, incident.to_s - incident.from_s
+        if vehicle.is_booting:  # and knows of nothing
+            return
+        match incident.kind:
+            case "pilot":
+                vehicle.be_taken_by_pilot(back_after_s=lasts_s, before_back=self._check_unheard)
+            case "fail-safe":
+                vehicle.fail_safe()
+            case "diverted":
+                vehicle.be_diverted(incident.moved_m)
+            case "home":
+                vehicle.move_home(incident.moved_m)
+            case "jump":
+                self._jump_and_back(incident, lasts_s)
+            case "restart":
+                vehicle.restart(back_after_s=lasts_s)
+            case "impostor":
+                self._send_heartbeat(incident.to_s)
+        self._hearing.take_soon()
+
+    def _jump_and_back(self, incident: FaultConfig, lasts_s: float) -> None:
+        if self._vehicle.flies:
+            east_m, north_m, _ = incident.moved_m
+            self._jump(east_m, north_m)
+            if math.isfinite(lasts_s):
+                self._loop.call_later(lasts_s, self._jump, -east_m, -north_m)
+
+    def _jump(self, east_m: float, north_m: float) -> None:
+        before, after = self._vehicle.jump(east_m, north_m)
+        if self._hearing.is_silent:
+            self._jumped_unheard()
+        else:
+            self._hearing.take_jump(before, after)
+
+    def _send_heartbeat(self, until_s: float) -> None:
+        self._hearing.take_heartbeat(Report(STABILIZE, armed=False), by_autopilot=False)
+        if self._loop.time() + _HEARTBEAT_S < until_s:
+            self._loop.call_later(_HEARTBEAT_S, self._send_heartbeat, until_s)
+
+    def _check_unheard(self) -> None:
+        if self._hearing.control.is_ours:
+            self._given_back_unheard()
