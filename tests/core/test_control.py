@@ -208,6 +208,18 @@ def test_a_restart_in_flight_closes_the_latch_and_names_no_person() -> None:
     assert (latch.control.owner, latch.control.why) == (Owner.UNKNOWN, "the autopilot restarted")
 
 
+def test_a_mode_beside_motors_that_stopped_is_nobodys_act() -> None:
+    """The first heartbeat of an autopilot that restarted in the air."""
+    latch = claimed()
+    latch.expect_armed(True)
+    latch.report(FLIES, 3.0)
+    latch.expect_modes([OWN])
+    latch.report(Report("STABILIZE", armed=False, on_ground=False), 4.0)
+    assert latch.control.owner is Owner.UNKNOWN
+    latch.report_restart("its clock went back", 5.0)
+    assert latch.control.owner is Owner.UNKNOWN
+
+
 def test_a_restart_on_the_ground_before_the_flight_is_no_loss() -> None:
     latch = claimed()
     latch.report_restart("the autopilot restarted", 3.0)

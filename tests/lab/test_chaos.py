@@ -81,7 +81,10 @@ def test_worlds_have_faults_of_every_kind_everywhere() -> None:
     on_servers = moving | {"garbage", "wrong", "lying", "full", "crash"}
     assert drawn == {("s", kind) for kind in on_servers} | {
         (target, kind) for target in ("link", "autopilot") for kind in moving
-    } | {("autopilot", "pilot"), ("autopilot", "fail-safe")}
+    } | {
+        ("autopilot", kind)
+        for kind in ("pilot", "fail-safe", "diverted", "home", "jump", "restart", "impostor")
+    }
 
 
 def test_servers_tell_every_lie_somewhere() -> None:

@@ -20,12 +20,12 @@ from typing import Any
 from unittest.mock import patch
 
 import msgspec
+from tests.sim import planted_vehicle as vehicle
 
 from upwash.config import DroneConfig
 from upwash.core.admission import AdmissionController
 from upwash.core.admission import Command as AdmissionCommand
 from upwash.core.clients import Client
-from upwash.core.control import Control, Latch, Owner, Report
 from upwash.core.estimates import Estimates
 from upwash.core.geo import Position, Waypoint
 from upwash.core.hedging import Hedging
@@ -39,8 +39,6 @@ from upwash.core.server_table import ServerTable
 from upwash.core.servers import Server, State, Trigger
 from upwash.core.stay_or_go import Outlook, StayOrGo, Verdict
 from upwash.core.turns import Turns
-from upwash.drone import contingency as safety
-from upwash.drone import flight as drone
 from upwash.drone.api import position_of
 from upwash.drone.background import Background
 from upwash.drone.calling import Calling
@@ -488,50 +486,6 @@ def both_answers_delivered() -> contextlib.AbstractContextManager[object]:
     return patch.multiple(Racing, _drop=keep, answer=confused)
 
 
-def latch_not_asked() -> contextlib.AbstractContextManager[object]:
-    """Commands are sent whoever has the vehicle, and the flight goes on."""
-    planted = contextlib.ExitStack()
-    planted.enter_context(patch.object(Latch, "require", lambda *_: None))
-    planted.enter_context(patch.object(drone.Flight, "_hear_vehicle", lambda *_: None))
-    return planted
-
-
-def latch_opens_again() -> contextlib.AbstractContextManager[object]:
-    """A pilot who switches back to the program's mode is taken to have given the vehicle back."""
-    report = Latch.report
-
-    def forgiving(self: Latch, heard: Report, now_s: float) -> None:
-        was_claimed = self.control.owner is not Owner.NOBODY
-        report(self, heard, now_s)
-        if was_claimed and not self.control.is_ours and heard.mode == "GUIDED" and heard.armed:
-            self.control = Control(Owner.PROGRAM, now_s, "in the program's mode again")
-
-    return patch.object(Latch, "report", forgiving)
-
-
-def failsafe_overlooked() -> contextlib.AbstractContextManager[object]:
-    """A mode that a fail-safe chose is no difference."""
-    report = Latch.report
-
-    def blind(self: Latch, heard: Report, now_s: float) -> None:
-        if not heard.failsafe:
-            report(self, heard, now_s)
-
-    return patch.object(Latch, "report", blind)
-
-
-def ended_safely_all_the_same() -> contextlib.AbstractContextManager[object]:
-    """A flight that was lost to somebody is ended in the safe action."""
-
-    async def end(autopilot: Any, journal: Any, **_: Any) -> None:
-        await safety.end_safely(autopilot, "return", journal, why="lost")
-
-    planted = contextlib.ExitStack()
-    planted.enter_context(patch.object(Latch, "require", lambda *_: None))
-    planted.enter_context(patch.object(drone, "follow", end))
-    return planted
-
-
 def bounds_not_checked() -> contextlib.AbstractContextManager[object]:
     """A reply is believed whatever stands in its fields, as long as there are such fields."""
 
@@ -676,10 +630,17 @@ DEFECTS = (
     Defect("the mission's end waits for a server's goodbye", long_farewell),
     Defect("a silent vehicle ends the watch over ranges", borders_not_watched),
     Defect("a flight that fails ends without its safe action", safe_end_forgotten),
-    Defect("commands are sent whoever has the vehicle", latch_not_asked),
-    Defect("the program's mode alone gives the vehicle back", latch_opens_again),
-    Defect("a fail-safe's mode is overlooked", failsafe_overlooked),
-    Defect("a lost vehicle is commanded to end safely", ended_safely_all_the_same),
+    Defect("commands are sent whoever has the vehicle", vehicle.latch_not_asked),
+    Defect("the program's mode alone gives the vehicle back", vehicle.latch_opens_again),
+    Defect("a fail-safe's mode is overlooked", vehicle.failsafe_overlooked),
+    Defect("a lost vehicle is commanded to end safely", vehicle.ended_safely_all_the_same),
+    Defect("an arrival counts though the position jumped", vehicle.arrived_in_doubt),
+    Defect("a doubt about the position is never over", vehicle.doubted_for_ever),
+    Defect("the vehicle's target is not watched", vehicle.target_not_watched),
+    Defect("a restart is taken for the pilot's act", vehicle.restart_blamed_on_pilot),
+    Defect("an autopilot that restarted is flown on", vehicle.restart_overlooked),
+    Defect("altitudes follow a home that is moved", vehicle.altitudes_follow_home),
+    Defect("another program's heartbeat is believed", vehicle.any_heartbeat_believed),
     Defect("hedging has no budget", hedging_budget_ignored),
     Defect("the answer that a hedged call drops answers the next", both_answers_delivered),
     Defect("the bounds of a reply's fields are not checked", bounds_not_checked),

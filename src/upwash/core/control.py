@@ -188,7 +188,7 @@ class Latch:
             self._compare_arming(report, now_s)
             if (
                 self.control.is_ours or report.failsafe
-            ):  # a mode beside stopped motors is nobody's act: a restart's
+            ):  # else a restart's first mode looks like a pilot's switch
                 self._compare_mode(report, now_s)
         elif before is not None:
             self._compare_lost(before, report, now_s)

@@ -16,7 +16,7 @@ An observer stands between a program and a port and lets everything through as i
 | `commanded` | a command of the drone's program reaches its vehicle |
 | `taken` | a pilot, a ground station, a fail-safe or its own restart takes it: `by` |
 | `given_back_unheard` | a pilot gives it back, all of whose turn lay within one silence of the vehicle's link |
-| `reached` | the vehicle counts as arrived, and truly is so far from there |
+| `reached` | the vehicle counts as arrived; `off_m` is the true distance to that place |
 | `jumped_unheard` | its reported position jumps within a silence of the vehicle's link |
 | `flight_over` | the drone, and how high it is |
 """

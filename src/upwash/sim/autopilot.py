@@ -349,7 +349,7 @@ class ModelAutopilot:
         goes: bool = False,
         target: Position | None = None,
     ) -> None:
-        """The one way by which a command reaches the vehicle; one that `goes` without a target leads straight up."""
+        """Sends a command; no other method does. With `goes` and without a target the command leads straight up."""
         self._reach(step)
         latch = self._hearing.latch
         if modes:

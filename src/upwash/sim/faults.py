@@ -34,8 +34,8 @@ On the autopilot:
 - `home`: a ground station moves the vehicle's home by `moved_m`, in flight
 - `jump`: in flight the vehicle's estimate of its position jumps by `moved_m` over the ground, and jumps back when the
   fault is over; the vehicle corrects its course by the estimate, and so flies to a wrong place
-- `restart`: the autopilot restarts and is silent until the fault is over; its motors stand still meanwhile, and stay
-  off unless that took 1 s at most
+- `restart`: the autopilot restarts and is silent until the fault is over; its motors stand still meanwhile. After at
+  most 1 s it catches itself in the mode that it had, and a pilot lands it after 20 s; otherwise it falls
 - `impostor`: another program sends heartbeats with the vehicle's ids, once a second: disarmed, in another mode
 """
 

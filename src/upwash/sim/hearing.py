@@ -46,7 +46,7 @@ class Hearing:
 
     @property
     def is_silent(self) -> bool:
-        """Whether nothing is heard of it now."""
+        """Whether its link is silent now."""
         return self._vehicle.is_booting or self._is_off()
 
     @property

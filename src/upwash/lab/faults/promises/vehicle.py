@@ -88,7 +88,7 @@ def arrived_truly(history: History) -> Iterator[Breach]:
 
 
 def named_truly(history: History) -> Iterator[Breach]:
-    """Nobody is said to have the vehicle who has not taken it before, and no person where none has."""
+    """The log names as an owner only a party that has taken the vehicle before."""
     taken = list(history.own("taken"))
     for event in history.run.events:
         if isinstance(event, schema.Control) and event.owner in _NAMED_AFTER:
