@@ -85,6 +85,7 @@ def test_switches_of_a_vehicle_that_stands_disarmed_are_nobodys_takeover() -> No
         (Report(OWN, armed=False, on_ground=True), Owner.UNKNOWN, "disarmed on the ground"),
         (Report(OWN, armed=False, on_ground=False), Owner.UNKNOWN, "its motors stopped in the air"),
         (Report(OWN, armed=False), Owner.UNKNOWN, "does not say whether it stands"),
+        (Report("STABILIZE", armed=False, on_ground=False), Owner.UNKNOWN, "its motors stopped in the air"),
     ],
 )
 def test_the_first_difference_closes_the_latch(report: Report, owner: Owner, why: str) -> None:

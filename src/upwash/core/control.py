@@ -186,9 +186,8 @@ class Latch:
         before, self._reported = self._reported, report
         if self.control.is_ours:
             self._compare_arming(report, now_s)
-            if (
-                self.control.is_ours or report.failsafe
-            ):  # else a restart's first mode looks like a pilot's switch
+            # What has lost its motors may go back to the mode that it begins with: no pilot's switch.
+            if self.control.is_ours or report.failsafe:
                 self._compare_mode(report, now_s)
         elif before is not None:
             self._compare_lost(before, report, now_s)

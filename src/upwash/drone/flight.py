@@ -286,6 +286,10 @@ class Flight:
     async def _fly(self) -> None:
         try:
             await self._run_mission()
+        except AutopilotOverruled as error:
+            await self._end(_why(error))
+            self._require_control()  # later evidence may name another owner
+            raise
         except (Exception, asyncio.CancelledError) as error:
             await self._end(_why(error))
             raise

@@ -37,9 +37,10 @@ _HOME = Position(0.0, 0.0)
 _LOW_M = 1.0  # above home
 _TURN_S = 20.0  # half a turn, of a vehicle that turns slowly
 _POINTS_WITHIN_DEG = 5.0
-_HOME_POSITION, _EXTENDED_SYS_STATE = (
+_HOME_POSITION, _EXTENDED_SYS_STATE, _SYSTEM_TIME = (
     mavlink.MAVLINK_MSG_ID_HOME_POSITION,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
 )
 
 
@@ -190,8 +191,15 @@ class MavlinkAutopilot(ABC):
         return heard and (not telemetry.armed or (told and telemetry.position is not None))
 
     async def stood(self) -> None:
-        """When it stands disarmed; sends nothing."""
-        await self._vehicle.until("follow", lambda: not self._telemetry.armed and self.stands)
+        """When it stands disarmed, and has said by its clock whether it restarted; sends nothing."""
+        vehicle = self._vehicle
+        await vehicle.until("follow", lambda: not self._telemetry.armed and self.stands)
+        disarmed_s = self._telemetry.disarmed_s
+        await vehicle.happens(
+            "follow",
+            lambda: vehicle.heard_since(_SYSTEM_TIME, disarmed_s),
+            within_s=self._settings.words_s * 4,
+        )
 
     async def border_crossed(self, circles: Sequence[Circle]) -> None:
         """Returns when the vehicle next enters or leaves any of the circles."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 _LATE_S = 1.0  # what is older by no more arrived out of order
-_CONFIRMED_AFTER_S = 1.0  # a second vehicle with one identity is heard between, and a late message is alone
+_CONFIRMED_AFTER_S = 1.0  # of a second vehicle with one identity the first is heard between
+_PAUSE_S = 0.5  # after which no late message comes, and no second vehicle was there
 _AHEAD_S, _FASTEST = 5.0, 20.0  # a simulated vehicle's clock may be faster than this computer's
 
 
@@ -36,7 +37,7 @@ class BootClock:
         self.elapsed_s += passed_s
         if self._restarted_s is None:
             self._restarted_s = now_s
-        if now_s - self._restarted_s < _CONFIRMED_AFTER_S:
+        if passed_s < _PAUSE_S and now_s - self._restarted_s < _CONFIRMED_AFTER_S:
             return False
         self.boot_s, self._restarted_s = boot_s, None
         return True

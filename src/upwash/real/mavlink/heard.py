@@ -322,6 +322,8 @@ class HeardVehicle:
         mode, told = self.mode_name, self.telemetry
         report = Report(mode, told.armed, self.firmware.failsafe(told, mode), told.stands)
         self._judge(lambda: self.latch.report(report, self._loop.time()))
+        if told.disarmed_s == self._loop.time() and not self.latch.control.is_ours:
+            self.ask_for(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME)  # which tells a restart
 
     def _tell_texts(self) -> None:
         new = self.telemetry.texts_heard - self._texts_told
