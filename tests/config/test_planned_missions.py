@@ -20,6 +20,7 @@ from upwash.config import (
     altitudes_above_sea,
     ending,
     geofence,
+    plan_notices,
     read_drone_config,
     waypoints,
 )
@@ -215,6 +216,16 @@ def test_a_way_around_a_corner_of_the_field_is_refused(tmp_path: Path) -> None:
         read(tmp_path, plan=plan)
 
 
+def test_what_is_left_out_of_a_plan_is_said_with_its_file(tmp_path: Path) -> None:
+    plan = json.loads(json.dumps(PLAN))
+    plan["mission"]["items"][1]["params"][1] = 5
+    (notice,) = plan_notices(read(tmp_path, plan=plan))
+    assert notice.startswith(
+        f"{tmp_path}/field.plan: item 2: MAV_CMD_NAV_WAYPOINT (16): its acceptance radius"
+    )
+    assert plan_notices(read(tmp_path)) == []
+
+
 # --- flown on virtual time ----------------------------------------------------------------------------------
 
 
@@ -237,6 +248,15 @@ def test_a_plan_is_flown_as_it_says(tmp_path: Path) -> None:
     # 111 m north of home at 5 m/s, another 111 m at 2.5 m/s, and the time to speed up and brake at 1 m/s²
     assert arrivals[0] - legs[0] == pytest.approx(111.1 / 5 + 5, abs=0.1)
     assert arrivals[1] - legs[1] == pytest.approx(111.1 / 2.5 + 2.5, abs=0.1)
+
+
+def test_a_hold_is_flown_after_the_arrival_and_before_the_calls(tmp_path: Path) -> None:
+    plan = json.loads(json.dumps(PLAN))
+    plan["mission"]["items"][1]["params"][0] = 7.5
+    plain, held = simulate(read(tmp_path)), simulate(read(tmp_path, plan=plan))
+    assert event(held, "arrived")["hold_s"] == 7.5
+    assert event(held, "photo")["t"] - event(plain, "photo")["t"] == pytest.approx(7.5)
+    assert held.result.mission_time_s - plain.result.mission_time_s == pytest.approx(7.5, abs=0.1)
 
 
 def test_a_plan_that_lands_at_its_end_does_not_return(tmp_path: Path) -> None:

@@ -56,6 +56,28 @@ def test_a_range_counts_from_where_it_is_entered_on_the_way() -> None:
     assert calls[3].in_range_s["far"] == calls[3].gap_s
 
 
+def test_holds_of_the_plan_count_before_the_calls_of_their_stops() -> None:
+    hold_s = 5.0
+    plan = [Waypoint(number, place, hold_s=hold_s) for number, place in enumerate(PLACES)]
+    expected = MissionModel(MissionBeliefs(plan, 4.0, 1.0, [Step(HEAVY, PHOTO_S)]), AREAS)
+    expected.leg_begun(PLACES[0], PLACES[0], None, now_s=0.0)
+    held_s = hold_s + PHOTO_S
+    assert gaps_s(expected.coming(PLACES[0], now_s=0.0, count=2)) == [held_s, LEG_S + held_s]
+    expected.arrived(now_s=0.0)
+    calls = expected.coming(PLACES[0], now_s=2.0, count=3)
+    assert gaps_s(calls) == [held_s - 2.0, LEG_S + held_s, LEG_S + held_s]
+    assert calls[2].in_range_s["far"] == pytest.approx(4.5 + held_s)
+    expected.call_begun(HEAVY, now_s=held_s)
+    expected.call_ends(held_s + 10.0)
+    expected.leg_begun(PLACES[0], PLACES[1], None, now_s=held_s + 10.0)
+    half_way = Position(10.0, 0.0, 20.0)
+    in_flight = gaps_s(expected.coming(half_way, now_s=held_s + 14.5, count=2))
+    assert in_flight == [
+        4.5 + held_s,
+        LEG_S + held_s,
+    ]  # the hold is no part of what a stop is expected to be like
+
+
 def test_in_flight_what_is_left_of_the_leg_counts() -> None:
     expected = at_first()
     expected.call_begun(HEAVY, now_s=1.0)

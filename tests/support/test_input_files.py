@@ -15,14 +15,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.config import read_drone_config
+from upwash.config import read_document, read_drone_config
+from upwash.config.coverage import CoverageFile
 from upwash.config.daemon import read_daemon_config
 from upwash.errors import UpwashError
 from upwash.eventlog.log import read as read_log
+from upwash.mavlink.signing import key_of
 from upwash.plans import read_plan
 from upwash.real.credentials import read_credentials, read_revoked
+from upwash.real.secrets import read_secret
+from upwash.services.darknet.cfg import read_sections
 from upwash.sim.radio import read_goodput
-from upwash.support.input_files import read_file, read_toml
+from upwash.support.input_files import read_file, read_toml, text_of
 
 ENDLESS = Path("/dev/zero")
 
@@ -154,3 +158,69 @@ def test_toml_that_is_not_deep_is_read_as_it_is(parts: list[str]) -> None:
             read_toml(text)
     else:
         assert read_toml(text) == wanted
+
+
+# --- byte order marks ---------------------------------------------------------------------------------------
+
+MARKED = ["utf-8-sig", "utf-16"]
+
+
+@given(st.text())
+def test_a_text_is_the_same_with_and_without_a_byte_order_mark(text: str) -> None:
+    text = text.removeprefix("\ufeff")
+    assert {text_of(text.encode(encoding)) for encoding in ("utf-8", *MARKED)} == {text}
+
+
+@pytest.mark.parametrize("content", [b"\xff", b"\xff\xfe{", b"\xef\xbb\xbf\xff"])
+def test_what_is_no_text_is_said_to_be_none(content: bytes) -> None:
+    with pytest.raises(UnicodeDecodeError):
+        text_of(content)
+
+
+def marked(file: Path, text: str, encoding: str) -> Path:
+    file.write_bytes(text.encode(encoding))
+    return file
+
+
+@pytest.mark.parametrize("encoding", MARKED)
+def test_configurations_may_begin_with_a_byte_order_mark(tmp_path: Path, encoding: str) -> None:
+    drone = (Path(__file__).parents[1] / "config" / "full.toml").read_text()
+    server = (Path(__file__).parents[1] / "config" / "daemon.toml").read_text()
+    folder = tmp_path / "marked"
+    folder.mkdir()
+    assert read_document(marked(folder / "drone.toml", drone, encoding)) == tomllib.loads(drone)
+    assert read_document(marked(folder / "server.toml", server, encoding)) == tomllib.loads(server)
+
+
+@pytest.mark.parametrize("encoding", MARKED)
+def test_a_table_of_goodput_may_begin_with_a_byte_order_mark(tmp_path: Path, encoding: str) -> None:
+    table = marked(tmp_path / f"{encoding}.csv", "distance_m,goodput_mbit_s\n10,50\n20,25\n", encoding)
+    assert read_goodput(str(table)) is not None
+
+
+@pytest.mark.parametrize("encoding", MARKED)
+def test_a_coverage_map_may_begin_with_a_byte_order_mark(tmp_path: Path, encoding: str) -> None:
+    file = marked(tmp_path / "coverage.json", '{"upwash_coverage": 1}', encoding)
+    assert CoverageFile(file).places(None) == {}
+
+
+@pytest.mark.parametrize("encoding", MARKED)
+def test_secrets_may_begin_with_a_byte_order_mark(tmp_path: Path, encoding: str) -> None:
+    key = marked(tmp_path / "key", f"{'ab' * 32}\n", encoding)
+    key.chmod(0o600)
+    assert key_of(read_secret(key)) == bytes.fromhex("ab" * 32)
+    revoked = marked(tmp_path / "revoked", f"{'cd' * 32} lost\n", encoding)
+    assert read_revoked(revoked) == {"cd" * 32}
+
+
+def test_a_key_of_32_bytes_may_begin_with_any(tmp_path: Path) -> None:
+    key = b"\xff\xfe" + b"a" * 30
+    (tmp_path / "key").write_bytes(key)
+    (tmp_path / "key").chmod(0o600)
+    assert read_secret(tmp_path / "key") == key
+
+
+@pytest.mark.parametrize("encoding", MARKED)
+def test_the_files_of_a_darknet_model_may_begin_with_a_byte_order_mark(encoding: str) -> None:
+    (section,) = read_sections(Path("some.cfg"), "[net]\n".encode(encoding))
+    assert section.name == "net"

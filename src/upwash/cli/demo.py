@@ -63,9 +63,9 @@ def _drones(text: str) -> int:
 
 def _read(file: Path) -> str:
     from upwash.errors import UsageError
-    from upwash.support.input_files import read_file
+    from upwash.support.input_files import read_file, text_of
 
     try:
-        return read_file(file, most_bytes=_MOST_RUNTIME_BYTES).decode()
+        return text_of(read_file(file, most_bytes=_MOST_RUNTIME_BYTES))
     except (OSError, ValueError) as error:
         raise UsageError(f"--runtime {file} cannot be read: {error}") from None

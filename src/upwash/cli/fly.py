@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from upwash.cli.arguments import add_live, flown_by, new_run_folder
 from upwash.cli.exit_codes import MEANINGS
+from upwash.cli.plans import tell_of_plans
 
 if TYPE_CHECKING:
     from upwash.cli.arguments import Commands
@@ -51,6 +52,7 @@ def run(options: argparse.Namespace) -> bool:
 
     config = flown_by(read_drone_config(options.config), options.autopilot)
     refuse_several(config, options.config, what="a flight")
+    tell_of_plans(config)
     for problem in never_offloaded(config):
         sys.stderr.write(f"upwash: warning: {problem}\n")
     log = options.resume or options.log or new_run_folder() / "events.jsonl"

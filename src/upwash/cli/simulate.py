@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from upwash.cli.arguments import add_figures, add_policy, figures_of
+from upwash.cli.plans import tell_of_plans
 from upwash.errors import UpwashError, UsageError
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ def run(options: argparse.Namespace) -> bool:
     from upwash.lab.simulation import read_scenario
 
     config = read_scenario(options.scenario, policy=options.policy, seed=options.seed)
+    tell_of_plans(config)
     return _run_fleet(options) if config.drones else _run_one(options)
 
 

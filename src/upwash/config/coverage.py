@@ -17,7 +17,7 @@ from upwash.core.coverage import MOST_PLACES, Coverage, MeasuredPlace
 from upwash.core.estimates import WINDOW_LENGTH, Operation
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.errors import ConfigError
-from upwash.support.input_files import read_file
+from upwash.support.input_files import read_file, text_of
 from upwash.support.output_files import write_file
 
 FORGOTTEN_AFTER = 5  # flights: a place where nothing is asked, as it never answered, gets another chance
@@ -105,7 +105,7 @@ class CoverageFile:
 
 def _read(file: Path) -> _Map:
     try:
-        return msgspec.json.decode(read_file(file, most_bytes=_MOST_BYTES), type=_Map)
+        return msgspec.json.decode(text_of(read_file(file, most_bytes=_MOST_BYTES)), type=_Map)
     except FileNotFoundError:
         return _Map(upwash_coverage=1)
     except msgspec.MsgspecError as error:

@@ -80,6 +80,16 @@ def as_planned(mission: MissionConfig, file: PlanFile, *, named: Container[str])
     )
 
 
+def plan_notices(config: DroneConfig) -> list[str]:
+    """What of the configuration's plans is flown otherwise than they say, or not at all.
+
+    Each is a sentence with the plan's file, the items and the reason.
+    """
+    files = [config.mission.plan, *(drone.plan for drone in config.drones)]
+    notices = (f"{file.file}: {notice}" for file in files if file is not None for notice in file.plan.notices)
+    return list(dict.fromkeys(notices))
+
+
 def ending(mission: MissionConfig) -> Ending:
     """How the mission ends when all went well."""
     return mission.plan.plan.ending if mission.plan is not None else "return"
@@ -160,7 +170,7 @@ def _frame(home: HomeConfig | None) -> LocalFrame:
 
 def _planned_waypoints(plan: Plan, frame: LocalFrame) -> tuple[Waypoint, ...]:
     return tuple(
-        Waypoint(index, frame.position(each.place), each.ground_speed_m_s, each.above_sea_m)
+        Waypoint(index, frame.position(each.place), each.ground_speed_m_s, each.above_sea_m, each.hold_s)
         for index, each in enumerate(plan.waypoints)
     )
 

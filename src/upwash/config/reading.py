@@ -17,7 +17,7 @@ from upwash.config.coverage import CoverageFile
 from upwash.config.problems import Document, Problem, refuse_first
 from upwash.config.values import PlanFile, SettingsTable
 from upwash.errors import ConfigError
-from upwash.support.input_files import read_file, read_toml
+from upwash.support.input_files import read_file, read_toml, text_of
 
 T = TypeVar("T")
 
@@ -29,7 +29,7 @@ _ENDLESS = re.compile(r"server\b.*\.turn_s")  # keys whose values may be without
 def read_document(file: Path) -> Document:
     """The file's tables as plain values; every number in them is finite, or of an endless turn, and fits 64 bits."""
     try:
-        text = read_file(file, most_bytes=_MOST_BYTES).decode()
+        text = text_of(read_file(file, most_bytes=_MOST_BYTES))
     except FileNotFoundError:
         raise ConfigError(str(file), "", "no such file: check the path") from None
     except (OSError, ValueError) as error:

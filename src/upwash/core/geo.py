@@ -69,12 +69,14 @@ class Waypoint:
 
     `ground_speed_m_s` is the speed of the way to it, None for the one that is set. `above_sea_m` is its altitude
     where a plan counts it from the sea: the position's altitude is sure only where home's altitude above the sea is.
+    `hold_s` is how long the drone hovers there before anything else.
     """
 
     index: int
     position: Position
     ground_speed_m_s: float | None = None
     above_sea_m: float | None = None
+    hold_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

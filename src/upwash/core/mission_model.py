@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import fmean
 
 import msgspec
@@ -83,7 +83,10 @@ class _Entries:
 
 @dataclass(frozen=True, slots=True)
 class _Way:
-    """A leg to come: how long it takes, and how long after its start it enters ranges in which it does not begin."""
+    """A leg to come, with the hold at its end: how long both take, and how long after its start it enters ranges.
+
+    Those are the ranges in which it does not begin.
+    """
 
     duration_s: float
     servers: Sequence[str]  # in whose range it ends
@@ -143,7 +146,7 @@ class MissionModel:
             if found is not None:
                 self._accelerations_m_s2.append(found)
                 self._ways.clear()
-        self._way, self._free_s = None, now_s
+        self._way, self._free_s = None, now_s + self._hold_s()
 
     def lost(self) -> None:
         """Nothing is known of what comes next."""
@@ -222,7 +225,7 @@ class MissionModel:
         """How long the rest of the leg takes, and for how much of that the drone will have been in which ranges."""
         leg = way.leg
         flown_s = leg.reached_s(leg.length_m - distance_m(position, way.end))
-        rest_s = leg.duration_s - flown_s
+        rest_s = leg.duration_s - flown_s + self._hold_s()
         entries = self._entered(way.start, way.end)
         entered = [
             (server, rest_s - max(0.0, leg.reached_s(way_m) - flown_s)) for server, way_m in entries.entered_m
@@ -243,7 +246,8 @@ class MissionModel:
                 if len(self._ways) >= _MOST_ENTRIES:
                     self._ways.clear()
                 leg = self._leg(distance_m(place, waypoint.position), speed_m_s)
-                way = self._ways[index, speed_m_s] = self._way_of(leg, place, waypoint.position)
+                way = self._way_of(leg, place, waypoint.position)
+                way = self._ways[index, speed_m_s] = replace(way, duration_s=way.duration_s + waypoint.hold_s)
             yield waypoint.position, way
             place = waypoint.position
 
@@ -254,6 +258,10 @@ class MissionModel:
 
     def _leg(self, length_m: float, ground_speed_m_s: float | None = None) -> Leg:
         return Leg(length_m, ground_speed_m_s or self._ground_speed_m_s, fmean(self._accelerations_m_s2))
+
+    def _hold_s(self) -> float:
+        """How long the drone hovers where it is or flies to, once it is there."""
+        return 0.0 if self._index is None or self._is_back else self._plan[self._index].hold_s
 
     def _find(self, target: Position) -> int | None:
         """The waypoint that is flown to: the next one there, or an earlier one."""

@@ -143,7 +143,7 @@ class Vehicle:
         self._thread.call(self._set_ground_speed(ground_speed_m_s))
 
     def goto(self, place: Waypoint | Position, *, unless: Demand[Any] | None = None) -> bool:
-        """Flies to a waypoint or position; returns True on arrival, at rest.
+        """Flies to a waypoint or position; returns True on arrival, at rest, and after the waypoint's hold time.
 
         Where an answer that is pending demands something before that, `unless=pending.demands(...)`, it brakes and
         returns False, at rest on the way, or there if that is nearer. AutopilotRefused for a place that the plan's
@@ -218,7 +218,11 @@ class Vehicle:
         self._place = place
         if isinstance(place, Waypoint):
             verb = self._goto(
-                place.position, waypoint=place.index, ground_speed_m_s=place.ground_speed_m_s, back=back
+                place.position,
+                waypoint=place.index,
+                ground_speed_m_s=place.ground_speed_m_s,
+                hold_s=0.0 if back else place.hold_s,
+                back=back,
             )
         else:
             verb = self._goto(place, back=back)
@@ -275,6 +279,7 @@ class Vehicle:
         *,
         waypoint: int | None = None,
         ground_speed_m_s: float | None = None,
+        hold_s: float = 0.0,
         back: bool = False,
     ) -> None:
         self._site.require_leg(self._limits, self._stands_at or self._autopilot.position, position)
@@ -293,8 +298,10 @@ class Vehicle:
         self._stands_at = position
         self._tell(Arrived())
         self._journal.record(
-            schema.Arrived(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m)
+            schema.Arrived(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m, hold_s=hold_s)
         )
+        if hold_s:
+            await asyncio.sleep(hold_s)
 
     async def _until_answered(self, verb: Coroutine[Any, Any, None], demand: Demand[Any]) -> bool:
         """Begins to fly; returns whether it has arrived, or else, flying on, once the answer is there."""

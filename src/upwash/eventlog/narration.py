@@ -147,8 +147,8 @@ class Narrator:
             case schema.Leg(waypoint=waypoint, back=back):
                 self.doing = f"flying {'back ' * back}to {named(waypoint)}"
                 return None
-            case schema.Arrived(waypoint=waypoint):
-                self.doing = f"at {named(waypoint)}"
+            case schema.Arrived(waypoint=waypoint, hold_s=hold_s):
+                self.doing = f"at {named(waypoint)}" + (f", for {hold_s:g} s as planned" if hold_s else "")
                 if waypoint is not None:
                     self._reached.add(waypoint)
                 return None

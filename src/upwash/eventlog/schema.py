@@ -230,12 +230,13 @@ class Leg(Event, frozen=True, kw_only=True, omit_defaults=True):
     back: bool = False
 
 
-class Arrived(Event, frozen=True, kw_only=True):
-    """The drone has arrived at the place that it set off for."""
+class Arrived(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """The drone has arrived at the place that it set off for; there it first hovers for the plan's `hold_s`."""
 
     waypoint: int | None
     east_m: float
     north_m: float
+    hold_s: float = 0.0
 
 
 class Photo(Event, frozen=True, kw_only=True, omit_defaults=True):

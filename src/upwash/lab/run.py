@@ -192,7 +192,10 @@ async def _fly(
                 fleet, there, journals, range_intervals, strict=True
             )
         ]
-        longest_s = _LONGEST_S + _LONGEST_STOP_S * max(len(waypoints(each.mission)) for each in fleet)
+        plans = [waypoints(each.mission) for each in fleet]
+        longest_s = _LONGEST_S + max(
+            sum(_LONGEST_STOP_S + waypoint.hold_s for waypoint in plan) for plan in plans
+        )
         try:
             async with asyncio.timeout(longest_s):
                 return await asyncio.gather(*flights)

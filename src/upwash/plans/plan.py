@@ -7,6 +7,7 @@ from typing import Literal
 
 from upwash.core.geo import Circle, GeoPosition, LocalFrame
 from upwash.core.geofence import Fence, Polygon
+from upwash.plans.notices import Notice
 
 Ending = Literal["return", "land"]
 
@@ -15,13 +16,15 @@ Ending = Literal["return", "land"]
 class PlannedWaypoint:
     """A waypoint, the number of its item, and the speed of the way to it where the plan changes it.
 
-    `above_sea_m` is its altitude where the plan counts it from the sea; None where it counts from home.
+    `above_sea_m` is its altitude where the plan counts it from the sea; None where it counts from home. `hold_s` is
+    how long the drone hovers there.
     """
 
     item: int
     place: GeoPosition
     ground_speed_m_s: float | None = None
     above_sea_m: float | None = None
+    hold_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +60,8 @@ class Plan:
     """A flight: take-off, waypoints, and the end; `home` is None where the plan leaves it open.
 
     `home_above_sea_m` is None where the plan does not know it. `reference_above_sea_m` is the altitude of home from
-    which the altitudes above the sea were converted: that of the plan's home, or else an assumed one.
+    which the altitudes above the sea were converted: that of the plan's home, or else an assumed one. `notices` say
+    what of the file is flown otherwise than it says, or not at all.
     """
 
     home: GeoPosition | None
@@ -70,3 +74,4 @@ class Plan:
     above_sea_level: int | None = None  # the first item whose altitude counts from the sea
     home_above_sea_m: float | None = None
     reference_above_sea_m: float = 0.0
+    notices: tuple[Notice, ...] = ()

@@ -8,7 +8,10 @@ from typing import Annotated, Any, TypeVar
 
 import msgspec
 
-from upwash.plans.items import FASTEST_M_S, MOST_ITEMS, Home, Item, Refusal, checked_place, home_at, make_plan
+from upwash.plans.course import make_plan
+from upwash.plans.foreign import WANTED, kind_of_document
+from upwash.plans.items import FASTEST_M_S, MOST_ITEMS, Item, Refusal, checked_place, home_at
+from upwash.plans.notices import Notices
 from upwash.plans.plan import Plan, PlannedCircle, PlannedPolygon
 
 T = TypeVar("T")
@@ -18,7 +21,12 @@ _LARGEST_RADIUS_M = 100_000.0
 _MULTICOPTERS = (0, 2, 3, 4, 13, 14, 15, 29, 35)  # MAV_TYPE; 0 is any
 
 Place = Annotated[list[float], msgspec.Meta(min_length=2, max_length=2)]
-Home3 = Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)]
+OpenHome = Annotated[list[float | None], msgspec.Meta(min_length=3, max_length=3)]
+_SINGLY = (
+    "in QGroundControl upload the plan to a vehicle, or to a simulated one, download it again, and save that: the "
+    "pattern becomes single waypoints"
+)
+_SAVED_ANEW = "open it in a current QGroundControl, and save it"
 
 
 class _Circle(msgspec.Struct):
@@ -41,6 +49,7 @@ class _PolygonFence(msgspec.Struct):
 class _GeoFence(msgspec.Struct, rename="camel"):
     circles: list[_CircleFence] = []
     polygons: list[_PolygonFence] = []
+    polygon: list[Place] = []  # of version 1: to stay in
     breach_return: Any = None
     version: int = 2
 
@@ -51,7 +60,7 @@ class _RallyPoints(msgspec.Struct):
 
 class _Mission(msgspec.Struct, rename="camel"):
     items: list[dict[str, Any]]
-    planned_home_position: Home3
+    planned_home_position: OpenHome | None
     hover_speed: float | None = None
     vehicle_type: int = 2
     version: int = 2
@@ -65,6 +74,17 @@ class _Document(msgspec.Struct, rename="camel"):
     version: int = 1
 
 
+class _Transect(msgspec.Struct):
+    items: list[dict[str, Any]] = msgspec.field(default_factory=list, name="Items")
+
+
+class _Pattern(msgspec.Struct, rename="camel"):
+    """A survey, a corridor scan, a structure scan: the first two keep their single commands in the file."""
+
+    complex_item_type: str
+    transect: _Transect | None = msgspec.field(default=None, name="TransectStyleComplexItem")
+
+
 class _SimpleItem(msgspec.Struct, rename="camel"):
     command: int
     frame: int
@@ -75,20 +95,31 @@ class _SimpleItem(msgspec.Struct, rename="camel"):
 def parse_plan(text: str) -> Plan:
     """The plan in the text of a `.plan` file; raises Refusal."""
     try:
-        document = _converted("", json.loads(text), _Document)
+        found = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise Refusal("", f"not valid JSON: {error}") from None
+    if kind := kind_of_document(found):
+        raise Refusal("", f"no plan, it is {kind}; {WANTED}")
+    document = _converted("", found, _Document)
     _check_kind(document)
     mission = document.mission
     if len(mission.items) > MOST_ITEMS:
         raise Refusal("mission.items", f"{len(mission.items)} items: at most {MOST_ITEMS} can be flown")
-    home: Home | None = home_at("plannedHomePosition", *mission.planned_home_position)
+    notices = Notices()
+    items = list(_items(mission.items, notices))
+    if not items and (document.geo_fence.polygons or document.geo_fence.circles):
+        raise Refusal(
+            "",
+            "has a geofence and no waypoint in it: add waypoints in QGroundControl, or name the mission's plan",
+        )
+    home = home_at("plannedHomePosition", *(mission.planned_home_position or (None, None)))
     speed_m_s = mission.hover_speed
     if speed_m_s is not None and not 0 < speed_m_s <= FASTEST_M_S:
         raise Refusal("hoverSpeed", f"expected above 0 and up to {FASTEST_M_S:g} m/s, found {speed_m_s:g}")
     return make_plan(
         home,
-        [_item(number, table) for number, table in enumerate(mission.items, start=1)],
+        items,
+        notices,
         fences=tuple(_fences(document.geo_fence)),
         ground_speed_m_s=speed_m_s,
     )
@@ -101,36 +132,70 @@ def _check_kind(document: _Document) -> None:
     for where, version, known in [
         ("version", document.version, 1),
         ("mission.version", mission.version, 2),
-        ("geoFence.version", fence.version, 2),
     ]:
         if version != known:
-            raise Refusal(where, f"expected {known}, found {version}: save it with a current QGroundControl")
+            raise Refusal(where, f"expected {known}, found {version}: {_SAVED_ANEW}")
+    if fence.version != 2 and (fence.version != 1 or fence.polygons or fence.circles):
+        raise Refusal("geoFence.version", f"expected 2, found {fence.version}: {_SAVED_ANEW}")
     if mission.vehicle_type not in _MULTICOPTERS:
-        raise Refusal("mission.vehicleType", f"{mission.vehicle_type} is no multicopter: plan for one")
+        raise Refusal(
+            "mission.vehicleType",
+            f"{mission.vehicle_type} is no multicopter: plan the flight for one (vehicle type 2)",
+        )
     if document.rally_points.points:
         raise Refusal("rallyPoints", "a vehicle would return there instead of home: remove them")
     if fence.breach_return is not None:
         raise Refusal("geoFence.breachReturn", "is not understood: remove the breach return point")
 
 
+def _items(tables: list[dict[str, Any]], notices: Notices) -> Iterator[Item]:
+    """The plan's single commands, those of patterns among them, numbered as QGroundControl numbers them."""
+    number = 0
+    for table in tables:
+        inner, pattern = _singly(number + 1, table)
+        if pattern:
+            last = number + len(inner)
+            notices.add(f"{pattern} is flown as its {len(inner)} single commands, items {number + 1}-{last}")
+        for each in inner:
+            number += 1
+            if number > MOST_ITEMS:
+                raise Refusal(
+                    "mission.items", f"more than {MOST_ITEMS} items, those of patterns counted: fly less"
+                )
+            yield _item(number, each)
+
+
+def _singly(number: int, table: dict[str, Any]) -> tuple[list[dict[str, Any]], str]:
+    """The single commands of an item of the file, and the pattern's name where the item is one."""
+    kind, where = table.get("type"), f"item {number}"
+    if kind == "SimpleItem":
+        return [table], ""
+    if kind != "ComplexItem":
+        raise Refusal(where, f"{kind or 'an item without a type'} is not understood: {_SAVED_ANEW}")
+    pattern = _converted(where, table, _Pattern)
+    inner = pattern.transect.items if pattern.transect else []
+    if not inner:
+        raise Refusal(
+            where, f"ComplexItem ({pattern.complex_item_type}) has no single waypoints in the file: {_SINGLY}"
+        )
+    return inner, pattern.complex_item_type
+
+
 def _item(number: int, table: dict[str, Any]) -> Item:
     where = f"item {number}"
-    kind = table.get("type")
-    if kind != "SimpleItem":
-        name = table.get("complexItemType", "")
-        raise Refusal(
-            where,
-            f"{kind or 'an item without a type'}{f' ({name})' if name else ''} is not understood: "
-            "only single commands are (SimpleItem); save the pattern's waypoints one by one",
-        )
+    if table.get("type") != "SimpleItem":
+        raise Refusal(where, f'has type "{table.get("type")}" within a pattern: {_SINGLY}')
     item = _converted(where, table, _SimpleItem)
     return Item(number, item.command, item.frame, tuple(item.params), item.auto_continue)
 
 
 def _fences(fence: _GeoFence) -> Iterator[PlannedPolygon | PlannedCircle]:
-    if sum(len(each.polygon) for each in fence.polygons) + len(fence.circles) > _MOST_CORNERS:
+    polygons = list(fence.polygons)
+    if fence.polygon:
+        polygons.append(_PolygonFence(polygon=fence.polygon, inclusion=True))
+    if sum(len(each.polygon) for each in polygons) + len(fence.circles) > _MOST_CORNERS:
         raise Refusal("geoFence", f"more than {_MOST_CORNERS} corners: draw it with fewer")
-    for number, polygon in enumerate(fence.polygons, start=1):
+    for number, polygon in enumerate(polygons, start=1):
         name = _name(polygon, "polygon", number)
         if len(polygon.polygon) < 3:
             raise Refusal(name, f"{len(polygon.polygon)} corners: a polygon has at least 3")
@@ -148,9 +213,7 @@ def _fences(fence: _GeoFence) -> Iterator[PlannedPolygon | PlannedCircle]:
 def _name(fence: _PolygonFence | _CircleFence, shape: str, number: int) -> str:
     name = f"{'inclusion' if fence.inclusion else 'exclusion'} {shape} {number}"
     if fence.version != 1:
-        raise Refusal(
-            name, f"version {fence.version} is not understood: save it with a current QGroundControl"
-        )
+        raise Refusal(name, f"version {fence.version} is not understood: {_SAVED_ANEW}")
     return name
 
 

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from upwash.plans.items import ABOVE_SEA_LEVEL, MOST_ITEMS, Command, Home, Item, Refusal, home_at, make_plan
+import itertools
+
+from upwash.plans.commands import SET_HOME, Command
+from upwash.plans.course import make_plan
+from upwash.plans.foreign import WANTED
+from upwash.plans.items import ABOVE_SEA_LEVEL, MOST_ITEMS, Home, Item, Refusal, home_at
+from upwash.plans.notices import Notices
 from upwash.plans.plan import Plan
 
 HEADER = "QGC WPL"
 _VERSION = "110"
 _COLUMNS = 12
+_OF_A_FENCE = range(5000, 5005)
+_OF_RALLY_POINTS = range(5100, 5101)
+_NO_COMMAND = 0  # as some ground stations write home
 
 
 def parse_waypoint_list(text: str) -> Plan:
@@ -20,40 +29,74 @@ def parse_waypoint_list(text: str) -> Plan:
         raise Refusal("", f"{len(rows)} items: at most {MOST_ITEMS} can be flown")
     if not rows:
         raise Refusal("", "no item in it: item 0 is home, and waypoints follow it")
-    first, *others = (_item(line, fields, index) for index, (line, fields) in enumerate(rows))
-    return make_plan(_home(first), others)
+    notices = Notices()
+    _check_numbers(rows, notices)
+    waits = all(fields[-1] == "0" for _, fields in rows)
+    if waits:
+        notices.add("none of its items continues by itself (autocontinue 0): flown on, as ArduCopter does")
+    items = [_item(line, fields, number, waits) for number, (line, fields) in enumerate(rows)]
+    _require_mission(items)
+    home, others = _home(items, notices)
+    return make_plan(home, others, notices)
 
 
-def _item(line: int, fields: list[str], expected: int) -> Item:
+def _check_numbers(rows: list[tuple[int, list[str]]], notices: Notices) -> None:
+    """Items that are missing are told of; a list whose numbers do not ascend may be another in order."""
+    numbers = [_whole(line, fields[0]) for line, fields in rows]
+    wrong = next((expected for expected, number in enumerate(numbers) if number != expected), None)
+    if wrong is None:
+        return
+    if any(after <= before for before, after in itertools.pairwise(numbers)):
+        raise Refusal(f"line {rows[wrong][0]}", f"expected item {wrong}, found item {numbers[wrong]}")
+    notices.add(
+        f"its numbers leave some out, the first where item {numbers[wrong]} stands for {wrong}: items are counted "
+        "in the order of the lines"
+    )
+
+
+def _item(line: int, fields: list[str], number: int, waits: bool) -> Item:
+    """The item of a line; its number is its place in the list, as ground stations have it."""
     if len(fields) != _COLUMNS:
         raise Refusal(f"line {line}", f"expected {_COLUMNS} numbers, found {len(fields)}")
-    number, current, frame, command = (_whole(line, field) for field in fields[:4])
-    if number != expected:
-        raise Refusal(f"line {line}", f"expected item {expected}, found item {number}")
+    current, frame, command = (_whole(line, field) for field in fields[1:4])
     if current not in (0, 1) or (current == 1 and number > 1):
         raise Refusal(f"item {number}", "is marked as current: a flight begins with the first item")
     goes_on = _whole(line, fields[11])
     if goes_on not in (0, 1):
         raise Refusal(f"item {number}", f"expected 0 or 1 as its autocontinue, found {goes_on}")
     parameters = tuple(_real(line, field) for field in fields[4:11])
-    return Item(number, command, frame, parameters, goes_on == 1)
+    return Item(number, command, frame, parameters, goes_on == 1 or waits)
 
 
-def _home(item: Item) -> Home | None:
-    if item.command != Command.WAYPOINT or item.frame not in ABOVE_SEA_LEVEL:
-        item.refuse(
+def _require_mission(items: list[Item]) -> None:
+    for commands, what in ((_OF_A_FENCE, "a geofence"), (_OF_RALLY_POINTS, "rally points")):
+        if any(item.command in commands for item in items[:2]):
+            raise Refusal("", f"no plan, it is a list of {what}; {WANTED}")
+
+
+def _home(items: list[Item], notices: Notices) -> tuple[Home | None, list[Item]]:
+    """The plan's home, and the items that are flown: all of them where the list begins with its take-off."""
+    first, *others = items
+    if [item.number for item in items if item.command == Command.TAKEOFF] == [0]:
+        notices.add("it begins with its take-off, and names no home: every item is flown")
+        return None, items
+    is_on_the_ground = first.frame in ABOVE_SEA_LEVEL or first.value(7) == 0
+    if first.command not in (Command.WAYPOINT, SET_HOME, _NO_COMMAND) or not is_on_the_ground:
+        first.refuse(
             "cannot be item 0, which is home: a waypoint (16) with its altitude above sea level (frame 0)"
         )
-    place = (
-        item.number_of(index, what) for index, what in ((5, "latitude"), (6, "longitude"), (7, "altitude"))
+    latitude_deg, longitude_deg, altitude_m = (
+        first.number_of(index, what) for index, what in ((5, "latitude"), (6, "longitude"), (7, "altitude"))
     )
-    return home_at("item 0", *place)
+    return home_at("item 0", latitude_deg, longitude_deg, altitude_m), others
 
 
 def _whole(line: int, field: str) -> int:
-    if not (field.isascii() and field.isdecimal() and len(field) <= 9):
+    """A whole number, which some programs write with decimals."""
+    digits = field.removesuffix("." + "0" * (len(field) - field.find(".") - 1)) if "." in field else field
+    if not (digits.isascii() and digits.isdecimal() and len(digits) <= 9):
         raise Refusal(f"line {line}", f'expected a whole number, found "{field[:40]}"')
-    return int(field)
+    return int(digits)
 
 
 def _real(line: int, field: str) -> float:

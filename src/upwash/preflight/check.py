@@ -14,6 +14,7 @@ from upwash.config import (
     DroneConfig,
     coverage_of,
     drone_config,
+    plan_notices,
     read_document,
     server_areas,
     usable_s,
@@ -47,6 +48,7 @@ class Check(Struct, frozen=True, kw_only=True):
     `usable_s` is how long the battery lasts above the mission's reserve, and `usable_wh` what the simulated one gives
     above it, None where the file does not say, and `farthest` the waypoint from which the way home takes longest.
     `order` says in which order the waypoints are flown and why, "" where nothing but the given one was asked for.
+    `notices` say what of a plan is flown otherwise than it says, or not at all.
     `demanding_share` is that of the answers that demand something, where the drone may go on before they are there.
     """
 
@@ -60,6 +62,7 @@ class Check(Struct, frozen=True, kw_only=True):
     usable_wh: float | None = None
     farthest: Farthest
     warnings: tuple[PreflightWarning, ...]
+    notices: tuple[str, ...] = ()
     places: tuple[Place, ...] = ()
     demanding_share: float | UnsetType = UNSET
 
@@ -107,6 +110,7 @@ def check(plan: CheckInput, *, seeds: int, fly: Fly, flown: Callable[[int], None
             *warnings(plan.config, covered, list(beliefs(plan.config, alone)), predictions),
             *_refusals(plan.config),
         ),
+        notices=tuple(plan_notices(plan.config)),
         demanding_share=UNSET if (share := demanding_share(plan.config)) is None else share,
     )
 

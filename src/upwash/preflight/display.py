@@ -103,6 +103,8 @@ def _print(found: Check, config: DroneConfig, servers_to_place: int, console: Co
     if len(found.places) < servers_to_place:
         console.print("one more server would gain nothing, wherever it stands")
     console.print()
+    for notice in found.notices:
+        say(Text("notice: ", style="cyan") + Text(notice), console)
     for warning in found.warnings:
         say(Text("warning: ", style="yellow") + Text(warning.text), console)
     if not found.warnings:

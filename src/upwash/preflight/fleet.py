@@ -8,7 +8,16 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
-from upwash.config import Document, DroneConfig, coverage_of, drone_config, fleet_of, server_areas, waypoints
+from upwash.config import (
+    Document,
+    DroneConfig,
+    coverage_of,
+    drone_config,
+    fleet_of,
+    plan_notices,
+    server_areas,
+    waypoints,
+)
 from upwash.drone.order import order_of
 from upwash.eventlog import schema
 from upwash.lab import processes
@@ -50,6 +59,7 @@ class FleetCheck(Struct, frozen=True, kw_only=True):
     config: str
     drones: tuple[DroneForecast, ...]
     servers: tuple[AskedServer, ...]
+    notices: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> tuple[PreflightWarning, ...]:
@@ -96,6 +106,7 @@ def check_fleet(document: Document, file: Path, *, seeds: int, workers: int | No
         config=str(file),
         drones=tuple(_forecast(each, flown) for each in fleet_of(config)),
         servers=tuple(_asked(server.name, flown) for server in config.servers),
+        notices=tuple(plan_notices(config)),
     )
 
 

@@ -49,6 +49,8 @@ def _print(found: FleetCheck, config: DroneConfig, console: Console) -> None:
             say(Text(f"order of {each.drone}'s waypoints: {each.order}"), console)
     for server in found.servers:
         say(_asked_line(server, len(found.drones)), console)
+    for notice in found.notices:
+        say(Text("notice: ", style="cyan") + Text(notice), console)
     for warning in found.warnings:
         say(Text("warning: ", style="yellow") + Text(warning.text), console)
     if not found.warnings:

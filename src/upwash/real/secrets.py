@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import stat
 from pathlib import Path
 
 from upwash.errors import CredentialsError
+from upwash.mavlink.signing import KEY_BYTES
+from upwash.support.input_files import text_of
 
 _MOST_BYTES = 2**20
+_MARKS = (codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _ROOT = 0
 
 
@@ -55,4 +59,14 @@ def _read(file: Path) -> tuple[bytes, os.stat_result]:
         ) from None
     if len(content) > _MOST_BYTES:
         raise CredentialsError(f"{file}: more than 1 MiB, which no key or certificate has: check the path")
-    return content, status
+    return _without_mark(content), status
+
+
+def _without_mark(content: bytes) -> bytes:
+    """The same bytes or, of a text that an editor began with a byte order mark, that text in UTF-8."""
+    if not content.startswith(_MARKS) or len(content) == KEY_BYTES:  # which may begin with any bytes
+        return content
+    try:
+        return text_of(content).encode()
+    except ValueError:
+        return content

@@ -15,7 +15,7 @@ from upwash.errors import ModelError, UsageError
 from upwash.services.darknet.conversion import Facts, converted
 from upwash.services.darknet.graph import INPUT
 from upwash.services.heads import HEADS_METADATA, Head, decode_heads
-from upwash.support.input_files import read_file
+from upwash.support.input_files import read_file, text_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -289,7 +289,7 @@ def _read_labels(file: Path) -> list[str]:
     try:
         labels = [
             line.strip()
-            for line in read_file(file, most_bytes=_MOST_LABELS_BYTES).decode().rstrip().splitlines()
+            for line in text_of(read_file(file, most_bytes=_MOST_LABELS_BYTES)).rstrip().splitlines()
         ]
     except OSError as error:
         raise ModelError(file, "", f"cannot be read ({error.strerror})") from None

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from upwash.config import ServerTruth
 from upwash.errors import UsageError
-from upwash.support.input_files import read_file
+from upwash.support.input_files import read_file, text_of
 
 _MOST_BYTES = 10_000_000
 _BUNDLED = {"disc54": "goodput_54.csv", "disc12": "goodput_12.csv"}
@@ -74,7 +74,7 @@ def read_goodput(radio: str) -> GoodputTable | None:
         if bundled:
             text = (files("upwash.sim") / bundled).read_text(encoding="utf-8")
         else:
-            text = read_file(Path(radio), most_bytes=_MOST_BYTES).decode()
+            text = text_of(read_file(Path(radio), most_bytes=_MOST_BYTES))
         lines = text.splitlines()
         rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
         return _table([(float(row["distance_m"]), 1e6 * float(row["goodput_mbit_s"])) for row in rows])

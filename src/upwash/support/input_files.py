@@ -5,6 +5,8 @@ Whatever is named, a device, a pipe that nobody writes to, a file without end, i
 
 from __future__ import annotations
 
+import codecs
+import contextlib
 import errno
 import os
 import re
@@ -42,6 +44,17 @@ def read_file(file: Path, *, most_bytes: int) -> bytes:
     finally:
         os.close(descriptor)
     return bytes(content)
+
+
+def text_of(content: bytes) -> str:
+    """The text in a file's content: UTF-8, or UTF-16 where a byte order mark says so; without the mark.
+
+    Editors and shells of Windows write either. Raises UnicodeDecodeError, a ValueError, for anything else.
+    """
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        with contextlib.suppress(UnicodeDecodeError):
+            return content.decode("utf-16")
+    return content.decode("utf-8-sig")
 
 
 def read_toml(text: str) -> dict[str, object]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from upwash.errors import ModelError
+from upwash.support.input_files import text_of
 
 T = TypeVar("T")
 
@@ -100,7 +101,7 @@ def read_sections(file: Path, content: bytes) -> list[Section]:
             file, "", f"{len(content)} bytes are too many for a cfg: name the text file of layers"
         )
     try:
-        text = content.decode()
+        text = text_of(content)
     except UnicodeDecodeError as error:
         raise ModelError(file, f"byte {error.start}", "not text: name the .cfg, not the weights") from None
     sections: list[Section] = []

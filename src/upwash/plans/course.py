@@ -1,0 +1,353 @@
+"""A plan's items, taken in one after the other, become what is flown; what cannot be flown is left out or refused.
+
+Where autopilots differ, an item is understood as ArduCopter flies it, and the notice says so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from upwash.core.geo import GeoPosition
+from upwash.plans.commands import FENCE_ENABLE, LEFT_OUT, SET_HOME, Command, why_refused
+from upwash.plans.items import (
+    ABOVE_HOME,
+    ABOVE_SEA_LEVEL,
+    ABOVE_TERRAIN,
+    FASTEST_M_S,
+    HIGHEST_M,
+    Home,
+    Item,
+    Refusal,
+    distance_m,
+    home_at,
+)
+from upwash.plans.notices import Notices
+from upwash.plans.plan import Ending, Plan, PlannedCircle, PlannedPolygon, PlannedWaypoint
+
+_SAME_PLACE_M = 1.0
+_ASSUMED_LOWEST_M = 20.0  # above home, of what counts from the sea where home's altitude is unknown
+_FARTHEST_TAKEOFF_M = 10_000.0
+_LONGEST_HOLD_S = 3600.0
+_AIRSPEED, _GROUND_SPEED, _CLIMB_SPEED, _DESCENT_SPEED = range(4)
+_NO_CHANGE = -1
+_OVER_A_PLACE = (Command.WAYPOINT, Command.SPLINE_WAYPOINT, Command.LOITER_TIME, Command.LOITER_TO_ALT)
+_CLIMBING = (*_OVER_A_PLACE, Command.TAKEOFF)
+_OF_A_WAYPOINT = (
+    (2, "its acceptance radius is left out: a waypoint is reached at rest"),
+    (3, "its pass radius is left out: a waypoint is reached at rest"),
+    (4, "its heading is left out: the vehicle turns its nose as its own settings say"),
+)
+
+
+def make_plan(
+    home: Home | None,
+    items: Sequence[Item],
+    notices: Notices,
+    *,
+    fences: tuple[PlannedPolygon | PlannedCircle, ...] = (),
+    ground_speed_m_s: float | None = None,
+) -> Plan:
+    """The plan that the items come to; raises Refusal for the first that can be neither flown nor left out."""
+    home = _home_of(home, items, notices)
+    course = Course(home, _reference_above_sea_m(home, items), notices)
+    for item in items:
+        course.take(item)
+    course.finish()
+    return Plan(
+        home=home.place if home else None,
+        waypoints=tuple(course.waypoints),
+        fences=fences,
+        takeoff_altitude_m=course.takeoff.altitude_m if course.takeoff else None,
+        ground_speed_m_s=ground_speed_m_s,
+        ending=course.ending or "return",
+        takeoff_above_sea_m=(course.takeoff or course.waypoints[0]).above_sea_m,
+        above_sea_level=course.above_sea_level,
+        home_above_sea_m=home.altitude_m if home else None,
+        reference_above_sea_m=course.reference_above_sea_m,
+        notices=notices.all(),
+    )
+
+
+def _home_of(home: Home | None, items: Sequence[Item], notices: Notices) -> Home | None:
+    """The home that the file names or, where that is none or a place far away, the place of the take-off.
+
+    Ground stations write the home of the vehicle that they last saw, a simulated one among them.
+    """
+    takeoff = next((item for item in items if item.command == Command.TAKEOFF and not item.is_open), None)
+    if takeoff is None:
+        return home
+    place = takeoff.place()
+    if home is None:
+        notices.add("it names no home: the place of its take-off is taken for it")
+    elif (away_m := distance_m(place, home.place)) > _FARTHEST_TAKEOFF_M:
+        notices.add(
+            f"its home is left out, as it lies {away_m / 1000:.0f} km from its take-off: the take-off's place is "
+            "taken for it"
+        )
+    else:
+        return home
+    return home_at("", place.latitude_deg, place.longitude_deg)
+
+
+def _reference_above_sea_m(home: Home | None, items: Sequence[Item]) -> float:
+    """Home's altitude above the sea.
+
+    An unknown one is assumed to be such that the lowest altitude that counts from the sea lies as high above home as
+    the take-off does, or 20 m where the take-off does not say.
+    """
+    if home is not None and home.altitude_m is not None:
+        return home.altitude_m
+    heights = [(item, item.value(7) or 0.0) for item in items if item.command in _CLIMBING]
+    from_sea_m = [height_m for item, height_m in heights if item.frame in ABOVE_SEA_LEVEL and height_m]
+    climb_m = next(
+        (
+            height_m
+            for item, height_m in heights
+            if item.command == Command.TAKEOFF and item.frame in ABOVE_HOME
+        ),
+        _ASSUMED_LOWEST_M,
+    )
+    return min(filter(math.isfinite, from_sea_m), default=climb_m) - climb_m
+
+
+@dataclass(frozen=True, slots=True)
+class Height:
+    """Above home, and above the sea where the plan counts from it."""
+
+    altitude_m: float
+    above_sea_m: float | None = None
+
+
+class Course:
+    """What the items come to, taken in one after the other."""
+
+    def __init__(self, home: Home | None, reference_above_sea_m: float, notices: Notices) -> None:
+        self.reference_above_sea_m = reference_above_sea_m
+        self.waypoints: list[PlannedWaypoint] = []
+        self.takeoff: Height | None = None
+        self.ending: Ending | None = None
+        self.above_sea_level: int | None = None
+        self._home = home
+        self._notices = notices
+        self._ground_speed_m_s: float | None = None
+        self._unused_speed: Item | None = None
+
+    def take(self, item: Item) -> None:
+        """Takes the next item in."""
+        if self._is_left_out(item):
+            return
+        if self.ending:
+            item.refuse("comes after the plan's return or landing: remove what comes after the end")
+        if not item.goes_on:
+            item.refuse("does not continue by itself (autoContinue): nobody would tell the vehicle to go on")
+        match item.command:
+            case Command.WAYPOINT | Command.SPLINE_WAYPOINT | Command.LOITER_TIME | Command.LOITER_TO_ALT:
+                self._take_waypoint(item)
+            case Command.TAKEOFF:
+                self._take_takeoff(item)
+            case Command.DELAY | Command.CONDITION_DELAY:
+                self._take_delay(item)
+            case Command.CHANGE_SPEED:
+                self._take_speed(item)
+            case Command.RETURN:
+                item.require_unset(1, 2, 3, 4)
+                if not item.is_open:
+                    self._tell(item, "its place is left out: a return goes to the vehicle's home")
+                self.ending = "return"
+            case Command.LAND:
+                self._take_landing(item)
+            case _:
+                item.refuse(why_refused(item.command))
+
+    def finish(self) -> None:
+        """Nothing comes any more."""
+        if not self.waypoints:
+            raise Refusal("", "no waypoint in it: add at least one")
+        if self._unused_speed is not None:
+            self._unused_speed.refuse("has no waypoint after it, and a return has its own speed: remove it")
+        if self.above_sea_level is not None and (self._home is None or self._home.altitude_m is None):
+            self._notices.add(
+                "its altitude counts from the sea, and the plan does not know that of home: before the flight home "
+                f"is assumed to lie {self.reference_above_sea_m:g} m high, and the lowest altitude "
+                f"{_lowest_m(self.waypoints):g} m above it; the flight goes by what the vehicle says of its home",
+                self.above_sea_level,
+            )
+
+    def _tell(self, item: Item, what: str) -> None:
+        self._notices.add(f"{item.name}: {what}", item.number)
+
+    def _is_left_out(self, item: Item) -> bool:
+        """Whether it asks for nothing that is flown, which is told."""
+        why = LEFT_OUT.get(item.command)
+        if item.command == SET_HOME and item.value(1) == 1 and not self.waypoints:
+            why = "left out: home is where the vehicle takes off"
+        if item.command == FENCE_ENABLE and item.value(1) == 0:
+            why = "left out: the vehicle's own fence stays on"
+        if why is not None:
+            self._tell(item, why)
+        return why is not None
+
+    def _take_waypoint(self, item: Item) -> None:
+        hold_s = 0.0 if item.command == Command.LOITER_TO_ALT else self._hold_s(item)
+        if item.command in (Command.WAYPOINT, Command.SPLINE_WAYPOINT):
+            for index, what in _OF_A_WAYPOINT:
+                if item.value(index):
+                    self._tell(item, what)
+        if item.command == Command.SPLINE_WAYPOINT:
+            self._tell(item, "flown to on a straight line, not on a curve")
+        if item.is_open:
+            self._hover_where_it_is(item, hold_s)
+        else:
+            self._fly_to(item, item.place(), self._height(item), hold_s)
+
+    def _hover_where_it_is(self, item: Item, hold_s: float) -> None:
+        """A hold time without a place is of the place before, at the altitude before where it says none."""
+        before = self._before()
+        if item.command != Command.LOITER_TIME or before is None or self._home is None:
+            item.refuse("has no place: give it latitude and longitude")
+        height = self._height(item) if item.value(7) else before
+        if self.waypoints and self.waypoints[-1].place.altitude_m == height.altitude_m:
+            self._hover(hold_s)
+        else:
+            place = self.waypoints[-1].place if self.waypoints else self._home.place
+            self._fly_to(item, place, height, hold_s)
+
+    def _fly_to(self, item: Item, place: GeoPosition, height: Height, hold_s: float = 0.0) -> None:
+        self.waypoints.append(
+            PlannedWaypoint(
+                item.number,
+                replace(place, altitude_m=height.altitude_m),
+                self._ground_speed_m_s,
+                height.above_sea_m,
+                hold_s,
+            )
+        )
+        self._unused_speed = None
+
+    def _hover(self, hold_s: float) -> None:
+        last = self.waypoints[-1]
+        self.waypoints[-1] = replace(last, hold_s=last.hold_s + hold_s)
+
+    def _take_takeoff(self, item: Item) -> None:
+        if self.waypoints or self.takeoff is not None:
+            item.refuse("comes too late: only the first thing in a flight can be its take-off")
+        if item.value(4):
+            self._tell(item, _OF_A_WAYPOINT[-1][1])
+        if not item.is_open:
+            place = item.place()
+            if self._home is not None and (away_m := distance_m(place, self._home.place)) > _SAME_PLACE_M:
+                self._tell(
+                    item,
+                    f"its place, {away_m:.0f} m from the plan's home, is left out: the vehicle climbs where it "
+                    "stands",
+                )
+        self.takeoff = self._height(item)
+
+    def _take_delay(self, item: Item) -> None:
+        hold_s = self._hold_s(item)
+        if not hold_s:
+            item.refuse("waits for a time of day: remove it, or give it a delay in seconds (parameter 1)")
+        if not self.waypoints:
+            self._tell(item, "left out: the first waypoint is where a flight can hover")
+            return
+        if item.command == Command.CONDITION_DELAY:
+            self._tell(item, "flown as a hover at the waypoint before it, where ArduCopter would fly on")
+        self._hover(hold_s)
+
+    def _hold_s(self, item: Item) -> float:
+        hold_s = item.value(1) or 0.0
+        if item.command == Command.DELAY and hold_s < 0:
+            return 0.0
+        if not 0 <= hold_s <= _LONGEST_HOLD_S:
+            item.refuse(f"holds for {hold_s:g} s: expected 0 to {_LONGEST_HOLD_S:g} s")
+        return hold_s
+
+    def _take_speed(self, item: Item) -> None:
+        kind, speed_m_s = item.value(1), item.number_of(2, "speed")
+        if kind in (_CLIMB_SPEED, _DESCENT_SPEED):
+            self._tell(item, "left out: the vehicle climbs and sinks as fast as its own settings say")
+            return
+        if kind not in (_AIRSPEED, _GROUND_SPEED):
+            item.refuse(f"changes speed type {kind}: choose the ground speed (type 1)")
+        if kind == _AIRSPEED:
+            self._tell(item, "an airspeed is flown as a ground speed, as a multicopter does")
+        if not 0 < speed_m_s <= FASTEST_M_S:
+            item.refuse(f"sets {speed_m_s:g} m/s: expected a speed above 0 and up to {FASTEST_M_S:g} m/s")
+        if item.value(3) != _NO_CHANGE:
+            item.require_unset(throttle=3)
+        item.require_unset(4, 5, 6, 7)
+        self._ground_speed_m_s = speed_m_s
+        self._unused_speed = item
+
+    def _take_landing(self, item: Item) -> None:
+        item.require_unset(abort_altitude=1, precision_landing=2)
+        if item.value(4):
+            self._tell(item, _OF_A_WAYPOINT[-1][1])
+        if not item.is_open:
+            if not self._is_on_the_ground(item):
+                item.refuse("lands at an altitude: set it to home's, where a landing ends on the ground")
+            self._fly_above(item)
+        self.ending = "land"
+
+    def _fly_above(self, item: Item) -> None:
+        """Adds a waypoint above the place of a landing where the flight does not end there."""
+        place = item.place()
+        if self.waypoints and distance_m(place, self.waypoints[-1].place) <= _SAME_PLACE_M:
+            return
+        height = self._before()
+        if height is None:
+            item.refuse(
+                "lands at a place, and the plan says nothing of an altitude to fly there: add a take-off"
+            )
+        self._tell(
+            item, "flown as a waypoint above its place, at the altitude before it, and a landing there"
+        )
+        self._fly_to(item, place, height)
+
+    def _is_on_the_ground(self, item: Item) -> bool:
+        """Whether it is at home's altitude, as far as the plan can know."""
+        if item.frame in ABOVE_SEA_LEVEL and (self._home is None or self._home.altitude_m is None):
+            return True
+        return item.frame in ABOVE_TERRAIN or abs(self._height_as_written(item).altitude_m) <= _SAME_PLACE_M
+
+    def _before(self) -> Height | None:
+        """The altitude at which the flight comes there."""
+        if self.waypoints:
+            last = self.waypoints[-1]
+            return Height(last.place.altitude_m, last.above_sea_m)
+        return self.takeoff
+
+    def _height(self, item: Item) -> Height:
+        height = self._height_as_written(item)
+        if not 0 < height.altitude_m <= HIGHEST_M:
+            above = "" if height.above_sea_m is None else self._above_sea(height.above_sea_m)
+            item.refuse(
+                f"lies {height.altitude_m:g} m above home{above}: expected more than 0 and up to {HIGHEST_M:g} m"
+            )
+        return height
+
+    def _above_sea(self, altitude_m: float) -> str:
+        return f" ({altitude_m:g} m above the sea, and home at {self.reference_above_sea_m:g} m)"
+
+    def _height_as_written(self, item: Item) -> Height:
+        altitude_m = item.number_of(7, "altitude")
+        if item.frame in ABOVE_SEA_LEVEL:
+            self.above_sea_level = self.above_sea_level or item.number
+            return Height(altitude_m - self.reference_above_sea_m, altitude_m)
+        if item.frame in ABOVE_TERRAIN:
+            item.refuse(
+                f"has frame {item.frame}, which counts its altitude of {altitude_m:g} m from the terrain, and upwash "
+                "knows no terrain: choose altitudes relative to home (QGroundControl: altitude mode Relative To "
+                "Launch; Mission Planner: Relative instead of Terrain)"
+            )
+        if item.frame not in ABOVE_HOME:
+            item.refuse(
+                f"has frame {item.frame}, which is not understood: give its altitude above home or sea level"
+            )
+        return Height(altitude_m)
+
+
+def _lowest_m(waypoints: Sequence[PlannedWaypoint]) -> float:
+    return min((each.place.altitude_m for each in waypoints), default=0.0)
