@@ -60,7 +60,7 @@ FILES = [
 ]
 
 
-@pytest.mark.parametrize(("content", "what"), FILES)
+@pytest.mark.parametrize(("content", "what"), FILES, ids=[what for _, what in FILES])
 def test_a_file_of_another_kind_is_told_what_it_is(tmp_path: Path, content: str | bytes, what: str) -> None:
     file = tmp_path / "field.plan"
     file.write_bytes(content if isinstance(content, bytes) else content.encode())
