@@ -16,6 +16,7 @@ from upwash.ports import VehicleLimits, VehicleNews, VehicleSetting
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.connection import Connection
+from upwash.vehicle.faults import Fault, FaultKind
 from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.settings import VehicleSettings
 
@@ -191,3 +192,27 @@ def test_a_px4_falls_where_its_fence_ends_the_flight() -> None:
         assert not sky.copter.armed
 
     fly(flight, PX4, {"GF_MAX_HOR_DIST": 30})
+
+
+@pytest.mark.parametrize(("armable_after_s", "told"), [(0.0, 0), (60.0, 1)])
+def test_how_high_its_home_lies_is_waited_for(armable_after_s: float, told: int) -> None:
+    async def flown() -> None:
+        settings = VehicleSettings(HOME, home_altitude_m=488.0, armable_after_s=armable_after_s)
+        async with flown_directly(settings) as (sky, autopilot):
+            delays: list[float] = []
+            assert await autopilot.home_above_sea_m(lambda: delays.append(sky.now_s())) == 488.0
+            assert len(delays) == told
+            assert sky.commands() == []
+
+    run_virtually(flown())
+
+
+def test_a_home_that_is_never_told_is_refused() -> None:
+    async def flown() -> None:
+        settings = VehicleSettings(HOME, faults=(Fault(FaultKind.GPS),))
+        async with flown_directly(settings) as (sky, autopilot):
+            with pytest.raises(AutopilotRefused, match="did not tell its home within 120 s"):
+                await autopilot.home_above_sea_m(lambda: None)
+            assert sky.commands() == []
+
+    run_virtually(flown())

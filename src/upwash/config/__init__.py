@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from upwash.config.altitudes import AltitudesAboveSea, altitudes_above_sea
+from upwash.config.altitudes import AltitudesAboveSea, altitudes_above_sea, is_planned_home
 from upwash.config.battery import finish_by_s, reserve_percent, usable_s
 from upwash.config.daemon import (
     DaemonConfig,
@@ -62,7 +62,7 @@ from upwash.config.problems import Document
 from upwash.config.reading import convert, impossible_values, read_document
 from upwash.config.runtime import RuntimeConfig
 from upwash.config.truth import ServerTruth, server_truth
-from upwash.config.values import KeysConfig, SettingsTable, is_address, is_on_this_machine
+from upwash.config.values import KeysConfig, PlanFile, SettingsTable, is_address, is_on_this_machine
 
 __all__ = [
     "AltitudesAboveSea",
@@ -89,6 +89,7 @@ __all__ = [
     "NetworkConfig",
     "NoiseConfig",
     "PeerConfig",
+    "PlanFile",
     "PolicyConfig",
     "Presence",
     "ProbeConfig",
@@ -113,6 +114,7 @@ __all__ = [
     "impossible_values",
     "is_address",
     "is_on_this_machine",
+    "is_planned_home",
     "measured_servers",
     "movable_waypoints",
     "never_offloaded",

@@ -25,6 +25,7 @@ from upwash.drone.order import order_of
 from upwash.drone.payload import Payload
 from upwash.drone.pending import Calls
 from upwash.drone.photographer import Photographer
+from upwash.drone.planned_home import planned_home
 from upwash.drone.preparation import endpoints, make_hedging, make_selection
 from upwash.drone.reserve import ReserveWatch
 from upwash.drone.site import Site
@@ -125,6 +126,7 @@ class Flight:
                 farthest_start_m=config.autopilot.farthest_start_m,
                 takeoff_m=config.mission.altitude_m,
                 ending=ending(config.mission),
+                home=planned_home(config.mission),
             ),
             tell=self._offloading.tell,
         )

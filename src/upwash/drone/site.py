@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from upwash.core.geo import Circle, Position, Waypoint, ground_distance_m
 from upwash.core.geofence import Fence, breached_by_leg, breached_by_move, breached_by_position
+from upwash.drone.planned_home import NO_PLANNED_HOME, PlannedHome
 from upwash.errors import AutopilotRefused
 from upwash.plans import Ending
 from upwash.ports import VehicleLimits
@@ -27,6 +28,7 @@ class Site:
     farthest_start_m: float
     takeoff_m: float
     ending: Ending = "return"
+    home: PlannedHome = NO_PLANNED_HOME
 
     def require_reachable(self, vehicle: Position) -> None:
         """Raises AutopilotRefused where the vehicle stands too far from all of the mission."""
@@ -43,8 +45,10 @@ class Site:
     def require_within(self, limits: VehicleLimits, vehicle: Position) -> None:
         """Raises AutopilotRefused where the vehicle's own fence forbids a part of the flight.
 
-        The parts are where the vehicle stands, the take-off, each way and waypoint, the way home and the landing.
+        The parts are where the vehicle stands, the take-off, each way and waypoint, the way home and the landing. It
+        is raised too where the vehicle's home is not at the altitude that the mission was converted with.
         """
+        self.home.require_same(limits)
         problems = itertools.chain(
             self._at_the_start(limits, vehicle),
             self._on_the_way(limits, vehicle),
@@ -65,7 +69,8 @@ class Site:
         require_altitude(limits, target.altitude_m, step=step)
 
     def doubts(self, limits: VehicleLimits, vehicle: Position) -> Iterator[str]:
-        """What a person should know of a flight that the vehicle's own fence does not forbid."""
+        """What a person should know of a flight that nothing forbids."""
+        yield from self.home.doubts(limits, vehicle)
         if limits.untold:
             yield (
                 f"the vehicle did not tell {', '.join(limits.untold)}: the mission is not held against all of its "

@@ -8,10 +8,11 @@ import tempfile
 from collections.abc import AsyncIterator
 from pathlib import Path
 
-from upwash.config import DroneConfig, coverage_kept, unsigned_port
+from upwash.config import DroneConfig, altitudes_above_sea, coverage_kept, unsigned_port
+from upwash.drone.altitudes import above_home
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.resumption import order_begun, waypoints_done
-from upwash.errors import NotWritten
+from upwash.errors import AutopilotError, NotWritten
 from upwash.eventlog import schema
 from upwash.launch.cameras import opened_camera
 from upwash.launch.drone import (
@@ -63,7 +64,6 @@ async def fly(
     mission = load_mission(program or config.mission.program, mode=config.mission.mode)
     services = load_services(config.services)
     done = waypoints_done(read_events(log), config) if resumes else None
-    order = order_begun(read_events(log), config) if resumes else None
     credentials = drone_credentials(config, valid_now=False)  # before the clock is known to be right
     async with contextlib.AsyncExitStack() as stack:
         watchers += await _metrics(config, stack)
@@ -76,6 +76,7 @@ async def fly(
             gps_unix_s = await _gps_unix_s(autopilot, problem_by(clock, credentials), journal)
             agree_on_time(gps_unix_s, credentials, journal, clock=clock)
         keep_right_from_services()
+        config = await _above_home(config, autopilot, journal)
         flight = Flight(
             mission,
             config,
@@ -83,7 +84,7 @@ async def fly(
             ports=await _ports(config, autopilot, camera, credentials, journal=journal, stack=stack),
             programs={name: service.program for name, service in services.items()},
             done=done,
-            order=order,
+            order=order_begun(read_events(log), config) if resumes else None,
         )
         await stack.enter_async_context(_tracking(flight, journal))
         stack.enter_context(stopping_politely(flight.stop))
@@ -117,6 +118,22 @@ async def _autopilot(
     )
     stack.push_async_callback(autopilot.close)
     return autopilot
+
+
+async def _above_home(config: DroneConfig, autopilot: MavlinkAutopilot, journal: Journal) -> DroneConfig:
+    """The mission with its altitudes above the vehicle's home, which is waited for where they count from the sea."""
+    if altitudes_above_sea(config.mission) is None:
+        return config
+
+    def tell_delay() -> None:
+        reason = "the plan counts altitudes from the sea, and the vehicle does not know its home yet"
+        journal.record(schema.ArmingDelayed(reasons=[reason]))
+
+    try:
+        return above_home(config, await autopilot.home_above_sea_m(tell_delay))
+    except AutopilotError as error:
+        journal.record(schema.MissionEnded(why=str(error)))
+        raise
 
 
 async def _ports(

@@ -264,6 +264,25 @@ class MavlinkAutopilot(ABC):
         within_s = self._settings.ready_timeout_s
         return AutopilotRefused("arm", f"the vehicle was not ready within {within_s:g} s{because}", said)
 
+    async def home_above_sea_m(self, tell_delay: Callable[[], None]) -> float:
+        """How high its home lies, in metres above the sea; only asks for it, as long as for its checks at most.
+
+        Where its home is not known at once, `tell_delay` is called. AutopilotRefused where it never is.
+        """
+        within_s = self._settings.ready_timeout_s
+        deadline_s = self._vehicle.now_s + within_s
+        await self._know_home()
+        if self._telemetry.home is None:
+            tell_delay()
+        while self._telemetry.home is None and self._vehicle.now_s < deadline_s:
+            await self._know_home()
+        if self._telemetry.home is None:
+            problem = (
+                f"the vehicle did not tell its home within {within_s:g} s: wait for its GPS; nothing was sent"
+            )
+            raise AutopilotRefused("arm", problem, self._vehicle.said_lately)
+        return round(self._telemetry.home.altitude_m, 2)
+
     async def limits(self) -> VehicleLimits:
         """Its home; a subclass adds its fence."""
         await self._know_home()
