@@ -45,10 +45,9 @@ def _require_same_home(file: PlanFile, above: AltitudesAboveSea, home_above_sea_
     if above.home_m is not None and abs(above.home_m - home_above_sea_m) > HOMES_AGREE_M:
         raise AutopilotRefused(
             "arm",
-            f"{file.file}: item {above.item} counts its altitude from the sea, and the plan's home is "
-            f"{above.home_m:g} m above the sea, the vehicle's {home_above_sea_m:g} m, more than {HOMES_AGREE_M:g} m "
-            "apart: check that the plan is of this place and correct its planned home, or give altitudes above home; "
-            "nothing was sent",
+            f"{file.file}: item {above.item} counts its altitude from the sea; the plan's home is "
+            f"{above.home_m:g} m above the sea, the vehicle's {home_above_sea_m:g} m (at most {HOMES_AGREE_M:g} m "
+            "apart are allowed): correct the planned home, or give altitudes above home; nothing was sent",
         )
 
 

@@ -19,7 +19,7 @@ _FAR_M = 100.0
 class PlannedHome:
     """A plan's home; None where the plan does not have it.
 
-    Where the plan counts altitudes from the sea, `above_sea_m` is the home's altitude with which they were converted.
+    Where `counts_from_sea`, altitudes of the plan were converted with `above_sea_m`.
     """
 
     place: Position | None = None
@@ -32,8 +32,8 @@ class PlannedHome:
             raise AutopilotRefused(
                 "arm",
                 f"the plan's altitudes above the sea were converted with a home at {self.above_sea_m:g} m, and the "
-                f"vehicle's home is now at {limits.home_above_sea_m:g} m, more than {HOMES_AGREE_M:g} m apart: wait "
-                "until the vehicle is sure of its altitude, and start again; nothing was sent",
+                f"vehicle's home is now at {limits.home_above_sea_m:g} m (at most {HOMES_AGREE_M:g} m apart are "
+                "allowed): wait for a better fix, and start again; nothing was sent",
             )
 
     def doubts(self, limits: VehicleLimits, vehicle: Position) -> Iterator[str]:
