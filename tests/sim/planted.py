@@ -639,6 +639,7 @@ DEFECTS = (
     Defect("the vehicle's target is not watched", vehicle.target_not_watched),
     Defect("a restart is taken for the pilot's act", vehicle.restart_blamed_on_pilot),
     Defect("an autopilot that restarted is flown on", vehicle.restart_overlooked),
+    Defect("a restart on the ground ends the flight", vehicle.restart_on_ground_is_loss),
     Defect("altitudes follow a home that is moved", vehicle.altitudes_follow_home),
     Defect("another program's heartbeat is believed", vehicle.any_heartbeat_believed),
     Defect("hedging has no budget", hedging_budget_ignored),

@@ -85,6 +85,16 @@ def restart_overlooked() -> contextlib.AbstractContextManager[object]:
     return patch.object(Latch, "report_restart", lambda *_: None)
 
 
+def restart_on_ground_is_loss() -> contextlib.AbstractContextManager[object]:
+    """An autopilot that restarts before it is armed ends the flight."""
+
+    def strict(self: Latch, why: str, now_s: float) -> None:
+        if self.control.is_ours:
+            self._take(Change.RESTARTED, why, now_s)
+
+    return patch.object(Latch, "report_restart", strict)
+
+
 def altitudes_follow_home() -> contextlib.AbstractContextManager[object]:
     """Altitudes are commanded above the vehicle's home, wherever that is now."""
 

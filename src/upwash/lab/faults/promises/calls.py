@@ -170,7 +170,7 @@ def truthful_errors(history: History) -> Iterator[Breach]:
                 event,
                 f"call {heard.asked} raised {heard.raised or 'nothing'} instead of {wanted.raised or 'nothing'}",
             )
-    if not may_be_cut_short(history.config) and history.run.failure:
+    if not may_be_cut_short(history) and history.run.failure:
         yield None, f"the mission met an error: {history.run.failure}"
 
 

@@ -105,9 +105,10 @@ def calls_of(events: Sequence[Event]) -> Iterator[FlownCall]:
             decisions, hedged = [], None
 
 
-def may_be_cut_short(config: DroneConfig) -> bool:
+def may_be_cut_short(history: History) -> bool:
     """Whether the autopilot fails in this world, so that the mission may end early, in its safe action."""
-    return any(not _is_overcome(fault, config) for fault in config.faults if fault.target == "autopilot")
+    faults = (fault for fault in history.config.faults if fault.target == "autopilot")
+    return any(not _is_overcome(fault, history) for fault in faults)
 
 
 def position_jumps(config: DroneConfig) -> bool:
@@ -115,14 +116,16 @@ def position_jumps(config: DroneConfig) -> bool:
     return any(fault.kind == "jump" for fault in config.faults)
 
 
-def _is_overcome(fault: FaultConfig, config: DroneConfig) -> bool:
-    """Whether the mission goes on after it: no leg of its way may take longer than the patience with it."""
+def _is_overcome(fault: FaultConfig, history: History) -> bool:
+    """Whether the mission goes on after it; no leg may take longer than the patience with it."""
     match fault.kind:
         case "slow" | "home" | "impostor":
             return True
+        case "diverted" | "restart":  # of a vehicle that stands
+            return not any(history.own("taken"))
         case "jump":
             east_m, north_m, _ = fault.moved_m
-            to_and_fro_s = 2 * math.hypot(east_m, north_m) / config.mission.ground_speed_m_s
+            to_and_fro_s = 2 * math.hypot(east_m, north_m) / history.config.mission.ground_speed_m_s
             return fault.to_s - fault.from_s + to_and_fro_s < _SOON_BACK_S
     return False
 

@@ -30,7 +30,7 @@ def autonomy(history: History) -> Iterator[Breach]:
     planned = [waypoint.index for waypoint in waypoints(history.config.mission)]
     if arrived != planned[: len(arrived)]:
         yield None, f"arrived at waypoints {arrived} instead of {planned}"
-    if may_be_cut_short(history.config):
+    if may_be_cut_short(history):
         return
     if run.failure or not run.result.completed:
         yield (events[-1] if events else None), f"the mission was not completed: {run.failure}"
