@@ -65,7 +65,7 @@ class Hearing:
             self._tell(VehicleText(_CRITICAL, text))
 
     def require(self, step: str) -> None:
-        """Raises AutopilotLost where nothing is heard of it; takes in what it reports otherwise."""
+        """Takes in what it reports; raises AutopilotLost while its link is silent."""
         if self.is_silent:
             raise AutopilotLost(step, "the vehicle's link is silent")
         self.take()
@@ -121,7 +121,7 @@ class Hearing:
         self.tell_control(before)
 
     def tell_control(self, before: Control) -> None:
-        """Tells whose the vehicle is, where it was otherwise before."""
+        """Passes on whose the vehicle is, after a change."""
         if self.control != before:
             if before.is_ours and not self.control.is_ours:
                 self.lost.set_result(None)
