@@ -35,9 +35,10 @@ from upwash.missions.survey import survey
 from upwash.ports import DeadManAction, Program, VehicleNews, VehicleText
 from upwash.rpc.service import spec_of
 from upwash.services import Detector
-from upwash.sim.autopilot import ModelAutopilot, ModelDeadMan
+from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.camera import ModelCamera
 from upwash.sim.chance import Chance
+from upwash.sim.dead_man import ModelDeadMan
 from upwash.sim.faults import Faults
 from upwash.sim.joining import Joining
 from upwash.sim.journal import MemoryJournal

@@ -12,7 +12,9 @@ from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Circle, EarthPosition, LocalFrame, Position, Velocity, distance_m
 from upwash.core.telemetry import Attitude, GpsFix, Telemetry
 from upwash.errors import AutopilotRefused, AutopilotTimeout
-from upwash.ports import DeadMan, DeadManAction, VehicleLimits, VehicleNews
+from upwash.ports import DeadMan, VehicleLimits, VehicleNews
+from upwash.sim.battery import Battery
+from upwash.sim.dead_man import ModelDeadMan
 from upwash.sim.energy import EnergyMeter
 from upwash.sim.hearing import Hearing
 from upwash.sim.incidents import Incidents
@@ -22,24 +24,6 @@ from upwash.vehicle.kinematics import Phase, duration_s, stretched
 
 _PATIENCE_S = 60.0  # a leg has failed that takes so much longer than it should
 _GPS = GpsFix("3d", satellites=12, hdop=0.8)
-
-
-class ModelDeadMan:
-    """Always ready, and never needed: a simulated program does not die without a word."""
-
-    async def missing(self) -> str:
-        """Nothing."""
-        return ""
-
-    async def install(self) -> str:
-        """It is there."""
-        return ""
-
-    async def watch(self, *, silence_s: float, action: DeadManAction) -> None:
-        """At once."""
-
-    async def release(self) -> None:
-        """At once."""
 
 
 class ModelAutopilot:
@@ -77,9 +61,6 @@ class ModelAutopilot:
         self._stretch = stretch
         self._fault = fault
         self._waypoint = hovers_at
-        self._endurance_s = endurance_s
-        self._energy = energy
-        self._took_off_s: float | None = None
         self._vehicle = ModelVehicle(
             Position(start.east_m, start.north_m),
             manner,
@@ -102,8 +83,7 @@ class ModelAutopilot:
             jumped_unheard=jumped_unheard,
         )
         self._hearing.take()
-        if energy is not None:
-            self._watch_battery(energy, energy.failsafe_percent)
+        self._battery = Battery(self._vehicle, self._hearing, energy=energy, endurance_s=endurance_s)
 
     @property
     def position(self) -> Position:
@@ -126,12 +106,7 @@ class ModelAutopilot:
     @property
     def battery_percent(self) -> float | None:
         """By what was drawn from it, or else steadily less from the first take-off on."""
-        if self._energy is not None:
-            return self._energy.left_percent
-        if self._endurance_s is None:
-            return None
-        flown_s = 0.0 if self._took_off_s is None else self._loop.time() - self._took_off_s
-        return 100.0 * max(0.0, 1 - flown_s / self._endurance_s)
+        return self._battery.percent
 
     @property
     def velocity(self) -> Velocity | None:
@@ -175,7 +150,7 @@ class ModelAutopilot:
     @property
     def energy(self) -> EnergyFacts:
         """It returns to its home; its battery's one stage is that of its fail-safe."""
-        stage = self._energy.failsafe_percent if self._energy else None
+        stage = self._battery.failsafe_percent
         return EnergyFacts(
             low_percent=stage,
             critical_percent=stage,
@@ -246,8 +221,7 @@ class ModelAutopilot:
         if not self._vehicle.armed:
             raise AutopilotRefused("take-off", "the vehicle is not armed")
         self._command("take-off", goes=True)
-        if self._took_off_s is None:
-            self._took_off_s = self._loop.time()
+        self._battery.take_off()
         await self._move("take-off", self._manner.takeoff(self.position, altitude_m))
 
     async def set_ground_speed(self, ground_speed_m_s: float) -> None:
@@ -375,23 +349,6 @@ class ModelAutopilot:
     def _is_off(self) -> bool:
         fault = self._fault()
         return fault is not None and fault.kind == "off"
-
-    def _watch_battery(self, energy: EnergyMeter, level_percent: float) -> None:
-        """Has the vehicle land by itself once the battery is down to the level, and fall once it is empty."""
-        left_percent = energy.left_percent
-        if left_percent is None:
-            return
-        if left_percent > level_percent:
-            self._loop.call_later(energy.lasts_s(level_percent), self._watch_battery, energy, level_percent)
-            return
-        if left_percent > 0:
-            self._hearing.say(f"Battery Failsafe: {left_percent:.0f} % is left")
-            self._vehicle.fail_safe()
-            self._watch_battery(energy, 0.0)
-        else:
-            self._hearing.say("Battery empty: the motors stop")
-            self._vehicle.fall()
-        self._hearing.take_soon()
 
     def _in_time(
         self, way: Callable[[Position], tuple[Phase, ...]], takes_s: Callable[[tuple[Phase, ...]], float]
