@@ -28,10 +28,15 @@ def test_every_owner_has_a_row_for_every_change_that_can_come() -> None:
     told: set[tuple[Owner, Change]] = {
         (Owner.NOBODY, change) for change in Change if change is not Change.DISARMED
     }
-    told |= {(Owner.PROGRAM, change) for change in Change}
-    told -= {(Owner.NOBODY, Change.TARGET_CHANGED), (Owner.NOBODY, Change.RESTARTED)}
+    told |= {(Owner.PROGRAM, change) for change in Change if change is not Change.REMOTE_MOVED}
+    told |= {(Owner.GROUND_STATION, Change.REMOTE_MOVED)}
+    told -= {
+        (Owner.NOBODY, change) for change in (Change.TARGET_CHANGED, Change.RESTARTED, Change.REMOTE_MOVED)
+    }
     for lost in (Owner.PILOT, Owner.GROUND_STATION, Owner.FAILSAFE, Owner.UNKNOWN):
-        changes = (Change.MODE_CHANGED, Change.MODE_FAILED_SAFE, Change.ARMED, Change.RESTARTED)
+        changes = (
+            Change.MODE_CHANGED, Change.MODE_COMMANDED, Change.MODE_FAILED_SAFE, Change.ARMED, Change.RESTARTED
+        )  # fmt: skip
         told |= {(lost, change) for change in changes}
     assert set(TRANSITIONS) == told
 
@@ -94,6 +99,20 @@ def test_the_first_difference_closes_the_latch(report: Report, owner: Owner, why
     assert (latch.control.owner, latch.control.since_s) == (owner, 7.5)
     with pytest.raises(AutopilotOverruled, match=f"goto: .*{why}.*; nothing was sent"):
         latch.require("goto")
+
+
+def test_a_mode_is_the_ground_stations_where_the_remote_control_is_known_not_to_have_moved() -> None:
+    latch = claimed(flying=True)
+    latch.report(Report("LOITER", armed=True, remote_moved=False), 3.0)
+    assert latch.control.owner is Owner.GROUND_STATION
+    latch.report(
+        Report("LOITER", armed=True, remote_moved=True), 3.2
+    )  # its report came later than the mode's
+    assert latch.control.owner is Owner.PILOT
+    latch.report(Report("POSHOLD", armed=True, remote_moved=False), 9.0)
+    assert latch.control.owner is Owner.GROUND_STATION
+    latch.report(Report("POSHOLD", armed=True, remote_moved=True), 12.0)  # sticks that move later say nothing
+    assert latch.control.owner is Owner.GROUND_STATION
 
 
 def test_a_pilot_who_arms_while_the_program_waits_has_the_vehicle() -> None:

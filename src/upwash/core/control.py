@@ -25,6 +25,8 @@ from upwash.core.geo import Position
 from upwash.core.targets import Targets
 from upwash.errors import AutopilotOverruled
 
+_KNOWN_LATE_S = 1.0  # after the mode, that the remote control moved
+
 
 class Owner(StrEnum):
     """Who commands the vehicle."""
@@ -52,6 +54,8 @@ class Change(StrEnum):
 
     CLAIMED = "claimed"
     MODE_CHANGED = "mode changed"  # nobody but a pilot is known to do that
+    MODE_COMMANDED = "mode changed, and the remote control did not move"
+    REMOTE_MOVED = "remote control moved"  # what is known late of a change of the mode
     MODE_FAILED_SAFE = "mode changed by a fail-safe"
     ARMED = "armed"
     DISARMED = "disarmed"
@@ -62,28 +66,35 @@ class Change(StrEnum):
 TRANSITIONS: Mapping[tuple[Owner, Change], Owner] = {
     (Owner.NOBODY, Change.CLAIMED): Owner.PROGRAM,
     (Owner.NOBODY, Change.MODE_CHANGED): Owner.NOBODY,  # a switch of a vehicle that nobody flies
+    (Owner.NOBODY, Change.MODE_COMMANDED): Owner.NOBODY,
     (Owner.NOBODY, Change.MODE_FAILED_SAFE): Owner.NOBODY,
     (Owner.NOBODY, Change.ARMED): Owner.PILOT,
     (Owner.PROGRAM, Change.CLAIMED): Owner.PROGRAM,
     (Owner.PROGRAM, Change.MODE_CHANGED): Owner.PILOT,
+    (Owner.PROGRAM, Change.MODE_COMMANDED): Owner.GROUND_STATION,
     (Owner.PROGRAM, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
     (Owner.PROGRAM, Change.ARMED): Owner.PILOT,
     (Owner.PROGRAM, Change.DISARMED): Owner.UNKNOWN,  # the pilot, or its own delay on the ground
     (Owner.PROGRAM, Change.TARGET_CHANGED): Owner.GROUND_STATION,
     (Owner.PROGRAM, Change.RESTARTED): Owner.UNKNOWN,
     (Owner.PILOT, Change.MODE_CHANGED): Owner.PILOT,
+    (Owner.PILOT, Change.MODE_COMMANDED): Owner.GROUND_STATION,
     (Owner.PILOT, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
     (Owner.PILOT, Change.ARMED): Owner.PILOT,
     (Owner.PILOT, Change.RESTARTED): Owner.UNKNOWN,
     (Owner.GROUND_STATION, Change.MODE_CHANGED): Owner.PILOT,
+    (Owner.GROUND_STATION, Change.MODE_COMMANDED): Owner.GROUND_STATION,
+    (Owner.GROUND_STATION, Change.REMOTE_MOVED): Owner.PILOT,
     (Owner.GROUND_STATION, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
     (Owner.GROUND_STATION, Change.ARMED): Owner.PILOT,
     (Owner.GROUND_STATION, Change.RESTARTED): Owner.UNKNOWN,
     (Owner.FAILSAFE, Change.MODE_CHANGED): Owner.PILOT,
+    (Owner.FAILSAFE, Change.MODE_COMMANDED): Owner.GROUND_STATION,
     (Owner.FAILSAFE, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
     (Owner.FAILSAFE, Change.ARMED): Owner.PILOT,
     (Owner.FAILSAFE, Change.RESTARTED): Owner.UNKNOWN,
     (Owner.UNKNOWN, Change.MODE_CHANGED): Owner.PILOT,
+    (Owner.UNKNOWN, Change.MODE_COMMANDED): Owner.GROUND_STATION,
     (Owner.UNKNOWN, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
     (Owner.UNKNOWN, Change.ARMED): Owner.PILOT,
     (Owner.UNKNOWN, Change.RESTARTED): Owner.UNKNOWN,
@@ -112,13 +123,15 @@ class Control:
 class Report(msgspec.Struct, frozen=True, gc=False):
     """What one heartbeat says, and what is known with it.
 
-    `failsafe` is why a fail-safe may have chosen the mode, or empty. `on_ground` is None where it does not say.
+    `failsafe` is why a fail-safe may have chosen the mode, or empty. `on_ground` is whether it stands, and
+    `remote_moved` whether the pilot's remote control has just moved: each None where it does not say.
     """
 
     mode: str
     armed: bool
     failsafe: str = ""
     on_ground: bool | None = None
+    remote_moved: bool | None = None
 
 
 class Latch:
@@ -232,11 +245,23 @@ class Latch:
         )  # one that stands may go back to an earlier mode
         if changed or (report.failsafe and not before.failsafe):
             self._take_mode(report, now_s, "")
+        elif report.remote_moved and report.mode != self._mode and self._lost_lately(now_s):
+            why = f"the vehicle is in mode {report.mode} (the remote control moved)"
+            self._take(Change.REMOTE_MOVED, why, now_s)
+
+    def _lost_lately(self, now_s: float) -> bool:
+        lost = self.control
+        return lost.owner is Owner.GROUND_STATION and now_s - lost.since_s <= _KNOWN_LATE_S
 
     def _take_mode(self, report: Report, now_s: float, instead_of: str) -> None:
-        change = Change.MODE_FAILED_SAFE if report.failsafe else Change.MODE_CHANGED
-        because = f" ({report.failsafe})" if report.failsafe else ""
-        self._take(change, f"the vehicle is in mode {report.mode}{because}{instead_of}", now_s)
+        if report.failsafe:
+            change, by = Change.MODE_FAILED_SAFE, f" ({report.failsafe})"
+        elif report.remote_moved is None:
+            change, by = Change.MODE_CHANGED, ""
+        else:
+            change = Change.MODE_CHANGED if report.remote_moved else Change.MODE_COMMANDED
+            by = f" (the remote control {'moved' if report.remote_moved else 'did not move'})"
+        self._take(change, f"the vehicle is in mode {report.mode}{by}{instead_of}", now_s)
 
     def _take(self, change: Change, why: str, now_s: float) -> None:
         before, owner = self.control, TRANSITIONS[self.control.owner, change]

@@ -65,6 +65,7 @@ ARDUCOPTER = Firmware(
         mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 5.0,
         mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0,
         mavlink.MAVLINK_MSG_ID_ATTITUDE: 4.0,
+        mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 5.0,  # who changes a mode
         mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
         mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
         mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2.0,

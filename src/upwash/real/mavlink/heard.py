@@ -320,7 +320,8 @@ class HeardVehicle:
         if message.get_type() != "FENCE_STATUS":
             self.mode_told_s = self._loop.time()
         mode, told = self.mode_name, self.telemetry
-        report = Report(mode, told.armed, self.firmware.failsafe(told, mode), told.stands)
+        moved = told.remote.moved(self._loop.time())
+        report = Report(mode, told.armed, self.firmware.failsafe(told, mode), told.stands, moved)
         self._judge(lambda: self.latch.report(report, self._loop.time()))
         if told.disarmed_s == self._loop.time() and not self.latch.control.is_ours:
             self.ask_for(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME)  # which tells a restart

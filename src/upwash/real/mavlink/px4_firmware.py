@@ -135,6 +135,7 @@ PX4 = Firmware(
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
         mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 4.0,
         mavlink.MAVLINK_MSG_ID_ATTITUDE: 4.0,
+        mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 5.0,  # who changes a mode
         mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
         mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
         mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 2.0,

@@ -14,6 +14,7 @@ from upwash.eventlog.schema import SEVERITIES
 from upwash.ports import VehicleText
 from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.link import COMPANION
+from upwash.real.mavlink.remote import RemoteControl
 from upwash.support.text import printable
 
 _DEBUG = len(SEVERITIES) - 1
@@ -66,6 +67,7 @@ class Telemetry:
         default_factory=dict
     )  # PX4's: severity, and modes as bits
     failed_checks_before: dict[int, tuple[int, int]] = field(default_factory=dict)  # in the set before that
+    remote: RemoteControl = field(default_factory=RemoteControl)
     dead_man: str = ""  # why its dead man may just have chosen the mode
     unix_s: float | None = None
     texts: deque[tuple[float, VehicleText]] = field(default_factory=lambda: deque(maxlen=_TEXTS_KEPT))
@@ -106,10 +108,10 @@ class Telemetry:
             case "EXTENDED_SYS_STATE":
                 self.landed_state = message.landed_state
             case _:
-                self._take_health(message)
+                self._take_health(message, now_s)
                 self._take_words(message, now_s)
 
-    def _take_health(self, message: Message) -> None:
+    def _take_health(self, message: Message, now_s: float) -> None:
         match message.get_type():
             case "SYS_STATUS":
                 self._take_battery(message.battery_remaining)
@@ -124,6 +126,8 @@ class Telemetry:
             case "ESTIMATOR_STATUS":
                 doubts = mavlink.ESTIMATOR_CONST_POS_MODE | mavlink.ESTIMATOR_GPS_GLITCH
                 self.knows_its_place = _trusts(message.flags, mavlink.ESTIMATOR_POS_HORIZ_ABS, doubts)
+            case "RC_CHANNELS":
+                self.remote.take(message, now_s)
             case "FENCE_STATUS":
                 self.fence_breached = bool(message.breach_status)
             case "SYSTEM_TIME":
