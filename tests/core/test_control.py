@@ -102,17 +102,16 @@ def test_the_first_difference_closes_the_latch(report: Report, owner: Owner, why
 
 
 def test_a_mode_is_the_ground_stations_where_the_remote_control_is_known_not_to_have_moved() -> None:
-    latch = claimed(flying=True)
-    latch.report(Report("LOITER", armed=True, remote_moved=False), 3.0)
-    assert latch.control.owner is Owner.GROUND_STATION
-    latch.report(
-        Report("LOITER", armed=True, remote_moved=True), 3.2
-    )  # its report came later than the mode's
-    assert latch.control.owner is Owner.PILOT
-    latch.report(Report("POSHOLD", armed=True, remote_moved=False), 9.0)
-    assert latch.control.owner is Owner.GROUND_STATION
-    latch.report(Report("POSHOLD", armed=True, remote_moved=True), 12.0)  # sticks that move later say nothing
-    assert latch.control.owner is Owner.GROUND_STATION
+    latch, owners = claimed(flying=True), []
+    for mode, moved, now_s in [
+        ("LOITER", False, 3.0),
+        ("LOITER", True, 3.2),  # its report came later than the mode's
+        ("POSHOLD", False, 9.0),
+        ("POSHOLD", True, 12.0),  # sticks that move later say nothing of the mode
+    ]:
+        latch.report(Report(mode, armed=True, remote_moved=moved), now_s)
+        owners.append(latch.control.owner)
+    assert owners == [Owner.GROUND_STATION, Owner.PILOT, Owner.GROUND_STATION, Owner.GROUND_STATION]
 
 
 def test_a_pilot_who_arms_while_the_program_waits_has_the_vehicle() -> None:

@@ -128,7 +128,9 @@ class Flight:
                 return now_s >= self._lifts_off_s
 
     def landed_state(self, now_s: float) -> LandedState:
-        """On the ground, in the air, or on the way between; a landing is noticed some time after touchdown."""
+        """On the ground, in the air, or between: a landing is noticed late, a fall is taken for ground at once."""
+        if self._doing is _Doing.FALLING:
+            return LandedState.ON_GROUND
         noticed = now_s - _CONTACT_NOTICED_S if self._doing is _Doing.LANDING else now_s
         if not self.flying(noticed):
             return LandedState.ON_GROUND

@@ -35,9 +35,11 @@ from upwash.real.mavlink.whereabouts import Whereabouts
 
 _HOME = Position(0.0, 0.0)
 _LOW_M = 1.0  # above home
+_FALL_SEEN_S, _FALLS_M_S = 0.3, 1.0  # after its motors stopped, one that falls is faster
 _TURN_S = 20.0  # half a turn, of a vehicle that turns slowly
 _POINTS_WITHIN_DEG = 5.0
-_HOME_POSITION, _EXTENDED_SYS_STATE, _SYSTEM_TIME = (
+_POSITION, _HOME_POSITION, _EXTENDED_SYS_STATE, _SYSTEM_TIME = (
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
@@ -143,10 +145,18 @@ class MavlinkAutopilot(ABC):
 
     @property
     def stands(self) -> bool:
-        """By its landed state; where it tells none, by its altitude with its motors stopped."""
+        """By its landed state, unless it falls; where it tells none, by its altitude with its motors stopped."""
         told = self._telemetry.stands
-        low = self._telemetry.position is None or abs(self.position.altitude_m) <= _LOW_M
-        return (not self._telemetry.armed and low) if told is None else told
+        if told is None:
+            low = self._telemetry.position is None or abs(self.position.altitude_m) <= _LOW_M
+            return not self._telemetry.armed and low
+        return told and (self._telemetry.armed or not self._may_fall())
+
+    def _may_fall(self) -> bool:
+        """Whether its motors stopped just now, or it has been falling since."""
+        told = self._telemetry
+        seen = self._vehicle.heard_since(_POSITION, told.disarmed_s + _FALL_SEEN_S)
+        return not seen or (told.velocity is not None and told.velocity.up_m_s < -_FALLS_M_S)
 
     @property
     def linked(self) -> bool:
@@ -421,7 +431,7 @@ class MavlinkAutopilot(ABC):
         """By a landed state since then; where it tells none, by its motors, which it stops after touchdown."""
         if self._telemetry.stands is None:
             return not self._telemetry.armed
-        return self._telemetry.on_ground and self._vehicle.heard_since(_EXTENDED_SYS_STATE, since_s)
+        return self.stands and self._vehicle.heard_since(_EXTENDED_SYS_STATE, since_s)
 
     async def _touch_down(self, step: str, begun_s: float) -> None:
         """Returns on touchdown; raises where the vehicle is lost, or its motors stop in the air, before."""
@@ -429,8 +439,8 @@ class MavlinkAutopilot(ABC):
         vehicle.latch.expect_armed(False)  # it disarms itself some time after touchdown
 
         def falls() -> bool:
-            heard = vehicle.heard_since(_EXTENDED_SYS_STATE, told.disarmed_s)
-            return not told.armed and told.in_the_air and heard and told.disarmed_s >= begun_s
+            seen = vehicle.heard_since(_POSITION, told.disarmed_s + _FALL_SEEN_S)
+            return not told.armed and told.disarmed_s >= begun_s and seen and self._may_fall()
 
         await vehicle.until(step, lambda: self._landed(begun_s) or falls() or not vehicle.is_ours)
         if not self._landed(begun_s):

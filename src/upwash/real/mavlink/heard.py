@@ -30,6 +30,7 @@ from upwash.real.mavlink.telemetry import Telemetry
 
 _HEARTBEAT_S = 1.0
 _TELL_THE_MODE = ("HEARTBEAT", "CURRENT_MODE", "FENCE_STATUS")
+_STOOD_S = 1.0  # on the ground before its motors stop
 _NEWS_KEPT = 1000  # until somebody listens
 _REMEDIES = {
     Refusal.UNSIGNED: "give it the key with a ground station, or leave autopilot.signing_key out",
@@ -320,8 +321,11 @@ class HeardVehicle:
         if message.get_type() != "FENCE_STATUS":
             self.mode_told_s = self._loop.time()
         mode, told = self.mode_name, self.telemetry
-        moved = told.remote.moved(self._loop.time())
-        report = Report(mode, told.armed, self.firmware.failsafe(told, mode), told.stands, moved)
+        now_s = self._loop.time()
+        # ArduCopter says that it stands as soon as its motors stop, wherever that is.
+        stands = told.stands if told.armed or now_s - told.airborne_s > _STOOD_S else False
+        moved = told.remote.moved(now_s)
+        report = Report(mode, told.armed, self.firmware.failsafe(told, mode), stands, moved)
         self._judge(lambda: self.latch.report(report, self._loop.time()))
         if told.disarmed_s == self._loop.time() and not self.latch.control.is_ours:
             self.ask_for(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME)  # which tells a restart

@@ -49,6 +49,7 @@ class Telemetry:
     disarmed_s: float = -math.inf  # when its motors were last seen to stop
     system_status: int = mavlink.MAV_STATE_UNINIT
     landed_state: int = mavlink.MAV_LANDED_STATE_UNDEFINED
+    airborne_s: float = -math.inf  # when it last said that it flies
     position: GeoPosition | None = None
     above_sea_m: float | None = None
     velocity: Velocity | None = None  # over the ground
@@ -107,6 +108,8 @@ class Telemetry:
                 self.home = GeoPosition(*place, message.altitude / 1e3)
             case "EXTENDED_SYS_STATE":
                 self.landed_state = message.landed_state
+                if self.in_the_air:
+                    self.airborne_s = now_s
             case _:
                 self._take_health(message, now_s)
                 self._take_words(message, now_s)
