@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 
 import pytest
@@ -11,7 +12,8 @@ from tests.ports.steps import take_off
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Waypoint
 from upwash.drone.site import Site
-from upwash.errors import AutopilotError, AutopilotRefused
+from upwash.errors import AutopilotError, AutopilotOverruled, AutopilotRefused
+from upwash.mavlink.px4 import Mode
 from upwash.ports import VehicleLimits, VehicleNews, VehicleSetting
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.sim.loop import run_virtually
@@ -181,6 +183,34 @@ def test_a_fence_that_a_vehicle_does_not_tell_is_a_doubt(monkeypatch: pytest.Mon
     assert list(SITE.doubts(limits, Position(0.0, 0.0))) == [
         "the vehicle did not tell FENCE_ENABLE: the mission is not held against all of its own fence"
     ]
+
+
+@pytest.mark.parametrize(
+    ("action", "lost", "modes"),
+    [
+        (2, 3, [Mode.LOITER, Mode.RTL]),
+        (2, 5, [Mode.LOITER]),
+        (3, 5, [Mode.LOITER, Mode.RTL]),  # COM_FAIL_ACT_T in Hold before it returns
+        (5, 3, [Mode.LOITER, Mode.LAND]),
+    ],
+)
+def test_what_a_px4_does_at_its_fence_once_the_program_sends_no_more(
+    action: int, lost: int, modes: list[Mode]
+) -> None:
+    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+        await take_off(autopilot, 10.0)
+        with pytest.raises(AutopilotOverruled):
+            await autopilot.goto(Position(60.0, 0.0, 10.0))
+        lost_s, seen = sky.now_s(), [sky.copter.mode]
+        while sky.now_s() < lost_s + 8.0:
+            await asyncio.sleep(0.1)
+            if sky.copter.mode is not seen[-1]:
+                seen.append(sky.copter.mode)
+        assert seen == modes
+        assert sky.commands(lost_s + 0.1) == []
+        assert sky.setpoints(lost_s + 0.1) == 0
+
+    fly(flight, PX4, {"GF_MAX_HOR_DIST": 30, "GF_ACTION": action, "COM_OBL_RC_ACT": lost})
 
 
 def test_a_px4_falls_where_its_fence_ends_the_flight() -> None:

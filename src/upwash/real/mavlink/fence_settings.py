@@ -95,7 +95,7 @@ def _check_action(vehicle: MavlinkVehicle, action: float, told: Mapping[str, flo
     if action == _HOLDS and told.get("COM_OBL_RC_ACT") != _HOVERS:
         advice = (
             "at its fence the vehicle holds for COM_OF_LOSS_T, as the program stops sending, and then does what "
-            "COM_OBL_RC_ACT says; 3 has it return at once"
+            "COM_OBL_RC_ACT says; with a GF_ACTION of 3 it returns"
         )
         vehicle.tell(VehicleSetting("GF_ACTION", action, advice))
     if predicts := told.get("GF_PREDICT"):
