@@ -162,6 +162,8 @@ def test_the_way_home_leads_to_the_vehicles_home_which_is_not_where_it_stands() 
         (replace(VehicleLimits(), untold=("FENCE_ENABLE",)), ["the vehicle did not tell FENCE_ENABLE"]),
         (keep_out(10, 10, 30, 30), ["a straight way home from waypoint 1 crosses area 1"]),
         (heights(20.0, margin_m=2.0), []),
+        (VehicleLimits(home=Position(0.0, -21.0)), ["the vehicle stands 21 m from its own home"]),
+        (VehicleLimits(home=Position(0.0, -19.0)), []),
     ],
 )
 def test_what_the_vehicles_fence_allows_with_doubt_is_told(limits: VehicleLimits, said: list[str]) -> None:

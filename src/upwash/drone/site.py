@@ -13,6 +13,7 @@ from upwash.errors import AutopilotRefused
 from upwash.plans import Ending
 from upwash.ports import VehicleLimits
 
+_CARRIED_M = 20.0  # from where it was switched on; less is the drift of a GPS
 _REMEDY = "change the plan or the vehicle's fence; nothing was sent"
 
 
@@ -71,6 +72,11 @@ class Site:
     def doubts(self, limits: VehicleLimits, vehicle: Position) -> Iterator[str]:
         """What a person should know of a flight that nothing forbids."""
         yield from self.home.doubts(limits, vehicle)
+        if limits.home is not None and (away_m := ground_distance_m(limits.home, vehicle)) > _CARRIED_M:
+            yield (
+                f"the vehicle stands {_far(away_m)} from its own home: it may set its home anew at arming, and then "
+                "its way home and the fence around its home are others"
+            )
         if limits.untold:
             yield (
                 f"the vehicle did not tell {', '.join(limits.untold)}: the mission is not held against all of its "
