@@ -147,7 +147,29 @@ def test_the_takeoffs_place_is_home_where_the_plan_knows_none(tmp_path: Path) ->
 def test_a_list_that_begins_with_its_takeoff_has_no_home(tmp_path: Path) -> None:
     plan = read(tmp_path, row(22, place=NORTH, altitude_m=10), FIRST, SECOND)
     assert ([each.item for each in plan.waypoints], plan.takeoff_altitude_m) == ([1, 2], 10)
-    assert told(plan)[0].startswith("it begins with its take-off, and names no home")
+    assert told(plan)[0] == "it has no item for home: every item is flown"
+
+
+def test_a_list_of_waypoints_alone_has_no_home(tmp_path: Path) -> None:
+    plan = read(tmp_path, FIRST, SECOND)
+    assert ([each.item for each in plan.waypoints], plan.home) == ([0, 1], None)
+    assert told(plan) == ["it has no item for home: every item is flown"]
+    file = tmp_path / "from-one.waypoints"
+    file.write_text(listed(HOME, FIRST, SECOND).replace(f"0\t{HOME}\n", ""))
+    plan = read_plan(file)
+    assert ([each.item for each in plan.waypoints], plan.home) == ([1, 2], None)
+
+
+def test_in_a_list_an_altitude_or_a_place_of_0_is_the_one_before(tmp_path: Path) -> None:
+    ground, nowhere = row(16, place=(39.3686, 22.9507)), row(16, 3)
+    plan = read(tmp_path, HOME, TAKEOFF, ground, nowhere, FIRST, nowhere, RETURN)
+    assert [(each.item, each.place.altitude_m, each.hold_s) for each in plan.waypoints] == [
+        (2, 20, 3),
+        (4, 25, 3),
+    ]
+    assert [notice.split(":")[0] for notice in told(plan)] == ["item 2", "items 3, 5"]
+    assert "has no place" in refusal(tmp_path, HOME, nowhere)
+    assert "lies 0 m above home" in refusal(tmp_path, HOME, ground)
 
 
 @pytest.mark.parametrize("command", [16, 82, 19])
@@ -185,6 +207,14 @@ def test_a_landing_elsewhere_is_a_waypoint_above_it(tmp_path: Path) -> None:
     assert told(plan)[0].startswith("item 3: MAV_CMD_NAV_LAND (21): flown as a waypoint above its place")
 
 
+def test_a_landing_in_a_list_ends_on_the_ground_whatever_its_altitude(tmp_path: Path) -> None:
+    plan = read(tmp_path, HOME, TAKEOFF, FIRST, row(21, place=NORTH, altitude_m=30))
+    assert (plan.ending, len(plan.waypoints)) == ("land", 1)
+    assert told(plan) == [
+        "item 3: MAV_CMD_NAV_LAND (21): its altitude is left out: a landing ends on the ground"
+    ]
+
+
 def test_a_return_goes_home_whatever_its_place(tmp_path: Path) -> None:
     plan = read(tmp_path, HOME, TAKEOFF, FIRST, row(20, place=NORTH, altitude_m=30))
     assert (plan.ending, len(plan.waypoints)) == ("return", 1)
@@ -201,8 +231,8 @@ def test_a_list_with_items_taken_out_is_flown_in_its_order(tmp_path: Path) -> No
     file = tmp_path / "gap.waypoints"
     file.write_text(listed(HOME, TAKEOFF, FIRST, SECOND).replace("\n3\t", "\n8\t"))
     plan = read_plan(file)
-    assert [each.item for each in plan.waypoints] == [2, 3]
-    assert "item 8 stands for 3" in told(plan)[0]
+    assert [each.item for each in plan.waypoints] == [2, 8]
+    assert "its numbers leave item 3 out" in told(plan)[0]
 
 
 def test_a_list_of_which_no_item_continues_by_itself_is_flown_on(tmp_path: Path) -> None:

@@ -48,10 +48,15 @@ def make_plan(
     *,
     fences: tuple[PlannedPolygon | PlannedCircle, ...] = (),
     ground_speed_m_s: float | None = None,
+    as_arducopter: bool = False,
 ) -> Plan:
-    """The plan that the items come to; raises Refusal for the first that can be neither flown nor left out."""
+    """The plan that the items make; raises Refusal for the first item that can be neither flown nor left out.
+
+    With `as_arducopter` a waypoint's altitude of 0, or its place of 0 and 0, is that of the waypoint before, and a
+    landing may have any altitude.
+    """
     home = _home_of(home, items, notices)
-    course = Course(home, _reference_above_sea_m(home, items), notices)
+    course = Course(home, _reference_above_sea_m(home, items), notices, as_arducopter=as_arducopter)
     for item in items:
         course.take(item)
     course.finish()
@@ -123,7 +128,15 @@ class Height:
 class Course:
     """What the items come to, taken in one after the other."""
 
-    def __init__(self, home: Home | None, reference_above_sea_m: float, notices: Notices) -> None:
+    def __init__(
+        self,
+        home: Home | None,
+        reference_above_sea_m: float,
+        notices: Notices,
+        *,
+        as_arducopter: bool,
+    ) -> None:
+        self._as_arducopter = as_arducopter
         self.reference_above_sea_m = reference_above_sea_m
         self.waypoints: list[PlannedWaypoint] = []
         self.takeoff: Height | None = None
@@ -198,15 +211,26 @@ class Course:
         if item.command == Command.SPLINE_WAYPOINT:
             self._tell(item, "flown to on a straight line, not on a curve")
         if item.is_open:
-            self._hover_where_it_is(item, hold_s)
+            self._stay(item, hold_s)
         else:
-            self._fly_to(item, item.place(), self._height(item), hold_s)
+            self._fly_to(item, item.place(), self._flown_height(item), hold_s)
 
-    def _hover_where_it_is(self, item: Item, hold_s: float) -> None:
-        """A hold time without a place is of the place before, at the altitude before where it says none."""
+    def _flown_height(self, item: Item) -> Height:
+        """The altitude, or the one before for an altitude of 0 where that means it."""
         before = self._before()
-        if item.command != Command.LOITER_TIME or before is None or self._home is None:
+        if item.value(7) != 0 or before is None or not self._as_arducopter:
+            return self._height(item)
+        self._tell(item, "its altitude is 0: flown at the altitude before it, as ArduCopter does")
+        return before
+
+    def _stay(self, item: Item, hold_s: float) -> None:
+        """An item without a place is of the place before, at the altitude before where it says none."""
+        before = self._before()
+        may_stay = item.command == Command.LOITER_TIME or self._as_arducopter
+        if not may_stay or before is None or self._home is None:
             item.refuse("has no place: give it latitude and longitude")
+        if item.command != Command.LOITER_TIME:
+            self._tell(item, "it names no place: flown where the flight is, as ArduCopter does")
         height = self._height(item) if item.value(7) else before
         if self.waypoints and self.waypoints[-1].place.altitude_m == height.altitude_m:
             self._hover(hold_s)
@@ -287,7 +311,9 @@ class Course:
             self._tell(item, _OF_A_WAYPOINT[-1][1])
         if not item.is_open:
             if not self._is_on_the_ground(item):
-                item.refuse("lands at an altitude: set it to home's, where a landing ends on the ground")
+                if not self._as_arducopter:
+                    item.refuse("lands at an altitude: set it to home's, where a landing ends on the ground")
+                self._tell(item, "its altitude is left out: a landing ends on the ground")
             self._fly_above(item)
         self.ending = "land"
 

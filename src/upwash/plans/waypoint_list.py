@@ -30,32 +30,28 @@ def parse_waypoint_list(text: str) -> Plan:
     if not rows:
         raise Refusal("", "no item in it: item 0 is home, and waypoints follow it")
     notices = Notices()
-    _check_numbers(rows, notices)
+    numbers = _numbers(rows, notices)
     waits = all(fields[-1] == "0" for _, fields in rows)
     if waits:
         notices.add("none of its items continues by itself (autocontinue 0): flown on, as ArduCopter does")
-    items = [_item(line, fields, number, waits) for number, (line, fields) in enumerate(rows)]
+    items = [_item(line, fields, number, waits) for number, (line, fields) in zip(numbers, rows, strict=True)]
     _require_mission(items)
     home, others = _home(items, notices)
-    return make_plan(home, others, notices)
+    return make_plan(home, others, notices, as_arducopter=True)
 
 
-def _check_numbers(rows: list[tuple[int, list[str]]], notices: Notices) -> None:
-    """Items that are missing are told of; a list whose numbers do not ascend may be another in order."""
+def _numbers(rows: list[tuple[int, list[str]]], notices: Notices) -> list[int]:
+    """The items' numbers, a notice where some are missing; a list whose numbers do not ascend may be mixed up."""
     numbers = [_whole(line, fields[0]) for line, fields in rows]
     wrong = next((expected for expected, number in enumerate(numbers) if number != expected), None)
-    if wrong is None:
-        return
-    if any(after <= before for before, after in itertools.pairwise(numbers)):
-        raise Refusal(f"line {rows[wrong][0]}", f"expected item {wrong}, found item {numbers[wrong]}")
-    notices.add(
-        f"its numbers leave some out, the first where item {numbers[wrong]} stands for {wrong}: items are counted "
-        "in the order of the lines"
-    )
+    if wrong is not None:
+        if any(after <= before for before, after in itertools.pairwise(numbers)):
+            raise Refusal(f"line {rows[wrong][0]}", f"expected item {wrong}, found item {numbers[wrong]}")
+        notices.add(f"its numbers leave item {wrong} out: the items in the file are flown in their order")
+    return numbers
 
 
 def _item(line: int, fields: list[str], number: int, waits: bool) -> Item:
-    """The item of a line; its number is its place in the list, as ground stations have it."""
     if len(fields) != _COLUMNS:
         raise Refusal(f"line {line}", f"expected {_COLUMNS} numbers, found {len(fields)}")
     current, frame, command = (_whole(line, field) for field in fields[1:4])
@@ -75,20 +71,26 @@ def _require_mission(items: list[Item]) -> None:
 
 
 def _home(items: list[Item], notices: Notices) -> tuple[Home | None, list[Item]]:
-    """The plan's home, and the items that are flown: all of them where the list begins with its take-off."""
+    """The plan's home, and the items that are flown: all of them where the first one cannot be home."""
     first, *others = items
-    if [item.number for item in items if item.command == Command.TAKEOFF] == [0]:
-        notices.add("it begins with its take-off, and names no home: every item is flown")
-        return None, items
-    is_on_the_ground = first.frame in ABOVE_SEA_LEVEL or first.value(7) == 0
-    if first.command not in (Command.WAYPOINT, SET_HOME, _NO_COMMAND) or not is_on_the_ground:
+    is_a_place = first.command in (Command.WAYPOINT, SET_HOME, _NO_COMMAND)
+    is_above_sea = first.frame in ABOVE_SEA_LEVEL
+    if (
+        first.number == 0
+        and is_a_place
+        and (is_above_sea or first.command == SET_HOME or first.value(7) == 0)
+    ):
+        latitude_deg, longitude_deg, altitude_m = (
+            first.number_of(index, what)
+            for index, what in ((5, "latitude"), (6, "longitude"), (7, "altitude"))
+        )
+        return home_at("item 0", latitude_deg, longitude_deg, altitude_m if is_above_sea else None), others
+    if first.number == 0 and any(item.command == Command.TAKEOFF for item in others):
         first.refuse(
             "cannot be item 0, which is home: a waypoint (16) with its altitude above sea level (frame 0)"
         )
-    latitude_deg, longitude_deg, altitude_m = (
-        first.number_of(index, what) for index, what in ((5, "latitude"), (6, "longitude"), (7, "altitude"))
-    )
-    return home_at("item 0", latitude_deg, longitude_deg, altitude_m), others
+    notices.add("it has no item for home: every item is flown")
+    return None, items
 
 
 def _whole(line: int, field: str) -> int:
