@@ -154,6 +154,13 @@ def test_a_plan_without_home_needs_one_from_the_configuration(tmp_path: Path) ->
     assert len(waypoints(read(tmp_path, plan=homeless, mission=home).mission)) == 3
 
 
+def test_altitudes_above_the_sea_need_no_home_in_the_plan(tmp_path: Path) -> None:
+    homeless = LIST.replace("39.3666\t22.9507\t100", "0\t0\t0")
+    home = "home = { latitude_deg = 39.3666, longitude_deg = 22.9507 }"
+    mission = read(tmp_path, plan=homeless, mission=home).mission
+    assert altitudes_above_sea(mission) == AltitudesAboveSea(item=4, home_m=None, reference_m=110, takeoff_m=None)
+
+
 def square(*, north_deg: float) -> list[list[float]]:
     return [[39.3656, 22.9497], [north_deg, 22.9497], [north_deg, 22.9557], [39.3656, 22.9557]]
 

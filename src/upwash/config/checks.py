@@ -176,7 +176,7 @@ def _network_problems(network: NetworkConfig) -> Iterator[Problem]:
 
 def plan_problems(mission: MissionConfig, plan: Plan) -> Iterator[Problem]:
     """Everything that keeps the mission's plan from being flown from the mission's home."""
-    if plan.above_sea_level is not None and not is_planned_home(mission, plan):
+    if plan.above_sea_level is not None and plan.home is not None and not is_planned_home(mission, plan):
         yield (
             f"item {plan.above_sea_level}",
             "its altitude is above sea level, and mission.home is not the plan's home: give it above home",
