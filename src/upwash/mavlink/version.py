@@ -41,6 +41,11 @@ class Version:
         return cls(major, minor, patch, kinds[written[4] or ""])
 
     @property
+    def numbers(self) -> tuple[int, int, int]:
+        """Without its kind."""
+        return self.major, self.minor, self.patch
+
+    @property
     def number(self) -> int:
         """As a field of AUTOPILOT_VERSION holds it."""
         return self.major << 24 | self.minor << 16 | self.patch << 8 | self.kind

@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, Position
 from upwash.core.payload import PAYLOAD_COMMANDS
+from upwash.mavlink.version import Version
 from upwash.vehicle.answers import Result
 from upwash.vehicle.boot import Text
 from upwash.vehicle.copter import FORCED_ARM, FORCED_DISARM, Answer, Copter
@@ -20,6 +21,8 @@ from upwash.vehicle.modes import Mode
 _RELATIVE = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 _ABOVE_SEA = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
 _ACCEPTED = Answer(Result.ACCEPTED)
+_FIRST = Version(0, 0, kind=0)
+_KNOWN_FROM = {mavlink.MAV_CMD_DO_REPOSITION: Version(4, 1, kind=0)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +48,9 @@ def read_command(message: Any) -> VehicleCommand:
 def obey(copter: Copter, now_s: float, command: VehicleCommand) -> Answer:
     """What the copter answers, having done what it was told if it could."""
     handler = _HANDLERS.get(command.number)
-    return handler(copter, now_s, command) if handler else Answer(Result.UNSUPPORTED)
+    if handler is None or copter.settings.version < _KNOWN_FROM.get(command.number, _FIRST):
+        return Answer(Result.UNSUPPORTED)
+    return handler(copter, now_s, command)
 
 
 def change_mode(copter: Copter, now_s: float, *, base_mode: float, mode: float) -> Answer:

@@ -13,11 +13,13 @@ from upwash.core.energy import ARDUCOPTER as ARDUCOPTER_WAY_HOME
 from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Position, ahead, distance_m
 from upwash.errors import AutopilotRefused
+from upwash.mavlink.version import Version
 from upwash.ports import DeadMan, VehicleLimits
 from upwash.real.mavlink.autopilot import MavlinkAutopilot, check_speed
 from upwash.real.mavlink.dead_man import LuaDeadMan
 from upwash.real.mavlink.fence_settings import ARDUCOPTER_FENCE, arducopter_limits
 from upwash.real.mavlink.firmware import Firmware
+from upwash.real.mavlink.needs import require_reposition
 from upwash.real.mavlink.parameters import read_parameters
 from upwash.real.mavlink.quantities import read_quantities
 from upwash.real.mavlink.telemetry import Telemetry
@@ -74,6 +76,8 @@ ARDUCOPTER = Firmware(
         mavlink.MAVLINK_MSG_ID_WIND: 1.0,
     },
     always_has="FRAME_CLASS",
+    oldest=Version(4, 1),
+    needs="MAV_CMD_DO_REPOSITION",
 )
 
 
@@ -103,6 +107,11 @@ class ArduCopter(MavlinkAutopilot):
     def dead_man(self) -> DeadMan:
         """A script in the autopilot."""
         return self._dead_man
+
+    async def inspect(self) -> None:
+        """Looks whether its firmware knows the command by which it is sent to a place."""
+        await super().inspect()
+        await require_reposition(self._vehicle)
 
     async def limits(self) -> VehicleLimits:
         """Home, and what its parameters and its fence list say; the energy facts are read with them."""

@@ -27,8 +27,10 @@ from upwash.core.geo import (
 )
 from upwash.core.telemetry import Telemetry
 from upwash.errors import AutopilotRefused, UsageError
+from upwash.mavlink.version import Version
 from upwash.ports import ArmingDelayed, DeadMan, VehicleLimits, VehicleNews
 from upwash.real.mavlink.dead_man import NoDeadMan
+from upwash.real.mavlink.needs import require_version
 from upwash.real.mavlink.settings import FlightSettings
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 from upwash.real.mavlink.whereabouts import Whereabouts
@@ -77,6 +79,11 @@ class MavlinkAutopilot(ABC):
     def firmware(self) -> str:
         """What it runs."""
         return self._vehicle.firmware.name
+
+    @property
+    def version(self) -> Version | None:
+        """Of its firmware; None if the vehicle does not tell it."""
+        return self._vehicle.version
 
     @property
     def battery_percent(self) -> float | None:
@@ -232,8 +239,13 @@ class MavlinkAutopilot(ABC):
             self._where.fix_ground()
             await self._learn()
 
+    async def inspect(self) -> None:
+        """Looks at the vehicle, which is the program's and stands; AutopilotRefused where it cannot be flown."""
+        require_version(self._vehicle)
+
     async def ready(self) -> None:
-        """Waits for the vehicle's own checks; sends no command meanwhile, and tells its reasons as they change."""
+        """Inspects it, and waits for its own checks without a command; tells its reasons as they change."""
+        await self.inspect()
         settings, vehicle = self._settings, self._vehicle
         deadline_s = vehicle.now_s + settings.ready_timeout_s
         while not self._may_be_armed():

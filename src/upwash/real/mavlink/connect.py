@@ -6,6 +6,7 @@ from upwash.core.geo import LocalFrame
 from upwash.mavlink.signing import Signing
 from upwash.real.mavlink.arducopter import ARDUCOPTER, ArduCopter
 from upwash.real.mavlink.autopilot import MavlinkAutopilot, check_speed
+from upwash.real.mavlink.needs import ask_version
 from upwash.real.mavlink.px4 import Px4
 from upwash.real.mavlink.px4_firmware import PX4
 from upwash.real.mavlink.settings import FlightSettings
@@ -34,6 +35,7 @@ async def connect_autopilot(
     vehicle = MavlinkVehicle(connection, settings.patience, _FIRMWARES, signing=signing)
     try:
         await vehicle.found(within_s=heartbeat_timeout_s)
+        vehicle.version = await ask_version(vehicle)
     except BaseException:
         await vehicle.close()
         raise

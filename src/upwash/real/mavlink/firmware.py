@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from upwash.mavlink.version import Version
 from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.telemetry import Telemetry
 
@@ -19,7 +20,8 @@ class Firmware:
 
     `mode_name` names a custom mode, `own_mode` is the one in which the program steers. `failsafe` says why a
     fail-safe may have chosen the mode of that name, or nothing. `streams_hz` are the reports that the driver needs,
-    by message. `always_has` is the name of a parameter that all its versions have. `take` has the telemetry remember
+    by message. `always_has` is the name of a parameter that all its versions have. `oldest` is the oldest version
+    that can be flown, as upwash `needs` what older ones lack. `take` has the telemetry remember
     what only this firmware reports, at that time.
     """
 
@@ -30,6 +32,8 @@ class Firmware:
     failsafe: Callable[[Telemetry, str], str]
     streams_hz: Mapping[int, float]
     always_has: str
+    oldest: Version
+    needs: str
     keeps_targets: bool = False  # in `own_mode` it reports the last target that it was sent to
     take: Callable[[Telemetry, Message, float], None] = _nothing_more
     sends_parameters_as_bytes: bool = False  # an integer's bytes lie in the float that carries a parameter

@@ -22,6 +22,7 @@ from upwash.real.mavlink.autopilot import MavlinkAutopilot, check_speed
 from upwash.real.mavlink.course import Course
 from upwash.real.mavlink.fence_settings import PX4_FENCE, px4_limits
 from upwash.real.mavlink.hearing import Message
+from upwash.real.mavlink.needs import require_current_mode
 from upwash.real.mavlink.offboard import SetpointStream
 from upwash.real.mavlink.parameters import read_parameters
 from upwash.real.mavlink.px4_firmware import (
@@ -88,10 +89,11 @@ class Px4(MavlinkAutopilot):
             await self._vehicle.happens("start", lambda: self._vehicle.mode_name != LOITER, within_s=wait_s)
         await super().claim(resumes=resumes)
 
-    async def ready(self) -> None:
-        """Looks first at what it would do without the program."""
+    async def inspect(self) -> None:
+        """Looks whether its firmware reports what is needed, and at what it would do without the program."""
+        await super().inspect()
+        await require_current_mode(self._vehicle)
         await check_settings(self._vehicle)
-        await super().ready()
 
     async def limits(self) -> VehicleLimits:
         """Home, and what its parameters and its fence list say."""

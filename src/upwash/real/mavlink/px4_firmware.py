@@ -12,6 +12,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.mavlink.px4 import CURRENT_MODE, EVENTS, Mode, event_text
+from upwash.mavlink.version import Version
 from upwash.ports import VehicleText
 from upwash.real.mavlink.firmware import Firmware
 from upwash.real.mavlink.hearing import Message
@@ -143,5 +144,7 @@ PX4 = Firmware(
         CURRENT_MODE: 50.0,  # it comes when the mode changes, and twice a second
     },
     always_has="SYS_AUTOSTART",
+    oldest=Version(1, 15),
+    needs="CURRENT_MODE over MAVLink 2",
     sends_parameters_as_bytes=True,
 )

@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import GeoPosition
 from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.mavlink.names import name_of
+from upwash.mavlink.version import Version
 from upwash.real.mavlink.heard import HeardVehicle
 from upwash.real.mavlink.hearing import Message
 
@@ -23,6 +24,7 @@ _WILL_BE_DONE = (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
 class MavlinkVehicle(HeardVehicle):
     """One that is also told what to do: nothing is sent while somebody else has it."""
 
+    version: Version | None = None  # of its firmware, as far as the vehicle tells it
     _texts_said = 0  # long ones, of which each has a number
 
     def claim(self, step: str, *, resumes: bool) -> None:
@@ -63,7 +65,15 @@ class MavlinkVehicle(HeardVehicle):
         expect: Callable[[], None] | None = None,
     ) -> None:
         """The same with a place, whose degrees arrive exactly; its altitude is in the frame."""
+        await self._answered(step, command, self._at(command, place, frame, parameters), expect)
 
+    async def result_at(self, step: str, command: int, place: GeoPosition, *, frame: int) -> int:
+        """The vehicle's answer (MAV_RESULT) to a command with a place; AutopilotTimeout without one."""
+        return await self._result(step, command, self._at(command, place, frame, ()), None)
+
+    def _at(
+        self, command: int, place: GeoPosition, frame: int, parameters: Sequence[float]
+    ) -> Callable[[int], Message]:
         def message(_attempt: int) -> Message:
             system, component = self.ids
             padded = (*parameters, *[0.0] * (4 - len(parameters)))
@@ -72,7 +82,7 @@ class MavlinkVehicle(HeardVehicle):
                 system, component, frame, command, 0, 0, *padded, x, y, place.altitude_m
             )
 
-        await self._answered(step, command, message, expect)
+        return message
 
     async def _answered(
         self,
@@ -81,6 +91,19 @@ class MavlinkVehicle(HeardVehicle):
         message: Callable[[int], Message],
         expect: Callable[[], None] | None = None,
     ) -> None:
+        begun_s = self._loop.time()
+        result = await self._result(step, command, message, expect)
+        if result not in _WILL_BE_DONE:
+            texts = self.telemetry.texts
+            await self.happens(step, lambda: bool(texts and texts[-1][0] >= begun_s), within_s=_LATE_TEXT_S)
+            answer = name_of("MAV_RESULT", result)
+            problem = f"the vehicle answered {answer} to {name_of('MAV_CMD', command)}"
+            raise AutopilotRefused(step, problem, self.telemetry.said_since(begun_s))
+
+    async def _result(
+        self, step: str, command: int, message: Callable[[int], Message], expect: Callable[[], None] | None
+    ) -> int:
+        """What the vehicle answers (MAV_RESULT) to the command, which is repeated until it does."""
         answers = self.telemetry.answers
         begun_s = self._loop.time()
         attempt = 0
@@ -92,21 +115,14 @@ class MavlinkVehicle(HeardVehicle):
             answers.pop(command, None)
             self._link.send(message(attempt))
             if await self.happens(step, lambda: command in answers, within_s=self.patience.answer_s):
-                break
+                return answers[command]
             if self.linked:
                 attempt += 1
-        else:
-            raise AutopilotTimeout(
-                step,
-                f"no answer to {name_of('MAV_CMD', command)} after {attempt} attempts",
-                self.telemetry.said_since(begun_s),
-            )
-        if answers[command] not in _WILL_BE_DONE:
-            texts = self.telemetry.texts
-            await self.happens(step, lambda: bool(texts and texts[-1][0] >= begun_s), within_s=_LATE_TEXT_S)
-            answer = name_of("MAV_RESULT", answers[command])
-            problem = f"the vehicle answered {answer} to {name_of('MAV_CMD', command)}"
-            raise AutopilotRefused(step, problem, self.telemetry.said_since(begun_s))
+        raise AutopilotTimeout(
+            step,
+            f"no answer to {name_of('MAV_CMD', command)} after {attempt} attempts",
+            self.telemetry.said_since(begun_s),
+        )
 
     async def _look(self, step: str) -> None:
         """Returns upon a heartbeat that was asked for now.

@@ -1,0 +1,190 @@
+"""Which firmware is flown: by its version, and by what it knows, before anything turns."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.ports.direct import Sky, flown_directly
+from tests.ports.memory import AGILE, Bench, bench
+from tests.ports.steps import claim_and_arm, take_off
+
+from upwash.core.geo import GeoPosition, Position
+from upwash.errors import AutopilotOverruled, AutopilotRefused
+from upwash.mavlink.px4 import CURRENT_MODE
+from upwash.mavlink.version import Version
+from upwash.real.mavlink import MavlinkAutopilot
+from upwash.sim.loop import run_virtually
+from upwash.vehicle import commands, connection
+from upwash.vehicle.connection import Connection
+from upwash.vehicle.firmware import Reply
+from upwash.vehicle.modes import Mode
+from upwash.vehicle.px4.settings import Px4Settings
+from upwash.vehicle.settings import VehicleSettings
+
+REPOSITION, ARM = mavlink.MAV_CMD_DO_REPOSITION, mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+VERSION = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+PX4 = Px4Settings(GeoPosition(39.3666, 22.9507), parameters={"COM_OBL_RC_ACT": 3.0})
+Story = Callable[[Bench, MavlinkAutopilot], Awaitable[None]]
+
+
+@pytest.fixture
+def commanded(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The commands that a stand-in gets, questions left out."""
+    questions = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE
+    heard: list[int] = []
+
+    def note(to: Connection, message: Any) -> None:
+        if message.command not in questions:
+            heard.append(message.command)
+        Connection._hear_command(to, message)
+
+    for kind in ("COMMAND_LONG", "COMMAND_INT"):
+        monkeypatch.setitem(connection._LISTENERS, kind, note)
+    return heard
+
+
+@pytest.fixture
+def tell(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Runs a story with a stand-in ArduCopter, on virtual time; it may keep its version to itself."""
+
+    def told(story: Story, settings: VehicleSettings = AGILE, *, discreet: bool = False) -> None:
+        async def live() -> None:
+            async with bench(monkeypatch, settings) as made:
+                if discreet:
+                    made.firmware.reports = {
+                        number: report
+                        for number, report in made.firmware.reports.items()
+                        if number != VERSION
+                    }
+                async with made.program() as autopilot:
+                    await story(made, autopilot)
+
+        run_virtually(live())
+
+    return told
+
+
+def test_an_old_version_is_refused_before_arming(tell: Callable[..., None], commanded: list[int]) -> None:
+    async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
+        await autopilot.claim(resumes=False)
+        refusal = (
+            "runs ArduCopter 4.0.7; upwash flies ArduCopter 4.1.0 and newer.*update the vehicle's firmware"
+        )
+        with pytest.raises(AutopilotRefused, match=refusal):
+            await autopilot.ready()
+        assert commanded == []
+
+    tell(story, replace(AGILE, version=Version(4, 0, 7)))
+
+
+@pytest.mark.parametrize("discreet", [False, True])
+def test_a_firmware_that_does_not_know_how_to_be_sent_to_a_place_is_refused_before_arming(
+    tell: Callable[..., None], monkeypatch: pytest.MonkeyPatch, commanded: list[int], *, discreet: bool
+) -> None:
+    monkeypatch.delitem(commands._HANDLERS, REPOSITION)
+
+    async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
+        await autopilot.claim(resumes=False)
+        version = "of a version that it does not tell" if discreet else "4.7.0-dev"
+        refusal = f"the vehicle, ArduCopter {version}, does not know MAV_CMD_DO_REPOSITION"
+        with pytest.raises(AutopilotRefused, match=refusal):
+            await autopilot.ready()
+        assert ARM not in commanded
+
+    tell(story, discreet=discreet)
+
+
+def test_the_try_moves_nothing_and_changes_no_mode(tell: Callable[..., None], commanded: list[int]) -> None:
+    async def story(made: Bench, autopilot: MavlinkAutopilot) -> None:
+        for mode in (Mode.STABILIZE, Mode.GUIDED):
+            made.copter.change_mode(made.now_s, mode)
+            await autopilot.claim(resumes=False)
+            await autopilot.ready()
+            assert made.copter.mode is mode
+        assert set(commanded) <= {REPOSITION, mavlink.MAV_CMD_RUN_PREARM_CHECKS}
+        await autopilot.arm()
+        assert made.copter.target(made.now_s) is None
+
+    tell(story)
+
+
+def test_nothing_is_tried_on_a_vehicle_that_a_pilot_has(
+    tell: Callable[..., None], commanded: list[int]
+) -> None:
+    async def story(made: Bench, autopilot: MavlinkAutopilot) -> None:
+        await autopilot.claim(resumes=False)
+        await asyncio.sleep(0.1)
+        made.copter.arm(made.now_s, forced=True)
+        with pytest.raises(AutopilotOverruled):
+            await autopilot.ready()
+        assert commanded == []
+
+    tell(story)
+
+
+def test_a_vehicle_that_does_not_tell_its_version_is_flown(tell: Callable[..., None]) -> None:
+    async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
+        assert autopilot.version is None
+        await take_off(autopilot)
+        await autopilot.goto(Position(20.0, 0.0, 5.0))
+
+    tell(story, discreet=True)
+
+
+def test_a_firmware_that_only_knows_the_old_question_is_asked_that(
+    tell: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = Connection._obey
+
+    def obey(to: Connection, message: Any) -> Any:
+        if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE and message.param1 == VERSION:
+            return Reply((mavlink.MAV_RESULT_UNSUPPORTED,))
+        return known(to, message)
+
+    monkeypatch.setattr(Connection, "_obey", obey)
+
+    async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
+        assert str(autopilot.version) == "4.5.7"
+
+    tell(story, replace(AGILE, version=Version(4, 5, 7)))
+
+
+@pytest.mark.parametrize(
+    ("version", "refusal"),
+    [
+        (Version(1, 14, 3), "runs PX4 1.14.3; upwash flies PX4 1.15.0 and newer, with CURRENT_MODE"),
+        (Version(0, 0, 0, 0), "PX4 of a version that it does not tell, does not report CURRENT_MODE"),
+    ],
+)
+def test_a_px4_that_does_not_report_its_intended_mode_is_refused_before_arming(
+    version: Version, refusal: str
+) -> None:
+    async def live() -> None:
+        async with flown_directly(replace(PX4, version=version)) as (sky, autopilot):
+            await autopilot.claim(resumes=False)
+            with pytest.raises(AutopilotRefused, match=refusal):
+                await autopilot.ready()
+            assert sky.commands() == []
+
+    run_virtually(live())
+
+
+def test_a_px4_in_development_without_a_version_is_flown_by_what_it_reports() -> None:
+    async def live() -> None:
+        async with flown_directly(PX4, before=keep_version_back) as (sky, autopilot):
+            assert autopilot.version is None
+            await claim_and_arm(autopilot)
+            assert sky.copter.armed
+            assert CURRENT_MODE in sky.vehicle.firmware.reports
+
+    run_virtually(live())
+
+
+async def keep_version_back(sky: Sky) -> None:
+    firmware: Any = sky.vehicle.firmware
+    firmware.reports = {number: report for number, report in firmware.reports.items() if number != VERSION}
