@@ -15,6 +15,7 @@ from upwash.core.control import Control
 from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Circle, EarthPosition, Position, Velocity
 from upwash.core.geofence import Fence
+from upwash.core.pace import Pace
 from upwash.core.telemetry import Telemetry
 from upwash.eventlog.schema import Event
 from upwash.support.heat import Surroundings
@@ -170,6 +171,10 @@ class Autopilot(Protocol):
     @property
     def energy(self) -> EnergyFacts:
         """What the vehicle says of its battery's stages and of its way home."""
+
+    @property
+    def pace(self) -> Pace | None:
+        """How it flies on average, by what it is; None where it does not say."""
 
     @property
     def control(self) -> Control:

@@ -18,6 +18,7 @@ from upwash.config import (
     read_drone_config,
     server_position,
     server_truth,
+    told_in_numbers,
     waypoints,
 )
 from upwash.core.geo import Position
@@ -81,7 +82,7 @@ def test_what_a_file_leaves_out_has_the_printed_defaults(tmp_path: Path) -> None
     assert (short.name, short.seed) == ("drone", 1)
     thesis = {"name": "location-aware", "blacklist_s": 60.0}
     assert msgspec.structs.replace(short.policy, **thesis) == full.policy
-    assert short.vehicle == full.vehicle
+    assert told_in_numbers(short.vehicle) == full.vehicle
     assert short.noise == full.noise
     assert (short.mission.program, short.mission.mode) == ("survey", "heavy")
     assert (short.mission.altitude_m, short.mission.ground_speed_m_s) == (20.0, 4.0)

@@ -15,6 +15,7 @@ from upwash.core.events import Arrived, LegBegun, LocalCallEnded, MissionBegun
 from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.lighter import LighterSettings, is_lighter
 from upwash.core.mission_model import MissionBeliefs, Step
+from upwash.core.pace import Pace
 from upwash.core.policies import make_policy
 from upwash.core.policy import Lightened
 from upwash.core.selection import Selection, SelectionSettings
@@ -125,8 +126,8 @@ def begun(finish_by_s: float, *, policy: str = "location-aware") -> tuple[Select
         {"s1": Circle(Position(50.0, 0.0, 20.0), 20.0)},
         estimates=estimates,
         policy=make_policy(policy, gain_switch=0.25, gain_wait=0.25),
-        settings=SelectionSettings(lighter=LighterSettings(finish_by_s, {HEAVY: LIGHT}), takeoff_s=TAKEOFF_S),
-        mission=MissionBeliefs(PLAN, 4.0, 1.0, [Step(HEAVY, PHOTO_S)]),
+        settings=SelectionSettings(lighter=LighterSettings(finish_by_s, {HEAVY: LIGHT})),
+        mission=MissionBeliefs(PLAN, 4.0, Pace(1.0, lifting_s=TAKEOFF_S), [Step(HEAVY, PHOTO_S)]),
     )
     (foreseen,) = selection.handle(MissionBegun(VEHICLE), now_s=0.0, position=Position(0.0, 0.0))
     assert isinstance(foreseen, Foreseen)
@@ -184,7 +185,7 @@ def test_nothing_is_lighter_before_the_mission_has_begun() -> None:
         estimates=estimates,
         policy=make_policy("look-ahead", gain_switch=0.25, gain_wait=0.25),
         settings=SelectionSettings(lighter=LighterSettings(1.0, {HEAVY: LIGHT})),
-        mission=MissionBeliefs(PLAN, 4.0, 1.0, [Step(HEAVY, PHOTO_S)]),
+        mission=MissionBeliefs(PLAN, 4.0, Pace(1.0), [Step(HEAVY, PHOTO_S)]),
     )
     assert first_call(selection, at_s=10.0) is None
 

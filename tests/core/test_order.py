@@ -10,6 +10,7 @@ from upwash.core.estimates import Beliefs, Estimates, Operation
 from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.mission_model import MissionBeliefs, Step
 from upwash.core.order import Forecaster, best_order
+from upwash.core.pace import Pace
 from upwash.core.sweeps import sweeps
 
 GIVEN = [Waypoint(index, Position(20.0 * index, 0.0, 20.0)) for index in range(3)]
@@ -20,7 +21,7 @@ LEG_S, PHOTO_S, LOCAL_S, REMOTE_S, CHECK_S = 9.0, 1.0, 10.0, 0.5, 3.0  # 20 m at
 def forecaster(*, stands: Position = GIVEN[0].position, **areas: Circle) -> Forecaster:
     there = Beliefs(check_s=CHECK_S, check_running_s=CHECK_S, remote_s={LOOK: REMOTE_S})
     return Forecaster(
-        MissionBeliefs(GIVEN, 4.0, 1.0, [Step(LOOK, PHOTO_S)]),
+        MissionBeliefs(GIVEN, 4.0, Pace(1.0), [Step(LOOK, PHOTO_S)]),
         Estimates(local_s={LOOK: LOCAL_S}, servers=dict.fromkeys(areas, there)),
         areas,
         gain_wait=0.25,

@@ -11,7 +11,9 @@ from upwash.core.energy import EnergyFacts, WayHome
 from upwash.core.estimates import Beliefs, Estimates, Operation
 from upwash.core.events import MissionBegun
 from upwash.core.geo import Circle, Position, Waypoint
-from upwash.core.mission_model import MissionBeliefs, Step
+from upwash.core.legs import Leg
+from upwash.core.mission_model import MissionBeliefs, MissionModel, Step
+from upwash.core.pace import ARDUCOPTER, Pace
 from upwash.core.policies import make_policy
 from upwash.core.selection import Selection, SelectionSettings
 
@@ -38,8 +40,8 @@ def begin(
             servers={"s1": Beliefs(check_s=3.0, check_running_s=2.0, remote_s={LOOK: 1.0, COUNT: 2.0})},
         ),
         policy=make_policy("location-aware", gain_switch=0.25, gain_wait=0.25),
-        settings=SelectionSettings(takeoff_s=TAKEOFF_S, lands=lands),
-        mission=MissionBeliefs(plan, 4.0, 1.0, stop),
+        settings=SelectionSettings(lands=lands),
+        mission=MissionBeliefs(plan, 4.0, Pace(1.0, lifting_s=TAKEOFF_S), stop),
     )
     return selection.handle(MissionBegun(vehicle), now_s=3.0, position=Position(0.0, 0.0))
 
@@ -61,6 +63,38 @@ def test_each_waypoint_is_foreseen_after_the_legs_photos_and_calls_before_it() -
     assert expected.reached_s == pytest.approx([first, second, third, fourth], abs=0.01)
     assert expected.as_asked_s == pytest.approx(fourth + PHOTO_S + 10.0 + 16.0, abs=0.01)
     assert expected.finish_by_s is None and expected.lightest_s is None
+
+
+@pytest.mark.parametrize("assumed", [True, False])
+def test_the_pace_of_the_vehicle_that_was_found_counts_where_the_file_has_none(assumed: bool) -> None:
+    found = Pace(4.0, settling_s=0.5, lifting_s=3.0, climb_m_s=2.0, home_share=0.5)
+    selection = Selection(
+        {},
+        estimates=Estimates(local_s={LOOK: 10.0}, servers={}),
+        policy=make_policy("local-only", gain_switch=0.25, gain_wait=0.25),
+        settings=SelectionSettings(takeoff_m=20.0),
+        mission=MissionBeliefs(
+            PLAN, 4.0, Pace(1.0, lifting_s=TAKEOFF_S), [Step(LOOK, PHOTO_S)], assumed=assumed
+        ),
+    )
+    begun = MissionBegun(VEHICLE, found)
+    (effect,) = selection.handle(begun, now_s=3.0, position=Position(0.0, 0.0))
+    assert isinstance(effect, Foreseen)
+    takeoff_s, leg_s, home_s = (13.0, 6.5, 8.0) if assumed else (TAKEOFF_S, LEG_S, 16.0)
+    stops_s = [takeoff_s + number * (leg_s + PHOTO_S + 10.0) for number in range(4)]
+    assert effect.reached_s == pytest.approx(stops_s, abs=0.01)
+    assert effect.as_asked_s == pytest.approx(stops_s[-1] + PHOTO_S + 10.0 + home_s, abs=0.01)
+
+
+def test_a_leg_of_the_pace_that_was_found_teaches_nothing_new() -> None:
+    beliefs = MissionBeliefs(PLAN, 4.0, stop=[Step(LOOK, PHOTO_S)], assumed=True)
+    model = MissionModel(beliefs, {})
+    model.begun(ARDUCOPTER)
+    expected_s = Leg(20.0, 4.0, ARDUCOPTER.acceleration_m_s2, ARDUCOPTER.settling_s).duration_s
+    model.leg_begun(PLAN[0].position, PLAN[1].position, None, now_s=0.0)
+    model.arrived(now_s=expected_s)
+    following = model.next_leg()
+    assert following is not None and following.leg.duration_s == pytest.approx(expected_s)
 
 
 def test_every_call_of_a_stop_counts() -> None:

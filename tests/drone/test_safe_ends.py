@@ -14,7 +14,7 @@ import pytest
 from rich.console import Console
 from tests.events import event, written
 
-from upwash.config import AutopilotConfig, DroneConfig, FaultConfig, SafeEnd, waypoints
+from upwash.config import AutopilotConfig, DroneConfig, FaultConfig, SafeEnd, pace_in_numbers, waypoints
 from upwash.config.drone_file import drone_config
 from upwash.core.control import Control, Owner
 from upwash.drone.api import Drone
@@ -120,12 +120,13 @@ def make_scene(config: DroneConfig, mission: Callable[[Drone], None], kind: type
     journal, wire, onboard = MemoryJournal(), Wire(), Switchboard({})
     journal.begin()
     faults, vehicle = Faults(config.faults), config.vehicle
+    pace = pace_in_numbers(vehicle)
     autopilot = kind(
         waypoints(config.mission)[0].position,
         ground_speed_m_s=config.mission.ground_speed_m_s,
         manner=Plain(
-            acceleration_m_s2=vehicle.acceleration_m_s2,
-            takeoff_s=vehicle.takeoff_s,
+            acceleration_m_s2=pace.acceleration_m_s2,
+            takeoff_s=pace.lifting_s,
             return_and_land_s=vehicle.return_and_land_s,
         ),
         fault=lambda: faults.now("autopilot"),

@@ -41,6 +41,7 @@ from upwash.config.drone_file import drone_config, read_drone_config
 from upwash.config.fleet import Presence, fleet_of, presences
 from upwash.config.fleet_checks import refuse_several
 from upwash.config.offers import never_offloaded
+from upwash.config.pace import pace_in_numbers, told_in_numbers, told_pace
 from upwash.config.places import (
     coverage_kept,
     coverage_of,
@@ -118,6 +119,7 @@ __all__ = [
     "measured_servers",
     "movable_waypoints",
     "never_offloaded",
+    "pace_in_numbers",
     "plan_notices",
     "presences",
     "read_daemon_config",
@@ -130,6 +132,8 @@ __all__ = [
     "server_truth",
     "stands",
     "sweeps_of",
+    "told_in_numbers",
+    "told_pace",
     "true_areas",
     "true_range_m",
     "unsigned_port",

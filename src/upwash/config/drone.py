@@ -130,14 +130,17 @@ class MissionConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How the simulated vehicle flies: as these numbers say, or as a measured profile."""
+    """How the vehicle flies: as a measured profile, or as these numbers say.
+
+    Forecasts of a real flight go by them too. Where the file has none, they go by the firmware that was found.
+    """
 
     profile: Literal["arducopter", "px4"] | None = None
     """A measured vehicle, in place of the next three."""
-    acceleration_m_s2: Positive = 1.0
-    """Speeding up and braking."""
-    takeoff_s: NotNegative = 10.0
-    """From arming to the altitude, in seconds."""
+    acceleration_m_s2: Positive | None = None
+    """Speeding up and braking. A simulation without a profile: 1."""
+    takeoff_s: NotNegative | None = None
+    """From arming to the altitude, in seconds. A simulation without a profile: 10."""
     return_and_land_s: NotNegative = 16.0
     """From the last waypoint to the ground, in seconds."""
     endurance_s: Positive | None = None

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from upwash.core.energy import EnergyFacts
 from upwash.core.estimates import Operation
 from upwash.core.geo import Position
+from upwash.core.pace import Pace
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,9 +17,13 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class MissionBegun:
-    """The mission's time begins: the vehicle is armed, or was found in the air. This is what it says of itself."""
+    """The mission's time begins: the vehicle is armed, or was found in the air. This is what it says of itself.
+
+    `pace` is how it flies on average, None where that is not known.
+    """
 
     vehicle: EnergyFacts
+    pace: Pace | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,7 @@
 """How long the way from one waypoint to the next takes, and when on it a circle is entered.
 
-Legs are straight and flown from rest to rest: the vehicle speeds up steadily, cruises, and brakes as it sped up.
+Legs are straight and flown from rest to rest: the vehicle speeds up steadily, cruises, brakes as it sped up, and
+settles at its target.
 """
 
 from __future__ import annotations
@@ -20,10 +21,15 @@ class Leg:
     length_m: float
     ground_speed_m_s: float
     acceleration_m_s2: float
+    settling_s: float = 0.0
 
     @property
     def duration_s(self) -> float:
         """How long it takes."""
+        return self._moving_s + self.settling_s if self.length_m > 0 else 0.0
+
+    @property
+    def _moving_s(self) -> float:
         return self.length_m / self._top_m_s + self._ramp_s if self.length_m > 0 else 0.0
 
     def reached_s(self, travelled_m: float) -> float:
@@ -32,18 +38,18 @@ class Leg:
             return 0.0
         left_m = self.length_m - travelled_m
         if left_m <= 0:
-            return self.duration_s
+            return self._moving_s
         ramp_m = self._top_m_s * self._ramp_s / 2
         if travelled_m <= ramp_m:
             return math.sqrt(2 * travelled_m / self.acceleration_m_s2)
         if left_m <= ramp_m:
-            return self.duration_s - math.sqrt(2 * left_m / self.acceleration_m_s2)
+            return self._moving_s - math.sqrt(2 * left_m / self.acceleration_m_s2)
         return self._ramp_s / 2 + travelled_m / self._top_m_s
 
     def travelled_m(self, elapsed_s: float) -> float:
         """How far the vehicle has come, so long after the start."""
         ramp_s = self._ramp_s
-        left_s = max(0.0, self.duration_s - elapsed_s)
+        left_s = max(0.0, self._moving_s - elapsed_s)
         if elapsed_s < ramp_s:
             return self.acceleration_m_s2 * max(0.0, elapsed_s) ** 2 / 2
         if left_s < ramp_s:
@@ -52,11 +58,12 @@ class Leg:
 
     def back_s(self, elapsed_s: float) -> float:
         """How long the way back to the start takes, from rest to rest, where it brakes so long after it has left."""
-        left_s = max(0.0, self.duration_s - elapsed_s)
+        left_s = max(0.0, self._moving_s - elapsed_s)
         speed_m_s = min(self._top_m_s, self.acceleration_m_s2 * min(elapsed_s, left_s))
         braking_s = speed_m_s / self.acceleration_m_s2
         way_m = self.travelled_m(elapsed_s) + speed_m_s * braking_s / 2
-        return braking_s + Leg(way_m, self.ground_speed_m_s, self.acceleration_m_s2).duration_s
+        back = Leg(way_m, self.ground_speed_m_s, self.acceleration_m_s2, self.settling_s)
+        return braking_s + back.duration_s
 
     @property
     def _top_m_s(self) -> float:

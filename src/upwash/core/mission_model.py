@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import fmean
 
 import msgspec
@@ -19,6 +19,7 @@ from upwash.core.area_index import AreaIndex
 from upwash.core.estimates import WINDOW_LENGTH, Operation
 from upwash.core.geo import Circle, Position, Waypoint, distance_m
 from upwash.core.legs import Leg, acceleration_m_s2, entered_m
+from upwash.core.pace import Pace
 
 _MOST_ENTRIES = 10_000  # legs of which is remembered what was computed
 
@@ -46,12 +47,20 @@ class ExpectedCall(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class MissionBeliefs:
-    """What is believed of a mission before it flies: its plan, how it flies, and the calls of its first stop."""
+    """What is believed of a mission before it flies: its plan, how it flies, and the calls of its first stop.
+
+    Its pace gives way to that of the vehicle where it is only `assumed`.
+    """
 
     plan: Sequence[Waypoint] = ()
     ground_speed_m_s: float = 4.0
-    acceleration_m_s2: float = 1.0
+    pace: Pace = field(default_factory=Pace)
     stop: Sequence[Step] = ()
+    assumed: bool = False
+
+    def pace_of(self, vehicle: Pace | None) -> Pace:
+        """What to believe of a vehicle that is known to have that pace."""
+        return vehicle if self.assumed and vehicle is not None else self.pace
 
 
 @dataclass(slots=True)
@@ -103,7 +112,9 @@ class MissionModel:
         self._areas = list(areas.items())
         self._index_of_areas = index or AreaIndex(list(areas.values()))
         self._ground_speed_m_s = beliefs.ground_speed_m_s
-        self._accelerations_m_s2 = deque([beliefs.acceleration_m_s2], maxlen=WINDOW_LENGTH)
+        self._beliefs = beliefs
+        self._accelerations_m_s2 = deque([beliefs.pace.acceleration_m_s2], maxlen=WINDOW_LENGTH)
+        self._settling_s = beliefs.pace.settling_s
         self._routine = tuple(beliefs.stop)
         self._leaving_s = 0.0  # from the last call of a stop to the next leg
         self._place: Position | None = None  # where it is or flies to, as far as is known
@@ -117,6 +128,14 @@ class MissionModel:
         self._ways: dict[
             tuple[int, float], _Way
         ] = {}  # by waypoint and ground speed, as the vehicle speeds up now
+
+    def begun(self, vehicle: Pace | None) -> None:
+        """The mission begins, with a vehicle of that pace, if it is known."""
+        pace = self._beliefs.pace_of(vehicle)
+        self._accelerations_m_s2.clear()
+        self._accelerations_m_s2.append(pace.acceleration_m_s2)
+        self._settling_s = pace.settling_s
+        self._ways.clear()
 
     def leg_begun(
         self,
@@ -142,7 +161,8 @@ class MissionModel:
         """The leg is over."""
         if self._way is not None:
             leg = self._way.leg
-            found = acceleration_m_s2(leg.length_m, leg.ground_speed_m_s, now_s - self._way.begun_s)
+            moved_s = now_s - self._way.begun_s - leg.settling_s
+            found = acceleration_m_s2(leg.length_m, leg.ground_speed_m_s, moved_s)
             if found is not None:
                 self._accelerations_m_s2.append(found)
                 self._ways.clear()
@@ -257,7 +277,8 @@ class MissionModel:
         return _Way(leg.duration_s, entries.servers, entered_s)
 
     def _leg(self, length_m: float, ground_speed_m_s: float | None = None) -> Leg:
-        return Leg(length_m, ground_speed_m_s or self._ground_speed_m_s, fmean(self._accelerations_m_s2))
+        speed_m_s = ground_speed_m_s or self._ground_speed_m_s
+        return Leg(length_m, speed_m_s, fmean(self._accelerations_m_s2), self._settling_s)
 
     def _hold_s(self) -> float:
         """How long the drone hovers where it is or flies to, once it is there."""

@@ -24,7 +24,6 @@ from dataclasses import dataclass, replace
 from upwash.core.area_index import AreaIndex
 from upwash.core.commands import Effect, Full, Mapped, Start
 from upwash.core.coverage import MeasuredPlace
-from upwash.core.energy import EnergyFacts
 from upwash.core.estimates import Estimates, Operation
 from upwash.core.events import (
     Arrived,
@@ -74,7 +73,7 @@ class SelectionSettings:
     """How long the machine remembers, and how many servers it may have selected at a time.
 
     Where there is `probing`, `blacklist_s` does not count. A server where others wait for a slot is used only where
-    it saves more than the fraction `gain_slot` of a local call. The mission takes off in `takeoff_s`, and `lands` at
+    it saves more than the fraction `gain_slot` of a local call. The mission takes off to `takeoff_m`, and `lands` at
     its last waypoint instead of returning home.
     """
 
@@ -85,7 +84,7 @@ class SelectionSettings:
     probing: Probing | None = None
     gain_slot: float = 0.25
     lighter: LighterSettings | None = None
-    takeoff_s: float = 0.0
+    takeoff_m: float = 0.0
     lands: bool = False
 
 
@@ -131,7 +130,7 @@ class Selection:
             beliefs,
             areas,
             index,
-            takeoff_s=settings.takeoff_s,
+            takeoff_m=settings.takeoff_m,
             lands=settings.lands,
             lighter=settings.lighter,
         )
@@ -168,7 +167,7 @@ class Selection:
         """Takes in what happened by now, with the drone at the position; returns what is to be done."""
         table, radios, planning = self._table, self._radios, self._planning
         if isinstance(event, MissionBegun):
-            return self._begin(event.vehicle, now_s, position)
+            return self._begin(event, now_s, position)
         self._locate(position, now_s)
         effects = self._take_in(event, now_s, position)
         effects += radios.end_probes([each for each in radios.probed if self._ended or not each.in_range])
@@ -239,8 +238,9 @@ class Selection:
         self._locate(position, now_s)
         return self._planning.outlook(now_s)
 
-    def _begin(self, vehicle: EnergyFacts, now_s: float, position: Position) -> list[Effect]:
-        foreseen = self._timetable.begin(vehicle, now_s=now_s, position=position)
+    def _begin(self, event: MissionBegun, now_s: float, position: Position) -> list[Effect]:
+        self._planning.mission.begun(event.pace)
+        foreseen = self._timetable.begin(event.vehicle, event.pace, now_s=now_s, position=position)
         if self._lighter is not None:
             self._lighter.begin(now_s=now_s, home_s=self._timetable.home_s)
         return [foreseen] if foreseen else []

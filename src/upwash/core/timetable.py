@@ -2,7 +2,7 @@
 
 In seconds of the mission's time, which counts from arming to landed:
 
-    at a waypoint   the take-off + each leg, pause and call before it
+    at a waypoint   the take-off + each leg, pause and call before it, at the vehicle's pace
     over            the same at the last call's end + the way home
 
 Where the calls run is foreseen by the policy itself, with nothing failing (core/placing.py).
@@ -20,13 +20,14 @@ from upwash.core.energy import UNKNOWN, EnergyFacts, descent_s, time_home_s
 from upwash.core.geo import Circle, Position
 from upwash.core.lighter import LighterSettings
 from upwash.core.mission_model import ExpectedCall, MissionBeliefs, MissionModel
+from upwash.core.pace import Pace
 from upwash.core.planning import Planning
 
 _HOME = Position(0.0, 0.0)
 
 
 class Timetable:
-    """Foresees one mission, which takes off in `takeoff_s`, and `lands` at its last waypoint or else returns home.
+    """Foresees one mission, which takes off to `takeoff_m`, and `lands` at its last waypoint or else returns home.
 
     `home_s` is the time from its last call to landed, once it has begun.
     """
@@ -38,7 +39,7 @@ class Timetable:
         areas: Mapping[str, Circle],
         index: AreaIndex,
         *,
-        takeoff_s: float,
+        takeoff_m: float,
         lands: bool,
         lighter: LighterSettings | None = None,
     ) -> None:
@@ -47,40 +48,46 @@ class Timetable:
         self._beliefs = beliefs
         # Of its own: it sees the whole mission, from the ground.
         self._mission = MissionModel(beliefs, areas, index)
-        self._takeoff_s = takeoff_s
+        self._takeoff_m = takeoff_m
         self._lands = lands
         self._lighter = lighter
 
-    def begin(self, vehicle: EnergyFacts, *, now_s: float, position: Position) -> Foreseen | None:
+    def begin(
+        self, vehicle: EnergyFacts, found: Pace | None, *, now_s: float, position: Position
+    ) -> Foreseen | None:
         """What is expected of the mission, which begins now; None where no waypoint or no call is known."""
         if not self._beliefs.plan:
             return None
         first, last = self._beliefs.plan[0], self._beliefs.plan[-1].position
-        way = vehicle.way_home or UNKNOWN
-        self.home_s = (
+        way, pace = vehicle.way_home or UNKNOWN, self._beliefs.pace_of(found)
+        self.home_s = pace.home_share * (
             way.hover_s + descent_s(last.altitude_m, way)
             if self._lands
             else time_home_s(last, vehicle.home or _HOME, way)
         )
+        takeoff_s = pace.takeoff_s(self._takeoff_m)
+        self._mission.begun(found)
         start = Position(position.east_m, position.north_m, first.position.altitude_m)
         self._mission.leg_begun(start, first.position, first.ground_speed_m_s, now_s=now_s)
         calls = self._mission.rest(start, now_s=now_s)
         if not calls:
             return None
-        reached_s, as_asked_s = self._times(calls, now_s)
+        reached_s, as_asked_s = self._times(calls, now_s, takeoff_s)
         if self._lighter is None:
             return Foreseen(reached_s, as_asked_s)
         of = self._lighter.operations
         lighter = [structs.replace(call, operation=of.get(call.operation, call.operation)) for call in calls]
-        _, lightest_s = self._times(lighter, now_s)
+        _, lightest_s = self._times(lighter, now_s, takeoff_s)
         return Foreseen(reached_s, as_asked_s, lightest_s, self._lighter.finish_by_s)
 
-    def _times(self, calls: Sequence[ExpectedCall], now_s: float) -> tuple[Sequence[float], float]:
+    def _times(
+        self, calls: Sequence[ExpectedCall], now_s: float, takeoff_s: float
+    ) -> tuple[Sequence[float], float]:
         """When the drone is at each waypoint, and landed."""
         stop = self._beliefs.stop
         placing = self._planning.placing(now_s)
         reached_s: list[float] = []
-        at_s = self._takeoff_s
+        at_s = takeoff_s
         for number, (call, place) in enumerate(zip(calls, placing.places(calls), strict=True)):
             at_s += call.gap_s
             if number % len(stop) == 0:

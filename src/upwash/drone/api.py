@@ -119,7 +119,7 @@ class Vehicle:
     def _take_up(self) -> None:
         """The vehicle is in the air, where another program left it: for the flight to say, not for a mission."""
         self._in_the_air = self._found_flying = True
-        self._tell(MissionBegun(self._autopilot.energy))
+        self._tell(MissionBegun(self._autopilot.energy, self._autopilot.pace))
 
     def arm(self) -> None:
         """Waits until the vehicle is ready to fly, then arms its motors.
@@ -353,7 +353,7 @@ class Vehicle:
         self._limits = limits
         self._journal.record(schema.Arming())
         await self._autopilot.arm()
-        self._tell(MissionBegun(self._autopilot.energy))
+        self._tell(MissionBegun(self._autopilot.energy, self._autopilot.pace))
 
     def _record_limits(self, limits: VehicleLimits) -> None:
         self._journal.record(

@@ -10,6 +10,7 @@ from upwash.core.energy import ARDUCOPTER, PX4, time_home_s
 from upwash.core.geo import Position
 from upwash.core.geofence import breached_by_way
 from upwash.core.order import Forecaster, Order, best_order
+from upwash.core.pace import PACES
 from upwash.drone.preparation import make_estimates, mission_beliefs
 from upwash.rpc.service import ServiceSpec
 
@@ -60,7 +61,7 @@ def _best(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
 
 def _home_s(config: DroneConfig, place: Position, start: Position) -> float:
     """To the ground, as the simulated vehicle flies it: without a profile in the same time from everywhere."""
-    way = _WAYS_HOME.get(config.vehicle.profile or "")
-    if way is None or ending(config.mission) == "land":
+    profile = config.vehicle.profile
+    if profile is None or ending(config.mission) == "land":
         return config.vehicle.return_and_land_s
-    return time_home_s(place, start, way)
+    return PACES[profile].home_share * time_home_s(place, start, _WAYS_HOME[profile])

@@ -11,7 +11,9 @@ from upwash.config import (
     coverage_of,
     ending,
     finish_by_s,
+    pace_in_numbers,
     server_areas,
+    told_pace,
 )
 from upwash.config.values import MDNS
 from upwash.core.estimates import Beliefs, Estimates, Operation, offline_remote_s
@@ -50,7 +52,7 @@ def make_selection(
             gain_slot=policy.gain_slot,
             probing=Probing(probe.first_s, probe.longest_s) if (probe := policy.probing) else None,
             lighter=_lighter(config, specs, estimates),
-            takeoff_s=config.vehicle.takeoff_s,
+            takeoff_m=config.mission.altitude_m,
             lands=ending(config.mission) == "land",
         ),
         mission=mission_beliefs(config, specs, estimates, plan),
@@ -165,7 +167,7 @@ def mission_beliefs(
 
     But for those that run once, as nothing is decided of them.
     """
-    mission = config.mission
+    mission, told = config.mission, told_pace(config.vehicle)
     operations = [
         each
         for each in estimates.operations
@@ -175,8 +177,9 @@ def mission_beliefs(
     return MissionBeliefs(
         plan=plan,
         ground_speed_m_s=mission.ground_speed_m_s,
-        acceleration_m_s2=config.vehicle.acceleration_m_s2,
+        pace=told or pace_in_numbers(config.vehicle),
         stop=[Step(operation, pause_s) for operation, pause_s in zip(operations, pauses_s, strict=False)],
+        assumed=told is None,
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from upwash.config import CameraConfig, DroneConfig, ServerConfig
+from upwash.config import CameraConfig, DroneConfig, ServerConfig, told_in_numbers
 from upwash.emulation.computers import Computers
 from upwash.emulation.field import Field, drone_namespace, server_namespace
 from upwash.emulation.files import daemon_config, write_daemon_file, write_drone_file
@@ -57,6 +57,7 @@ def drone_file(drone: DroneConfig, field: Field, folder: Path, *, vehicle: str) 
             camera=_camera(drone.camera),
             keys=keys_in(folder / "keys", drone.name),
             servers=servers,
+            vehicle=told_in_numbers(drone.vehicle),
         ),
     )
     return file

@@ -19,6 +19,7 @@ from upwash.config import (
     coverage_of,
     fleet_of,
     frame_of,
+    pace_in_numbers,
     presences,
     server_truth,
     stands,
@@ -384,9 +385,10 @@ def _manner(vehicle: VehicleConfig) -> Manner:
             return arducopter
         case "px4":
             return px4
+    pace = pace_in_numbers(vehicle)
     return Plain(
-        acceleration_m_s2=vehicle.acceleration_m_s2,
-        takeoff_s=vehicle.takeoff_s,
+        acceleration_m_s2=pace.acceleration_m_s2,
+        takeoff_s=pace.lifting_s,
         return_and_land_s=vehicle.return_and_land_s,
     )
 

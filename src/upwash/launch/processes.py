@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from upwash.config import DroneConfig
+from upwash.config import DroneConfig, pace_in_numbers
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.errors import UpwashError, UsageError
 
@@ -66,7 +66,7 @@ def ready_vehicle(
     stands = LocalFrame(GeoPosition(home.latitude_deg, home.longitude_deg)).geo(start)
     arguments = ["--listen", "udp:127.0.0.1:0", "--home", f"{stands.latitude_deg},{stands.longitude_deg}"]
     if config.vehicle.profile is None:
-        arguments += ["--acceleration", str(config.vehicle.acceleration_m_s2)]
+        arguments += ["--acceleration", str(pace_in_numbers(config.vehicle).acceleration_m_s2)]
     with ready_program(
         name, folder, "vehicle", *arguments, "--armable-after", "1", through=through
     ) as address:

@@ -10,6 +10,7 @@ from upwash.config import FaultConfig
 from upwash.core.control import Control
 from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Circle, EarthPosition, LocalFrame, Position, Velocity, distance_m
+from upwash.core.pace import Pace
 from upwash.core.telemetry import Attitude, GpsFix, Telemetry
 from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.ports import DeadMan, VehicleLimits, VehicleNews
@@ -157,6 +158,11 @@ class ModelAutopilot:
             home=self._hearing.home.at_altitude(0.0),
             way_home=self._manner.returning,
         )
+
+    @property
+    def pace(self) -> Pace | None:
+        """The configuration says how it flies."""
+        return None
 
     @property
     def control(self) -> Control:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from upwash.config import DroneConfig, MissionConfig, read_drone_config, waypoints
+from upwash.config import DroneConfig, MissionConfig, read_drone_config, told_in_numbers, waypoints
 from upwash.core.geo import Position
 from upwash.real.authority import keys_in
 
@@ -80,5 +80,6 @@ def filled_in(config: DroneConfig, folder: Path, *, vehicle: str, servers: Mappi
         config,
         autopilot=replace(config.autopilot, connection=vehicle),
         keys=keys_in(folder / "keys", config.name),
+        vehicle=told_in_numbers(config.vehicle),
         servers=tuple(replace(server, address=servers[server.name]) for server in config.servers),
     )

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from upwash.config import DroneConfig, HeatConfig, NoiseConfig
+from upwash.config import DroneConfig, HeatConfig, NoiseConfig, pace_in_numbers
 from upwash.lab.reproduction.cells import SETUPS, Cell, Flight, fly_all, scenario, timed_cells, unchanged
 
 _SEEDS = 4
@@ -174,7 +174,7 @@ def _heat(config: DroneConfig, *, warmer_k: float) -> DroneConfig:
 
 
 def _acceleration(config: DroneConfig, *, faster: float) -> DroneConfig:
-    acceleration_m_s2 = config.vehicle.acceleration_m_s2 + faster
+    acceleration_m_s2 = pace_in_numbers(config.vehicle).acceleration_m_s2 + faster
     return _replace(config, vehicle=_replace(config.vehicle, acceleration_m_s2=acceleration_m_s2))
 
 

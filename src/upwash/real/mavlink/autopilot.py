@@ -25,6 +25,7 @@ from upwash.core.geo import (
     distance_m,
     ground_distance_m,
 )
+from upwash.core.pace import PACES, Pace
 from upwash.core.telemetry import Telemetry
 from upwash.errors import AutopilotRefused, UsageError
 from upwash.mavlink.version import Version
@@ -134,6 +135,11 @@ class MavlinkAutopilot(ABC):
     def energy(self) -> EnergyFacts:
         """Its home; a subclass adds its battery's stages and how it returns."""
         return EnergyFacts(home=self._where.home)
+
+    @property
+    def pace(self) -> Pace | None:
+        """That of its firmware."""
+        return PACES.get(self.firmware.lower())
 
     @property
     def unix_s(self) -> float | None:

@@ -18,6 +18,9 @@ _SLOWEST_M_S, _WEAKEST_M_S2 = 0.01, 0.01
 _USUAL_LOITER_S = 5.0
 _SETTLES_S = ARDUCOPTER.hover_s - _USUAL_LOITER_S
 _USUAL = Abilities()
+_GAINED = (
+    ARDUCOPTER.acceleration_m_s2 / 2.5
+)  # of WPNAV_ACCEL, whose default is 2.5: what recorded returns had
 _NO_STAGE = "the reserve does not count with this stage of the battery"
 
 
@@ -45,7 +48,7 @@ _DESCENT = _speed(
 )
 _ACCELERATION = Quantity(
     "the acceleration of legs",
-    {"WPNAV_ACCEL": _CENTI, "WP_ACC": 1.0},
+    {"WPNAV_ACCEL": _CENTI * _GAINED, "WP_ACC": _GAINED},
     "m/s²",
     ARDUCOPTER.acceleration_m_s2,
     _WEAKEST_M_S2,
