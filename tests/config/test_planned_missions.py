@@ -158,7 +158,9 @@ def test_altitudes_above_the_sea_need_no_home_in_the_plan(tmp_path: Path) -> Non
     homeless = LIST.replace("39.3666\t22.9507\t100", "0\t0\t0")
     home = "home = { latitude_deg = 39.3666, longitude_deg = 22.9507 }"
     mission = read(tmp_path, plan=homeless, mission=home).mission
-    assert altitudes_above_sea(mission) == AltitudesAboveSea(item=4, home_m=None, reference_m=110, takeoff_m=None)
+    assert altitudes_above_sea(mission) == AltitudesAboveSea(
+        item=4, home_m=None, reference_m=110, takeoff_m=None
+    )
 
 
 def square(*, north_deg: float) -> list[list[float]]:
