@@ -68,8 +68,11 @@ def fly(flight: Flight, kind: str, parameters: Mapping[str, float], boxes: Seque
             vehicle = VehicleSettings(
                 HOME, home_altitude_m=488.0, armable_after_s=0.0, parameters=dict(parameters)
             )
-        async with flown_directly(vehicle) as (sky, autopilot):
+
+        async def before(sky: Sky) -> None:
             upload(sky, boxes)
+
+        async with flown_directly(vehicle, before=before) as (sky, autopilot):
             await flight(sky, autopilot)
 
     run_virtually(flown())

@@ -18,6 +18,7 @@ from upwash.errors import AutopilotOverruled, AutopilotRefused
 from upwash.mavlink.px4 import CURRENT_MODE
 from upwash.mavlink.version import Version
 from upwash.real.mavlink import MavlinkAutopilot
+from upwash.real.mavlink.needs import require_reposition
 from upwash.sim.loop import run_virtually
 from upwash.vehicle import commands, connection
 from upwash.vehicle.connection import Connection
@@ -92,8 +93,10 @@ def test_a_firmware_that_does_not_know_how_to_be_sent_to_a_place_is_refused_befo
         await autopilot.claim(resumes=False)
         version = "of a version that it does not tell" if discreet else "4.7.0-dev"
         refusal = f"the vehicle, ArduCopter {version}, does not know MAV_CMD_DO_REPOSITION"
+        await autopilot.ready()
         with pytest.raises(AutopilotRefused, match=refusal):
-            await autopilot.ready()
+            await autopilot.arm()
+        assert commanded[-1] == REPOSITION
         assert ARM not in commanded
 
     tell(story, discreet=discreet)
@@ -104,10 +107,10 @@ def test_the_try_moves_nothing_and_changes_no_mode(tell: Callable[..., None], co
         for mode in (Mode.STABILIZE, Mode.GUIDED):
             made.copter.change_mode(made.now_s, mode)
             await autopilot.claim(resumes=False)
-            await autopilot.ready()
+            await require_reposition(autopilot._vehicle)
             assert made.copter.mode is mode
-        assert set(commanded) <= {REPOSITION, mavlink.MAV_CMD_RUN_PREARM_CHECKS}
-        await autopilot.arm()
+        assert commanded == [REPOSITION, REPOSITION]
+        await claim_and_arm(autopilot)
         assert made.copter.target(made.now_s) is None
 
     tell(story)
@@ -121,7 +124,7 @@ def test_nothing_is_tried_on_a_vehicle_that_a_pilot_has(
         await asyncio.sleep(0.1)
         made.copter.arm(made.now_s, forced=True)
         with pytest.raises(AutopilotOverruled):
-            await autopilot.ready()
+            await autopilot.arm()
         assert commanded == []
 
     tell(story)

@@ -108,11 +108,6 @@ class ArduCopter(MavlinkAutopilot):
         """A script in the autopilot."""
         return self._dead_man
 
-    async def inspect(self) -> None:
-        """Looks whether its firmware knows the command by which it is sent to a place."""
-        await super().inspect()
-        await require_reposition(self._vehicle)
-
     async def limits(self) -> VehicleLimits:
         """Home, and what its parameters and its fence list say; the energy facts are read with them."""
         limits = await super().limits()
@@ -130,10 +125,11 @@ class ArduCopter(MavlinkAutopilot):
         return replace(self._energy, home=super().energy.home)
 
     async def arm(self) -> None:
-        """Enters GUIDED and starts the motors; tries again while its last checks object."""
+        """Tries its firmware, enters GUIDED and starts the motors; tries again while its last checks object."""
         loop, settings = asyncio.get_running_loop(), self._settings
         deadline_s = loop.time() + settings.ready_timeout_s
         async with self._vehicle.limited("arm", settings.ready_timeout_s + settings.margin_s):
+            await require_reposition(self._vehicle)
             while True:
                 begun_s = self._vehicle.now_s
                 try:
