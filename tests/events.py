@@ -13,7 +13,20 @@ from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 
 _NEW_YEAR = datetime(2026, 1, 1, tzinfo=UTC).isoformat()
-_BLANKS: tuple[object, ...] = (None, 0, "", False, [], {}, _NEW_YEAR, "AVL", "local", "return", "program")
+_BLANKS: tuple[object, ...] = (
+    None,
+    0,
+    "",
+    False,
+    [],
+    {},
+    _NEW_YEAR,
+    "AVL",
+    "local",
+    "return",
+    "program",
+    "rates",
+)
 _KINDS = {schema.kind_of(each): each for each in schema.EVENTS}
 
 

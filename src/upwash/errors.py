@@ -10,7 +10,8 @@ UpwashError
 │   ├── AutopilotRefused        it answered no
 │   │   └── AutopilotOverruled      the pilot or a fail-safe has taken the vehicle over
 │   ├── AutopilotTimeout        it did not get there in time
-│   └── AutopilotLost           its link went silent
+│   ├── AutopilotLost           its link went silent
+│   └── AutopilotNotHeard       it was never heard: the flight did not begin
 ├── CameraError               the camera gave no photo: names the camera and what is wrong with it
 ├── NetworkError              a server's network could not be joined
 ├── LinkError                 a request got no answer
@@ -36,6 +37,7 @@ from pathlib import Path
 __all__ = [
     "AutopilotError",
     "AutopilotLost",
+    "AutopilotNotHeard",
     "AutopilotOverruled",
     "AutopilotRefused",
     "AutopilotTimeout",
@@ -125,6 +127,10 @@ class AutopilotTimeout(AutopilotError):
 
 class AutopilotLost(AutopilotError):
     """The link to the vehicle went silent."""
+
+
+class AutopilotNotHeard(AutopilotError):
+    """The vehicle was never heard on its connection, and nothing was sent to it: it may be switched on later."""
 
 
 class CameraError(UpwashError):

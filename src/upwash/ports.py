@@ -17,7 +17,7 @@ from upwash.core.geo import Circle, EarthPosition, Position, Velocity
 from upwash.core.geofence import Fence
 from upwash.core.pace import Pace
 from upwash.core.telemetry import Telemetry
-from upwash.eventlog.schema import Event
+from upwash.eventlog.schema import Event, LinkTroubleName
 from upwash.support.heat import Surroundings
 
 
@@ -67,8 +67,23 @@ class HomeMoved:
     home: Position
 
 
+@dataclass(frozen=True, slots=True)
+class LinkTrouble:
+    """What is wrong with the vehicle's link, or who else is on it; each is told once."""
+
+    about: LinkTroubleName
+    why: str
+
+
 VehicleNews: TypeAlias = (
-    Control | VehicleText | ArmingDelayed | VehicleSetting | LinkChanged | PositionDoubted | HomeMoved
+    Control
+    | VehicleText
+    | ArmingDelayed
+    | VehicleSetting
+    | LinkChanged
+    | LinkTrouble
+    | PositionDoubted
+    | HomeMoved
 )
 
 

@@ -41,7 +41,12 @@ class Sky:
 
     def commands(self, since_s: float = 0.0) -> list[int]:
         """What the driver commanded since then, questions left out."""
-        questions = mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 401
+        questions = (
+            mavlink.MAV_CMD_REQUEST_MESSAGE,
+            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+            mavlink.MAV_CMD_GET_MESSAGE_INTERVAL,
+            401,
+        )
         return [
             message.command
             for message in self.heard

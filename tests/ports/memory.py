@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.ports.lossy import Air
 
 from upwash.core.geo import GeoPosition, LocalFrame
-from upwash.real.mavlink import MavlinkAutopilot, connect_autopilot, link
+from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience, connect_autopilot, link
 from upwash.vehicle.ardupilot import ArduCopter
 from upwash.vehicle.clock import Clock
 from upwash.vehicle.connection import Connection, Vehicle
@@ -29,6 +29,7 @@ AGILE = VehicleSettings(
     return_altitude_m=0.0,
     armable_after_s=0.0,
 )
+AT_ONCE = FlightSettings(patience=Patience(others_s=0.0))  # knows that no other vehicle is there
 PERFECT = Air(0.0, seed=1)
 
 
@@ -57,7 +58,9 @@ class Bench:
     @asynccontextmanager
     async def program(self) -> AsyncIterator[MavlinkAutopilot]:
         """A driver; at the end of the block it falls silent without a word, as a program that is killed."""
-        autopilot = await connect_autopilot("memory:vehicle:1", frame=LocalFrame(HOME), ground_speed_m_s=60.0)
+        autopilot = await connect_autopilot(
+            "memory:vehicle:1", frame=LocalFrame(HOME), ground_speed_m_s=60.0, settings=AT_ONCE
+        )
         try:
             yield autopilot
         finally:

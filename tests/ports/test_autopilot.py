@@ -41,15 +41,16 @@ AGILE = VehicleSettings(
     return_altitude_m=0.0,
     armable_after_s=0.0,
 )
-HASTY = FlightSettings(arm_again_s=0.2, progress_s=0.5)
+HASTY = FlightSettings(arm_again_s=0.2, progress_s=0.5, patience=Patience(others_s=0.0))
 IMPATIENT = FlightSettings(
     arm_again_s=0.2,
     progress_s=0.5,
-    patience=Patience(answer_s=0.2, attempts=4, quiet_after_s=0.4, lost_after_s=1.5),
+    patience=Patience(answer_s=0.2, attempts=4, others_s=0.0, quiet_after_s=0.4, lost_after_s=1.5),
 )
 
 SHORT_OF_HEARING = FlightSettings(
-    progress_s=0.5, patience=Patience(answer_s=0.1, attempts=4, quiet_after_s=0.3, lost_after_s=1.0)
+    progress_s=0.5,
+    patience=Patience(answer_s=0.1, attempts=4, others_s=0.0, quiet_after_s=0.3, lost_after_s=1.0),
 )
 
 

@@ -42,7 +42,7 @@ AGILE = VehicleSettings(
 BRISK = FlightSettings(
     arm_again_s=0.1,
     progress_s=0.4,
-    patience=Patience(answer_s=0.15, effect_s=0.5, attempts=25, quiet_after_s=2.5),
+    patience=Patience(answer_s=0.15, effect_s=0.5, attempts=25, others_s=0.0, quiet_after_s=2.5),
 )
 LINKS = [
     pytest.param(listen, share, id=f"{listen[:3]} {share:.0%}")

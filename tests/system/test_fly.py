@@ -56,7 +56,7 @@ def patrol(drone):
 """
 
 IMPATIENT = FlightSettings(
-    ready_timeout_s=0.3, arm_again_s=0.1, patience=Patience(quiet_after_s=0.5, lost_after_s=1.0)
+    ready_timeout_s=0.3, arm_again_s=0.1, patience=Patience(others_s=0.0, quiet_after_s=0.5, lost_after_s=1.0)
 )
 
 

@@ -15,6 +15,7 @@ class ExitCode(IntEnum):
     NOT_KEPT = 3
     RESERVE = 4
     NOT_OURS = 5
+    NOT_HEARD = 6
     INTERRUPTED = 130
 
 
@@ -25,5 +26,6 @@ MEANINGS: Mapping[ExitCode, str] = {
     ExitCode.NOT_KEPT: "it did what it should, and not all of the event log or of the output could be written",
     ExitCode.RESERVE: "the battery ended the mission, at the reserve",
     ExitCode.NOT_OURS: "the program does not have the vehicle: a person, a fail-safe or another program has it",
+    ExitCode.NOT_HEARD: "the vehicle was never heard: the flight did not begin, and may be started again",
     ExitCode.INTERRUPTED: "Ctrl-C or SIGTERM ended it",
 }

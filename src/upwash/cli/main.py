@@ -37,6 +37,7 @@ from upwash.cli import (
 )
 from upwash.cli.exit_codes import ExitCode
 from upwash.errors import (
+    AutopilotNotHeard,
     AutopilotOverruled,
     MissionFailed,
     MissionStopped,
@@ -121,6 +122,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     except MissionFailed as error:
         print(escaped_lines(error.trace), file=sys.stderr)
         return complain(error, ExitCode.FAILURE)
+    except AutopilotNotHeard as error:
+        return complain(error, ExitCode.NOT_HEARD)
     except NotKept as error:
         return complain(error, ExitCode.NOT_KEPT)
     except AutopilotOverruled as error:

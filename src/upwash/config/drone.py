@@ -59,6 +59,7 @@ PlacesInMetres = Annotated[
     Meta(min_length=1, description="pairs [east, north] in metres, at least one"),
 ]
 SecondOfADay = Annotated[float, Meta(ge=0, le=86_400, description="a number from 0 to 86400, in seconds")]
+SystemId = Annotated[int, Meta(ge=1, le=255, description="a whole number from 1 to 255")]
 Radios = Annotated[int, Meta(ge=1, le=2, description="1 or 2")]
 PolicyName = Literal["local-only", "opportunistic", "location-aware", "look-ahead"]
 SafeEnd = Literal["return", "hold", "land"]
@@ -152,6 +153,10 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     connection: Text | None = None
     """`serial:DEVICE:BAUD`, `udpin:HOST:PORT`, `udpout:HOST:PORT` or `tcp:HOST:PORT`; needed to fly."""
+    system: SystemId | None = None
+    """Which vehicle on the link is flown, by its MAVLink system id; absent: the only one that is heard."""
+    found_within_s: Positive = 120.0
+    """How long a flight waits for the vehicle to be heard, in seconds: it may be switched on after this computer."""
     signing_key: FilePath | None = None
     """All messages are signed with this key, and only signed ones are believed:
     [signing](vehicle.md#signed-messages)."""

@@ -48,6 +48,7 @@ from upwash.ports import (
     InstanceSpec,
     Journal,
     LinkChanged,
+    LinkTrouble,
     Network,
     Notifier,
     PositionDoubted,
@@ -231,6 +232,8 @@ class Flight:
                 journal.record(
                     schema.HomeMoved(east_m=there.east_m, north_m=there.north_m, altitude_m=there.altitude_m)
                 )
+            case LinkTrouble(about, why):
+                journal.record(schema.LinkTrouble(about=about, why=why))
             case ArmingDelayed(reasons):
                 journal.record(schema.ArmingDelayed(reasons=reasons))
             case Control(owner, _, why):

@@ -155,7 +155,9 @@ class Narrator:
             case schema.Notified(message=message):
                 return Said(f"told the user: {in_one_line(message)}", Tone.FOUND)
             case _:
-                said = self._course(event) or self._vehicle(event) or _vehicle_told(event)
+                said = (
+                    self._course(event) or self._vehicle(event) or self._link(event) or _vehicle_told(event)
+                )
                 return said or _ending(event) or _failure(event) or _clock(event)
 
     def _course(self, event: Event) -> Said | None:
@@ -242,6 +244,26 @@ class Narrator:
                 return Said("the vehicle stands on the ground")
         return None
 
+    def _link(self, event: Event) -> Said | None:
+        """Which vehicle is heard, and how well."""
+        match event:
+            case schema.UnsignedPort(why=why) | schema.SiteDoubt(why=why) | schema.LinkTrouble(why=why):
+                return Said(why, Tone.TROUBLE)
+            case schema.WaitingForVehicle(why=why, waited_s=waited_s, within_s=within_s):
+                self.doing = "waiting for the vehicle"
+                return Said(f"{self.doing} for {waited_s:.0f} of {within_s:g} s: {why}", Tone.TROUBLE)
+            case schema.VehicleFound(system=system, component=component, firmware=firmware):
+                self.doing = "starting the services of the drone"
+                return Said(
+                    f"the vehicle is system {system}, component {component} ({firmware} {event.type})",
+                    Tone.ASIDE,
+                )
+            case schema.LinkLost(silent_s=silent_s):
+                return Said(f"the vehicle is not heard any more, for {silent_s:.1f} s", Tone.TROUBLE)
+            case schema.LinkRestored(silent_s=silent_s):
+                return Said(f"the vehicle is heard again, after {silent_s:.1f} s")
+        return None
+
 
 def _vehicle_told(event: Event) -> Said | None:
     """What the vehicle says, but for its reasons not to arm, which are told when they change."""
@@ -252,12 +274,6 @@ def _vehicle_told(event: Event) -> Said | None:
             return Said(f"the vehicle says: {text} ({SEVERITIES[severity]})", Tone.TROUBLE)
         case schema.VehicleSetting(name=name, value=value, advice=advice):
             return Said(f"the vehicle's {name} is {known(value)}: {advice}", Tone.TROUBLE)
-        case schema.UnsignedPort(why=why) | schema.SiteDoubt(why=why):
-            return Said(why, Tone.TROUBLE)
-        case schema.LinkLost(silent_s=silent_s):
-            return Said(f"the vehicle is not heard any more, for {silent_s:.1f} s", Tone.TROUBLE)
-        case schema.LinkRestored(silent_s=silent_s):
-            return Said(f"the vehicle is heard again, after {silent_s:.1f} s")
         case schema.PositionDoubted(jumped_m=jumped_m):
             return _doubt(jumped_m)
         case schema.HomeMoved(east_m=east_m, north_m=north_m, altitude_m=altitude_m):

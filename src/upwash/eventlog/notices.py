@@ -62,6 +62,7 @@ class Notices:
     def _of(self, event: Event) -> Iterator[Notice]:
         yield from _course(event)
         yield from _vehicle(event)
+        yield from _link(event)
         yield from _defects(event)
         match event:
             case schema.Step(server=server, after=State.BLACKLISTED, why=why):
@@ -108,7 +109,7 @@ def _course(event: Event) -> Iterator[Notice]:
 
 
 def _vehicle(event: Event) -> Iterator[Notice]:
-    """Who has the vehicle, whether it is heard, and what it waits for."""
+    """Who has the vehicle, and what it waits for."""
     match event:
         case schema.Control(owner=Owner.PROGRAM):
             yield Notice("control")
@@ -118,12 +119,6 @@ def _vehicle(event: Event) -> Iterator[Notice]:
             yield _alarm("control", cause, "Nothing is sent to it any more.")
         case schema.LeftToPilot(why=why):
             yield _alarm("left", f"Nothing is sent to the vehicle any more: {why}", _TAKE_OVER)
-        case schema.LinkLost(silent_s=silent_s):
-            yield _alarm(
-                "link", f"The vehicle has not been heard for {silent_s:.1f} s", "Be ready to take over."
-            )
-        case schema.LinkRestored():
-            yield Notice("link")
         case schema.PositionDoubted(jumped_m=jumped_m):
             doubt = f"The vehicle's reported position jumped {jumped_m:.0f} m, farther than it can fly"
             yield _alarm("position", doubt, "Look where it is.") if jumped_m else Notice("position")
@@ -139,6 +134,23 @@ def _vehicle(event: Event) -> Iterator[Notice]:
     if isinstance(event, _ON_GROUND):
         for key in ("hovering", "safe end", "left", "link", "position", "home"):
             yield Notice(key)
+
+
+def _link(event: Event) -> Iterator[Notice]:
+    """Whether the vehicle is heard, and how well."""
+    match event:
+        case schema.WaitingForVehicle(why=why):
+            yield Notice("waiting", f"The vehicle is waited for: {why}")
+        case schema.VehicleFound():
+            yield Notice("waiting")
+        case schema.LinkLost(silent_s=silent_s):
+            yield _alarm(
+                "link", f"The vehicle has not been heard for {silent_s:.1f} s", "Be ready to take over."
+            )
+        case schema.LinkRestored():
+            yield Notice("link")
+        case schema.LinkTrouble(about=about, why=why):
+            yield Notice(f"link {about}", _sentence(why))
 
 
 def _defects(event: Event) -> Iterator[Notice]:

@@ -335,6 +335,23 @@ class UnsignedPort(Event, frozen=True, kw_only=True):
     why: str
 
 
+class WaitingForVehicle(Event, frozen=True, kw_only=True):
+    """The vehicle has not been heard for so long, and why; it is waited for within so many seconds in all."""
+
+    why: str
+    waited_s: float
+    within_s: float
+
+
+class VehicleFound(Event, frozen=True, kw_only=True):
+    """The vehicle that is followed from now on: its MAVLink ids, its firmware, and its type, such as `quadrotor`."""
+
+    system: int
+    component: int
+    firmware: str
+    type: str
+
+
 class LinkLost(Event, frozen=True, kw_only=True):
     """Nothing has been heard of the vehicle for so long."""
 
@@ -359,6 +376,18 @@ class HomeMoved(Event, frozen=True, kw_only=True):
     east_m: float
     north_m: float
     altitude_m: float
+
+
+LinkTroubleName: TypeAlias = Literal[
+    "another-vehicle", "same-id", "another-program", "numbers", "rates", "capacity"
+]
+
+
+class LinkTrouble(Event, frozen=True, kw_only=True):
+    """What is wrong with the vehicle's link, or who else is on it; once for each of these."""
+
+    about: LinkTroubleName
+    why: str
 
 
 class VehicleSaid(Event, frozen=True, kw_only=True):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from upwash.real.runtime import ProcessRuntime, sockets_in
 from upwash.support.loading import extra
 
 _DEFAULTS = FlightSettings()
+_ASKED_WITHIN_S = 10.0  # by a command that does not fly
 _FOUND_WITHIN_S = 3.0  # an answer to a multicast question takes a second at most
 
 
@@ -31,15 +33,25 @@ class VehicleLink:
     home: GeoPosition
     ground_speed_m_s: float
     signing: Signing | None
+    system: int | None
 
-    async def connect(self, settings: FlightSettings = _DEFAULTS) -> MavlinkAutopilot:
-        """Connects to it; raises AutopilotError where nothing is heard."""
+    async def connect(
+        self,
+        settings: FlightSettings = _DEFAULTS,
+        *,
+        within_s: float = _ASKED_WITHIN_S,
+        waiting: Callable[[str, float], None] = lambda *_: None,
+    ) -> MavlinkAutopilot:
+        """Connects to it; raises AutopilotError where it is not heard, or not certain. See `connect_autopilot`."""
         return await connect_autopilot(
             self.connection,
             frame=LocalFrame(self.home),
             ground_speed_m_s=self.ground_speed_m_s,
             settings=settings,
             signing=self.signing,
+            system=self.system,
+            heartbeat_timeout_s=within_s,
+            waiting=waiting,
         )
 
 
@@ -50,6 +62,7 @@ def vehicle_link(config: DroneConfig) -> VehicleLink:
         connection=connection_of(config),
         ground_speed_m_s=config.mission.ground_speed_m_s,
         signing=signing_of(config),
+        system=config.autopilot.system,
     )
 
 

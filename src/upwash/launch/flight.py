@@ -109,14 +109,27 @@ async def _autopilot(
 ) -> MavlinkAutopilot:
     if problem := unsigned_port(config.autopilot):
         journal.record(schema.UnsignedPort(why=problem))
+    within_s = config.autopilot.found_within_s
+
+    def wait(why: str, waited_s: float) -> None:
+        journal.record(schema.WaitingForVehicle(why=why, waited_s=round(waited_s, 1), within_s=within_s))
+
     autopilot = await vehicle.connect(
         FlightSettings(
             arrival_distance_m=config.autopilot.arrival_distance_m,
             arrival_speed_m_s=config.autopilot.arrival_speed_m_s,
             patience=Patience(lost_after_s=config.autopilot.link_patience_s),
-        )
+        ),
+        within_s=within_s,
+        waiting=wait,
     )
     stack.push_async_callback(autopilot.close)
+    found = autopilot.identity
+    journal.record(
+        schema.VehicleFound(
+            system=found.system, component=found.component, firmware=autopilot.firmware, type=found.kind
+        )
+    )
     return autopilot
 
 

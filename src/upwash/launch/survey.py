@@ -28,9 +28,9 @@ _START_S = 120.0
 
 @dataclass(frozen=True, slots=True)
 class VehicleSurvey:
-    """What a vehicle runs, and what its dead man lacks, empty where it is ready."""
+    """Which vehicle was heard, and what its dead man lacks, empty where it is ready."""
 
-    firmware: str
+    vehicle: str
     dead_man_lacks: str
 
 
@@ -42,7 +42,7 @@ async def survey_vehicle(config: DroneConfig, *, install_dead_man: bool) -> Vehi
         if install_dead_man:
             await autopilot.claim(resumes=False)
             left_to_do = await autopilot.dead_man.install()
-        return VehicleSurvey(autopilot.firmware, left_to_do or await autopilot.dead_man.missing())
+        return VehicleSurvey(str(autopilot.identity), left_to_do or await autopilot.dead_man.missing())
     finally:
         await autopilot.close()
 

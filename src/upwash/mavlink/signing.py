@@ -71,15 +71,8 @@ class Signing:
 
     def refusal(self, packet: bytes) -> Refusal | None:
         """Why the packet, which is whole, is not believed; None where it is, which makes it the stream's last."""
-        if (
-            len(packet) < _SHORTEST_BYTES
-            or packet[0] != mavlink.PROTOCOL_MARKER_V2
-            or not packet[2] & _SIGNED
-        ):
-            return Refusal.UNSIGNED
-        signed = hashlib.sha256(self._key + packet[:-_HASH_BYTES]).digest()[:_HASH_BYTES]
-        if not hmac.compare_digest(signed, packet[-_HASH_BYTES:]):
-            return Refusal.OTHER_KEY
+        if forgery := self.forgery(packet):
+            return forgery
         link, made = packet[-_SIGNATURE_BYTES], int.from_bytes(packet[-12:-_HASH_BYTES], "little")
         stream = link, packet[5], packet[6]
         last = self._heard.get(stream)
@@ -90,6 +83,17 @@ class Signing:
         self._heard[stream] = made
         self._advance(made)
         return None
+
+    def forgery(self, packet: bytes) -> Refusal | None:
+        """Why the packet, which is whole, was not made by who has the key; None where it was, at whatever time."""
+        if (
+            len(packet) < _SHORTEST_BYTES
+            or packet[0] != mavlink.PROTOCOL_MARKER_V2
+            or not packet[2] & _SIGNED
+        ):
+            return Refusal.UNSIGNED
+        signed = hashlib.sha256(self._key + packet[:-_HASH_BYTES]).digest()[:_HASH_BYTES]
+        return None if hmac.compare_digest(signed, packet[-_HASH_BYTES:]) else Refusal.OTHER_KEY
 
     def _now(self) -> int:
         return min(_LATEST - 1, max(0, int((self._unix_s() - _EPOCH_UNIX_S) * TICKS_PER_S)))

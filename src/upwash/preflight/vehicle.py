@@ -19,7 +19,7 @@ def check_vehicle(config: DroneConfig, console: Console, *, install_dead_man: bo
 
     found = asyncio.run(survey_vehicle(config, install_dead_man=install_dead_man))
     wanted = config.autopilot.dead_man_s is not None
-    console.print(f"{found.firmware} was heard on {config.autopilot.connection}", soft_wrap=True)
+    console.print(f"{found.vehicle} was heard on {config.autopilot.connection}", soft_wrap=True)
     if found.dead_man_lacks:
         lacks = Text("dead man: ", style="red" if wanted or install_dead_man else "yellow")
         console.print(lacks + Text(found.dead_man_lacks), soft_wrap=True)

@@ -131,7 +131,10 @@ class Flight:
         """On the ground, in the air, or between: a landing is noticed late, a fall is taken for ground at once."""
         if self._doing is _Doing.FALLING:
             return LandedState.ON_GROUND
-        noticed = now_s - _CONTACT_NOTICED_S if self._doing is _Doing.LANDING else now_s
+        noticed_after_s = min(
+            _CONTACT_NOTICED_S, self._auto_disarm_s
+        )  # it disarms itself when it has noticed
+        noticed = now_s - noticed_after_s if self._doing is _Doing.LANDING else now_s
         if not self.flying(noticed):
             return LandedState.ON_GROUND
         if self._doing is _Doing.LANDING and now_s >= self._descends_s:

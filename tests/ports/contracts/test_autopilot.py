@@ -13,7 +13,7 @@ from tests.ports.steps import take_off
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, distance_m, ground_distance_m
 from upwash.errors import AutopilotOverruled, AutopilotRefused
 from upwash.ports import Autopilot
-from upwash.real.mavlink import FlightSettings, connect_autopilot
+from upwash.real.mavlink import FlightSettings, Patience, connect_autopilot
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.loop import run_virtually
 from upwash.sim.plain import Plain
@@ -54,7 +54,7 @@ async def mavlink_autopilot() -> AsyncIterator[Autopilot]:
             vehicle.address.replace("udp:", "udpout:"),
             frame=LocalFrame(HOME),
             ground_speed_m_s=SPEED_M_S,
-            settings=FlightSettings(arm_again_s=0.2, progress_s=0.5),
+            settings=FlightSettings(arm_again_s=0.2, progress_s=0.5, patience=Patience(others_s=0.0)),
         )
         try:
             yield autopilot

@@ -36,7 +36,7 @@ HASTY = FlightSettings(
     arm_again_s=0.2,
     progress_s=0.5,
     margin_s=6.0,
-    patience=Patience(answer_s=0.3, attempts=4, quiet_after_s=0.6, lost_after_s=3.0),
+    patience=Patience(answer_s=0.3, attempts=4, others_s=0.0, quiet_after_s=0.6, lost_after_s=3.0),
 )
 KEY = bytes(range(32))
 LOCAL = "127.0.0.1"

@@ -62,6 +62,7 @@ ARDUCOPTER = Firmware(
     failsafe=_failsafe,
     keeps_targets=True,
     streams_hz={
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT: 10.0,  # mode and arming, once a second by itself
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
         mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 4.0,
         mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 5.0,
@@ -78,6 +79,13 @@ ARDUCOPTER = Firmware(
     always_has="FRAME_CLASS",
     oldest=Version(4, 1),
     needs="MAV_CMD_DO_REPOSITION",
+    sent_at_times=frozenset(
+        {
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
+            mavlink.MAVLINK_MSG_ID_FENCE_STATUS,
+            mavlink.MAVLINK_MSG_ID_WIND,
+        }
+    ),
 )
 
 

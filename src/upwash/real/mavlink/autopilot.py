@@ -31,6 +31,7 @@ from upwash.errors import AutopilotRefused, UsageError
 from upwash.mavlink.version import Version
 from upwash.ports import ArmingDelayed, DeadMan, VehicleLimits, VehicleNews
 from upwash.real.mavlink.dead_man import NoDeadMan
+from upwash.real.mavlink.identity import Heard
 from upwash.real.mavlink.needs import require_version
 from upwash.real.mavlink.settings import FlightSettings
 from upwash.real.mavlink.vehicle import MavlinkVehicle
@@ -80,6 +81,11 @@ class MavlinkAutopilot(ABC):
     def firmware(self) -> str:
         """What it runs."""
         return self._vehicle.firmware.name
+
+    @property
+    def identity(self) -> Heard:
+        """Its ids and its type."""
+        return self._vehicle.found_vehicle
 
     @property
     def version(self) -> Version | None:
@@ -262,6 +268,7 @@ class MavlinkAutopilot(ABC):
             for until_s in (0.0, min(settings.words_s, within_s), within_s):
                 await vehicle.happens("arm", self._may_be_armed, within_s=begun_s + until_s - vehicle.now_s)
                 vehicle.require_control("arm")
+                vehicle.require_alone("arm")
                 if not self._may_be_armed():
                     self._tell_delay(self._reasons_since(begun_s) or self._own_reasons())
             if vehicle.now_s >= deadline_s and vehicle.linked and not self._may_be_armed():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from upwash.core.geo import LocalFrame
 from upwash.mavlink.signing import Signing
 from upwash.real.mavlink.arducopter import ARDUCOPTER, ArduCopter
@@ -25,16 +27,20 @@ async def connect_autopilot(
     heartbeat_timeout_s: float = 10.0,
     settings: FlightSettings = _DEFAULTS,
     signing: Signing | None = None,
+    system: int | None = None,
+    waiting: Callable[[str, float], None] = lambda *_: None,
 ) -> MavlinkAutopilot:
-    """Returns once an autopilot has been heard on the connection; raises AutopilotError if none is.
+    """Returns once the vehicle has been heard on the connection; raises AutopilotError if it is not.
 
     `connection` is `udpin:HOST:PORT`, `udpout:HOST:PORT`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD`. With `signing`
-    all messages are signed, and only such are heard.
+    all messages are signed, and only such are heard. The vehicle is the one of that `system`; without one, the
+    only one that is heard: with several, AutopilotRefused names them. `waiting` is told why the vehicle is waited
+    for, and for how many seconds it has been.
     """
     check_speed(ground_speed_m_s)
-    vehicle = MavlinkVehicle(connection, settings.patience, _FIRMWARES, signing=signing)
+    vehicle = MavlinkVehicle(connection, settings.patience, _FIRMWARES, signing=signing, system=system)
     try:
-        await vehicle.found(within_s=heartbeat_timeout_s)
+        await vehicle.found(within_s=heartbeat_timeout_s, waiting=waiting)
         vehicle.version = await ask_version(vehicle)
     except BaseException:
         await vehicle.close()

@@ -20,9 +20,10 @@ class Firmware:
 
     `mode_name` names a custom mode, `own_mode` is the one in which the program steers. `failsafe` says why a
     fail-safe may have chosen the mode of that name, or nothing. `streams_hz` are the reports that the driver needs,
-    by message. `always_has` is the name of a parameter that all its versions have. `oldest` is the oldest version
-    that can be flown, as upwash `needs` what older ones lack. `take` has the telemetry remember
-    what only this firmware reports, at that time.
+    by message; `sent_at_times` are those of them that the vehicle sends only while it has something to tell.
+    `always_has` is the name of a parameter that all its versions have. `oldest` is the oldest version that can be
+    flown, as upwash `needs` what older ones lack. `take` has the telemetry remember what only this firmware reports,
+    at that time.
     """
 
     name: str
@@ -35,5 +36,6 @@ class Firmware:
     oldest: Version
     needs: str
     keeps_targets: bool = False  # in `own_mode` it reports the last target that it was sent to
+    sent_at_times: frozenset[int] = frozenset()
     take: Callable[[Telemetry, Message, float], None] = _nothing_more
     sends_parameters_as_bytes: bool = False  # an integer's bytes lie in the float that carries a parameter

@@ -15,15 +15,16 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.control import Latch, Report
 from upwash.core.geo import Position
-from upwash.errors import AutopilotError, AutopilotLost, AutopilotTimeout
-from upwash.mavlink.signing import Refusal, Signing
-from upwash.ports import LinkChanged, VehicleNews
+from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
+from upwash.mavlink.signing import Signing
+from upwash.ports import LinkChanged, LinkTrouble, VehicleNews
 from upwash.real.mavlink.boot_clock import BootClock
 from upwash.real.mavlink.firmware import Firmware
-from upwash.real.mavlink.hearing import Message
-from upwash.real.mavlink.identity import Identity, sender_of
+from upwash.real.mavlink.hearing import Message, is_signed
+from upwash.real.mavlink.identity import Heard, Identity, sender_of
 from upwash.real.mavlink.link import MavlinkLink
 from upwash.real.mavlink.numbering import Numbering
+from upwash.real.mavlink.search import Search
 from upwash.real.mavlink.settings import Patience
 from upwash.real.mavlink.streams import Streams
 from upwash.real.mavlink.telemetry import Telemetry
@@ -31,17 +32,20 @@ from upwash.real.mavlink.telemetry import Telemetry
 _HEARTBEAT_S = 1.0
 _TELL_THE_MODE = ("HEARTBEAT", "CURRENT_MODE", "FENCE_STATUS")
 _STOOD_S = 1.0  # on the ground before its motors stop
+_WRONG_TIMES = 2  # in a row that sequence numbers do not count
+_NUMBERS_PROBLEM = (
+    "the sequence numbers of the vehicle's messages do not count up, as behind a bridge that packs the messages "
+    "anew; which messages are late is judged by their time since boot"
+)
+_SIGNS = (
+    "signs its messages and answers none that is not signed: name the file of its key as autopilot.signing_key, or "
+    "remove the key from the vehicle with a ground station"
+)
 _NEWS_KEPT = 1000  # until somebody listens
-_REMEDIES = {
-    Refusal.UNSIGNED: "give it the key with a ground station, or leave autopilot.signing_key out",
-    Refusal.OTHER_KEY: "give it the key of autopilot.signing_key with a ground station, or name the file of its key",
-    Refusal.STALE: "wait until its GPS has a fix, and see that this computer's clock is right",
-    Refusal.REPLAYED: "somebody repeats what it said earlier, or it was started anew: try again",
-}
 
 
 class HeardVehicle:
-    """The first autopilot heard on the connection; others on it are ignored.
+    """The vehicle of `system` on the connection, or else the only one that is heard; others on it are ignored.
 
     So is what arrives twice or late: a mode that the vehicle has left, an answer to an earlier attempt. `firmwares`
     are those that can be flown; which one this is, is known once it was `found`.
@@ -54,10 +58,11 @@ class HeardVehicle:
         firmwares: Sequence[Firmware],
         *,
         signing: Signing | None = None,
+        system: int | None = None,
     ) -> None:
         self.telemetry = Telemetry()
         self.patience = patience
-        self.identity = Identity(firmwares)
+        self.identity = Identity(firmwares, system=system, tell=self.tell)
         self._loop = asyncio.get_running_loop()
         self.latch = Latch(self._loop.time())
         self._hear_news: Callable[[VehicleNews], None] | None = None
@@ -67,7 +72,11 @@ class HeardVehicle:
         self._silent_s = 0.0  # in all, of silences that are over
         self._numbering = Numbering()
         self._clock = BootClock()
-        self._streams = Streams(self._ask_for_stream, quiet_after_s=patience.quiet_after_s)
+        self._streams = Streams(self.question, quiet_after_s=patience.quiet_after_s, tell=self.tell)
+        self._asks = False  # whether reports are asked for: of the right vehicle alone
+        self._only_signed = True  # all that was heard of it
+        self._is_signing = signing is not None
+        self._told_numbers = False
         self._last_heard_s = self._loop.time()
         self.mode_told_s = -math.inf  # when it last was
         self._news = asyncio.Event()
@@ -76,6 +85,7 @@ class HeardVehicle:
             self._hear,
             signing=signing,
             follows=self.identity.follows,
+            overheard=self.identity.overhear,
             moved_after_s=patience.dead_after_s,
         )
         self.heartbeat_word: Callable[[], int] = lambda: 0  # what else each of our heartbeats says
@@ -84,19 +94,51 @@ class HeardVehicle:
         self._accompanying = asyncio.create_task(self._accompany())
         self._watching = asyncio.create_task(self._watch_link())
 
-    async def found(self, *, within_s: float) -> None:
-        """Returns when the vehicle's heartbeat has been heard; raises AutopilotError if it is not."""
-        try:
-            async with asyncio.timeout(within_s):
-                while self.identity.ids is None:
-                    await self._news.wait()
-        except TimeoutError:
-            raise AutopilotError("connect", self._why_not_found(within_s)) from None
+    async def found(
+        self, *, within_s: float, waiting: Callable[[str, float], None] = lambda *_: None
+    ) -> None:
+        """Returns when the vehicle has been heard, and nobody else who may be meant.
+
+        Raises AutopilotNotHeard where it is not heard, AutopilotError where something else is, or it is not certain
+        which vehicle is meant, or the vehicle hears nothing that is not signed. `waiting` is told why it goes on
+        waiting, and for how long it has.
+        """
+        search = Search(self._link, self.identity)
+        await search.over(
+            self._news.wait, within_s=within_s, waiting=waiting
+        )  # set once, by the first that is heard
+        if self.identity.system is None:
+            await asyncio.sleep(self.patience.others_s)
+        self.require_alone("connect")
+        self._asks = True
+        self._streams.begin(self.firmware, self._loop.time())
+        await self._require_answers()
+
+    def require_alone(self, step: str) -> None:
+        """Raises AutopilotRefused where it is not certain that the vehicle is the one that is meant."""
+        if self.identity.doubt:
+            raise AutopilotRefused(step, self.identity.doubt)
+
+    async def _require_answers(self) -> None:
+        """A vehicle that signs may hear nothing that is not signed: it answers no question then."""
+        if self._is_signing or not self._only_signed:
+            return
+        if not await self.happens(
+            "connect", lambda: bool(self.telemetry.answers), within_s=self.patience.signed_s
+        ):
+            raise AutopilotRefused("connect", f"{self.identity.vehicle} on {self._link.connection} {_SIGNS}")
 
     @property
     def firmware(self) -> Firmware:
         """What it runs, once it was found."""
         return self.identity.firmware
+
+    @property
+    def found_vehicle(self) -> Heard:
+        """What its heartbeat says that it is, once it was found."""
+        vehicle = self.identity.vehicle
+        assert vehicle is not None, "it was not found yet"  # noqa: S101
+        return vehicle
 
     @property
     def ids(self) -> tuple[int, int]:
@@ -266,19 +308,27 @@ class HeardVehicle:
         return self._silent_s + (now_silent_s if now_silent_s >= self.patience.quiet_after_s else 0.0)
 
     def _hear(self, message: Message) -> None:
-        if self.identity.meet(message):
+        identity, linked = self.identity, self.linked
+        if identity.meet(message):
             self._link.speak_as_part_of(message.get_srcSystem())
-            self._ask_for_missing_streams()
-        if sender_of(message) != self.identity.ids or self._numbering.is_late(message, linked=self.linked):
+        now_s = self._loop.time()
+        if sender_of(message) != identity.ids or not identity.believes(message, now_s):
             return
+        if not self._numbering.is_news(message, now_s, linked=linked):
+            return
+        self._believe(message, linked=linked)
+
+    def _believe(self, message: Message, *, linked: bool) -> None:
+        """Takes in what the vehicle says."""
         now_s = self._loop.time()
         self._suspect_dead_man(now_s)
         self._silent_s = self._silence_so_far_s()
-        if not self.linked:
-            self.ask_for(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
-        self._numbering.take(message)
         self._last_heard_s = now_s
-        self._streams.heard(message.get_msgId(), now_s)
+        self._only_signed &= is_signed(message)
+        self._streams.heard(message, now_s)
+        if self._asks and not linked:
+            self.ask_for(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+            self._streams.begin(self.firmware, now_s)
         self._look_for_restart(message, now_s)
         self.telemetry.take(message, now_s)
         self.firmware.take(self.telemetry, message, now_s)
@@ -341,7 +391,7 @@ class HeardVehicle:
         while True:
             await self._link.opened.wait()
             self.beat()
-            self._ask_for_missing_streams()
+            self._look_at_reports()
             self._leave_a_dead_connection()
             await asyncio.sleep(_HEARTBEAT_S)
 
@@ -356,30 +406,22 @@ class HeardVehicle:
             await self.link_restored()
             self.tell(LinkChanged(linked=True, silent_s=self._last_heard_s - since_s))
 
-    def _ask_for_missing_streams(self) -> None:
-        if self.identity.ids is not None:
-            wanted_hz, now_s = self.firmware.streams_hz, self._loop.time()
-            self._streams.ask_for_missing(wanted_hz, now_s, linked=self.linked)
-
-    def _ask_for_stream(self, number: int, interval_us: float) -> None:
-        self.question(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, interval_us)
+    def _look_at_reports(self) -> None:
+        """Has them asked for where they are missing, and tells of numbers that do not count."""
+        if not self._asks:
+            return
+        numbering = self._numbering
+        share = numbering.received_share
+        self._streams.look(self.firmware, self._loop.time(), linked=self.linked, received_share=share)
+        if numbering.wrong_times >= _WRONG_TIMES and not self._told_numbers:
+            self._told_numbers = True
+            self.tell(LinkTrouble("numbers", _NUMBERS_PROBLEM))
 
     def _leave_a_dead_connection(self) -> None:
         """A peer that vanished without a word leaves a connection behind on which nothing ever comes."""
         last_sign_s = max(self._last_heard_s, self._link.opened_s)
         if self._loop.time() - last_sign_s > self.patience.dead_after_s:
             self._link.reopen()
-
-    def _why_not_found(self, within_s: float) -> str:
-        connection, refused = self._link.connection, self._link.refused
-        if refused is not None:
-            return f"an autopilot was heard on {connection}, and its messages {refused.value}; {_REMEDIES[refused]}"
-        if unflyable := self.identity.why_unflyable(connection, within_s):
-            return unflyable
-        return (
-            f"no autopilot was heard on {connection} within {within_s:g} s{self._link.why_silent}; check that it is "
-            "powered, that the address or device and its speed are right, and that no other program holds it"
-        )
 
     def _silence(self) -> str:
         link, lost_after_s = self._link, self.patience.lost_after_s

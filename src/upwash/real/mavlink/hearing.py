@@ -21,15 +21,25 @@ def from_autopilot(message: Message) -> bool:
     return bool(flies and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1)
 
 
+def is_signed(message: Message) -> bool:
+    """Whether it came with a signature, whoever made that."""
+    return bool(message.get_header().incompat_flags & mavlink.MAVLINK_IFLAG_SIGNED)
+
+
 class Hearing:
     """Passes on the messages that are believed, and knows why an autopilot's last heartbeat was not."""
 
     def __init__(
-        self, heard: Callable[[Message], None], follows: Callable[[Message], bool], signing: Signing | None
+        self,
+        heard: Callable[[Message], None],
+        follows: Callable[[Message], bool],
+        signing: Signing | None,
+        overheard: Callable[[Message], None] = lambda _: None,
     ) -> None:
         self.refused: Refusal | None = None
         self._heard = heard
         self._follows = follows
+        self._overheard = overheard
         self._signing = signing
 
     def reader(self) -> PacketReader:
@@ -52,7 +62,16 @@ class Hearing:
         messages, has_key = self._judged(data, self.reader())
         if any(self._follows(message) for message in messages):
             return self._pass_on(messages), True
+        for message in messages:
+            self._overheard(message)
         return False, has_key
+
+    def overhear(self, data: bytes) -> None:
+        """Takes note of the autopilots in a datagram that is not listened to, but for those without the key."""
+        for message, _ in PacketReader().read(data):
+            packet = bytes(message.get_msgbuf())
+            if self._signing is None or self._signing.forgery(packet) is None:
+                self._overheard(message)
 
     def _pass_on(self, messages: list[Message]) -> bool:
         for message in messages:

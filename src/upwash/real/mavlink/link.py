@@ -41,7 +41,8 @@ class MavlinkLink:
 
     `connection` is `udpin:HOST:PORT`, `udpout:HOST:PORT`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD`; UsageError
     otherwise. `heard` is called with each message. Over `udpin` nothing is heard but from the peer, whom a heartbeat
-    that `follows` accepts makes that (see `peer`), and nothing is sent to anybody else. With `signing` all that is
+    that `follows` accepts makes that (see `peer`), and nothing is sent to anybody else; what others say of themselves
+    is `overheard`. With `signing` all that is
     sent is signed, and what is not signed with the same key is not heard.
     """
 
@@ -52,6 +53,7 @@ class MavlinkLink:
         *,
         signing: Signing | None = None,
         follows: Callable[[Message], bool] = from_autopilot,
+        overheard: Callable[[Message], None] = lambda _: None,
         moved_after_s: float = _MOVED_AFTER_S,
     ) -> None:
         self.connection = connection
@@ -60,7 +62,7 @@ class MavlinkLink:
         self.trouble = ""  # what last kept it from being open
         self._open = _opener(connection)
         self._connects = connection.startswith("tcp:")  # the others have no other side to lose
-        self._hearing = Hearing(heard, follows, signing)
+        self._hearing = Hearing(heard, follows, signing, overheard)
         self._peer = (
             Peer(self._hearing, moved_after_s=moved_after_s, signed=signing is not None)
             if connection.startswith("udpin:")

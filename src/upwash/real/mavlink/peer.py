@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Any, TypeAlias
 
@@ -10,6 +11,7 @@ from upwash.real.mavlink.hearing import Hearing
 Address: TypeAlias = tuple[Any, ...]  # host and port, and more with IPv6
 
 _LONGEST_INTRODUCTION_BYTES = 2048  # no router sends longer datagrams
+_OVERHEARD_EACH_S = 0.05
 # The header of an autopilot's heartbeat: to look for it costs a thousandth of what it costs to read nonsense.
 _HEARTBEAT = re.compile(rb"\xfd\x09[\x00\x01]...\x01\x00\x00\x00|\xfe\x09..\x01\x00", re.DOTALL)
 
@@ -31,6 +33,7 @@ class Peer:
         self._moved_after_s = moved_after_s
         self._signed = signed
         self._heard_s = 0.0
+        self._overheard_s = -math.inf
         self._late: Address | None = None  # of a vehicle whose signatures are too old, while there is no peer
 
     @property
@@ -51,6 +54,7 @@ class Peer:
             self._meet(data, address, now_s)
         else:
             self._ignore(address)
+            self._overhear(data, now_s)
 
     def _may_be(self, address: Address, now_s: float) -> bool:
         """Whether the vehicle's heartbeat from there would make it the peer."""
@@ -67,6 +71,12 @@ class Peer:
             self._late = address
         else:
             self._ignore(address)
+
+    def _overhear(self, data: bytes, now_s: float) -> None:
+        """Takes note of another vehicle at another address, at a pace that a flood does not raise."""
+        if now_s - self._overheard_s >= _OVERHEARD_EACH_S and _may_introduce(data):
+            self._overheard_s = now_s
+            self._hearing.overhear(data)
 
     def _ignore(self, address: Address) -> None:
         self.ignored += 1

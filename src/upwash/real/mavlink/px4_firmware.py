@@ -133,6 +133,9 @@ PX4 = Firmware(
     failsafe=failsafe,
     take=_take,
     streams_hz={
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT: 10.0,  # arming, once a second by itself
+        CURRENT_MODE: 50.0,  # it comes when the mode changes, and twice a second
+        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 5.0,
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
         mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 4.0,
         mavlink.MAVLINK_MSG_ID_ATTITUDE: 4.0,
@@ -141,10 +144,10 @@ PX4 = Firmware(
         mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
         mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 2.0,
         mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-        CURRENT_MODE: 50.0,  # it comes when the mode changes, and twice a second
     },
     always_has="SYS_AUTOSTART",
     oldest=Version(1, 15),
     needs="CURRENT_MODE over MAVLink 2",
+    sent_at_times=frozenset({mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT}),
     sends_parameters_as_bytes=True,
 )

@@ -12,6 +12,8 @@ class Patience:
     answer_s: float = 1.0  # for the answer to a command, before it is repeated
     effect_s: float = 2.5  # for a mode or the motors to change, before they are told again
     attempts: int = 8
+    others_s: float = 2.5  # for the heartbeats of other vehicles, which come once a second
+    signed_s: float = 4.0  # for any answer of a vehicle that signs its messages
     quiet_after_s: float = 2.5  # without any message, the link counts as lost, and attempts no longer count
     dead_after_s: float = (
         10.0  # without any message, a connection is made anew, or the vehicle found at another port

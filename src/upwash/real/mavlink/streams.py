@@ -1,45 +1,206 @@
-"""The reports that a vehicle is asked for."""
+"""Which reports a vehicle is asked for, how often each comes, and what is done where one comes too rarely.
+
+A report that comes too rarely has one of three causes, and the vehicle's MESSAGE_INTERVAL tells which: the interval
+is another than was asked for, as another program or the vehicle set it, and it is asked for again, ever more rarely;
+or the interval is as asked for, and the link does not carry so much: less is asked for. Reports that the radio lost
+count as sent.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
-_ASKED_AT_ONCE = 10  # times that a missing stream is asked for each second
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.eventlog.schema import LinkTroubleName
+from upwash.ports import LinkTrouble
+from upwash.real.mavlink.firmware import Firmware
+from upwash.real.mavlink.hearing import Message
+
+_ASKED_AT_ONCE = 10  # times that a missing report is asked for each second
 _ASKED_EACH = 30  # and from then on only each so many
+_TOO_RARE = 0.5  # of the rate that is needed
+_MEASURED_S, _MEASURED_REPORTS = 1.0, 4.0  # at least; whichever lasts longer
+_SETTLING_S = 0.5  # until a request has an effect
+_ANSWERED_S = 2.0  # within which an interval is told
+_AGAIN_S, _AGAIN_AT_MOST_S = 3.0, 60.0
+_FORGIVEN_S = 120.0  # at the right rates; then the next request is made at once again
+_TOLD_AFTER = 3  # requests
+_AS_ASKED = 0.8  # of a rate, which the vehicle may round
+_CONFIRMED_TIMES = 2  # until the link is believed to carry no more
+_LEAST_SHARE, _LEAST_HZ = 0.25, 0.5
+_KEPT = 256  # times of arrival: some seconds of the fastest report
+
+
+@dataclass(slots=True)
+class _Stream:
+    """One kind of report, as it comes."""
+
+    came_s: deque[float] = field(default_factory=lambda: deque(maxlen=_KEPT))
+    began_s: float = math.inf  # after a pause
+    asked_times: int = 0  # since it last came
+    set_hz: float | None = None  # as the vehicle last said
+    was_right: bool = False  # at any time
+
+    @property
+    def heard_s(self) -> float:
+        return self.came_s[-1] if self.came_s else -math.inf
+
+    def rate_hz(self, since_s: float, now_s: float) -> float:
+        return sum(came_s > since_s for came_s in self.came_s) / (now_s - since_s)
 
 
 class Streams:
-    """Asks for the reports that the driver needs, and again where one stopped.
+    """Asks for the reports that the driver needs: from the start, and again for as long as the vehicle is heard.
 
-    `ask` sends the request for a message number at an interval in microseconds.
+    `ask` sends a question: a MAV_CMD and its parameters. `tell` is called once for each kind of trouble.
     """
 
-    def __init__(self, ask: Callable[[int, float], None], *, quiet_after_s: float) -> None:
+    def __init__(
+        self,
+        ask: Callable[..., None],
+        *,
+        quiet_after_s: float,
+        tell: Callable[[LinkTrouble], None] = lambda _: None,
+    ) -> None:
         self._ask = ask
+        self._tell = tell
+        self._told: set[LinkTroubleName] = set()
         self._quiet_after_s = quiet_after_s
-        self._heard_s: dict[int, float] = {}  # when, by message number
-        self._asked_times: dict[int, int] = {}  # by message number, since it last came
+        self._streams: dict[int, _Stream] = {}
+        self._share = 1.0  # of the rates that are needed, as much as the link carries
+        self._asked_s = -math.inf  # when all reports were last asked for
+        self._next_s = -math.inf
+        self._times = self._confirmed_times = (
+            0  # that they were asked for again, and that their intervals were right
+        )
+        self._questioned: tuple[int, float] | None = None  # the report whose interval was asked for, and when
 
-    def heard(self, number: int, now_s: float) -> None:
-        """A message of that number has come."""
-        self._heard_s[number] = now_s
+    def heard(self, message: Message, now_s: float) -> None:
+        """A message has come."""
+        stream = self._stream(message.get_msgId())
+        if now_s - stream.heard_s > self._quiet_after_s:
+            stream.began_s = now_s
+        stream.came_s.append(now_s)
+        if message.get_type() == "MESSAGE_INTERVAL":
+            interval_us = message.interval_us
+            self._stream(message.message_id).set_hz = 1e6 / interval_us if interval_us > 0 else 0.0
 
     def heard_s(self, number: int) -> float:
         """When a message of that number last came; minus infinity where none did."""
-        return self._heard_s.get(number, -math.inf)
+        return self._stream(number).heard_s
 
-    def ask_for_missing(self, wanted_hz: Mapping[int, float], now_s: float, *, linked: bool) -> None:
-        """Asks at the start, and again where a request was lost or the autopilot was restarted."""
-        for number, rate_hz in wanted_hz.items():
-            if self.heard_s(number) >= now_s - self._quiet_after_s:
-                self._asked_times.pop(number, None)
-            elif self._is_to_be_asked_for(number, linked=linked):
-                self._ask(number, 1e6 / rate_hz)
+    def begin(self, firmware: Firmware, now_s: float) -> None:
+        """Asks for all reports, of a vehicle that was just found, or is heard again."""
+        self._share, self._times, self._confirmed_times, self._questioned = 1.0, 0, 0, None
+        self._next_s = -math.inf
+        self._ask_for_all(firmware, now_s)
 
-    def _is_to_be_asked_for(self, number: int, *, linked: bool) -> bool:
-        """Ever more rarely: some reports never come, such as ArduCopter's of a fence that is switched off."""
-        times = self._asked_times.get(number, 0)
-        if linked:
-            self._asked_times[number] = times + 1
-        return times < _ASKED_AT_ONCE or times % _ASKED_EACH == 0
+    def look(self, firmware: Firmware, now_s: float, *, linked: bool, received_share: float) -> None:
+        """Asks for what is missing or comes too rarely; `received_share` is of the messages that the vehicle sent."""
+        self._ask_for_missing(firmware, now_s, linked=linked)
+        if not linked:
+            return
+        rare = self._too_rare(firmware, now_s, received_share)
+        if rare is not None:
+            self._ask_again(firmware, rare, now_s)
+        elif now_s - self._asked_s > _FORGIVEN_S:
+            self._times = self._confirmed_times = 0
+
+    def _stream(self, number: int) -> _Stream:
+        return self._streams.setdefault(number, _Stream())
+
+    def _wanted_hz(self, firmware: Firmware, number: int) -> float:
+        needed_hz = firmware.streams_hz[number]
+        return max(needed_hz * self._share, min(needed_hz, _LEAST_HZ))
+
+    def _ask_for_all(self, firmware: Firmware, now_s: float) -> None:
+        self._asked_s = now_s
+        for number in firmware.streams_hz:
+            self._ask_for(firmware, number)
+
+    def _ask_for(self, firmware: Firmware, number: int) -> None:
+        self._ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / self._wanted_hz(firmware, number))
+
+    def _ask_for_missing(self, firmware: Firmware, now_s: float, *, linked: bool) -> None:
+        for number in firmware.streams_hz:
+            stream = self._stream(number)
+            if stream.heard_s >= now_s - self._quiet_after_s:
+                stream.asked_times = 0
+                continue
+            if stream.asked_times < _ASKED_AT_ONCE or stream.asked_times % _ASKED_EACH == 0:
+                self._ask_for(firmware, number)
+            stream.asked_times += linked
+
+    def _too_rare(self, firmware: Firmware, now_s: float, received_share: float) -> int | None:
+        """The first report that comes too rarely, by as many of its intervals as tell, where one does."""
+        for number in firmware.streams_hz:
+            stream, wanted_hz = self._stream(number), self._wanted_hz(firmware, number)
+            if number in firmware.sent_at_times or now_s - stream.heard_s > self._quiet_after_s:
+                continue
+            since_s = now_s - max(_MEASURED_S, _MEASURED_REPORTS / wanted_hz)
+            if since_s < max(stream.began_s, self._asked_s + _SETTLING_S):
+                continue
+            if stream.rate_hz(since_s, now_s) < _TOO_RARE * wanted_hz * received_share:
+                return number
+            stream.was_right = True
+        return None
+
+    def _ask_again(self, firmware: Firmware, rare: int, now_s: float) -> None:
+        """The first time at once, and then after a look at the interval that the vehicle was set to."""
+        if now_s < self._next_s:
+            return
+        if self._times and self._questioned is None:
+            self._questioned, self._stream(rare).set_hz = (rare, now_s), None
+            self._ask(mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, rare)
+            return
+        number, questioned_s = self._questioned or (rare, -math.inf)
+        set_hz, wanted_hz = self._stream(number).set_hz, self._wanted_hz(firmware, number)
+        if set_hz is None and now_s - questioned_s < _ANSWERED_S:
+            return
+        self._questioned = None
+        self._next_s = now_s + min(_AGAIN_S * 2**self._times, _AGAIN_AT_MOST_S)
+        self._times += 1
+        if self._times > 1 and set_hz is not None and set_hz >= _AS_ASKED * wanted_hz:
+            self._settle(firmware, number, now_s)
+            return
+        self._ask_for_all(firmware, now_s)
+        if self._times > _TOLD_AFTER:
+            self._tell_once("rates", _rates_problem(number, self._stream(number), wanted_hz))
+
+    def _settle(self, firmware: Firmware, number: int, now_s: float) -> None:
+        """Asks for less where the vehicle sends as asked and less comes, though the radio did not lose it."""
+        self._confirmed_times += 1
+        if self._confirmed_times < _CONFIRMED_TIMES or self._share <= _LEAST_SHARE:
+            return
+        self._share, self._confirmed_times, self._times = self._share / 2, 0, 1
+        self._next_s = -math.inf
+        self._ask_for_all(firmware, now_s)
+        self._tell_once(
+            "capacity",
+            f"the link does not carry all reports: {_named(number)} comes too rarely though the vehicle was asked "
+            f"for {firmware.streams_hz[number]:g} a second; all reports are asked for at a lower rate from now on",
+        )
+
+    def _tell_once(self, kind: LinkTroubleName, why: str) -> None:
+        if kind not in self._told:
+            self._told.add(kind)
+            self._tell(LinkTrouble(kind, why))
+
+
+def _rates_problem(number: int, stream: _Stream, wanted_hz: float) -> str:
+    name, asked = _named(number), f"{wanted_hz:g} Hz were asked for {_TOLD_AFTER} times"
+    if stream.set_hz is None:
+        return f"{name} comes too rarely, though {asked}; the vehicle does not say why"
+    who = "another program on the link, such as a ground station, keeps"
+    if not stream.was_right:
+        who = "the vehicle, or another program on the link, keeps"
+    return f"{who} {name} at {stream.set_hz:.2g} Hz, though {asked}"
+
+
+def _named(number: int) -> str:
+    kind = mavlink.mavlink_map.get(number)
+    return str(kind.msgname) if kind else f"message {number}"

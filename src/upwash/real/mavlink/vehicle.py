@@ -152,6 +152,8 @@ class MavlinkVehicle(HeardVehicle):
         def expect() -> None:
             self.latch.expect_armed(armed)
 
+        if armed:
+            self.require_alone(step)
         arm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
         await self.effect(step, lambda: self.telemetry.armed == armed, expect, arm, armed)
 

@@ -1,0 +1,35 @@
+"""Whether two vehicles speak with one system id."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from upwash.real.mavlink.hearing import Message
+
+_BACK_MS = 2000  # more than a message comes late by
+_TIMES, _WITHIN_S = 3, 10.0  # one vehicle restarts, but not so often
+
+
+class Twins:
+    """What tells two vehicles apart that have the same ids: their clocks since boot, and their hardware."""
+
+    def __init__(self) -> None:
+        self.evidence = ""  # empty while there is none
+        self._boot_ms: dict[int, int] = {}  # the last time since boot, by message number
+        self._went_back_s: deque[float] = deque([-math.inf] * _TIMES, maxlen=_TIMES)
+        self._hardware: set[tuple[int, bytes]] = set()
+
+    def take(self, message: Message, now_s: float) -> None:
+        """Takes in a message with the ids in question, as it came."""
+        if (boot_ms := getattr(message, "time_boot_ms", None)) is not None:
+            before_ms = self._boot_ms.get(message.get_msgId(), 0)
+            self._boot_ms[message.get_msgId()] = boot_ms
+            if boot_ms < before_ms - _BACK_MS:
+                self._went_back_s.append(now_s)
+                if now_s - self._went_back_s[0] <= _WITHIN_S:
+                    self.evidence = "two clocks since boot"
+        elif message.get_type() == "AUTOPILOT_VERSION":
+            self._hardware.add((message.uid, bytes(message.uid2)))
+            if len(self._hardware) > 1:
+                self.evidence = "two serial numbers of hardware"

@@ -1,0 +1,166 @@
+"""Which of the autopilots on a link is followed, and who else is noticed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.ports import LinkTrouble
+from upwash.real.mavlink.arducopter import ARDUCOPTER
+from upwash.real.mavlink.identity import Identity
+from upwash.real.mavlink.px4_firmware import PX4
+
+APM, PX, NONE = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_INVALID
+QUAD, HEXA, PLANE = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_HEXAROTOR, mavlink.MAV_TYPE_FIXED_WING
+
+
+def from_(message: Any, system: int = 1, component: int = 1) -> Any:
+    codec = mavlink.MAVLink(None, system, component)
+    (read,) = mavlink.MAVLink(None).parse_buffer(bytes(message.pack(codec)))
+    return read
+
+
+def beat(system: int = 1, autopilot: int = APM, kind: int = QUAD, *, component: int = 1) -> Any:
+    return from_(mavlink.MAVLink_heartbeat_message(kind, autopilot, 81, 4, 3, 3), system, component)
+
+
+def position(boot_ms: int, system: int = 1) -> Any:
+    return from_(mavlink.MAVLink_global_position_int_message(boot_ms, 1, 1, 1, 1, 0, 0, 0, 0), system)
+
+
+def version(uid: int) -> Any:
+    numbers = [0] * 8
+    return from_(
+        mavlink.MAVLink_autopilot_version_message(0, 0, 0, 0, 0, numbers, numbers, numbers, 0, 0, uid)
+    )
+
+
+class Link:
+    """An identity, and what it told."""
+
+    def __init__(self, system: int | None = None) -> None:
+        self.told: list[LinkTrouble] = []
+        self.identity = Identity([ARDUCOPTER, PX4], system=system, tell=self.told.append)
+
+    def hear(self, *messages: Any) -> list[bool]:
+        """Which of them are believed to be the vehicle's."""
+        believed = []
+        for number, message in enumerate(messages):
+            self.identity.meet(message)
+            ours = (message.get_srcSystem(), message.get_srcComponent()) == self.identity.ids
+            believed.append(ours and self.identity.believes(message, number / 10))
+        return believed
+
+    @property
+    def kinds(self) -> list[str]:
+        return [each.about for each in self.told]
+
+
+def test_the_only_one_is_followed_whatever_else_has_heartbeats() -> None:
+    link = Link()
+    link.hear(
+        beat(255, NONE, mavlink.MAV_TYPE_GCS, component=190),
+        beat(255, APM, mavlink.MAV_TYPE_GCS),
+        beat(1, NONE, mavlink.MAV_TYPE_GIMBAL, component=154),
+        beat(1, NONE, mavlink.MAV_TYPE_CAMERA, component=100),
+        beat(1, APM, QUAD, component=2),
+        beat(9, mavlink.MAV_AUTOPILOT_GENERIC, QUAD),
+        beat(10, APM, mavlink.MAV_TYPE_ANTENNA_TRACKER),
+        beat(),
+        beat(12, NONE, QUAD),
+    )
+    assert link.identity.ids == (1, 1)
+    assert str(link.identity.vehicle) == "system 1, component 1 (ArduCopter quadrotor)"
+    assert link.identity.doubt == ""
+    assert link.told == []
+
+
+@pytest.mark.parametrize("first", [1, 2])
+@pytest.mark.parametrize("other", [beat(7), beat(7, PX, HEXA), beat(7, APM, PLANE)])
+def test_of_two_vehicles_neither_is_flown_and_both_are_named(first: int, other: Any) -> None:
+    link = Link()
+    link.hear(*(beat(2), other) if first == 1 else (other, beat(2)))
+    doubt = link.identity.doubt
+    assert "system 2, component 1 (ArduCopter quadrotor)" in doubt
+    assert "system 7, component 1 (" in doubt
+    assert "system = 2 or system = 7 in [autopilot]" in doubt
+
+
+def test_the_system_that_was_said_is_followed_whoever_is_heard_first() -> None:
+    link = Link(system=1)
+    assert link.hear(beat(2), beat(1, PX, HEXA), beat(2)) == [False, True, False]
+    assert link.identity.ids == (1, 1)
+    assert link.identity.firmware is PX4
+    assert link.identity.doubt == ""
+    assert link.told == []
+
+
+def test_a_system_that_is_not_there_is_named_beside_those_that_are() -> None:
+    link = Link(system=1)
+    link.hear(beat(2), beat(3, PX, HEXA))
+    assert link.identity.vehicle is None
+    heard = link.identity.heard_instead("tcp:here:1")
+    assert heard == "system 1 was not heard on tcp:here:1; heard: 2 (ArduCopter quadrotor), 3 (PX4 hexarotor)"
+
+
+@pytest.mark.parametrize(
+    "another",
+    [
+        beat(1, NONE, mavlink.MAV_TYPE_ONBOARD_CONTROLLER),
+        beat(1, NONE, QUAD),
+        beat(1, PX),
+        beat(1, APM, PLANE),
+        beat(1, APM, mavlink.MAV_TYPE_GCS),
+    ],
+)
+def test_another_programs_heartbeats_with_the_vehicles_ids_say_nothing_of_it(another: Any) -> None:
+    link = Link()
+    assert link.hear(beat(), another, beat(), another) == [True, False, True, False]
+    assert link.kinds == ["another-program"]
+    assert "another program sends heartbeats with this vehicle's ids" in link.told[0].why
+    assert link.identity.doubt == ""
+
+
+def test_an_arducopter_that_boots_does_not_know_its_type_yet() -> None:
+    link = Link()
+    assert link.hear(beat(kind=mavlink.MAV_TYPE_GENERIC)) == [False]
+    assert not link.identity.is_unflyable
+    assert link.hear(beat(), beat(kind=mavlink.MAV_TYPE_GENERIC), beat()) == [True, False, True]
+    assert link.told == []
+
+
+def test_another_vehicle_that_comes_later_is_told_once() -> None:
+    link = Link()
+    link.hear(beat(), beat(2), beat(2), beat(3))
+    assert link.kinds == ["another-vehicle"]
+
+
+def interleaved(*clocks: Callable[[int], int]) -> list[Any]:
+    return [position(clock(time_ms)) for time_ms in range(0, 3000, 100) for clock in clocks]
+
+
+def test_two_clocks_since_boot_are_two_vehicles() -> None:
+    link = Link()
+    link.hear(beat(), *interleaved(lambda ms: 600_000 + ms, lambda ms: 41_000 + ms))
+    assert "two vehicles with system 1 are on the link (two clocks since boot)" in link.identity.doubt
+    assert link.kinds == ["same-id"]
+
+
+def test_a_system_that_was_said_does_not_tell_two_vehicles_of_it_apart() -> None:
+    link = Link(system=1)
+    link.hear(beat(), version(7), version(7))
+    assert link.identity.doubt == ""
+    link.hear(version(8))
+    assert "two serial numbers of hardware" in link.identity.doubt
+
+
+@pytest.mark.parametrize("speed", [0.3, 1.0, 5.0])
+def test_one_clock_that_restarts_is_one_vehicle(speed: float) -> None:
+    link = Link()
+    flown = [position(round((900_000 + ms) * speed)) for ms in range(0, 3000, 100)]
+    late = [position(round((ms - 200 * (ms % 300 == 0)) * speed)) for ms in range(400, 6000, 100)]
+    link.hear(beat(), *flown, *late)
+    assert link.identity.doubt == ""
