@@ -181,7 +181,12 @@ def hop(drone):
 
 
 def hop(
-    folder: Path, keys: Path, clock: OwnClock, *, clock_offset_s: float | None = 0.0
+    folder: Path,
+    keys: Path,
+    clock: OwnClock,
+    *,
+    clock_offset_s: float | None = 0.0,
+    armable_after_s: float = 0.5,
 ) -> list[dict[str, Any]]:
     """Flies it with a stand-in in this process; its log."""
     (folder / "photos").mkdir()
@@ -195,7 +200,7 @@ def hop(
             acceleration_m_s2=300.0,
             climb_m_s=100.0,
             descent_m_s=100.0,
-            armable_after_s=0.5,
+            armable_after_s=armable_after_s,
             auto_disarm_s=0.2,
             clock_offset_s=clock_offset_s,
         )
@@ -229,7 +234,7 @@ def hop(
 
 def test_a_flight_sets_its_stale_clock_before_it_takes_off(tmp_path: Path, keys: Path) -> None:
     now_s, clock = time.time(), OwnClock(STALE_S)
-    events = hop(tmp_path, keys, clock)
+    events = hop(tmp_path, keys, clock, armable_after_s=4.0)
     names = [event["event"] for event in events]
     assert names.index("waiting_for_the_time") < names.index("clock_set") < names.index("took_off")
     assert names[-1] == "mission_completed"
