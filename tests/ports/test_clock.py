@@ -234,7 +234,7 @@ def hop(
 
 def test_a_flight_sets_its_stale_clock_before_it_takes_off(tmp_path: Path, keys: Path) -> None:
     now_s, clock = time.time(), OwnClock(STALE_S)
-    events = hop(tmp_path, keys, clock, armable_after_s=4.0)
+    events = hop(tmp_path, keys, clock, armable_after_s=12.0)
     names = [event["event"] for event in events]
     assert names.index("waiting_for_the_time") < names.index("clock_set") < names.index("took_off")
     assert names[-1] == "mission_completed"
