@@ -16,6 +16,7 @@ from tests.ports.steps import claim_and_arm, take_off
 from upwash.core.control import Control, Owner
 from upwash.core.geo import GeoPosition, Position, distance_m
 from upwash.errors import AutopilotOverruled, AutopilotRefused
+from upwash.mavlink import px4
 from upwash.mavlink.px4 import Mode, understood
 from upwash.ports import ArmingDelayed, VehicleNews, VehicleSetting, VehicleText
 from upwash.real.mavlink import MavlinkAutopilot
@@ -352,3 +353,99 @@ def test_recorded_events_are_told_in_words_once_and_only_where_they_matter() -> 
         (2, "emergency battery level"),
         (2, "emergency battery level: switching to Land"),
     ]
+
+
+def lost_in_a_leg(what_happens: Callable[[Sky], None], control: list[Control]) -> list[str]:
+    """What the vehicle says once that happens to it on the way."""
+    said: list[str] = []
+
+    async def flight(sky: Sky, autopilot: MavlinkAutopilot) -> None:
+        news: list[VehicleNews] = []
+        await take_off(autopilot)
+        leg = asyncio.create_task(autopilot.goto(Position(200.0, 0.0, 5.0)))
+        await asyncio.sleep(5.0)
+        autopilot.listen(news.append)
+        news.clear()
+        what_happens(sky)
+        with pytest.raises((AutopilotOverruled, AutopilotRefused)):
+            await leg
+        await asyncio.sleep(5.0)
+        said.extend(each.text for each in news if isinstance(each, VehicleText))
+        control.append(autopilot.control)
+
+    fly(flight)
+    return said
+
+
+def test_a_lost_position_is_told_as_that_and_not_as_lost_setpoints() -> None:
+    control: list[Control] = []
+    said = lost_in_a_leg(lambda sky: sky.copter.fail(FaultKind.GPS, sky.now_s()), control)
+    assert "no offboard signal" not in said
+    assert "no valid position estimate" in said
+    assert control[0].owner is Owner.FAILSAFE
+
+
+def checks(telemetry: Telemetry, *names: tuple[str, int], ends: bool = True) -> None:
+    """A set of failed checks, each with the modes that it concerns."""
+    numbers = {kind.name: number for number, kind in px4.EVENTS.items()}
+
+    def take(name: str, *arguments: int) -> None:
+        kind = px4.EVENTS[numbers[name]]
+        PX4.take(
+            telemetry,
+            px4.EventMessage(
+                id_of_event=numbers[name],
+                event_time_boot_ms=0,
+                sequence=0,
+                destination_component=0,
+                destination_system=0,
+                log_levels=kind.log_levels,
+                arguments=kind.packed(*arguments),
+            ),
+            0.0,
+        )
+
+    take("commander_arming_check_summary", 0, 0, 0, 0, 0)
+    for name, modes in names:
+        take(name, modes, 20)
+    if ends:
+        take("commander_health_summary", 0, 0, 0, 0)
+
+
+OFFBOARD_LOST, POSITION_LOST = ("check_modes_offboard_signal", 1 << 14), ("check_modes_local_pos", 1 << 4)
+
+
+@pytest.mark.parametrize(
+    ("sets", "said"),
+    [
+        ([[OFFBOARD_LOST]], ["no offboard signal"]),
+        ([[OFFBOARD_LOST, POSITION_LOST]], ["no valid position estimate"]),
+        ([[POSITION_LOST, OFFBOARD_LOST]], ["no valid position estimate"]),
+        ([[POSITION_LOST], [POSITION_LOST, OFFBOARD_LOST]], ["no valid position estimate"]),
+        ([[POSITION_LOST]], []),  # which OFFBOARD does not need by itself
+        ([[OFFBOARD_LOST], [OFFBOARD_LOST]], ["no offboard signal"]),
+        ([[OFFBOARD_LOST], [], [OFFBOARD_LOST]], ["no offboard signal"] * 2),
+    ],
+)
+@pytest.mark.parametrize("ends", [True, False], ids=["whole", "without their ends"])
+def test_of_failed_checks_the_one_that_says_why_is_told(
+    sets: list[list[tuple[str, int]]], said: list[str], *, ends: bool
+) -> None:
+    telemetry = Telemetry(armed=True, mode=Mode.OFFBOARD)
+    for each in sets:
+        checks(telemetry, *each, ends=ends)
+    checks(telemetry, *sets[-1])
+    assert [text.text for _, text in telemetry.texts] == said
+
+
+def test_a_failsafe_has_its_cause_where_something_says_it() -> None:
+    telemetry = Telemetry(armed=True, mode=Mode.LAND, flown_and_intended_mode=(Mode.LAND, Mode.OFFBOARD))
+    assert PX4.failsafe(telemetry, "AUTO.LAND") == "a fail-safe chose it, OFFBOARD was set"
+    telemetry.knows_its_place = False
+    assert PX4.failsafe(telemetry, "AUTO.LAND") == (
+        "a fail-safe chose it (it does not know its position), OFFBOARD was set"
+    )
+    checks(telemetry, POSITION_LOST)
+    assert PX4.failsafe(telemetry, "AUTO.LAND") == (
+        "a fail-safe chose it (no valid position estimate), OFFBOARD was set"
+    )

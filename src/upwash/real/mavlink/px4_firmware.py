@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -38,6 +38,7 @@ _STATES = {
 LOITER_STATE = 1 << _STATES[Mode.LOITER]
 _CHECKS_BEGIN, _CHECKS_END = "commander_arming_check_summary", "commander_health_summary"
 _CHECK = "check_"
+_OFFBOARD_SIGNAL, _PLACES = "check_modes_offboard_signal", ("check_modes_local_pos", "check_modes_global_pos")
 _CHECK_ARGUMENTS = struct.Struct("<IB")  # the modes that it concerns, and the component
 
 
@@ -50,9 +51,18 @@ def failsafe(telemetry: Telemetry, _mode: str) -> str:
     told = telemetry.flown_and_intended_mode
     if told is not None and told[0] == telemetry.mode:
         flown, intended = told
-        return f"a fail-safe chose it, {_mode_name(intended)} was set" if intended not in (0, flown) else ""
+        if intended in (0, flown):
+            return ""
+        return f"a fail-safe chose it{_cause(telemetry)}, {_mode_name(intended)} was set"
     critical = telemetry.system_status == mavlink.MAV_STATE_CRITICAL
     return "its system status is critical" if critical else ""
+
+
+def _cause(telemetry: Telemetry) -> str:
+    """Its position, where that is not valid; nothing where no check and no estimate says why."""
+    for number, _ in _failed(telemetry, _PLACES):
+        return f" ({words_of(number)})"
+    return " (it does not know its position)" if telemetry.knows_its_place is False else ""
 
 
 def _take(telemetry: Telemetry, message: Message, now_s: float) -> None:
@@ -77,19 +87,45 @@ def _take(telemetry: Telemetry, message: Message, now_s: float) -> None:
 
 
 def _take_event(telemetry: Telemetry, event: Any, now_s: float) -> None:
-    """Failed checks come as a set, whole each time that one changes; what was in the last set is no news."""
+    """Failed checks come as a set, whole each time that one changes; its last event may be lost."""
     number, name = event.id_of_event, _event_name(event.id_of_event)
     if name == _CHECKS_BEGIN:
+        _hear_checks(telemetry, now_s)
         telemetry.armable_modes = EVENTS[number].unpacked(event.arguments)[3]
-        telemetry.failed_checks_before, telemetry.failed_checks = telemetry.failed_checks, {}
+        telemetry.failed_checks = {}
     elif name.startswith(_CHECK):
-        modes = _CHECK_ARGUMENTS.unpack_from(event.arguments)[0]
-        telemetry.failed_checks[number] = event.severity, modes
-        is_new = number not in telemetry.failed_checks_before
-        if telemetry.armed and is_new and _concerns(modes, telemetry.mode):
-            _hear(telemetry, event, now_s)
-    elif name != _CHECKS_END:
-        _hear(telemetry, event, now_s)
+        telemetry.failed_checks[number] = event.severity, _CHECK_ARGUMENTS.unpack_from(event.arguments)[0]
+    elif name == _CHECKS_END:
+        _hear_checks(telemetry, now_s)
+    elif number in EVENTS:
+        _hear(telemetry, event.severity, event_text(event), now_s)
+    else:
+        _hear(telemetry, event.severity, words_of(number), now_s)
+
+
+def _hear_checks(telemetry: Telemetry, now_s: float) -> None:
+    """The failed checks that concern the mode that is flown, and were not in the last set.
+
+    PX4 calls the signal for OFFBOARD lost when the setpoints need a position and the position is not valid
+    (offboardCheck.cpp), though the setpoints come: the failed check of the position says why.
+    """
+    before, telemetry.failed_checks_before = telemetry.failed_checks_before, telemetry.failed_checks
+    if not telemetry.armed:
+        return
+    for number, (severity, modes) in telemetry.failed_checks.items():
+        if number in before or not _concerns(modes, telemetry.mode):
+            continue
+        causes = _failed(telemetry, _PLACES) if _event_name(number) == _OFFBOARD_SIGNAL else []
+        told, how_severe = causes[0] if causes else (number, severity)
+        _hear(telemetry, how_severe, words_of(told), now_s)
+
+
+def _failed(telemetry: Telemetry, names: Sequence[str]) -> list[tuple[int, int]]:
+    """The checks of these names that failed, by number, each with its severity."""
+    failed = {
+        _event_name(number): (number, severity) for number, (severity, _) in telemetry.failed_checks.items()
+    }
+    return [failed[name] for name in names if name in failed]
 
 
 def _concerns(modes: int, mode: int | None) -> bool:
@@ -98,11 +134,9 @@ def _concerns(modes: int, mode: int | None) -> bool:
     return state is None or bool(modes >> state & 1)
 
 
-def _hear(telemetry: Telemetry, event: Any, now_s: float) -> None:
-    if event.severity > mavlink.MAV_SEVERITY_DEBUG:  # for programs
-        return
-    text = event_text(event) if event.id_of_event in EVENTS else words_of(event.id_of_event)
-    telemetry.hear_text(VehicleText(event.severity, text), now_s)
+def _hear(telemetry: Telemetry, severity: int, text: str, now_s: float) -> None:
+    if severity <= mavlink.MAV_SEVERITY_DEBUG:  # what is less severe is for programs
+        telemetry.hear_text(VehicleText(severity, text), now_s)
 
 
 def words_of(number: int) -> str:

@@ -155,7 +155,7 @@ class Px4:
             "check_modes_local_pos": not copter.gps.placed,
             "check_modes_global_pos": not copter.gps.placed,
             "check_modes_mission": True,
-            "check_modes_offboard_signal": not copter.hears_setpoints(now_s),
+            "check_modes_offboard_signal": not copter.hears_setpoints(now_s) or not copter.gps.placed,
             "check_modes_home_position": not copter.gps.ever_had_fix,
             "check_modes_manual_control": not copter.heard.hears_sticks(now_s),
             "check_rc_dl_no_dllink": not copter.heard.hears_ground_station(now_s),
