@@ -297,7 +297,7 @@ def decoders() -> Mapping[str, Decoder]:
         "a plan": Decoder(
             _as_file("field.plan", read_plan),
             (UsageError,),
-            _bytes_of("tests/plans/field.plan", "tests/plans/field.waypoints"),
+            _bytes_of("tests/plans/field.plan", "tests/plans/field.waypoints", "tests/plans/survey.plan"),
         ),
         "an event log": Decoder(
             _as_file("events.jsonl", event_log.read), (UsageError,), (b'{"t":0.5,"event":"armed"}\n',)

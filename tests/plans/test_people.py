@@ -295,6 +295,15 @@ def test_a_pattern_is_flown_as_its_single_waypoints(tmp_path: Path, kind: str) -
     ]
 
 
+def test_a_survey_as_it_is_saved_is_flown() -> None:
+    plan = read_plan(FOLDER / "survey.plan")
+    assert [each.item for each in plan.waypoints] == [3, 5, 6, 7, 9, 10]
+    assert [each.place.altitude_m for each in plan.waypoints] == [25, 25, 25, 25, 30, 20]
+    assert [each.hold_s for each in plan.waypoints] == [0, 0, 0, 0, 8, 2]
+    assert (plan.takeoff_altitude_m, plan.home_above_sea_m, plan.waypoints[-1].above_sea_m) == (20, None, 130)
+    assert len(plan.notices) == 4
+
+
 @pytest.mark.parametrize(
     "item",
     [pattern(), pattern(kind="StructureScan"), {"type": "ComplexItem", "complexItemType": "StructureScan"}],
@@ -303,6 +312,11 @@ def test_a_pattern_without_waypoints_names_the_way_round(tmp_path: Path, item: d
     with pytest.raises(ConfigError, match=r"upload the plan to a vehicle.*download it again") as refused:
         plan_of(tmp_path, TURN, item)
     assert refused.value.key == "item 2"
+
+
+def test_the_name_of_a_pattern_is_written_without_control_characters(tmp_path: Path) -> None:
+    assert told(plan_of(tmp_path, pattern(TURN, kind="\x1b[2J" + "x" * 500)))[0].startswith("\\x1b[2Jxxx")
+    assert len(told(plan_of(tmp_path, pattern(TURN, kind="x" * 500)))[0]) < 120
 
 
 def test_patterns_count_towards_the_most_items(tmp_path: Path) -> None:

@@ -292,7 +292,7 @@ def test_what_is_no_file_is_refused(tmp_path: Path, name: str) -> None:
 
 
 @settings(max_examples=400, deadline=None)
-@given(data=st.data(), name=st.sampled_from(["field.plan", "field.waypoints"]))
+@given(data=st.data(), name=st.sampled_from(["field.plan", "field.waypoints", "survey.plan"]))
 def test_a_mutilated_file_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, name: str
 ) -> None:
@@ -331,7 +331,8 @@ def ways(value: object, way: tuple[str | int, ...] = ()) -> list[tuple[str | int
 def test_a_plan_with_any_other_value_in_it_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
-    document = json.loads(PLAN)
+    name = data.draw(st.sampled_from(["field.plan", "survey.plan"]))
+    document = json.loads((FOLDER / name).read_text())
     for _ in range(data.draw(st.integers(1, 2))):
         *way, last = data.draw(st.sampled_from(ways(document)))
         parent = document
@@ -355,3 +356,6 @@ def assert_read_or_refused(file: Path, content: bytes) -> None:
         assert abs(each.place.latitude_deg) <= 90 and abs(each.place.longitude_deg) <= 180
         assert 0 < each.place.altitude_m <= 10_000
         assert each.ground_speed_m_s is None or 0 < each.ground_speed_m_s <= 100
+        assert 0 <= each.hold_s <= 3600 * 10_000
+    assert len(plan.waypoints) <= 10_001
+    assert all(str(notice) for notice in plan.notices)

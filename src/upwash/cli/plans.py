@@ -1,4 +1,4 @@
-"""What is told of a mission's plans before it is flown or simulated."""
+"""The notices of a mission's plans, before the mission is flown or simulated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a mission's altitudes count from: home, or the sea where its plan says so.
+"""The reference of a mission's altitudes: home, or the sea.
 
 An altitude above the sea is sure only at the vehicle, which knows how high its own home lies.
 """

@@ -69,7 +69,7 @@ class Waypoint:
 
     `ground_speed_m_s` is the speed of the way to it, None for the one that is set. `above_sea_m` is its altitude
     where a plan counts it from the sea: the position's altitude is sure only where home's altitude above the sea is.
-    `hold_s` is how long the drone hovers there before anything else.
+    `hold_s` is the time for which the drone hovers there first.
     """
 
     index: int

@@ -92,9 +92,9 @@ class _Entries:
 
 @dataclass(frozen=True, slots=True)
 class _Way:
-    """A leg to come, with the hold at its end: how long both take, and how long after its start it enters ranges.
+    """A leg to come, and the hold at its end: how long both take, and how long after its start it enters ranges.
 
-    Those are the ranges in which it does not begin.
+    A range in which the leg begins is left out.
     """
 
     duration_s: float

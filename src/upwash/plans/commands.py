@@ -68,7 +68,7 @@ def why_refused(command: int) -> str:
 
 def command_name(command: int) -> str:
     """The MAVLink name of a command."""
-    from pymavlink.dialects.v20 import ardupilotmega as mavlink  # only needed once something is to be told
+    from pymavlink.dialects.v20 import ardupilotmega as mavlink  # only needed for refusals and notices
 
     entry = mavlink.enums["MAV_CMD"].get(command)
     return entry.name if entry else "an unknown command"

@@ -76,9 +76,9 @@ def make_plan(
 
 
 def _home_of(home: Home | None, items: Sequence[Item], notices: Notices) -> Home | None:
-    """The home that the file names or, where that is none or a place far away, the place of the take-off.
+    """The home that the file names; instead of no home, or of a home far away, the place of the take-off.
 
-    Ground stations write the home of the vehicle that they last saw, a simulated one among them.
+    Ground stations write the home of the vehicle that they last saw, and that may have been a simulated one.
     """
     takeoff = next((item for item in items if item.command == Command.TAKEOFF and not item.is_open), None)
     if takeoff is None:
@@ -99,8 +99,8 @@ def _home_of(home: Home | None, items: Sequence[Item], notices: Notices) -> Home
 def _reference_above_sea_m(home: Home | None, items: Sequence[Item]) -> float:
     """Home's altitude above the sea.
 
-    An unknown one is assumed to be such that the lowest altitude that counts from the sea lies as high above home as
-    the take-off does, or 20 m where the take-off does not say.
+    An unknown altitude is assumed: the lowest altitude above the sea then lies as high above home as the take-off
+    does, or 20 m high without a take-off above home.
     """
     if home is not None and home.altitude_m is not None:
         return home.altitude_m
@@ -126,7 +126,7 @@ class Height:
 
 
 class Course:
-    """What the items come to, taken in one after the other."""
+    """The flight that the items make, taken in one after the other."""
 
     def __init__(
         self,
@@ -192,7 +192,7 @@ class Course:
         self._notices.add(f"{item.name}: {what}", item.number)
 
     def _is_left_out(self, item: Item) -> bool:
-        """Whether it asks for nothing that is flown, which is told."""
+        """Whether it asks for nothing that is flown; a notice says so."""
         why = LEFT_OUT.get(item.command)
         if item.command == SET_HOME and item.value(1) == 1 and not self.waypoints:
             why = "left out: home is where the vehicle takes off"
@@ -339,7 +339,7 @@ class Course:
         return item.frame in ABOVE_TERRAIN or abs(self._height_as_written(item).altitude_m) <= _SAME_PLACE_M
 
     def _before(self) -> Height | None:
-        """The altitude at which the flight comes there."""
+        """The altitude of the flight so far; None before a take-off."""
         if self.waypoints:
             last = self.waypoints[-1]
             return Height(last.place.altitude_m, last.above_sea_m)

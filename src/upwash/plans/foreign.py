@@ -51,7 +51,7 @@ def kind_of_bytes(content: bytes) -> str:
 
 
 def kind_of_text(text: str) -> str:
-    """What a text is that is neither JSON nor a list of waypoints; "" for what is not known."""
+    """What a text is, other than JSON or a list of waypoints; "" for what is not known."""
     beginning = text.lstrip()[:2000]
     if beginning.startswith("<"):
         names = (name.lower() for name in _ELEMENT.findall(beginning))

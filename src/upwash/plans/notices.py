@@ -20,7 +20,7 @@ class Notice:
     def __str__(self) -> str:
         if not self.items:
             return self.what
-        from upwash.eventlog.narration import spans  # only needed where something is told
+        from upwash.eventlog.narration import spans  # only needed for notices
 
         which = spans(self.items)
         if which.count(",") >= _MOST_STRETCHES:
@@ -29,13 +29,13 @@ class Notice:
 
 
 class Notices:
-    """Notices in the order in which they came up; what is said of several items is said once."""
+    """Notices in the order of their first items; one notice for the same words about several items."""
 
     def __init__(self) -> None:
         self._items: dict[str, list[int]] = {}
 
     def add(self, what: str, *items: int) -> None:
-        """Takes in what is said of the items."""
+        """Takes in the words about the items."""
         self._items.setdefault(what, []).extend(items)
 
     def all(self) -> tuple[Notice, ...]:

@@ -13,9 +13,11 @@ from upwash.plans.foreign import WANTED, kind_of_document
 from upwash.plans.items import FASTEST_M_S, MOST_ITEMS, Item, Refusal, checked_place, home_at
 from upwash.plans.notices import Notices
 from upwash.plans.plan import Plan, PlannedCircle, PlannedPolygon
+from upwash.support.text import printable
 
 T = TypeVar("T")
 
+_LONGEST_NAME = 40  # of a pattern, as a person reads it
 _MOST_CORNERS = 500  # of all fences together; an autopilot takes fewer
 _LARGEST_RADIUS_M = 100_000.0
 _MULTICOPTERS = (0, 2, 3, 4, 13, 14, 15, 29, 35)  # MAV_TYPE; 0 is any
@@ -176,9 +178,10 @@ def _singly(number: int, table: dict[str, Any]) -> tuple[list[dict[str, Any]], s
     inner = pattern.transect.items if pattern.transect else []
     if not inner:
         raise Refusal(
-            where, f"ComplexItem ({pattern.complex_item_type}) has no single waypoints in the file: {_SINGLY}"
+            where,
+            f"ComplexItem ({printable(pattern.complex_item_type, _LONGEST_NAME)}) has no single waypoints in the file: {_SINGLY}",
         )
-    return inner, pattern.complex_item_type
+    return inner, printable(pattern.complex_item_type, _LONGEST_NAME)
 
 
 def _item(number: int, table: dict[str, Any]) -> Item:

@@ -41,7 +41,7 @@ def parse_waypoint_list(text: str) -> Plan:
 
 
 def _numbers(rows: list[tuple[int, list[str]]], notices: Notices) -> list[int]:
-    """The items' numbers, a notice where some are missing; a list whose numbers do not ascend may be mixed up."""
+    """The items' numbers, with a notice of a gap; refuses numbers that do not ascend, as the list may be mixed up."""
     numbers = [_whole(line, fields[0]) for line, fields in rows]
     wrong = next((expected for expected, number in enumerate(numbers) if number != expected), None)
     if wrong is not None:
