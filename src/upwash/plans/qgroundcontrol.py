@@ -176,12 +176,10 @@ def _singly(number: int, table: dict[str, Any]) -> tuple[list[dict[str, Any]], s
         raise Refusal(where, f"{kind or 'an item without a type'} is not understood: {_SAVED_ANEW}")
     pattern = _converted(where, table, _Pattern)
     inner = pattern.transect.items if pattern.transect else []
+    name = printable(pattern.complex_item_type, _LONGEST_NAME)
     if not inner:
-        raise Refusal(
-            where,
-            f"ComplexItem ({printable(pattern.complex_item_type, _LONGEST_NAME)}) has no single waypoints in the file: {_SINGLY}",
-        )
-    return inner, printable(pattern.complex_item_type, _LONGEST_NAME)
+        raise Refusal(where, f"ComplexItem ({name}) has no single waypoints in the file: {_SINGLY}")
+    return inner, name
 
 
 def _item(number: int, table: dict[str, Any]) -> Item:
