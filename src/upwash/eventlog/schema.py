@@ -411,7 +411,7 @@ class ArmingDelayed(Event, frozen=True, kw_only=True):
     reasons: Sequence[str]
 
 
-class VehicleLimits(Event, frozen=True, kw_only=True):
+class VehicleLimits(Event, frozen=True, kw_only=True, omit_defaults=True):
     """The vehicle's home, the altitudes between which it may fly, and its fences by name, as read before arming."""
 
     home: Position | None
