@@ -21,6 +21,13 @@ def held(*events: Event) -> dict[str, Notice]:
     return now
 
 
+def test_a_version_that_is_not_known_is_a_caution() -> None:
+    found = {"system": 1, "component": 1, "firmware": "PX4", "type": "quadrotor"}
+    now = held(event("vehicle_found", 1.0, **found))
+    assert now["version"].cause == "The vehicle does not tell the version of its PX4"
+    assert held(event("vehicle_found", 1.0, **found, version="1.16.1")) == {}
+
+
 def test_a_parameter_that_is_not_known_is_a_caution() -> None:
     now = held(event("vehicle_setting", 1.0, name="RTL_ALT", value=None, advice="15 m are guessed"))
     assert now["setting RTL_ALT"].cause == "The vehicle's RTL_ALT is not known: 15 m are guessed"

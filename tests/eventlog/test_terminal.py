@@ -118,3 +118,14 @@ def test_what_the_reserve_guesses_is_beside_what_it_reckons() -> None:
         "battery 59 %, home in 45 s, 53 % to spare",
         "battery 59 %, home in 45 s, 53 % to spare (guessed: RTL_ALT, LAND_SPEED are not known)",
     ]
+
+
+def test_the_version_of_a_vehicle_is_told() -> None:
+    found = {"system": 3, "component": 1, "firmware": "ArduCopter", "type": "quadrotor"}
+    said = lines(
+        [event("vehicle_found", 0.1, **found, version="4.6.2"), event("vehicle_found", 0.2, **found)]
+    )
+    assert said == [
+        "the vehicle is system 3, component 1 (ArduCopter 4.6.2, quadrotor)",
+        "the vehicle is system 3, component 1 (ArduCopter of an unknown version, quadrotor)",
+    ]

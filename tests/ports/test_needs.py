@@ -121,8 +121,9 @@ def test_nothing_is_tried_on_a_vehicle_that_a_pilot_has(
 ) -> None:
     async def story(made: Bench, autopilot: MavlinkAutopilot) -> None:
         await autopilot.claim(resumes=False)
-        await asyncio.sleep(0.1)
         made.copter.arm(made.now_s, forced=True)
+        await asyncio.sleep(0.07)  # no heartbeat comes meanwhile
+        assert not autopilot.armed
         with pytest.raises(AutopilotOverruled):
             await autopilot.arm()
         assert commanded == []

@@ -254,9 +254,10 @@ class Narrator:
                 return Said(f"{self.doing} for {waited_s:.0f} of {within_s:g} s: {why}", Tone.TROUBLE)
             case schema.VehicleFound(system=system, component=component, firmware=firmware):
                 self.doing = "starting the services of the drone"
+                version = event.version or "of an unknown version"
                 return Said(
-                    f"the vehicle is system {system}, component {component} ({firmware} {event.type})",
-                    Tone.ASIDE,
+                    f"the vehicle is system {system}, component {component} ({firmware} {version}, {event.type})",
+                    Tone.ASIDE if event.version else Tone.TROUBLE,
                 )
             case schema.LinkLost(silent_s=silent_s):
                 return Said(f"the vehicle is not heard any more, for {silent_s:.1f} s", Tone.TROUBLE)

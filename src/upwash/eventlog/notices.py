@@ -141,8 +141,10 @@ def _link(event: Event) -> Iterator[Notice]:
     match event:
         case schema.WaitingForVehicle(why=why):
             yield Notice("waiting", f"The vehicle is waited for: {why}")
-        case schema.VehicleFound():
+        case schema.VehicleFound(firmware=firmware, version=version):
             yield Notice("waiting")
+            unknown = "" if version else f"The vehicle does not tell the version of its {firmware}"
+            yield Notice("version", unknown, "Check that the version is new enough." if unknown else "")
         case schema.LinkLost(silent_s=silent_s):
             yield _alarm(
                 "link", f"The vehicle has not been heard for {silent_s:.1f} s", "Be ready to take over."

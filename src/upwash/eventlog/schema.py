@@ -344,12 +344,16 @@ class WaitingForVehicle(Event, frozen=True, kw_only=True):
 
 
 class VehicleFound(Event, frozen=True, kw_only=True):
-    """The vehicle that is followed from now on: its MAVLink ids, its firmware, and its type, such as `quadrotor`."""
+    """The vehicle that is followed from now on: its MAVLink ids, its firmware, and its type, such as `quadrotor`.
+
+    `version` is the firmware's, null if the vehicle does not tell it.
+    """
 
     system: int
     component: int
     firmware: str
     type: str
+    version: str | None = None
 
 
 class LinkLost(Event, frozen=True, kw_only=True):

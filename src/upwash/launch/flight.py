@@ -127,7 +127,11 @@ async def _autopilot(
     found = autopilot.identity
     journal.record(
         schema.VehicleFound(
-            system=found.system, component=found.component, firmware=autopilot.firmware, type=found.kind
+            system=found.system,
+            component=found.component,
+            firmware=autopilot.firmware,
+            type=found.kind,
+            version=str(autopilot.version) if autopilot.version else None,
         )
     )
     return autopilot

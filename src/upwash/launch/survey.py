@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from upwash.config import DroneConfig, ServerConfig
 from upwash.drone.networks import NoNetwork
 from upwash.drone.preparation import endpoints, make_estimates
 from upwash.drone.server_session import ServerEndpoint, ServerSession
-from upwash.errors import LinkError, UpwashError
+from upwash.errors import AutopilotRefused, LinkError, UpwashError
 from upwash.launch.drone import (
     drone_credentials,
     require_address,
@@ -19,8 +20,9 @@ from upwash.launch.drone import (
     vehicle_link,
 )
 from upwash.missions.bundled import load_specs
-from upwash.ports import Dialer
+from upwash.ports import Dialer, VehicleNews, VehicleSetting
 from upwash.real.finding import Finding
+from upwash.real.mavlink import MavlinkAutopilot
 from upwash.support.loading import extra
 
 _START_S = 120.0
@@ -28,9 +30,16 @@ _START_S = 120.0
 
 @dataclass(frozen=True, slots=True)
 class VehicleSurvey:
-    """Which vehicle was heard, and what its dead man lacks, empty where it is ready."""
+    """Which vehicle was heard, and what its dead man lacks, empty where it is ready.
+
+    `version` is its firmware's, empty if the vehicle does not tell it. `unfit` says why it cannot be flown, empty if
+    it can. `settings` are the parameters that a person should know of before a flight.
+    """
 
     vehicle: str
+    version: str
+    unfit: str
+    settings: Sequence[VehicleSetting]
     dead_man_lacks: str
 
 
@@ -42,9 +51,33 @@ async def survey_vehicle(config: DroneConfig, *, install_dead_man: bool) -> Vehi
         if install_dead_man:
             await autopilot.claim(resumes=False)
             left_to_do = await autopilot.dead_man.install()
-        return VehicleSurvey(str(autopilot.identity), left_to_do or await autopilot.dead_man.missing())
+        unfit, settings = await _inspected(autopilot)
+        return VehicleSurvey(
+            vehicle=str(autopilot.identity),
+            version=str(autopilot.version or ""),
+            unfit=unfit,
+            settings=settings,
+            dead_man_lacks=left_to_do or await autopilot.dead_man.missing(),
+        )
     finally:
         await autopilot.close()
+
+
+async def _inspected(autopilot: MavlinkAutopilot) -> tuple[str, list[VehicleSetting]]:
+    """Why the vehicle cannot be flown, if so, and the parameters that a person should know of."""
+    settings: list[VehicleSetting] = []
+
+    def hear(news: VehicleNews) -> None:
+        if isinstance(news, VehicleSetting):
+            settings.append(news)
+
+    autopilot.listen(hear)
+    try:
+        await autopilot.inspect()
+        await autopilot.learn()
+    except AutopilotRefused as error:
+        return error.problem, settings
+    return "", settings
 
 
 async def survey_networks(config: DroneConfig) -> list[Finding]:

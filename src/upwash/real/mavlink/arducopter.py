@@ -119,12 +119,13 @@ class ArduCopter(MavlinkAutopilot):
     async def limits(self) -> VehicleLimits:
         """Home, and what its parameters and its fence list say; the energy facts are read with them."""
         limits = await super().limits()
-        await self._learn()
+        await self.learn()
         told = await read_parameters(self._vehicle, ARDUCOPTER_FENCE)
         limits = replace(limits, returns_at_m=self._energy.return_altitude_m)
         return await arducopter_limits(self._vehicle, self._frame, limits, told)
 
-    async def _learn(self) -> None:
+    async def learn(self) -> None:
+        """Its energy facts, and what it can do."""
         self._energy = arducopter_energy(await read_quantities(self._vehicle, ARDUCOPTER_QUANTITIES))
 
     @property

@@ -249,10 +249,10 @@ class MavlinkAutopilot(ABC):
         self._vehicle.claim("start", resumes=resumes)
         if self._telemetry.armed:  # it flies already: `limits` is for a vehicle that stands
             self._where.fix_ground()
-            await self._learn()
+            await self.learn()
 
     async def inspect(self) -> None:
-        """Looks at the vehicle, which is the program's and stands; AutopilotRefused where it cannot be flown."""
+        """Looks at the vehicle by questions alone; AutopilotRefused where it cannot be flown."""
         require_version(self._vehicle)
 
     async def ready(self) -> None:
@@ -325,7 +325,7 @@ class MavlinkAutopilot(ABC):
         return VehicleLimits(self._where.home, home_above_sea_m=round(home.altitude_m, 2) if home else None)
 
     @abstractmethod
-    async def _learn(self) -> None:
+    async def learn(self) -> None:
         """Reads what its parameters say of its battery's stages, of its way home and of what it can do."""
 
     @abstractmethod

@@ -98,12 +98,13 @@ class Px4(MavlinkAutopilot):
     async def limits(self) -> VehicleLimits:
         """Home, and what its parameters and its fence list say."""
         limits = await super().limits()
-        await self._learn()
+        await self.learn()
         told = await read_parameters(self._vehicle, (*PX4_FENCE, "COM_OBL_RC_ACT"))
         limits = replace(limits, returns_at_m=self._energy.return_altitude_m)
         return await px4_limits(self._vehicle, self._frame, limits, told)
 
-    async def _learn(self) -> None:
+    async def learn(self) -> None:
+        """Its energy facts, and what it can do."""
         told = await read_quantities(self._vehicle, PX4_QUANTITIES)
         self._energy, self._stream.abilities = px4_energy(told), px4_abilities(told)
 
