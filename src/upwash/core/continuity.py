@@ -5,7 +5,7 @@ afterwards that all is well. The vehicle itself does not jump. Laws:
 
 1. A report that lies farther from the one before it than speed and time allow is a jump.
 2. A jump is undone by jumps that lead back, or by a receiver that never jumped and agrees with the new place.
-3. While a jump is not undone, nobody knows where the vehicle is.
+3. While a jump is not undone, the vehicle's place is unknown.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Position, ahead, distance_m
 from upwash.errors import AutopilotRefused
 from upwash.mavlink.version import Version
-from upwash.ports import DeadMan, VehicleLimits
+from upwash.ports import DeadMan, VehicleLimits, VehicleSetting
 from upwash.real.mavlink.autopilot import MavlinkAutopilot, check_speed
 from upwash.real.mavlink.dead_man import LuaDeadMan
 from upwash.real.mavlink.fence_settings import ARDUCOPTER_FENCE, arducopter_limits
@@ -33,6 +33,17 @@ _NUMBERS = {
 }
 _FAILSAFE_MODES = ("RTL", "LAND", "SMART_RTL", "BRAKE", "AUTO", "AUTO_RTL")
 _CRITICAL = (mavlink.MAV_STATE_CRITICAL, mavlink.MAV_STATE_EMERGENCY)
+_AVOIDANCE = "OA_TYPE"
+_FAILSAFE_TEXTS = {
+    "EKF": "its position estimate failed",
+    "GPS Glitch": "its position estimate failed",
+    "Dead Reckoning": "its position estimate failed",
+    "Battery": "its battery is low",
+    "Radio Failsafe": "it does not hear its remote control",
+    "GCS Failsafe": "it does not hear its ground station",
+    "Terrain Failsafe": "it lacks terrain data",
+    "ADSB": "it avoids another aircraft",
+}
 _BRAKES_M_S2 = 1.83  # as recorded flights do (SITL 4.7, default parameters)
 _REACTS_S = 0.1
 _LIFT_REPORT_S = 1.0  # for a report that it has left the ground, while some get lost
@@ -51,7 +62,11 @@ def _failsafe(telemetry: Telemetry, mode: str) -> str:
         return telemetry.dead_man
     if telemetry.fence_breached:
         return "it has left its fence"
-    return "its system status is critical" if telemetry.system_status in _CRITICAL else ""
+    if telemetry.system_status not in _CRITICAL:
+        return ""
+    said = (text.text for _, text in reversed(telemetry.texts))
+    causes = (cause for text in said for begin, cause in _FAILSAFE_TEXTS.items() if text.startswith(begin))
+    return next(causes, "its system status is critical")
 
 
 ARDUCOPTER = Firmware(
@@ -120,9 +135,20 @@ class ArduCopter(MavlinkAutopilot):
         """Home, and what its parameters and its fence list say; the energy facts are read with them."""
         limits = await super().limits()
         await self.learn()
-        told = await read_parameters(self._vehicle, ARDUCOPTER_FENCE)
+        told = await read_parameters(self._vehicle, [*ARDUCOPTER_FENCE, _AVOIDANCE])
+        self._learn_avoidance(told.get(_AVOIDANCE, 0.0))
         limits = replace(limits, returns_at_m=self._energy.return_altitude_m)
         return await arducopter_limits(self._vehicle, self._frame, limits, told)
+
+    def _learn_avoidance(self, kind: float) -> None:
+        """Targets are not compared where the vehicle itself replaces them to fly round obstacles."""
+        self._where.watches_targets = not kind
+        if kind:
+            advice = (
+                "the vehicle changes its own targets to fly round obstacles, so upwash cannot see that a ground "
+                "station sends it elsewhere: have the pilot change the mode instead"
+            )
+            self._vehicle.tell(VehicleSetting(_AVOIDANCE, kind, advice))
 
     async def learn(self) -> None:
         """Its energy facts, and what it can do."""
