@@ -53,7 +53,7 @@ def test_each_end_of_a_flight_has_its_code(
     monkeypatch.setattr("upwash.cli.flying.fly_with_progress", flown)
     (tmp_path / "drone.toml").write_text(CONFIG)
     assert main(["fly", "--config", str(tmp_path / "drone.toml"), "--log", str(tmp_path / "log")]) == code
-    assert str(error) in capsys.readouterr().err
+    assert str(error).removeprefix("mission: ") in capsys.readouterr().err
 
 
 def test_the_help_and_the_page_name_every_code(capsys: pytest.CaptureFixture[str]) -> None:

@@ -93,3 +93,11 @@ def test_what_cannot_be_is_refused_and_the_drone_comes_home(
     assert said in run.failure
     assert any(isinstance(event, schema.Landed) for event in run.events)
     assert not any(isinstance(event, schema.PayloadCommanded) for event in run.events)
+
+
+def test_a_mission_that_has_landed_may_leave_the_motors_to_the_program(tmp_path: Path) -> None:
+    run = fly(tmp_path, "drone.autopilot.hover(1)")  # and returns and lands, and no more
+    assert run.failure == ""
+    kinds = [event.kind for event in run.events]
+    assert "safe_end" not in kinds, "nothing ended early"
+    assert kinds[-3:].count("disarmed") == 1

@@ -115,8 +115,42 @@ def test_what_the_reserve_guesses_is_beside_what_it_reckons() -> None:
     )
     assert said == [
         "the vehicle's RTL_ALT is not known: the vehicle has no such parameter",
-        "battery 59 %, home in 45 s, 53 % to spare",
-        "battery 59 %, home in 45 s, 53 % to spare (guessed: RTL_ALT, LAND_SPEED are not known)",
+        "battery 59 %, 45 s to the landing, 53 % more than needed",
+        "battery 59 %, 45 s to the landing, 53 % more than needed (guessed: RTL_ALT, LAND_SPEED are not known)",
+    ]
+
+
+def test_the_way_down_counts_down() -> None:
+    coming = [
+        event("returning", 100.0),
+        *(event("position", 100.0 + t, **PLACE, altitude_m=9.0, down_s=40.0 - t) for t in range(1, 40)),
+        event("landed", 140.0),
+    ]
+    assert lines([STARTED, *coming])[1:] == [
+        "returning home to land",
+        *(f"returning: on the ground in {left_s} s" for left_s in (30, 20, 10)),
+        "landed",
+    ]
+    assert head([STARTED, *coming[:12]]).startswith("returning, on the ground in 29 s · ")
+    assert head([STARTED, *coming, event("position", 141.0, **PLACE, altitude_m=0.0)]).startswith("landed · ")
+
+
+def test_who_has_the_vehicle_is_said_once() -> None:
+    taken = "the pilot has the vehicle: the vehicle is in mode LOITER"
+    said = lines(
+        [
+            STARTED,
+            event("control", 10.0, owner="pilot", why="the vehicle is in mode LOITER"),
+            event(
+                "left_to_pilot", 10.0, why=f"{taken}; the log continues until the vehicle stands, or Ctrl-C"
+            ),
+            event("mission_ended", 30.0, why=f"mission: {taken}"),
+        ]
+    )
+    assert said[1:] == [
+        f"{taken}; nothing is sent to it any more",
+        "the log continues until the vehicle stands, or Ctrl-C",
+        f"mission ended: {taken}",
     ]
 
 

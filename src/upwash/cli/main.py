@@ -127,7 +127,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     except NotKept as error:
         return complain(error, ExitCode.NOT_KEPT)
     except AutopilotOverruled as error:
-        return complain(error, ExitCode.NOT_OURS)
+        early = str(error).replace("mission: ", "the mission was ended early: ", 1)
+        return complain(UpwashError(early), ExitCode.NOT_OURS)
     except UpwashError as error:
         return complain(error, ExitCode.FAILURE)
     except OSError as error:

@@ -5,8 +5,8 @@
     hover      what is left of it, the descent
     descent    what is left of it
 
-A part is over once the next has begun by the reports, and never comes again. The answer is at most as long as what
-`energy.time_home_s` would have said, and grows only where the vehicle is held up.
+A part is over once the reports show that the next one has begun. At the start the whole is what `energy.time_home_s`
+says without wind, which is never too short.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ _SUNK_M = 1.0  # below the altitude of the return: it has begun to descend
 class WayDown:
     """Follows one vehicle from where it was told to return to `home`, or to land where it is: `home` is None then."""
 
-    def __init__(self, way: WayHome, start: Position, home: Position | None, *, now_s: float) -> None:
+    def __init__(self, way: WayHome, start: Position, home: Position | None) -> None:
         self._way = way
         self._home = home
         self._top_m = start.altitude_m if home is None else max(start.altitude_m, way.altitude_m)
         length_m = 0.0 if home is None else ground_distance_m(start, home)
         self._leg = Leg(length_m, way.speed_m_s, way.acceleration_m_s2)
-        self._above_home_s: float | None = now_s if home is None else None  # since when it is
+        self._above_home_s: float | None = None  # since when it is
         self._highest_m = start.altitude_m
-        self._sinks = False
+        self._sinks = home is None
 
     def left_s(self, position: Position, *, now_s: float) -> float:
         """Seconds to the ground, by a report; times never go back."""
@@ -47,9 +47,9 @@ class WayDown:
     def _take(self, position: Position, now_s: float) -> None:
         if self._home is not None and ground_distance_m(position, self._home) > _AT_HOME_M:
             return
-        may_sink = self._highest_m >= self._top_m - _SUNK_M  # else it has yet to climb
-        self._sinks |= may_sink and position.altitude_m < self._highest_m - _SUNK_M
-        if self._above_home_s is None and may_sink:
+        self._sinks |= position.altitude_m < self._highest_m - _SUNK_M
+        has_climbed = self._highest_m >= self._top_m - _SUNK_M
+        if self._above_home_s is None and has_climbed:
             self._above_home_s = now_s
 
     def _to_home_s(self, position: Position) -> float:

@@ -11,6 +11,7 @@ from upwash.core.estimates import Operation
 from upwash.core.events import Arrived, Event, LegBegun, MissionBegun, TargetUnknown
 from upwash.core.geo import EarthPosition, Position, Waypoint, distance_m, rounded
 from upwash.core.telemetry import Telemetry
+from upwash.drone.descent import ComingDown
 from upwash.drone.mission import MissionThread
 from upwash.drone.open_answer import Errand, Errands, OpenAnswer, index_of
 from upwash.drone.payload import Payload
@@ -55,7 +56,7 @@ class Vehicle:
         self._tell = tell
         self._in_the_air = False
         self._found_flying = False  # it has taken off before this program began, and not landed since
-        self._coming_down = False
+        self._coming_down: ComingDown | None = None
         self._ground_speed_m_s: float | None = None  # as it was last set
         self._on_a_leg = False
         self._stands_at: Position | None = None  # where exactly it was sent, which is not quite where it is
@@ -82,8 +83,8 @@ class Vehicle:
         return self._in_the_air
 
     @property
-    def coming_down(self) -> bool:
-        """Whether the mission is bringing the vehicle to the ground."""
+    def coming_down(self) -> ComingDown | None:
+        """How the mission is bringing the vehicle to the ground, if it is."""
         return self._coming_down
 
     @property
@@ -190,11 +191,11 @@ class Vehicle:
 
     def return_home_and_land(self) -> None:
         """Flies back to where it took off and lands."""
-        self._come_down(self._autopilot.return_home_and_land, schema.Returning)
+        self._come_down("return", self._autopilot.return_home_and_land, schema.Returning)
 
     def land(self) -> None:
         """Lands where it is."""
-        self._come_down(self._autopilot.land, schema.Landing)
+        self._come_down("land", self._autopilot.land, schema.Landing)
 
     def disarm(self) -> None:
         """Stops the motors."""
@@ -252,14 +253,16 @@ class Vehicle:
             if not answer.is_over:
                 self._open = answer
 
-    def _come_down(self, verb: Callable[[], Coroutine[Any, Any, None]], doing: _AtPlace) -> None:
+    def _come_down(
+        self, how: ComingDown, verb: Callable[[], Coroutine[Any, Any, None]], doing: _AtPlace
+    ) -> None:
         self._settle()
-        self._coming_down = True
+        self._coming_down = how
         try:
             self._thread.call(self._logged(verb, schema.Landed, before=doing))
             self._in_the_air = self._found_flying = False
         finally:
-            self._coming_down = False
+            self._coming_down = None
 
     async def _set_ground_speed(self, ground_speed_m_s: float) -> None:
         await self._autopilot.set_ground_speed(ground_speed_m_s)

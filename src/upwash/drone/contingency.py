@@ -55,7 +55,9 @@ async def end_safely(autopilot: Autopilot, action: SafeEnd, journal: Journal, *,
 async def follow(autopilot: Autopilot, journal: Journal, *, until: asyncio.Event) -> None:
     """Sends nothing; returns when a vehicle that is not the program's stands, falls silent, or `until` is set."""
     control = autopilot.control
-    journal.record(schema.LeftToPilot(why=f"{control}; the log goes on until the vehicle stands"))
+    journal.record(
+        schema.LeftToPilot(why=f"{control}; the log continues until the vehicle stands, or Ctrl-C")
+    )
     stood = asyncio.create_task(autopilot.stood())
     stopped = asyncio.create_task(until.wait())
     try:

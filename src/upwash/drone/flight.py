@@ -16,6 +16,7 @@ from upwash.core.selection import Selection
 from upwash.core.stay_or_go import StayOrGo
 from upwash.drone.api import Drone, Mission, User, Vehicle
 from upwash.drone.contingency import end_safely, follow
+from upwash.drone.descent import ComingDown, Descent
 from upwash.drone.guard import FailSafeOffloading
 from upwash.drone.mission import MissionThread, mission_failed
 from upwash.drone.offloading import Offloading
@@ -131,6 +132,8 @@ class Flight:
             ),
             tell=self._offloading.tell,
         )
+        self._ends: ComingDown | None = None  # how the flight is ended safely, while it is
+        self._descent = Descent(ports.autopilot, doing=lambda: self._ends or self._vehicle.coming_down)
         self._calls = Calls(
             self._thread, self._offloading.invoke, ports.journal, waypoint=lambda: self._vehicle.waypoint
         )
@@ -193,6 +196,7 @@ class Flight:
         here, velocity = rounded(vehicle.position), vehicle.velocity
         speed_m_s = None if velocity is None else math.hypot(velocity.east_m_s, velocity.north_m_s)
         heading_deg, percent = vehicle.heading_deg, vehicle.battery_percent
+        down_s = self._descent.left_s
         return schema.PositionReport(
             east_m=here.east_m,
             north_m=here.north_m,
@@ -200,6 +204,7 @@ class Flight:
             ground_speed_m_s=None if speed_m_s is None else round(speed_m_s, 2),
             heading_deg=None if heading_deg is None else round(heading_deg, 1),
             battery_percent=None if percent is None else round(percent, 1),
+            down_s=None if down_s is None else round(down_s, 1),
             server=server,
             round_trip_s=None if round_trip_s is None else round(round_trip_s, 4),
         )
@@ -298,9 +303,22 @@ class Flight:
         except (Exception, asyncio.CancelledError) as error:
             await self._end(_why(error))
             raise
-        await self._end(
-            f"the mission ended {'in the air' if self._vehicle.in_the_air else 'with running motors'}"
-        )
+        if not await self._stands_disarmed():
+            where = "in the air" if self._vehicle.in_the_air else "with running motors"
+            await self._end(f"the mission ended {where}")
+
+    async def _stands_disarmed(self) -> bool:
+        """Stops the motors of a vehicle that the mission has left on the ground; whether they stand."""
+        autopilot = self._ports.autopilot
+        if self._vehicle.in_the_air or not (autopilot.stands and autopilot.control.is_ours):
+            return False
+        if autopilot.armed:
+            try:
+                await autopilot.disarm()
+            except AutopilotError:
+                return False
+            self._ports.journal.record(schema.Disarmed())
+        return True
 
     async def _run_mission(self) -> None:
         watch = asyncio.create_task(self._watch_battery())
@@ -343,7 +361,12 @@ class Flight:
         autopilot, journal = self._ports.autopilot, self._ports.journal
         if autopilot.control.is_ours and (self._vehicle.in_the_air or autopilot.armed):
             self._stop_following.clear()
-            await end_safely(autopilot, self._config.autopilot.on_failure, journal, why=why)
+            action = self._config.autopilot.on_failure
+            self._ends = None if action == "hold" else action
+            try:
+                await end_safely(autopilot, action, journal, why=why)
+            finally:
+                self._ends = None
         if not autopilot.control.is_ours:
             await follow(autopilot, journal, until=self._stop_following)
 
@@ -356,6 +379,7 @@ class Flight:
             self._ports.journal,
             flying=lambda: vehicle.in_the_air,
             leg_speed_m_s=lambda: (vehicle.ground_speed_m_s or default_m_s) if vehicle.on_a_leg else None,
+            down_s=lambda: self._descent.left_s,
         )
         why = await watch.reached()
         if not vehicle.coming_down:

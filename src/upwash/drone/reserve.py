@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import replace
 
 from upwash.config import DroneConfig
 from upwash.core.energy import Energy, Margin, Report, Reserve, margin
@@ -21,7 +22,8 @@ _HOME = Position(0.0, 0.0)
 class ReserveWatch:
     """Looks at the vehicle every second, on the ground and in the air.
 
-    `flying` says whether the mission has the vehicle in the air, and `leg_speed_m_s` what the leg under way was told.
+    `flying` says whether the mission has the vehicle in the air, `leg_speed_m_s` what the leg under way was told, and
+    `down_s` how much longer a return or landing takes that is under way.
     """
 
     def __init__(
@@ -32,6 +34,7 @@ class ReserveWatch:
         *,
         flying: Callable[[], bool],
         leg_speed_m_s: Callable[[], float | None],
+        down_s: Callable[[], float | None],
     ) -> None:
         mission = config.mission
         self._least_percent = mission.reserve_percent
@@ -46,6 +49,7 @@ class ReserveWatch:
         self._journal = journal
         self._flying = flying
         self._leg_speed_m_s = leg_speed_m_s
+        self._down_s = down_s
         self._home = _HOME  # where it was last seen before it took off
         self._has_flown = False
         self._told: tuple[float, float] | None = None  # when, and the margin
@@ -104,6 +108,8 @@ class ReserveWatch:
         )
         energy.take(report)
         now = energy.margin(report, self._home, vehicle.energy)
+        if now is not None and (down_s := self._down_s()) is not None:
+            now = replace(now, home_s=down_s, needed_percent=(now.rate_percent_s or 0.0) * down_s)
         if now is not None:
             self._tell(now, report.time_s)
         return now

@@ -120,6 +120,7 @@ class Narrator:
         self.started = False  # whether the mission has begun
         self.waits_since_s: float | None = None  # until the vehicle can be armed; None while it does not
         self.waits_for = ""  # the reasons that the vehicle gives
+        self.down_s: float | None = None  # until it is on the ground, while the program brings it down
         self.control = ""  # who has the vehicle, since when and why; empty while the program has
 
     @property
@@ -137,6 +138,7 @@ class Narrator:
             return None
         match event:
             case schema.PositionReport(east_m=east_m, north_m=north_m, altitude_m=altitude_m):
+                self.down_s = event.down_s
                 self.where = f"{east_m:.0f} m east, {north_m:.0f} m north, {altitude_m:.0f} m up"
                 return None
             case schema.Call():
@@ -184,6 +186,8 @@ class Narrator:
             case schema.Returning():
                 self.doing = "returning"
                 return Said("returning home to land")
+            case schema.LeftToPilot(why=why) if self.control:  # which was said
+                return Said(why.rpartition("; ")[2], Tone.ALARM)
             case schema.Landed():
                 self.doing = "landed"
                 return Said("landed")
@@ -286,7 +290,7 @@ def _vehicle_told(event: Event) -> Said | None:
             said = f"the autopilot {doing} if it does not hear this program for {silence_s:g} s"
             return Said(said, Tone.ASIDE)
         case schema.Energy(left_percent=left, home_s=home_s, margin_percent=spare, guessed=guessed):
-            said = f"battery {left:.0f} %, home in {home_s:.0f} s, {spare:.0f} % to spare"
+            said = f"battery {left:.0f} %, {home_s:.0f} s to the landing, {spare:.0f} % more than needed"
             return Said(f"{said} ({in_words(guessed)})" if guessed else said, Tone.ASIDE)
     return None
 
@@ -320,9 +324,14 @@ def _ending(event: Event) -> Said | None:
     match event:
         case schema.Stopping(why=why):
             return Said(
-                f"stopping ({why}); once more ends this at once, the vehicle left to itself", Tone.ALARM
+                f"stopping: {why} (Ctrl-C from now on ends the program at once, and leaves the vehicle to itself)",
+                Tone.ALARM,
             )
-        case schema.LeftToPilot(why=why) | schema.MissionEnded(why=why) | schema.FollowingEnded(why=why):
+        case schema.LeftToPilot(why=why):
+            return Said(f"nothing more is sent to the vehicle: {why}", Tone.ALARM)
+        case schema.MissionEnded(why=why):
+            return Said(f"mission ended: {why.removeprefix('mission: ')}", Tone.ALARM)
+        case schema.FollowingEnded(why=why):
             return Said(f"{event.kind.replace('_', ' ')}: {why}", Tone.ALARM)
     return None
 

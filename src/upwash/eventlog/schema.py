@@ -558,7 +558,9 @@ class BorderWatchFailed(Event, frozen=True, kw_only=True):
 
 
 class Energy(Event, frozen=True, kw_only=True):
-    """With `reserve_s`: what is left in the battery, its loss a second, the time home, what that needs and leaves.
+    """With `reserve_s`: the battery, its loss a second, the time to the landing, and what that needs and leaves.
+
+    The landing is at home, or where the vehicle is with `on_failure = "land"`.
 
     Written when it is first known, after a change of the margin by more than 3 %, and each minute. `guessed` lists
     the vehicle's parameters that are not known; a usual value stands for each.
@@ -601,7 +603,7 @@ class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="
     """Where the drone is, every second (real flights), with what is known of its motion, battery and link.
 
     The heading is that of its nose, clockwise from north; `round_trip_s` is what the last question to the daemon of
-    the `server` in use took.
+    the `server` in use took. While the program brings it down, it is on the ground in `down_s`.
     """
 
     east_m: float
@@ -612,6 +614,7 @@ class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="
     battery_percent: float | None = None
     server: str | None = None
     round_trip_s: float | None = None
+    down_s: float | None = None
 
 
 # --- servers ------------------------------------------------------------------------------------------------

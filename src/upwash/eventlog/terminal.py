@@ -24,6 +24,7 @@ _STILL_WAITING_S = 10.0  # after so long without a line, where no picture is kep
 _DECISION = 16  # columns at least, so that few words are longer
 _WIDE = 400  # columns, where nobody sees them: a row is to be one line of a log
 _WORTH_SHOWING_S = 0.05
+_LONG_ARMING_S = 1.0
 STATE_STYLES = {"READY": "green", "CHECK": "yellow", "CHECK-R": "yellow", "BLACKLISTED": "red"}
 TONE_STYLES = {
     Tone.ASIDE: "dim",
@@ -99,8 +100,11 @@ class Progress(LiveDisplay):
 
     def _still_waiting(self) -> Said | None:
         now = self._narrator
-        is_due = self._now_s - self._said_s >= _STILL_WAITING_S and not self._console.is_terminal
-        if now.waits_since_s is None or not is_due:
+        if self._now_s - self._said_s < _STILL_WAITING_S or self._console.is_terminal:
+            return None
+        if now.down_s is not None:
+            return Said(f"{now.doing}: {_down(now.down_s)}", Tone.ASIDE)
+        if now.waits_since_s is None:
             return None
         return Said(
             f"still {now.doing}, for {self._now_s - now.waits_since_s:.0f} s: {now.waits_for}", Tone.ASIDE
@@ -110,8 +114,9 @@ class Progress(LiveDisplay):
         now = self._narrator
         since_s = now.waits_since_s
         waited = "" if since_s is None else f" for {self._now_s - since_s:.0f} s"
+        down = "" if now.down_s is None else f", {_down(now.down_s)}"
         head = Text(
-            f"{now.doing}{waited} · {now.reached} of {self._waypoints} waypoints reached · {now.where}"
+            f"{now.doing}{waited}{down} · {now.reached} of {self._waypoints} waypoints reached · {now.where}"
         )
         taken = [Text(printable(now.control), style="bold red")] if now.control else []
         return Group(head, *taken, *([self._servers()] if self._states else []))
@@ -124,6 +129,10 @@ class Progress(LiveDisplay):
         for name, (state, why) in self._states.items():
             servers.add_row(name, Text(state, style=STATE_STYLES.get(state, "")), why)
         return servers
+
+
+def _down(down_s: float) -> str:
+    return f"on the ground in {down_s:.0f} s"
 
 
 def print_result(result: RunResult, console: Console, *, paced: bool, servers: bool) -> None:
@@ -149,7 +158,7 @@ def print_result(result: RunResult, console: Console, *, paced: bool, servers: b
 
 def _calls_line(totals: Totals, *, servers: bool) -> str:
     remote = "".join(f", {count} on {server}" for server, count in totals.remote.items())
-    parts = [f"{counted(totals.calls, 'call')}: {totals.local} on the drone{remote}"]
+    parts = [f"{counted(totals.calls, 'call')}{f': {totals.local}' if servers else ''} on the drone{remote}"]
     if totals.switches:
         parts += [
             f"{counted(totals.switches, 'selection')} of a server",
@@ -232,7 +241,7 @@ def _short_names(operations: Sequence[str]) -> dict[str, str]:
 
 
 def _print_times(result: RunResult, console: Console, *, paced: bool) -> None:
-    if result.arming_s >= _WORTH_SHOWING_S:
+    if result.arming_s >= _LONG_ARMING_S:
         say(f"waited {result.arming_s:.1f} s until the vehicle could be armed", console)
     ended = "" if result.completed else ", not completed"
     local_only_s = result.local_only_time_s()

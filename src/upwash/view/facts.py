@@ -60,7 +60,10 @@ class Home(Fact, frozen=True):
 
 
 class Fix(Fact, frozen=True, gc=False):
-    """Where the drone is; and its speed, heading, battery and link to the server in use, where those are told too."""
+    """Where the drone is; and its speed, heading, battery and link to the server in use, where those are told too.
+
+    While the program brings it down, it is on the ground in `down_s`.
+    """
 
     east_m: float
     north_m: float
@@ -70,6 +73,7 @@ class Fix(Fact, frozen=True, gc=False):
     battery_percent: float | None = None
     server: str | None = None
     round_trip_s: float | None = None
+    down_s: float | None = None
 
 
 class Notice(Fact, frozen=True):

@@ -115,6 +115,7 @@ class Story:
             battery_percent=report.battery_percent,
             server=report.server,
             round_trip_s=report.round_trip_s,
+            down_s=report.down_s,
         )
 
     def _inferred(self, event: Event) -> Position | None:

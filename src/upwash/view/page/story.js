@@ -2,7 +2,7 @@
 
 import { Totals, countUntil } from "./totals.js";
 
-const SERIES = ["fix", "battery", "motion", "link", "doing", "notice", "decision", "call", "going", "turn", "measured", "answer", "shot", "told", "said"];
+const SERIES = ["fix", "battery", "motion", "link", "down", "doing", "notice", "decision", "call", "going", "turn", "measured", "answer", "shot", "told", "said"];
 const MOVED_M = 0.5; // less may be the position's noise
 
 export class Story {
@@ -84,6 +84,7 @@ export class Story {
         if (fact.battery_percent !== undefined) this.battery.push(fact);
         if (fact.ground_speed_m_s !== undefined) this.motion.push(fact);
         if (fact.round_trip_s !== undefined) this.link.push(fact);
+        if (fact.down_s !== undefined) this.down.push(fact);
         this.#takeCourse(fact);
         this.fix.push(fact);
         break;

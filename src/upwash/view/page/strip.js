@@ -3,7 +3,8 @@
 import { told } from "./clock.js";
 import { element, write } from "./element.js";
 
-const CELLS = ["progress", "expected end", "server", "saved so far", "battery", "link", "altitude", "speed"];
+const CELLS = ["progress", "expected end", "server", "saved so far", "battery", "link", "altitude", "speed", "on the ground in"];
+const OF_SERVERS = ["server", "saved so far", "link"]; // hidden where no server is known
 const ON_TIME = 0.01; // of the mission: a difference from the forecast that is not worth a word
 const STALE_S = 5; // what the vehicle told longer ago says nothing about now
 
@@ -34,6 +35,14 @@ export class Strip {
     const place = moment.position;
     this.#write("altitude", place ? `${place.altitude_m.toFixed(0)} m` : "");
     this.#write("speed", motion ? `${motion.ground_speed_m_s.toFixed(1)} m/s` : "");
+    const down = moment.isOver ? null : moment.recent("down", STALE_S);
+    this.#write("on the ground in", down ? `${down.down_s.toFixed(0)} s` : "");
+    this.#hide("on the ground in", !down);
+    for (const name of OF_SERVERS) this.#hide(name, Boolean(story.plan) && !story.known.size);
+  }
+
+  #hide(name, isHidden) {
+    this.values.get(name).closest("div").hidden = isHidden;
   }
 
   #write(name, words) {
