@@ -33,6 +33,7 @@ class Sky:
         self.vehicle = Vehicle(autopilot, clock)
         self.copter: Quadrotor = autopilot.copter  # type: ignore[assignment]
         self.cut = False  # nothing passes to or from the driver
+        self.link: Connection  # the driver's
         self.heard: list[Any] = []  # what the driver said, with the time as `at_s`
 
     def now_s(self) -> float:
@@ -74,7 +75,7 @@ class _DirectLink:
         self._sky = sky
         self._hear = heard
         self._codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=COMPANION)
-        self._connection = Connection(sky.vehicle, write=self._written)
+        self._connection = sky.link = Connection(sky.vehicle, write=self._written)
         for number in UNASKED_S:  # a flight has a hundred thousand of them
             never = mavlink.MAVLink_command_long_message(
                 1, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, -1, *(0.0,) * 5

@@ -20,6 +20,11 @@ class Air:
         self.share = share
         self._chance = random.Random(seed)
 
+    @property
+    def room(self) -> bool:
+        """Whether the vehicle's side takes another packet."""
+        return True
+
     def carry(self, packet: bytes, send: Callable[[bytes], None]) -> None:
         if self._happens():
             return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
@@ -44,6 +45,8 @@ class Bench:
         self.said: list[str] = []
         self.deaf = False  # whether the vehicle hears nobody
         self.mute = False
+        self.connection: Connection  # of the program that came last
+        self.asked: Counter[int] = Counter()  # how often each command came from programs
         self._air = air
         monkeypatch.setitem(link._OPENERS, "memory", self._open)
         Connection(self.vehicle, write=self._note)
@@ -73,13 +76,16 @@ class Bench:
             loop.call_soon(line.datagram_received, packet, ("", 1))
 
         def to_program(data: bytes) -> None:
-            if not self.mute:
+            if not self._air.room:  # a vehicle sends nothing then, and counts nothing
+                connection._codec.seq = (connection._codec.seq - 1) % 256
+            elif not self.mute:
                 self._air.carry(data, arrive)
 
-        connection = Connection(self.vehicle, write=to_program)
+        connection = self.connection = Connection(self.vehicle, write=to_program)
 
         def to_vehicle(packet: bytes) -> None:
             for message in mavlink.MAVLink(None).parse_buffer(packet) or []:
+                self.asked[getattr(message, "command", 0)] += 1
                 loop.call_soon(connection.hear, message)
 
         def write(data: bytes) -> None:

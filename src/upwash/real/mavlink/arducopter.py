@@ -97,6 +97,8 @@ ARDUCOPTER = Firmware(
     sent_at_times=frozenset(
         {
             mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
+            mavlink.MAVLINK_MSG_ID_RC_CHANNELS,
             mavlink.MAVLINK_MSG_ID_FENCE_STATUS,
             mavlink.MAVLINK_MSG_ID_WIND,
         }

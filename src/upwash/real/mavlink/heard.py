@@ -191,7 +191,7 @@ class HeardVehicle:
     @property
     def linked(self) -> bool:
         """Whether the vehicle has been heard lately."""
-        return self._loop.time() - self._last_heard_s < self.patience.quiet_after_s
+        return self._loop.time() < self._last_heard_s + self.patience.quiet_after_s
 
     async def link_lost(self) -> None:
         """Returns when nothing has been heard of the vehicle for `quiet_after_s`."""

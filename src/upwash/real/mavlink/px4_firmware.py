@@ -182,6 +182,8 @@ PX4 = Firmware(
     always_has="SYS_AUTOSTART",
     oldest=Version(1, 15),
     needs="CURRENT_MODE over MAVLink 2",
-    sent_at_times=frozenset({mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT}),
+    sent_at_times=frozenset(
+        {mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT, mavlink.MAVLINK_MSG_ID_RC_CHANNELS}
+    ),
     sends_parameters_as_bytes=True,
 )

@@ -1,9 +1,9 @@
 """Which reports a vehicle is asked for, how often each comes, and what is done where one comes too rarely.
 
-A report that comes too rarely has one of three causes, and the vehicle's MESSAGE_INTERVAL tells which: the interval
-is another than was asked for, as another program or the vehicle set it, and it is asked for again, ever more rarely;
-or the interval is as asked for, and the link does not carry so much: less is asked for. Reports that the radio lost
-count as sent.
+A report that comes too rarely has one of two causes, and the vehicle's MESSAGE_INTERVAL tells which. The interval is
+another than was asked for, as another program or the vehicle set it: it is asked for again, ever more rarely. Or the
+interval is as asked for, or there is no room for the answer: the link carries less, and less is asked for. Reports
+that the radio lost count as sent.
 """
 
 from __future__ import annotations
@@ -22,8 +22,10 @@ from upwash.real.mavlink.hearing import Message
 
 _ASKED_AT_ONCE = 10  # times that a missing report is asked for each second
 _ASKED_EACH = 30  # and from then on only each so many
+_ASKED_TOGETHER = 4  # of the missing reports, so that requests do not fill a narrow link
 _TOO_RARE = 0.5  # of the rate that is needed
-_MEASURED_S, _MEASURED_REPORTS = 1.0, 4.0  # at least; whichever lasts longer
+_CHANCE = 3.0  # standard deviations
+_MEASURED_S, _MEASURED_REPORTS = 1.0, 8.0  # at least; whichever lasts longer
 _SETTLING_S = 0.5  # until a request has an effect
 _ANSWERED_S = 2.0  # within which an interval is told
 _AGAIN_S, _AGAIN_AT_MOST_S = 3.0, 60.0
@@ -49,8 +51,8 @@ class _Stream:
     def heard_s(self) -> float:
         return self.came_s[-1] if self.came_s else -math.inf
 
-    def rate_hz(self, since_s: float, now_s: float) -> float:
-        return sum(came_s > since_s for came_s in self.came_s) / (now_s - since_s)
+    def came_since(self, since_s: float) -> int:
+        return sum(came_s > since_s for came_s in self.came_s)
 
 
 class Streams:
@@ -72,12 +74,15 @@ class Streams:
         self._quiet_after_s = quiet_after_s
         self._streams: dict[int, _Stream] = {}
         self._share = 1.0  # of the rates that are needed, as much as the link carries
-        self._asked_s = -math.inf  # when all reports were last asked for
+        self._forgiven_s = _FORGIVEN_S
+        self._due: list[int] = []  # the reports that are still to be asked for
+        self._asked_s = -math.inf  # when a report was last asked for with all others
         self._next_s = -math.inf
         self._times = self._confirmed_times = (
             0  # that they were asked for again, and that their intervals were right
         )
         self._questioned: tuple[int, float] | None = None  # the report whose interval was asked for, and when
+        self._is_answered = False
 
     def heard(self, message: Message, now_s: float) -> None:
         """A message has come."""
@@ -85,7 +90,9 @@ class Streams:
         if now_s - stream.heard_s > self._quiet_after_s:
             stream.began_s = now_s
         stream.came_s.append(now_s)
-        if message.get_type() == "MESSAGE_INTERVAL":
+        if message.get_type() == "COMMAND_ACK" and message.command == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
+            self._is_answered = True
+        elif message.get_type() == "MESSAGE_INTERVAL":
             interval_us = message.interval_us
             self._stream(message.message_id).set_hz = 1e6 / interval_us if interval_us > 0 else 0.0
 
@@ -94,21 +101,25 @@ class Streams:
         return self._stream(number).heard_s
 
     def begin(self, firmware: Firmware, now_s: float) -> None:
-        """Asks for all reports, of a vehicle that was just found, or is heard again."""
-        self._share, self._times, self._confirmed_times, self._questioned = 1.0, 0, 0, None
-        self._next_s = -math.inf
-        self._ask_for_all(firmware, now_s)
+        """Asks for all reports: together of a vehicle that was just found, by and by of one that is heard again."""
+        together = len(firmware.streams_hz) if math.isinf(self._asked_s) else _ASKED_TOGETHER
+        self._times, self._confirmed_times, self._questioned, self._next_s = 0, 0, None, -math.inf
+        self._ask_for_all(firmware, now_s, together=together)
 
     def look(self, firmware: Firmware, now_s: float, *, linked: bool, received_share: float) -> None:
         """Asks for what is missing or comes too rarely; `received_share` is of the messages that the vehicle sent."""
-        self._ask_for_missing(firmware, now_s, linked=linked)
-        if not linked:
+        if not linked:  # what it does not hear fills a narrow link
             return
+        if self._due:
+            self._ask_for_due(firmware, now_s, together=_ASKED_TOGETHER)
+            return
+        self._ask_for_missing(firmware, now_s)
         rare = self._too_rare(firmware, now_s, received_share)
         if rare is not None:
             self._ask_again(firmware, rare, now_s)
-        elif now_s - self._asked_s > _FORGIVEN_S:
+        elif now_s - self._asked_s > self._forgiven_s:
             self._times = self._confirmed_times = 0
+            self._try_for_more(firmware, now_s)
 
     def _stream(self, number: int) -> _Stream:
         return self._streams.setdefault(number, _Stream())
@@ -117,23 +128,32 @@ class Streams:
         needed_hz = firmware.streams_hz[number]
         return max(needed_hz * self._share, min(needed_hz, _LEAST_HZ))
 
-    def _ask_for_all(self, firmware: Firmware, now_s: float) -> None:
+    def _ask_for_all(self, firmware: Firmware, now_s: float, *, together: int = _ASKED_TOGETHER) -> None:
+        self._due = list(firmware.streams_hz)
+        self._ask_for_due(firmware, now_s, together=together)
+
+    def _ask_for_due(self, firmware: Firmware, now_s: float, *, together: int) -> None:
         self._asked_s = now_s
-        for number in firmware.streams_hz:
+        for number in self._due[:together]:
             self._ask_for(firmware, number)
+        del self._due[:together]
 
     def _ask_for(self, firmware: Firmware, number: int) -> None:
         self._ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / self._wanted_hz(firmware, number))
 
-    def _ask_for_missing(self, firmware: Firmware, now_s: float, *, linked: bool) -> None:
+    def _ask_for_missing(self, firmware: Firmware, now_s: float) -> None:
+        asked = 0
         for number in firmware.streams_hz:
             stream = self._stream(number)
             if stream.heard_s >= now_s - self._quiet_after_s:
                 stream.asked_times = 0
                 continue
+            if asked == _ASKED_TOGETHER:
+                return
             if stream.asked_times < _ASKED_AT_ONCE or stream.asked_times % _ASKED_EACH == 0:
                 self._ask_for(firmware, number)
-            stream.asked_times += linked
+                asked += 1
+            stream.asked_times += 1
 
     def _too_rare(self, firmware: Firmware, now_s: float, received_share: float) -> int | None:
         """The first report that comes too rarely, by as many of its intervals as tell, where one does."""
@@ -141,10 +161,11 @@ class Streams:
             stream, wanted_hz = self._stream(number), self._wanted_hz(firmware, number)
             if number in firmware.sent_at_times or now_s - stream.heard_s > self._quiet_after_s:
                 continue
-            since_s = now_s - max(_MEASURED_S, _MEASURED_REPORTS / wanted_hz)
+            measured_s = max(_MEASURED_S, _MEASURED_REPORTS / wanted_hz)
+            since_s = now_s - measured_s
             if since_s < max(stream.began_s, self._asked_s + _SETTLING_S):
                 continue
-            if stream.rate_hz(since_s, now_s) < _TOO_RARE * wanted_hz * received_share:
+            if stream.came_since(since_s) < _fewest(wanted_hz * measured_s, received_share):
                 return number
             stream.was_right = True
         return None
@@ -154,7 +175,7 @@ class Streams:
         if now_s < self._next_s:
             return
         if self._times and self._questioned is None:
-            self._questioned, self._stream(rare).set_hz = (rare, now_s), None
+            self._questioned, self._is_answered, self._stream(rare).set_hz = (rare, now_s), False, None
             self._ask(mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, rare)
             return
         number, questioned_s = self._questioned or (rare, -math.inf)
@@ -164,7 +185,8 @@ class Streams:
         self._questioned = None
         self._next_s = now_s + min(_AGAIN_S * 2**self._times, _AGAIN_AT_MOST_S)
         self._times += 1
-        if self._times > 1 and set_hz is not None and set_hz >= _AS_ASKED * wanted_hz:
+        is_as_asked = set_hz is not None and set_hz >= _AS_ASKED * wanted_hz
+        if self._times > 1 and (is_as_asked or not self._is_answered):
             self._settle(firmware, number, now_s)
             return
         self._ask_for_all(firmware, now_s)
@@ -172,7 +194,7 @@ class Streams:
             self._tell_once("rates", _rates_problem(number, self._stream(number), wanted_hz))
 
     def _settle(self, firmware: Firmware, number: int, now_s: float) -> None:
-        """Asks for less where the vehicle sends as asked and less comes, though the radio did not lose it."""
+        """Asks for less where less comes than the vehicle was set to, or there is no room for its answer."""
         self._confirmed_times += 1
         if self._confirmed_times < _CONFIRMED_TIMES or self._share <= _LEAST_SHARE:
             return
@@ -181,14 +203,26 @@ class Streams:
         self._ask_for_all(firmware, now_s)
         self._tell_once(
             "capacity",
-            f"the link does not carry all reports: {_named(number)} comes too rarely though the vehicle was asked "
-            f"for {firmware.streams_hz[number]:g} a second; all reports are asked for at a lower rate from now on",
+            f"the link does not carry all reports: {_named(number)} comes too rarely, though no other program set "
+            f"its rate below {firmware.streams_hz[number]:g} Hz; all reports are asked for less often from now on",
         )
+
+    def _try_for_more(self, firmware: Firmware, now_s: float) -> None:
+        """Sees after a while whether a link carries more by now, ever more rarely."""
+        if self._share < 1.0:
+            self._share, self._forgiven_s = 2 * self._share, 2 * self._forgiven_s
+            self._ask_for_all(firmware, now_s)
 
     def _tell_once(self, kind: LinkTroubleName, why: str) -> None:
         if kind not in self._told:
             self._told.add(kind)
             self._tell(LinkTrouble(kind, why))
+
+
+def _fewest(wanted: float, received_share: float) -> float:
+    """So few of the reports come at least, at a rate that is not too low: chance takes some more on a lossy link."""
+    expected = wanted * received_share
+    return min(_TOO_RARE * expected, expected - _CHANCE * math.sqrt(expected * (1 - received_share)))
 
 
 def _rates_problem(number: int, stream: _Stream, wanted_hz: float) -> str:
