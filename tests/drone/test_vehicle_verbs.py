@@ -72,6 +72,19 @@ def test_what_is_done_with_a_payload_is_in_the_log(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "shoot",
+    ["drone.payload.trigger_camera()", "drone.payload.command(2000)", "drone.payload.command(203, 0, 0)"],
+)
+def test_a_camera_gets_no_second_trigger_while_its_shutter_may_be_held(tmp_path: Path, shoot: str) -> None:
+    run = fly(tmp_path, shoot, shoot, "drone.payload.command(183, 9, 1500)", shoot)
+    assert run.failure == ""
+    times_s = [event.t for event in run.events if isinstance(event, schema.PayloadCommanded)]
+    assert times_s[1] - times_s[0] == pytest.approx(0.5, abs=0.01)
+    assert times_s[2] - times_s[1] < 0.01  # a servo does not wait
+    assert times_s[3] - times_s[1] == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize(
     ("statement", "said"),
     [
         ("drone.payload.command(400, 1)", "MAVLink command 400 is not sent"),  # arms

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -234,6 +235,46 @@ def test_a_glitch_moves_it_unseen() -> None:
         (4, "EKF primary changed:0"),
         (2, "Glitch cleared"),
     ]
+
+
+@pytest.mark.parametrize(("size_m", "cleared_s"), [(55.66, 20.0), (30.0, 12.0)])
+def test_a_glitch_that_lasts_counts_as_over_while_gps_is_still_off(size_m: float, cleared_s: float) -> None:
+    settings = replace(
+        SETTINGS,
+        faults=(Fault(FaultKind.GLITCH, 30.0, 80.0),),
+        glitch_m=size_m,
+        glitch_cleared_after_s=cleared_s,
+    )
+    flight = Flight(settings=settings)
+    flight.wait(30.0 - flight.now_s)
+    before_m = flight.place.north_m
+
+    def flags() -> int:
+        return flight.copter.health.ekf_flags(flight.now_s)
+
+    flight.until(lambda: flight.place.north_m > before_m + 0.9 * size_m)
+    assert flags() == 33599
+    flight.until(lambda: flight.said[-1][2] == "Glitch cleared")
+    assert flight.said[-1][0] - 30.0 == pytest.approx(cleared_s, abs=0.3)
+    assert flags() == 831
+    flight.wait(80.5 - flight.now_s)
+    assert flags() == 831  # the second jump is not noticed yet
+    flight.wait(82.0 - flight.now_s)
+    assert flags() == 33599
+    assert flight.said[-1][2] == "GPS Glitch or Compass error"
+    flight.until(lambda: flight.said[-1][2] == "Glitch cleared")
+    assert flight.said[-1][0] - 80.0 == pytest.approx(20.0, abs=0.3)
+    assert flags() == 831
+
+
+def test_a_glitch_may_never_count_as_over() -> None:
+    settings = replace(
+        SETTINGS, faults=(Fault(FaultKind.GLITCH, 30.0, 90.0),), glitch_cleared_after_s=math.inf
+    )
+    flight = Flight(settings=settings)
+    flight.wait(89.0 - flight.now_s)
+    assert flight.copter.health.ekf_flags(flight.now_s) == 33599
+    assert "Glitch cleared" not in [words for _, _, words in flight.said]
 
 
 def test_a_height_fence_sends_it_home() -> None:

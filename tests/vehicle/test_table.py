@@ -469,3 +469,42 @@ def test_a_parameter_of_another_version_is_refused() -> None:
         UsageError, match=r"version 4\.7\.0 has no parameter RTL_ALT, or not with the value 2000"
     ):
         Copter(replace(SETTINGS, version=Version(4, 7), parameters={"RTL_ALT": 2_000.0}), now_s=0.0)
+
+
+@pytest.mark.parametrize(
+    ("command", "result"),
+    [
+        (mavlink.MAV_CMD_USER_1, mavlink.MAV_RESULT_UNSUPPORTED),
+        (mavlink.MAV_CMD_USER_5, mavlink.MAV_RESULT_UNSUPPORTED),
+        (mavlink.MAV_CMD_SET_CAMERA_MODE, mavlink.MAV_RESULT_UNSUPPORTED),
+        (mavlink.MAV_CMD_VIDEO_START_CAPTURE, mavlink.MAV_RESULT_FAILED),
+        (mavlink.MAV_CMD_VIDEO_STOP_CAPTURE, mavlink.MAV_RESULT_FAILED),
+        (mavlink.MAV_CMD_DO_SET_SERVO, mavlink.MAV_RESULT_ACCEPTED),
+    ],
+)
+def test_commands_of_payloads_have_its_answers(command: int, result: int) -> None:
+    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+        assert await client.long(command, 1.0) == result
+
+    talk(scenario)
+
+
+def test_each_photo_is_told_and_one_while_the_shutter_is_held_is_not_taken() -> None:
+    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+        async def shoot() -> None:
+            assert await client.long(mavlink.MAV_CMD_DO_DIGICAM_CONTROL, 0, 0, 0, 0, 1) == 0
+
+        await shoot()
+        await asyncio.sleep(0.02)
+        await shoot()
+        await asyncio.sleep(0.2)
+        await shoot()
+        assert await client.long(mavlink.MAV_CMD_DO_DIGICAM_CONTROL) == 0  # shoots nothing
+        await asyncio.sleep(0.2)
+        photos = client.all("CAMERA_FEEDBACK")
+        assert [photo.img_idx for photo in photos] == [1, 2]
+        assert photos[0].lat == round(HOME.latitude_deg * 1e7)
+        assert await client.long(mavlink.MAV_CMD_IMAGE_START_CAPTURE) == mavlink.MAV_RESULT_ACCEPTED
+        assert await client.long(mavlink.MAV_CMD_IMAGE_START_CAPTURE) == mavlink.MAV_RESULT_FAILED
+
+    talk(scenario)

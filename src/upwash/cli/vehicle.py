@@ -79,9 +79,24 @@ def _add_flight(vehicle: argparse.ArgumentParser) -> None:
         help="link, gps, glitch, battery, radio, ground, compass or arming, from and to seconds after boot",
     )  # fmt: skip
     vehicle.add_argument(
+        "--glitch", type=_glitch, metavar="M[:CLEARED_S]",
+        help="arducopter: what the fault glitch is: how far GPS is off, and after how many seconds it says \"Glitch "
+        "cleared\" though it still is (default: 55.66:20; inf: never)",
+    )  # fmt: skip
+    vehicle.add_argument(
         "--clock-offset", type=float, default=0.0, metavar="S",
         help="arducopter: of the time of day that its GPS tells, against this machine's clock",
     )  # fmt: skip
+
+
+def _glitch(text: str) -> tuple[float, float | None]:
+    size, _, cleared = text.partition(":")
+    try:
+        return float(size), float(cleared) if cleared else None
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f'"{text}" is no glitch: write metres, such as 30 or 30:12'
+        ) from None
 
 
 def run(options: argparse.Namespace) -> bool:
@@ -100,6 +115,11 @@ def _arducopter(options: argparse.Namespace) -> VehicleSettings:
     from upwash.vehicle.settings import VehicleSettings
 
     _refuse(options, {"--one-peer": options.one_peer})
+    given = _given(options)
+    if options.glitch is not None:
+        given["glitch_m"], cleared_s = options.glitch
+        if cleared_s is not None:
+            given["glitch_cleared_after_s"] = cleared_s
     return VehicleSettings(
         home=GeoPosition(*options.home),
         home_altitude_m=options.home_altitude,
@@ -109,7 +129,7 @@ def _arducopter(options: argparse.Namespace) -> VehicleSettings:
         clock_offset_s=options.clock_offset,
         parameters=dict(read_setting(text) for text in options.parameters),
         faults=tuple(read_fault(text) for text in options.faults),
-        **_given(options),
+        **given,
     )
 
 
@@ -121,7 +141,11 @@ def _px4(options: argparse.Namespace) -> Px4Settings:
 
     _refuse(
         options,
-        {"--acceleration": options.acceleration is not None, "--clock-offset": options.clock_offset},
+        {
+            "--acceleration": options.acceleration is not None,
+            "--clock-offset": options.clock_offset,
+            "--glitch": options.glitch,
+        },
     )
     return Px4Settings(
         home=GeoPosition(*options.home),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 
 from upwash.core.payload import (
     DO_DIGICAM_CONTROL,
     DO_GIMBAL_MANAGER_PITCHYAW,
+    IMAGE_START_CAPTURE,
     MOST_PARAMETERS,
     PAYLOAD_COMMANDS,
 )
@@ -15,6 +17,8 @@ from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
 
+_SHOTS = (DO_DIGICAM_CONTROL, IMAGE_START_CAPTURE)
+_BETWEEN_SHOTS_S = 0.5  # more than ArduPilot's CAM1_DURATION, which is 0.1 s unless somebody changed it
 _SHOOT = (0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 
 
@@ -29,6 +33,7 @@ class Payload:
         self._autopilot = autopilot
         self._thread = thread
         self._journal = journal
+        self._shoots_again_s = -math.inf
 
     def point_gimbal(self, *, pitch_deg: float, yaw_deg: float = 0.0) -> None:
         """Turns the gimbal: -90 looks straight down, 0 ahead; the yaw is relative to the vehicle's nose.
@@ -41,7 +46,11 @@ class Payload:
         self.command(DO_GIMBAL_MANAGER_PITCHYAW, pitch_deg, yaw_deg, math.nan, math.nan)
 
     def trigger_camera(self) -> None:
-        """Has the camera that is connected to the autopilot shoot; its photo does not come to the mission."""
+        """Has the camera that is connected to the autopilot shoot; its photo does not come to the mission.
+
+        A second trigger within 0.5 s waits: an ArduCopter accepts a trigger while the shutter is still held, and
+        takes no photo.
+        """
         self.command(DO_DIGICAM_CONTROL, *_SHOOT)
 
     def command(self, number: int, *parameters: float) -> None:
@@ -63,7 +72,11 @@ class Payload:
 
     async def _command(self, number: int, parameters: tuple[float, ...]) -> None:
         name = PAYLOAD_COMMANDS[number]
+        if number in _SHOTS:
+            await asyncio.sleep(max(0.0, self._shoots_again_s - asyncio.get_running_loop().time()))
         await self._autopilot.command(number, name, parameters)
+        if number in _SHOTS:
+            self._shoots_again_s = asyncio.get_running_loop().time() + _BETWEEN_SHOTS_S
         self._journal.record(
             schema.PayloadCommanded(
                 number=number,

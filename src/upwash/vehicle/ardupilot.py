@@ -14,7 +14,7 @@ from upwash.vehicle.dead_man import MAV_CMD_SCRIPTING, Scripting
 from upwash.vehicle.fence_transfer import FenceTransfer, fence_message
 from upwash.vehicle.firmware import NOTHING, Message, Reply, Report, asked_by_number
 from upwash.vehicle.ftp import Files
-from upwash.vehicle.telemetry import REPORTS, STREAMS, gps_global_origin, home_position
+from upwash.vehicle.telemetry import REPORTS, STREAMS, camera_feedback, gps_global_origin, home_position
 
 _HEARTBEAT_S = 1.0
 _TICK_S = 0.2  # how often it looks whether something has happened to it
@@ -64,6 +64,7 @@ class ArduCopter:
         was_armed, home = self.copter.armed(now_s), self.copter.home
         answer = obey(self.copter, now_s, read_command(message))
         to_all = [_text(text) for text in answer.texts]
+        to_all += [camera_feedback(self.copter, shot) for shot in self.copter.camera.told()]
         if (self.copter.armed(now_s) and not was_armed) or self.copter.home != home:
             to_all += self._origin(now_s)
         return Reply((answer.result,), to_all=tuple(to_all))

@@ -21,6 +21,19 @@ from upwash.vehicle.modes import Mode
 _RELATIVE = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 _ABOVE_SEA = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
 _ACCEPTED = Answer(Result.ACCEPTED)
+_UNKNOWN = frozenset(
+    {
+        mavlink.MAV_CMD_DO_SET_ACTUATOR,
+        mavlink.MAV_CMD_ILLUMINATOR_ON_OFF,
+        mavlink.MAV_CMD_SET_CAMERA_MODE,
+        mavlink.MAV_CMD_DO_TRIGGER_CONTROL,
+        mavlink.MAV_CMD_USER_1,
+        mavlink.MAV_CMD_USER_2,
+        mavlink.MAV_CMD_USER_3,
+        mavlink.MAV_CMD_USER_4,
+        mavlink.MAV_CMD_USER_5,
+    }
+)  # commands of payloads that ArduCopter has no handler for
 _FIRST = Version(0, 0, kind=0)
 _KNOWN_FROM = {mavlink.MAV_CMD_DO_REPOSITION: Version(4, 1, kind=0)}
 
@@ -33,6 +46,7 @@ class VehicleCommand:
     parameters: tuple[float, float, float, float]
     place: tuple[float, float, float]
     frame: int
+    shoots: bool = False  # parameter 5, as DO_DIGICAM_CONTROL means it
 
 
 def read_command(message: Any) -> VehicleCommand:
@@ -40,9 +54,10 @@ def read_command(message: Any) -> VehicleCommand:
     parameters = message.param1, message.param2, message.param3, message.param4
     if message.get_type() == "COMMAND_INT":
         place = message.x / 1e7, message.y / 1e7, message.z
-        return VehicleCommand(message.command, parameters, place, message.frame)
+        return VehicleCommand(message.command, parameters, place, message.frame, shoots=message.x == 1)
     place = message.param5, message.param6, message.param7
-    return VehicleCommand(message.command, parameters, place, mavlink.MAV_FRAME_GLOBAL)
+    frame = mavlink.MAV_FRAME_GLOBAL
+    return VehicleCommand(message.command, parameters, place, frame, shoots=message.param5 == 1)
 
 
 def obey(copter: Copter, now_s: float, command: VehicleCommand) -> Answer:
@@ -131,6 +146,23 @@ def _use_payload(_copter: Copter, _now_s: float, _command: VehicleCommand) -> An
     return _ACCEPTED
 
 
+def _record_video(_copter: Copter, _now_s: float, _command: VehicleCommand) -> Answer:
+    """Its camera takes photos only."""
+    return Answer(Result.FAILED)
+
+
+def _control_camera(copter: Copter, now_s: float, command: VehicleCommand) -> Answer:
+    """Accepted also where no photo is taken, as the shutter is still held from the last one."""
+    if command.shoots:
+        copter.camera.shoot(now_s, copter.position(now_s))
+    return _ACCEPTED
+
+
+def _take_photo(copter: Copter, now_s: float, _command: VehicleCommand) -> Answer:
+    """Accepted only where a photo is taken."""
+    return _ACCEPTED if copter.camera.shoot(now_s, copter.position(now_s)) else Answer(Result.FAILED)
+
+
 def _reposition(copter: Copter, now_s: float, command: VehicleCommand) -> Answer:
     latitude_deg, longitude_deg, altitude_m = command.place
     target = position_in_frame(
@@ -172,5 +204,9 @@ _HANDLERS: dict[int, Handler] = {
     mavlink.MAV_CMD_DO_SET_HOME: _set_home,
     mavlink.MAV_CMD_RUN_PREARM_CHECKS: _run_prearm_checks,
     mavlink.MAV_CMD_CONDITION_YAW: _turn,
-    **dict.fromkeys(PAYLOAD_COMMANDS, _use_payload),
+    **dict.fromkeys(PAYLOAD_COMMANDS.keys() - _UNKNOWN, _use_payload),
+    mavlink.MAV_CMD_DO_DIGICAM_CONTROL: _control_camera,
+    mavlink.MAV_CMD_IMAGE_START_CAPTURE: _take_photo,
+    mavlink.MAV_CMD_VIDEO_START_CAPTURE: _record_video,
+    mavlink.MAV_CMD_VIDEO_STOP_CAPTURE: _record_video,
 }

@@ -14,6 +14,7 @@ from upwash.errors import UsageError
 from upwash.vehicle.answers import LandedState, Result
 from upwash.vehicle.battery import Battery
 from upwash.vehicle.boot import INFORMATION, WARNING, Text
+from upwash.vehicle.camera import Camera
 from upwash.vehicle.faults import FaultKind
 from upwash.vehicle.fence import Breach, FenceWatch
 from upwash.vehicle.flight import Flight, is_sensible
@@ -67,6 +68,7 @@ class Copter:
                 )
         self.fence = FenceWatch(self.parameters, now_s)
         self.health = Health(settings, now_s=now_s)
+        self.camera = Camera()
         self._flight = Flight(settings, self.parameters, now_s=now_s, ceiling_m=lambda: self.fence.ceiling_m)
         self._was_armed = False
         self._aligned_in_flight = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from upwash.vehicle.boot import EKF_FLIES_BY_GPS, EKF_HOLDS_STILL, WARNING, Text
 from upwash.vehicle.faults import FaultKind
@@ -15,7 +16,7 @@ _DOUBTS_S, _LANDS_S, _STANDS_STILL_S, _GIVES_UP_WAY_BACK_S = 7.6, 8.0, 15.2, 22.
 _RADIO_S = 1.0
 _GLITCHING_EKF_FLAGS = EKF_FLIES_BY_GPS | 1 << 15
 _GLITCH_NOTICED_S, _GLITCH_BELIEVED_S, _GLITCH_OVER_S = 1.4, 10.2, 20.0
-_GLITCH_M = 55.66  # to the north
+GLITCH_M, GLITCH_CLEARED_S = 55.66, _GLITCH_OVER_S  # to the north; the text comes while GPS is off, too
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,18 +32,31 @@ def _lane_switch(lane: int) -> tuple[Text, ...]:
     return Text(f"EKF3 lane switch {lane}"), Text(f"EKF primary changed:{lane}", WARNING)
 
 
-_GLITCH_BEGINS = (
-    (0.2, Trigger(_lane_switch(1))),
-    (0.4, Trigger(_lane_switch(0))),
-    (_GLITCH_NOTICED_S, Trigger((Text("GPS Glitch or Compass error"),))),
-    (_GLITCH_BELIEVED_S, Trigger(_lane_switch(1), jump_m=_GLITCH_M)),
-)
-_GLITCH_ENDS = (
-    (0.2, Trigger(_lane_switch(0))),
-    (5.2, Trigger(_lane_switch(1))),
-    (_GLITCH_BELIEVED_S, Trigger(_lane_switch(0), jump_m=-_GLITCH_M)),
-    (_GLITCH_OVER_S, Trigger((Text("Glitch cleared"),))),
-)
+_Story: TypeAlias = tuple[tuple[float, Trigger], ...]
+_CLEARED = Trigger((Text("Glitch cleared"),))
+
+
+def _gps_jumps(jump_m: float, cleared_s: float) -> _Story:
+    """The vehicle doubts its GPS, believes it, and takes the glitch for over, whether it is or not."""
+    return (
+        (0.2, Trigger(_lane_switch(1))),
+        (0.4, Trigger(_lane_switch(0))),
+        (_GLITCH_NOTICED_S, Trigger((Text("GPS Glitch or Compass error"),))),
+        (_GLITCH_BELIEVED_S, Trigger(_lane_switch(1), jump_m=jump_m)),
+        (cleared_s, _CLEARED),
+    )
+
+
+def _glitch_ends(jump_m: float) -> _Story:
+    """The GPS jumps back before the vehicle took the glitch for over."""
+    return (
+        (0.2, Trigger(_lane_switch(0))),
+        (5.2, Trigger(_lane_switch(1))),
+        (_GLITCH_BELIEVED_S, Trigger(_lane_switch(0), jump_m=jump_m)),
+        (_GLITCH_OVER_S, _CLEARED),
+    )
+
+
 _NO_GPS = (
     (_LANDS_S, Trigger((Text("EKF variance"), Text("EKF Failsafe: changed to LAND Mode")), _LAND)),
     (
@@ -54,9 +68,14 @@ _NO_GPS = (
 
 
 class Failsafes:
-    """Which fail-safes have triggered."""
+    """Which fail-safes have triggered; a glitch puts GPS off by so much, and counts as over after so long."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, glitch_m: float = GLITCH_M, glitch_cleared_s: float = GLITCH_CLEARED_S) -> None:
+        self._glitch_begins = _gps_jumps(glitch_m, glitch_cleared_s)
+        self._glitch_ends = _glitch_ends(-glitch_m)
+        self._glitch_ends_later = _gps_jumps(-glitch_m, _GLITCH_OVER_S)
+        self._cleared_s = glitch_cleared_s
+        self._cleared_early = False
         self.battery = False
         self.lost_place = False
         self.ekf_flags = EKF_FLIES_BY_GPS
@@ -117,20 +136,24 @@ class Failsafes:
             if self._glitch_s is None:
                 self._done.pop(begins, None)
             self._glitch_s, self._glitch_over_s = since_s, None
-            yield from self._story(begins, _GLITCH_BEGINS, now_s - since_s)
-            if now_s - since_s >= _GLITCH_NOTICED_S:
+            yield from self._story(begins, self._glitch_begins, now_s - since_s)
+            if _GLITCH_NOTICED_S <= now_s - since_s < self._cleared_s:
                 self.ekf_flags = _GLITCHING_EKF_FLAGS
             return
         if self._glitch_s is None:
             return
         if self._glitch_over_s is None:
             self._glitch_over_s = now_s
+            self._cleared_early = now_s - self._glitch_s >= self._cleared_s
             self._done.pop(ends, None)
         believed = self._done.get((FaultKind.GLITCH, True), 0.0) >= _GLITCH_BELIEVED_S
-        self.ekf_flags = _GLITCHING_EKF_FLAGS
-        for trigger in self._story(ends, _GLITCH_ENDS, now_s - self._glitch_over_s):
+        ended_s = now_s - self._glitch_over_s
+        if not self._cleared_early or ended_s >= _GLITCH_NOTICED_S:
+            self.ekf_flags = _GLITCHING_EKF_FLAGS
+        story = self._glitch_ends_later if self._cleared_early else self._glitch_ends
+        for trigger in self._story(ends, story, ended_s):
             yield trigger if believed or not trigger.jump_m else Trigger(trigger.texts)
-        if now_s - self._glitch_over_s >= _GLITCH_OVER_S:
+        if ended_s >= _GLITCH_OVER_S:
             self._glitch_s, self.ekf_flags = None, EKF_FLIES_BY_GPS
 
     def _empty(

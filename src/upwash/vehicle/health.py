@@ -16,7 +16,9 @@ class Health(Condition):
     def __init__(self, settings: VehicleSettings, *, now_s: float) -> None:
         super().__init__(settings.faults, now_s=now_s)
         self.boot = Boot(settings.armable_after_s)
-        self.failsafes = Failsafes()
+        self.failsafes = Failsafes(
+            glitch_m=settings.glitch_m, glitch_cleared_s=settings.glitch_cleared_after_s
+        )
         self._tells_time = settings.clock_offset_s is not None
         self._booted_unix_s = time.time() + (settings.clock_offset_s or 0.0)
 

@@ -10,6 +10,7 @@ from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
 from upwash.mavlink.version import Version
 from upwash.vehicle.boot import RECORDED_S
+from upwash.vehicle.failsafe import GLITCH_CLEARED_S, GLITCH_M
 from upwash.vehicle.faults import Fault
 
 RECORDED_VERSION = Version(4, 7, kind=0)  # in development: with the parameters' names of 4.6
@@ -44,6 +45,8 @@ class VehicleSettings:
     )
     parameters: Mapping[str, float] = field(default_factory=dict)
     faults: tuple[Fault, ...] = ()
+    glitch_m: float = GLITCH_M  # by which a glitch puts its GPS off to the north
+    glitch_cleared_after_s: float = GLITCH_CLEARED_S  # it then takes the glitch for over, though it lasts
 
     def __post_init__(self) -> None:
         rates = {name: getattr(self, name) for name in _RATES}
@@ -53,6 +56,12 @@ class VehicleSettings:
             most = math.inf if name == "endurance_s" else FASTEST_M_S
             if not 0 < rate <= most:
                 raise UsageError(f"vehicle: {name} is {rate}; give a number above 0, at most {most:g}")
+        if not math.isfinite(self.glitch_m):
+            raise UsageError(f"vehicle: glitch_m is {self.glitch_m}; give a number of metres")
+        if not self.glitch_cleared_after_s > 0:
+            raise UsageError(
+                f"vehicle: glitch_cleared_after_s is {self.glitch_cleared_after_s}; give a number above 0, or inf"
+            )
         if not self.armable_after_s >= 0:
             raise UsageError(f"vehicle: armable_after_s is {self.armable_after_s}; give a number from 0 on")
         if not 0 <= self.battery_percent <= 100:

@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.vehicle import messages
 from upwash.vehicle.answers import LandedState
+from upwash.vehicle.camera import Shot
 from upwash.vehicle.copter import Copter
 from upwash.vehicle.faults import FaultKind
 from upwash.vehicle.fence import Breach
@@ -194,6 +195,27 @@ def autopilot_version(copter: Copter, _now_s: float) -> Message:
         version=copter.settings.version.number,
         middleware_version=0,
         board_version=0,
+    )
+
+
+def camera_feedback(copter: Copter, shot: Shot) -> Message:
+    """CAMERA_FEEDBACK: a photo that was taken."""
+    geo = copter.frame.geo(shot.position)
+    return mavlink.MAVLink_camera_feedback_message(
+        time_usec=round(copter.uptime_s(shot.taken_s) * 1e6),
+        target_system=0,
+        cam_idx=0,
+        img_idx=shot.number,
+        lat=degrees_e7(geo.latitude_deg),
+        lng=degrees_e7(geo.longitude_deg),
+        alt_msl=above_sea_mm(copter, shot.position) / 1e3,
+        alt_rel=shot.position.altitude_m,
+        roll=0.0,
+        pitch=0.0,
+        yaw=copter.heading_deg(shot.taken_s),
+        foc_len=0.0,
+        flags=mavlink.CAMERA_FEEDBACK_PHOTO,
+        completed_captures=shot.number,
     )
 
 

@@ -20,6 +20,17 @@ from upwash.vehicle.px4.vehicle import FORCED, Quadrotor
 _IGNORED_E7 = 2**31 - 1  # of a coordinate in COMMAND_INT: not given
 _NAN_E7 = 0x7FF80000  # a NaN that was sent as an integer by mistake
 _ACCEPTED = (Result.ACCEPTED,)
+_UNKNOWN = frozenset(
+    {
+        mavlink.MAV_CMD_VIDEO_START_CAPTURE,
+        mavlink.MAV_CMD_VIDEO_STOP_CAPTURE,
+        mavlink.MAV_CMD_USER_1,
+        mavlink.MAV_CMD_USER_2,
+        mavlink.MAV_CMD_USER_3,
+        mavlink.MAV_CMD_USER_4,
+        mavlink.MAV_CMD_USER_5,
+    }
+)  # commands of payloads that PX4 has no handler for
 _MAIN_AUTO = Mode.LOITER.main
 _MODES = {(mode.main, mode.sub): mode for mode in Mode}
 
@@ -143,5 +154,5 @@ _HANDLERS: dict[int, Handler] = {
     mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
     mavlink.MAV_CMD_DO_REPOSITION: _reposition,
     mavlink.MAV_CMD_RUN_PREARM_CHECKS: _run_checks,
-    **dict.fromkeys(PAYLOAD_COMMANDS, _use_payload),
+    **dict.fromkeys(PAYLOAD_COMMANDS.keys() - _UNKNOWN, _use_payload),
 }
