@@ -239,3 +239,24 @@ def test_a_forecast_is_of_a_drone_that_goes_as_configured(file: Path) -> None:
     stays = checked(file)[1][AS_CONFIGURED]
     file.write_text(SCENARIO + GOES)
     assert checked(file)[1][AS_CONFIGURED] < stays
+
+
+def test_it_says_what_it_assumes_of_a_vehicle_of_which_the_file_says_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mission.py").write_text("def fly(drone):\n    drone.autopilot.arm()\n")
+    flight = """
+    [mission]
+    program = "mission.py:fly"
+    home = { latitude_deg = 39.3666, longitude_deg = 22.9507 }
+    waypoints_m = [[0, 0]]
+    [autopilot]
+    connection = "udpin:127.0.0.1:14550"
+    """
+    told = {}
+    for vehicle in ("", "[vehicle]\nprofile = 'px4'"):
+        file = tmp_path / "drone.toml"
+        file.write_text(flight + vehicle)
+        main(["check", str(file), "--workers", "1"])
+        told[vehicle] = " ".join(capsys.readouterr().out.split())
+    assert ["the predictions assume 1 m/s²" in said for said in told.values()] == [True, False]

@@ -1,7 +1,7 @@
-"""Flies, shows how it goes, and tells what it came to.
+"""Flies, and shows the course and the result of the flight.
 
-What draws for a person is imported where it draws: with rich it is 1.9 MB, which a flight that nobody watches need
-not hold.
+Modules that draw are imported by the functions that use them: with rich they take 1.9 MB, which an unwatched flight
+does not need.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ def fly_with_progress(
     show: Show = Show.PROGRESS,
     live_port: int | None = None,
 ) -> None:
-    """Flies the mission, shows how it goes and what it came to; raises what ended it early.
+    """Flies the mission, and shows its course and its result; raises the error that ended it early.
 
-    With `resumes` it takes up the mission that the log is of, and shows what all of it came to. What the mission
+    With `resumes` it continues the mission of that log, and shows the result of the whole. What the mission
     itself prints goes to standard error where one object is shown. With `live_port` a page on that port of this
-    machine shows the flight while it lasts; 0 is any port. Raises NotKept where it was flown, but not
-    all of its log, or of what there was to print, could be written.
+    machine shows the flight while it lasts; 0 is any port. Raises NotKept where the mission was
+    flown, and a part of its log or of its output could not be written.
     """
     unwritten = Unwritten()
     flight = functools.partial(fly, config, program=program, log=log, resumes=resumes)
@@ -142,7 +142,7 @@ def _console() -> Console:
 
 
 def _show_result(config: DroneConfig, log: Path, unwritten: Unwritten, show: Show) -> list[str]:
-    """Shows what the flight came to, by its log and what that lacks; returns what is wrong with the log."""
+    """Shows the result of the flight, by its log and the events that the log lacks; returns the log's problems."""
     problems = []
     if unwritten.why:
         problems.append(

@@ -77,9 +77,7 @@ _COMMANDS = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command and returns how it ended, as docs/missions.md has it."""
     open_closed_streams()
-    os.environ.setdefault(
-        "GRPC_VERBOSITY", "NONE"
-    )  # before gRPC is imported: what matters is said in our own words
+    os.environ.setdefault("GRPC_VERBOSITY", "NONE")  # before gRPC is imported: upwash prints its own messages
     with forgiving_streams() as output:
         try:
             code = _run(arguments)
@@ -166,7 +164,7 @@ def _add_verbose(parser: argparse.ArgumentParser, *, default: object) -> None:
 
 
 class _Version(argparse.Action):
-    """Looks the version up only when it is asked for: that takes longer than everything else here."""
+    """Looks the version up only on demand: the lookup takes longer than all other parsing."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from importlib.metadata import version

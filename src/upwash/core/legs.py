@@ -33,7 +33,7 @@ class Leg:
         return self.length_m / self._top_m_s + self._ramp_s if self.length_m > 0 else 0.0
 
     def reached_s(self, travelled_m: float) -> float:
-        """How long after its start the vehicle has come so far."""
+        """The time from the start until the vehicle has travelled that far."""
         if travelled_m <= 0:
             return 0.0
         left_m = self.length_m - travelled_m
@@ -47,7 +47,7 @@ class Leg:
         return self._ramp_s / 2 + travelled_m / self._top_m_s
 
     def travelled_m(self, elapsed_s: float) -> float:
-        """How far the vehicle has come, so long after the start."""
+        """The distance that the vehicle has travelled, that time after the start."""
         ramp_s = self._ramp_s
         left_s = max(0.0, self._moving_s - elapsed_s)
         if elapsed_s < ramp_s:
@@ -57,7 +57,7 @@ class Leg:
         return self._top_m_s * (elapsed_s - ramp_s / 2)
 
     def back_s(self, elapsed_s: float) -> float:
-        """How long the way back to the start takes, from rest to rest, where it brakes so long after it has left."""
+        """The time back to the start, from rest to rest, where the vehicle brakes that time after it has left."""
         left_s = max(0.0, self._moving_s - elapsed_s)
         speed_m_s = min(self._top_m_s, self.acceleration_m_s2 * min(elapsed_s, left_s))
         braking_s = speed_m_s / self.acceleration_m_s2
@@ -75,7 +75,7 @@ class Leg:
 
 
 def acceleration_m_s2(length_m: float, ground_speed_m_s: float, duration_s: float) -> float | None:
-    """The acceleration with which a leg takes so long; None for one that says nothing of it."""
+    """The acceleration of a leg, by its duration; None where the duration does not determine it."""
     cruise_s = length_m / ground_speed_m_s
     if length_m <= 0 or duration_s <= cruise_s:
         return None

@@ -21,7 +21,7 @@ class Pace:
 
     acceleration_m_s2: float = 1.0
     settling_s: float = 0.0  # of each leg: until it moves, and until it counts as arrived
-    lifting_s: float = 0.0  # of each take-off, whatever its height
+    lifting_s: float = 0.0  # of each take-off, at any height
     climb_m_s: float = math.inf
     home_share: float = 1.0
 

@@ -20,7 +20,7 @@ _SUNK_M = 1.0  # below the altitude of the return: it has begun to descend
 
 
 class WayDown:
-    """Follows one vehicle from where it was told to return to `home`, or to land where it is: `home` is None then."""
+    """Follows one vehicle on its return from `start` to `home`; without a `home` it lands below `start`."""
 
     def __init__(self, way: WayHome, start: Position, home: Position | None) -> None:
         self._way = way

@@ -25,7 +25,7 @@ _PAUSE_S = 2.0
 async def end_safely(autopilot: Autopilot, action: SafeEnd, journal: Journal, *, why: str) -> None:
     """Has the vehicle return and land, land or hold, again and again while it does not obey.
 
-    One that has not left the ground is disarmed instead. Returns when that is so, when the vehicle is not the
+    A vehicle that has not left the ground is disarmed instead. Returns when that is so, when the vehicle is not the
     program's any more, or when it has tried for long enough; the journal tells which.
     """
     loop = asyncio.get_running_loop()

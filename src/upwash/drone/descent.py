@@ -16,7 +16,7 @@ _HOME = Position(0.0, 0.0)
 
 
 class Descent:
-    """Looks at the vehicle when it is asked; `doing` says whether the program has it return, land, or neither."""
+    """Follows the vehicle's way down; `doing` says whether the program has the vehicle return, land, or neither."""
 
     def __init__(self, autopilot: Autopilot, *, doing: Callable[[], ComingDown | None]) -> None:
         self._autopilot = autopilot

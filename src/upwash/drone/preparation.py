@@ -60,7 +60,7 @@ def make_selection(
 
 
 def make_hedging(config: DroneConfig, offline: Estimates) -> Hedging | None:
-    """The hedging that the configuration asks for, if it does, with estimates that have seen no call yet."""
+    """The configured hedging, with estimates from before the first call; None without `policy.hedging`."""
     hedge = config.policy.hedging
     if hedge is None:
         return None
@@ -111,7 +111,7 @@ def endpoints(
 ) -> dict[str, ServerEndpoint]:
     """How each server is reached, and the services wanted there: those whose delay there is believed known.
 
-    The finder is for those whose address is to be found.
+    The finder looks up the addresses that the configuration leaves open.
     """
     return {
         server.name: ServerEndpoint(
@@ -135,7 +135,7 @@ def endpoints(
 def _lighter(
     config: DroneConfig, specs: Mapping[str, ServiceSpec], estimates: Estimates
 ) -> LighterSettings | None:
-    """By when the mission is to be over, where the configuration says so, and what may run lighter for that."""
+    """The configured end of the mission and the lighter operation of each; None without `mission.finish_by_s`."""
     mission, by_s = config.mission, finish_by_s(config)
     if by_s is None:
         return None
@@ -147,7 +147,7 @@ def _lighter(
     for key in mission.lighter:
         if not any(operation.key == key for operation in operations):
             raise UsageError(
-                f"mission.lighter.{key}: no service has a method that is told apart by it: declare the service with "
+                f"mission.lighter.{key}: no service has a method with that profile key: declare the service with "
                 "@service(profile_by=...), and name a value of that parameter"
             )
     for asked, lighter in operations.items():
@@ -165,7 +165,7 @@ def mission_beliefs(
 ) -> MissionBeliefs:
     """The plan, and a first stop with a photo and a call of each operation in the mission's mode.
 
-    But for those that run once, as nothing is decided of them.
+    Operations that run once are left out, because no policy decides where they run.
     """
     mission, told = config.mission, told_pace(config.vehicle)
     operations = [

@@ -22,8 +22,8 @@ _HOME = Position(0.0, 0.0)
 class ReserveWatch:
     """Looks at the vehicle every second, on the ground and in the air.
 
-    `flying` says whether the mission has the vehicle in the air, `leg_speed_m_s` what the leg under way was told, and
-    `down_s` how much longer a return or landing takes that is under way.
+    `flying` says whether the mission has the vehicle in the air. `leg_speed_m_s` is the commanded speed of the
+    current leg. `down_s` is the rest of the current return or landing.
     """
 
     def __init__(

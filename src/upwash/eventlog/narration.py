@@ -62,7 +62,7 @@ def ran_on(server: str | None) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """So many of it: 1 call, 2 calls."""
+    """A number with its noun: 1 call, 2 calls."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
@@ -75,7 +75,7 @@ class Tone(StrEnum):
     READY = "ready"
     REMOTE = "remote"  # a call that ran on a server
     FOUND = "found"  # what the mission tells its user
-    TROUBLE = "trouble"  # something failed, and the flight goes on
+    TROUBLE = "trouble"  # a failure after which the flight goes on
     ALARM = "alarm"  # a person should look
 
 
@@ -129,7 +129,7 @@ class Narrator:
         return len(self._reached)
 
     def tell(self, event: Event) -> Said | None:
-        """What the event says; None for one that is not worth a sentence."""
+        """What the event says; None for an event without a sentence."""
         self._whereabouts.take(event)
         self.began.take(event)
         if isinstance(event, schema.Planned):
@@ -271,7 +271,7 @@ class Narrator:
 
 
 def _vehicle_told(event: Event) -> Said | None:
-    """What the vehicle says, but for its reasons not to arm, which are told when they change."""
+    """The vehicle's own words, without its reasons not to arm: `arming_delayed` has them."""
     match event:
         case schema.VehicleSaid(severity=severity, text=text) if severity <= WARNING:
             if text.startswith(("PreArm: ", "Arm: ")):
@@ -381,7 +381,7 @@ def named(waypoint: int | None) -> str:
 
 
 def in_one_line(message: object) -> str:
-    """A message to the user: detections by their number and labels, anything else as it is."""
+    """A message to the user: detections by their number and labels, other messages unchanged."""
     if isinstance(message, list) and all(isinstance(item, dict) and "label" in item for item in message):
         labels = [item["label"] for item in message]
         return ", ".join(f"{labels.count(label)} x {label}" for label in dict.fromkeys(labels))

@@ -11,8 +11,8 @@ OWED = frozenset({schema.CallStarted, schema.Demanded, schema.AnswerTaken, schem
 class Owed:
     """Follows the events of a flight, and of the flights that took it up.
 
-    `answers` are the waypoints of calls that were started, and whose answers the mission has not taken. `demands` are
-    those whose answers demand what is not done yet, and `failures` those of failed calls that nobody dealt with.
+    `answers` are the waypoints of started calls whose answers the mission has not taken. `demands` are the waypoints
+    whose answers demand what is not done yet. `failures` are the waypoints of failed calls without a reaction.
     """
 
     def __init__(self) -> None:

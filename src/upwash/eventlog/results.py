@@ -1,4 +1,4 @@
-"""What a run came to, read from its events."""
+"""The result of a run, read from its events."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class CallResult:
 
     `place` is where it ran in the end, "local" for the drone or a server's name. `delay_s` is how long its answer
     took, and `waited_s` the part of it that was spent on waiting for a server. `at_s` is when the mission made the
-    call, in the mission's time. `asked` is the operation that it asked for where a lighter one ran, and `hidden_s`
-    the part of the delay in which the mission did something else.
+    call, in the mission's time. `asked` is the operation that the mission asked for, where a lighter operation ran.
+    During `hidden_s` of the delay the mission did other things.
     """
 
     waypoint: int | None
@@ -74,8 +74,8 @@ class Totals:
 
     `waits` counts the calls that waited for a server, `waits_failed` those whose server was not ready in time, and
     `switches` how often a server was selected. `lighter` counts the calls that ran lighter than the mission asked
-    for. The drone `went_on` before so many answers were there, and `turned_back` for so many; during `hidden_s` of
-    the `service_delay_s`, the delays of all calls, the mission did something else.
+    for. The drone `went_on` before that number of answers, and `turned_back` for that number; during `hidden_s`
+    of the `service_delay_s`, the delays of all calls, the mission did other things.
     """
 
     calls: int
@@ -115,8 +115,8 @@ class RunResult:
     which the mission did nothing about. Where it was not completed, `not_looked_at` are those whose answers it did
     not look at. None stands for a place beside the plan.
 
-    The mission's time is counted from arming; `arming_s` is how long it had waited for that. `energy` is None where
-    nobody metered it: it is in simulations alone. `never_ready` says of servers that failed, and never were of use,
+    The mission's time is counted from arming; `arming_s` is how long it had waited for that. `energy` is None
+    in real flights: only simulations meter it. `never_ready` says of servers that failed, and never were of use,
     why they did at last.
     """
 
@@ -139,7 +139,7 @@ class RunResult:
         """How long the mission would have taken with every call at the mean measured local delay.
 
         None where nothing measured says: an operation never ran on the drone, or the mission went on before answers.
-        Where it did something else for a part of a call and then waited, it would have waited on the drone too.
+        Where it did other things during a part of a call and then waited, it would have waited on the drone too.
         """
         if self.totals.went_on or any(call.hidden_s >= call.delay_s for call in self.calls if call.hidden_s):
             return None
@@ -164,7 +164,7 @@ def read_result(events: Iterable[Event]) -> RunResult:
 
 
 class Tally:
-    """What one run came to, gathered event by event, of which none is kept."""
+    """The result of one run, gathered event by event; it keeps no event."""
 
     def __init__(self) -> None:
         self.completed = False
@@ -229,11 +229,11 @@ class Tally:
 
     @property
     def began_s(self) -> float | None:
-        """The second of the log at which the mission began; None before."""
+        """The mission's beginning, in seconds of the log; None before."""
         return self._began.at_s
 
     def result(self) -> RunResult:
-        """What it came to."""
+        """The result so far."""
         remote = Counter(call.server for call in self._calls if call.server is not None)
         return RunResult(
             policy=self._policy,
@@ -269,7 +269,7 @@ class Tally:
 
 
 def as_json(value: object) -> Any:
-    """A result, or anything made of results, as JSON has it: without what most runs have nothing of."""
+    """A result, or a value made of results, for JSON; fields that are empty in most runs are left out when empty."""
     match msgspec.to_builtins(value):
         case dict() as members:
             told = {name: as_json(each) for name, each in members.items()}
@@ -309,7 +309,7 @@ def _call(event: schema.Call, waypoint: int | None, began_s: float) -> CallResul
 
 
 def _waited_for(call: CallResult, waited_s: float) -> CallResult:
-    """The call, for whose answer the mission stood waiting for so long."""
+    """The call, with the time that the mission did not wait for its answer."""
     hidden_s = call.delay_s - waited_s
     return replace(call, hidden_s=hidden_s) if hidden_s >= _LEAST_HIDDEN_S else call
 

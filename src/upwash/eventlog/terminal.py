@@ -20,9 +20,9 @@ from upwash.eventlog.undone import left_undone
 from upwash.support.sentences import say
 from upwash.support.text import printable
 
-_STILL_WAITING_S = 10.0  # after so long without a line, where no picture is kept up
+_STILL_WAITING_S = 10.0  # without a line, before a line repeats the state, where there is no picture
 _DECISION = 16  # columns at least, so that few words are longer
-_WIDE = 400  # columns, where nobody sees them: a row is to be one line of a log
+_WIDE = 400  # columns of a log file, so that a row is one line
 _WORTH_SHOWING_S = 0.05
 _LONG_ARMING_S = 1.0
 STATE_STYLES = {"READY": "green", "CHECK": "yellow", "CHECK-R": "yellow", "BLACKLISTED": "red"}
@@ -65,7 +65,7 @@ class LiveDisplay:
         say(line, self._console)
 
     def _picture(self) -> Group:
-        """What is to be seen now."""
+        """The current picture."""
         raise NotImplementedError
 
 

@@ -9,7 +9,7 @@ from upwash.eventlog.results import RunResult
 
 
 def left_undone(result: RunResult) -> Iterator[str]:
-    """A phrase for each kind: demands, failed calls, answers that nobody looked at."""
+    """A phrase for each kind: demands, failed calls, and answers that the mission did not look at."""
     if result.not_acted_on:
         one = len(result.not_acted_on) == 1
         answers = "the answer at" if one else "the answers at"

@@ -12,7 +12,7 @@ from rich.progress import MofNCompleteColumn, Progress
 from rich.table import Table
 from rich.text import Text
 
-from upwash.config import DroneConfig, drone_config
+from upwash.config import DroneConfig, drone_config, told_pace
 from upwash.eventlog.narration import counted, spans
 from upwash.lab.campaign import Fly
 from upwash.lab.figures import Wanted
@@ -24,6 +24,11 @@ from upwash.preflight.warnings import is_for_flight
 from upwash.preflight.way_home import Farthest
 from upwash.sim.chance import plays_a_part
 from upwash.support.sentences import say
+
+_NO_PACE = (
+    "the file does not say how the vehicle flies, and the predictions assume 1 m/s² and a take-off of 10 s: for an "
+    'ArduCopter write profile = "arducopter" in [vehicle], for a PX4 "px4"'
+)
 
 
 def show_check(
@@ -94,6 +99,8 @@ def _print(found: Check, config: DroneConfig, servers_to_place: int, console: Co
         console.print()
     console.print(_prediction_table(found))
     say(_how_sure(found, config), console)
+    if is_for_flight(config) and told_pace(config.vehicle) is None:
+        say(_NO_PACE, console)
     if share := told_share(config):
         say(share, console)
     if config.mission.reserve_s is not None:
