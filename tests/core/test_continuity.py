@@ -44,6 +44,15 @@ def test_an_estimate_that_jumps_to_a_receiver_that_never_jumped_is_believed() ->
     assert continuity.doubt_m == 0
 
 
+def test_a_receiver_that_was_not_heard_across_the_jump_vouches_for_nothing() -> None:
+    continuity = flown(Continuity(), [0.0])
+    for time_s, east_m in ((0.0, 0.0), (20.0, 56.0), (21.0, 56.0)):
+        continuity.take_receiver(Position(east_m, 0.0), time_s=time_s, speed_m_s=SPEED_M_S)
+    flown(continuity, [0.0, 56.0, 56.0], begin_s=19.0)
+    continuity.take_receiver(Position(56.0, 0.0), time_s=22.0, speed_m_s=SPEED_M_S)
+    assert continuity.doubt_m == 56
+
+
 def test_an_estimate_that_follows_a_receiver_that_jumped_is_not() -> None:
     continuity = flown(Continuity(), [0.0])
     for second, east_m in enumerate((0.0, 0.0, 56.0, 56.0)):

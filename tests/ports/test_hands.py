@@ -15,13 +15,20 @@ from tests.ports.test_autopilot import AGILE, FRAME, HASTY, connected, connectio
 
 from upwash.core.control import Owner
 from upwash.core.geo import Position, distance_m
-from upwash.errors import AutopilotOverruled, AutopilotRefused
-from upwash.ports import HomeMoved, VehicleNews
+from upwash.errors import AutopilotOverruled, AutopilotRefused, AutopilotTimeout
+from upwash.ports import HomeMoved, PositionDoubted, VehicleNews, VehicleText
 from upwash.real.mavlink import MavlinkLink, connect_autopilot
 from upwash.vehicle.copter import FORCED_DISARM
+from upwash.vehicle.faults import FaultKind
 from upwash.vehicle.server import VehicleServer, serve_vehicle
+from upwash.vehicle.settings import VehicleSettings
 
 SLOW_FALL = replace(AGILE, climb_m_s=20.0)
+CLEARED = "Glitch cleared"
+FAITHFUL = VehicleSettings(
+    home=FRAME.home, speedup=10.0, armable_after_s=3.0, parameters={"DISARM_DELAY": 100.0}
+)
+HURRIED = replace(HASTY, margin_s=4.0)
 QUICK_CLOCK = replace(AGILE, speedup=20.0)  # so that it goes back by more than a late message does
 
 
@@ -119,6 +126,38 @@ def truth(vehicle: VehicleServer) -> Position:
     standing: Any = vehicle._vehicle
     place: Position = standing.firmware.copter.position(standing.now_s())
     return place
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_a_jump_of_the_position_is_no_arrival_whatever_the_vehicle_says_of_it(ends: bool) -> None:
+    async def mission() -> None:
+        waypoint = Position(0.0, 40.0, 5.0)
+        async with connected(vehicle_settings=FAITHFUL, settings=HURRIED, ground_speed_m_s=5.0) as (
+            vehicle,
+            autopilot,
+        ):
+            news: list[VehicleNews] = []
+            autopilot.listen(news.append)
+            await take_off(autopilot, 5.0)
+            vehicle.fail(FaultKind.GLITCH)
+            await turns_true(lambda: any(isinstance(each, PositionDoubted) for each in news))
+            leg = asyncio.create_task(autopilot.goto(waypoint))
+            await turns_true(
+                lambda: any(isinstance(each, VehicleText) and each.text == CLEARED for each in news)
+            )
+            await asyncio.sleep(1.5)
+            assert distance_m(autopilot.position, waypoint) < 1  # it says that it is there
+            assert not leg.done()
+            if ends:
+                vehicle.mend(FaultKind.GLITCH)
+                await leg
+                assert not autopilot._where.doubt
+            else:
+                with pytest.raises(AutopilotTimeout, match=r"jumped 5[56] m, farther than it can fly"):
+                    await leg
+                await autopilot.hold()
+
+    asyncio.run(mission())
 
 
 def test_motors_that_stop_in_the_air_are_no_pilots_act_and_no_landing() -> None:

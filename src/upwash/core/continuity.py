@@ -4,7 +4,8 @@ A position filter that has believed a wrong satellite fix moves the vehicle's re
 afterwards that all is well. The vehicle itself does not jump. Laws:
 
 1. A report that lies farther from the one before it than speed and time allow is a jump.
-2. A jump is undone by jumps that lead back, or by a receiver that never jumped and agrees with the new place.
+2. A jump is undone by jumps that lead back, or by a receiver that agrees with the new place, and was heard without a
+   gap, and without a jump, since before the estimate jumped.
 3. While a jump is not undone, the vehicle's place is unknown.
 """
 
@@ -19,6 +20,7 @@ from upwash.core.geo import Position, ground_distance_m
 _FASTER_M_S = 3.0  # than it reports: speeds are reported late, and smoothed
 _NOISE_M = 3.0  # of one report; a smaller jump moves no arrival by much
 _AGREES_M = 5.0  # a filter's place and its receiver's, in flight
+_GAP_S = 3.0  # in a longer one, a wrong fix may have taken its place unseen
 _JUMPS_KEPT = 16
 
 
@@ -28,6 +30,7 @@ class Track:
     def __init__(self) -> None:
         self.place: Position | None = None
         self.jumps: deque[tuple[float, float]] = deque(maxlen=_JUMPS_KEPT)  # when, and how far
+        self.unbroken_s = math.inf  # since when its reports have come without a gap
         self._time_s = -math.inf
         self._off_east_m = self._off_north_m = 0.0
 
@@ -40,6 +43,8 @@ class Track:
         """Takes in a position of that time; the speed is the highest since the one before."""
         before, passed_s = self.place, time_s - self._time_s
         self.place, self._time_s = place, time_s
+        if not 0 <= passed_s <= _GAP_S:
+            self.unbroken_s = time_s
         if before is None or passed_s < 0:  # a clock that goes back: nothing is known of the time between
             return
         moved_m = ground_distance_m(before, place)
@@ -91,6 +96,8 @@ class Continuity:
     def _reconcile(self) -> None:
         estimate, receiver = self._estimate, self._receiver
         if not estimate.off_m or receiver.off_m or estimate.place is None or receiver.place is None:
+            return
+        if receiver.unbroken_s >= estimate.jumps[-1][0]:
             return
         if ground_distance_m(estimate.place, receiver.place) <= _AGREES_M:
             estimate.believe()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -219,14 +220,14 @@ class ArduCopter(MavlinkAutopilot):
         step = f"goto {position.east_m:.1f} m east, {position.north_m:.1f} m north"
         async with self._vehicle.limited(step, self._leg_s(position)):
             await self._send_target(step, position)
-            await self._arrival(step, position)
+            await self._arrival(step, position, self._arrived)
 
     async def hold(self) -> None:
         """Aims at where it can stop, so that it does not fly back."""
         async with self._vehicle.limited("hold", self._settings.margin_s):
             stop = self.stopping_place
             await self._send_target("hold", stop)
-            await self._arrival("hold", stop)
+            await self._arrival("hold", stop, self._rests_at)
 
     async def _begin_turn(self, step: str, heading_deg: float) -> None:
         self._require_flying(step)
@@ -241,15 +242,15 @@ class ArduCopter(MavlinkAutopilot):
             await self._change_mode(step, mode)
             await self._touch_down(step, begun_s)
 
-    async def _arrival(self, step: str, target: Position) -> None:
+    async def _arrival(self, step: str, target: Position, arrived: Callable[[Position], bool]) -> None:
         """Returns on arrival; repeats the target, which may have been lost, while the vehicle comes no nearer."""
         vehicle = self._vehicle
-        while not self._arrived(target):
+        while not arrived(target):
             near_m = distance_m(self.position, target) - self._settings.progress_m
 
             def changed(near_m: float = near_m) -> bool:
                 nearer = distance_m(self.position, target) <= near_m
-                return self._arrived(target) or not vehicle.is_ours or nearer
+                return arrived(target) or not vehicle.is_ours or nearer
 
             progress = await vehicle.happens(step, changed, within_s=self._settings.progress_s)
             vehicle.require_control(step)

@@ -440,8 +440,11 @@ class MavlinkAutopilot(ABC):
         raise AutopilotRefused(step, "the vehicle disarmed", vehicle.said_lately)
 
     def _arrived(self, target: Position) -> bool:
-        near = distance_m(self.position, target) <= self._settings.arrival_distance_m
-        return near and self._at_rest() and self._where.is_sure
+        return self._rests_at(target) and self._where.is_sure
+
+    def _rests_at(self, target: Position) -> bool:
+        """By its own report, which a hold has to go by: it may be in doubt of its place for long."""
+        return distance_m(self.position, target) <= self._settings.arrival_distance_m and self._at_rest()
 
     def _climbed(self, altitude_m: float) -> bool:
         """At rest at the altitude, and known to fly: what it says of that may come later than its position."""

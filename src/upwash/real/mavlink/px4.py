@@ -196,7 +196,7 @@ class Px4(MavlinkAutopilot):
         async with self._vehicle.limited("hold", self._settings.margin_s):
             course = await self._enter_offboard("hold")
             course.stop()
-            await self._while_ours("hold", lambda: course.ended and self._arrived(course.position))
+            await self._while_ours("hold", lambda: course.ended and self._rests_at(course.position))
             self._holds = True
 
     async def _land_in(self, step: str, mode: str, *, timeout_s: float) -> None:
