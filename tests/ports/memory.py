@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
@@ -45,6 +45,8 @@ class Bench:
         self.said: list[str] = []
         self.deaf = False  # whether the vehicle hears nobody
         self.mute = False
+        self.powered = True  # or it cannot be connected to
+        self.arrive: Callable[[bytes], None]  # has the program that came last hear that, too
         self.connection: Connection  # of the program that came last
         self.asked: Counter[int] = Counter()  # how often each command came from programs
         self._air = air
@@ -59,10 +61,12 @@ class Bench:
         return self.copter.parameters[name]
 
     @asynccontextmanager
-    async def program(self) -> AsyncIterator[MavlinkAutopilot]:
+    async def program(
+        self, settings: FlightSettings = AT_ONCE, **named: Any
+    ) -> AsyncIterator[MavlinkAutopilot]:
         """A driver; at the end of the block it falls silent without a word, as a program that is killed."""
         autopilot = await connect_autopilot(
-            "memory:vehicle:1", frame=LocalFrame(HOME), ground_speed_m_s=60.0, settings=AT_ONCE
+            "memory:vehicle:1", frame=LocalFrame(HOME), ground_speed_m_s=60.0, settings=settings, **named
         )
         try:
             yield autopilot
@@ -71,9 +75,13 @@ class Bench:
 
     async def _open(self, _host: str, _port: int, line: Any) -> None:
         loop = asyncio.get_running_loop()
+        if not self.powered:
+            raise ConnectionRefusedError("nobody listens")
 
         def arrive(packet: bytes) -> None:
             loop.call_soon(line.datagram_received, packet, ("", 1))
+
+        self.arrive = arrive
 
         def to_program(data: bytes) -> None:
             if not self._air.room:  # a vehicle sends nothing then, and counts nothing

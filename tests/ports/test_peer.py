@@ -40,7 +40,13 @@ class Port:
 
     def __init__(self, signing: Signing | None = None) -> None:
         self.heard: list[Any] = []
-        hearing = Hearing(self.heard.append, self._follows, signing)
+        self.overheard: list[int] = []
+        hearing = Hearing(
+            self.heard.append,
+            self._follows,
+            signing,
+            overheard=lambda message: self.overheard.append(message.get_srcSystem()),
+        )
         self.peer = Peer(hearing, moved_after_s=10.0, signed=signing is not None)
 
     def _follows(self, message: Any) -> bool:
@@ -137,6 +143,27 @@ def test_a_vehicle_whose_time_is_behind_is_answered_and_not_believed_until_it_ha
     port.peer.take(signed_beat(at_s=NOW_S - 1), VEHICLE, 1.0)
     assert port.peer.address == VEHICLE
     assert len(port.heard) == 1
+
+
+def test_vehicles_at_other_addresses_are_overheard_at_a_pace_that_a_flood_does_not_raise() -> None:
+    port = Port()
+    for address, system in (ELSEWHERE, 2), (VEHICLE, 1), (RESTARTED, 3):
+        port.peer.take(beat(system=system), address, 0.0 if system < 3 else 0.1)
+    assert port.overheard == [2, 3]
+    for number in range(1000):
+        port.peer.take(beat(system=4), ELSEWHERE, 1.0 + number / 1000)
+    assert len(port.overheard) < 30
+    assert port.peer.answered == VEHICLE
+
+
+def test_who_has_not_the_key_is_not_overheard_where_messages_are_signed() -> None:
+    port = Port(Signing(KEY, unix_s=lambda: NOW_S))
+    port.peer.take(signed_beat(), VEHICLE, 0.0)
+    for number, data in enumerate((beat(), signed_beat(OTHER_KEY), signed_beat())):
+        port.peer.take(data, ELSEWHERE, 1.0 + number)
+    assert port.overheard == [1]
+    port.peer.take(signed_beat(at_s=NOW_S + 1), VEHICLE, 5.0)
+    assert len(port.heard) == 2, "what was overheard does not count as sent before"
 
 
 def test_a_long_datagram_introduces_nobody() -> None:

@@ -104,6 +104,17 @@ def test_a_vehicle_without_the_key_is_told_from_one_that_is_not_there(
     asyncio.run(mission())
 
 
+def test_a_program_without_the_key_is_told_that_the_vehicle_signs() -> None:
+    async def mission() -> None:
+        vehicle = await serve_vehicle("tcp:127.0.0.1:0", AGILE, signing=Signing(KEY))
+        said = r"system 1.*signs its messages and answers none that is not signed: .*autopilot.signing_key"
+        with pytest.raises(AutopilotError, match=said):
+            await connected(connection(vehicle), None)
+        await vehicle.close()
+
+    asyncio.run(mission())
+
+
 def test_a_vehicle_with_a_key_obeys_nobody_without_it() -> None:
     async def mission() -> None:
         vehicle = await serve_vehicle("tcp:127.0.0.1:0", AGILE, signing=Signing(KEY))
