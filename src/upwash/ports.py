@@ -69,7 +69,7 @@ class HomeMoved:
 
 @dataclass(frozen=True, slots=True)
 class LinkTrouble:
-    """What is wrong with the vehicle's link, or who else is on it; each is told once."""
+    """What is wrong with the vehicle's link, or who else uses it; the driver reports each trouble once."""
 
     about: LinkTroubleName
     why: str

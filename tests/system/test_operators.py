@@ -17,6 +17,7 @@ import pytest
 from tests.children import is_alive
 from tests.waiting import wait_for
 
+from upwash.cli.exit_codes import ExitCode
 from upwash.config import read_daemon_config
 from upwash.real.authority import make_keys
 
@@ -172,6 +173,31 @@ def test_the_unit_is_understood_by_systemd(tmp_path: Path) -> None:
         check=False,
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+DRONE_UNIT = ROOT / "deploy" / "upwash-drone.service"
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
+def test_the_drones_unit_is_understood_by_systemd(tmp_path: Path) -> None:
+    unit = tmp_path / "upwash-drone.service"
+    there = re.sub(r"/home/pilot/upwash/bin/upwash", "/bin/true", DRONE_UNIT.read_text())
+    unit.write_text(there.replace("User=pilot", "User=root"))
+    done = subprocess.run(
+        ["systemd-analyze", "verify", str(unit)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env={**os.environ, "SYSTEMD_LOG_LEVEL": "warning"},
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_drones_unit_starts_nothing_again_but_a_flight_that_never_began() -> None:
+    said = [line for line in DRONE_UNIT.read_text().splitlines() if line.startswith("Restart")]
+    assert said == ["Restart=no", f"RestartForceExitStatus={ExitCode.NOT_HEARD:d}", "RestartSec=5"]
+    assert "\n".join(said) in (ROOT / "docs" / "raspberry-pi.md").read_text()
 
 
 # --- the script ---------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ _START_S = 120.0
 
 @dataclass(frozen=True, slots=True)
 class VehicleSurvey:
-    """Which vehicle was heard, and what its dead man lacks, empty where it is ready.
+    """The vehicle that answered, and what its dead man lacks; empty for a dead man that is ready.
 
     `version` is its firmware's, empty if the vehicle does not tell it. `unfit` says why it cannot be flown, empty if
     it can. `settings` are the parameters that a person should know of before a flight.

@@ -30,12 +30,12 @@ async def connect_autopilot(
     system: int | None = None,
     waiting: Callable[[str, float], None] = lambda *_: None,
 ) -> MavlinkAutopilot:
-    """Returns once the vehicle has been heard on the connection; raises AutopilotError if it is not.
+    """Returns once the vehicle sends heartbeats on the connection; raises AutopilotError if it does not.
 
     `connection` is `udpin:HOST:PORT`, `udpout:HOST:PORT`, `tcp:HOST:PORT` or `serial:DEVICE:BAUD`. With `signing`
-    all messages are signed, and only such are heard. The vehicle is the one of that `system`; without one, the
-    only one that is heard: with several, AutopilotRefused names them. `waiting` is told why the vehicle is waited
-    for, and for how many seconds it has been.
+    the driver signs all messages, and hears signed ones alone. `system` selects the vehicle. Without `system` exactly
+    one vehicle may be on the link: AutopilotRefused names them if there are several. While the vehicle is silent,
+    `waiting` gets the reason and the seconds since the start.
     """
     check_speed(ground_speed_m_s)
     vehicle = MavlinkVehicle(connection, settings.patience, _FIRMWARES, signing=signing, system=system)

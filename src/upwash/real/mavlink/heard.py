@@ -45,10 +45,10 @@ _NEWS_KEPT = 1000  # until somebody listens
 
 
 class HeardVehicle:
-    """The vehicle of `system` on the connection, or else the only one that is heard; others on it are ignored.
+    """The vehicle with that `system` on the connection, or without `system` the only vehicle on it.
 
-    So is what arrives twice or late: a mode that the vehicle has left, an answer to an earlier attempt. `firmwares`
-    are those that can be flown; which one this is, is known once it was `found`.
+    Others on the connection are ignored. Messages that arrive twice or late are ignored too: a mode that the vehicle
+    has left, an answer to an earlier attempt. `firmwares` can be flown; `firmware` is right after `found` returned.
     """
 
     def __init__(
@@ -73,8 +73,8 @@ class HeardVehicle:
         self._numbering = Numbering()
         self._clock = BootClock()
         self._streams = Streams(self.question, quiet_after_s=patience.quiet_after_s, tell=self.tell)
-        self._asks = False  # whether reports are asked for: of the right vehicle alone
-        self._only_signed = True  # all that was heard of it
+        self._asks = False  # whether to ask for reports: not before the right vehicle is certain
+        self._only_signed = True  # whether each message of the vehicle was signed
         self._is_signing = signing is not None
         self._told_numbers = False
         self._last_heard_s = self._loop.time()
@@ -97,16 +97,16 @@ class HeardVehicle:
     async def found(
         self, *, within_s: float, waiting: Callable[[str, float], None] = lambda *_: None
     ) -> None:
-        """Returns when the vehicle has been heard, and nobody else who may be meant.
+        """Returns when the vehicle sends heartbeats, and no other vehicle does.
 
-        Raises AutopilotNotHeard where it is not heard, AutopilotError where something else is, or it is not certain
-        which vehicle is meant, or the vehicle hears nothing that is not signed. `waiting` is told why it goes on
-        waiting, and for how long it has.
+        Raises AutopilotNotHeard if no vehicle sends any. Raises AutopilotError if a vehicle that cannot be flown
+        does, if several vehicles do, or if the vehicle answers signed questions alone. `waiting` gets the reason of
+        the wait and its seconds.
         """
         search = Search(self._link, self.identity)
         await search.over(
             self._news.wait, within_s=within_s, waiting=waiting
-        )  # set once, by the first that is heard
+        )  # the vehicle's first message sets the event
         if self.identity.system is None:
             await asyncio.sleep(self.patience.others_s)
         self.require_alone("connect")
@@ -115,7 +115,7 @@ class HeardVehicle:
         await self._require_answers()
 
     def require_alone(self, step: str) -> None:
-        """Raises AutopilotRefused where it is not certain that the vehicle is the one that is meant."""
+        """Raises AutopilotRefused while several vehicles may be meant."""
         if self.identity.doubt:
             raise AutopilotRefused(step, self.identity.doubt)
 

@@ -22,7 +22,7 @@ def from_autopilot(message: Message) -> bool:
 
 
 def is_signed(message: Message) -> bool:
-    """Whether it came with a signature, whoever made that."""
+    """Whether it has a signature, right or wrong."""
     return bool(message.get_header().incompat_flags & mavlink.MAVLINK_IFLAG_SIGNED)
 
 
@@ -67,7 +67,7 @@ class Hearing:
         return False, has_key
 
     def overhear(self, data: bytes) -> None:
-        """Takes note of the autopilots in a datagram that is not listened to, but for those without the key."""
+        """Notes the autopilots in a datagram of another address; with a key, only those that have the key."""
         for message, _ in PacketReader().read(data):
             packet = bytes(message.get_msgbuf())
             if self._signing is None or self._signing.forgery(packet) is None:

@@ -4,7 +4,7 @@ Evidence, and what it is taken for:
 
 - A heartbeat of component 1 that names ArduPilot or PX4 and the type of a vehicle is an autopilot's. Gimbals,
   cameras, ground stations and companion computers have other types or no autopilot, and never count.
-- Two systems with an autopilot are two vehicles. Which of them is flown has to be said.
+- Two systems with an autopilot are two vehicles. The configuration has to name the vehicle to fly.
 - A heartbeat with the followed ids and another autopilot or type is another program's. It says nothing
   of the vehicle.
 - Two clocks since boot, or two serial numbers of hardware, with the followed ids are two vehicles with one system id.
@@ -80,7 +80,7 @@ class Heard:
 
 
 class Identity:
-    """The followed vehicle: the one of `system`, or else the only one that is heard.
+    """The followed vehicle: it has that `system`, or without `system` it is the only vehicle.
 
     `firmwares` are those that can be flown. `tell` is called with what a person should know of who else is on the
     link, once for each kind.
@@ -108,7 +108,7 @@ class Identity:
         return (self.vehicle.system, self.vehicle.component) if self.vehicle else None
 
     def follows(self, message: Message) -> bool:
-        """Whether it is the heartbeat of the vehicle, or of one that may become it while there is none."""
+        """Whether it is the heartbeat of the vehicle, or while there is none, of a vehicle that can be followed."""
         if not from_autopilot(message):
             return False
         heard = self._described(message)
@@ -125,7 +125,7 @@ class Identity:
         return True
 
     def overhear(self, message: Message) -> None:
-        """The same of one that is not listened to, such as at another address."""
+        """Takes note of a sender that is not followed, such as at another address."""
         if not from_autopilot(message) or self.ids == sender_of(message):
             return
         heard = self._described(message)
@@ -164,12 +164,12 @@ class Identity:
 
     @property
     def is_unflyable(self) -> bool:
-        """Whether a vehicle was heard that cannot be flown, as the system in question."""
+        """Whether the system in question is a vehicle that cannot be flown."""
         heard = self._in_question()
         return heard is not None and heard.is_vehicle and not heard.firmware
 
     def heard_instead(self, connection: str) -> str:
-        """What was heard instead of the vehicle; empty where nothing was."""
+        """Which autopilots sent heartbeats instead of the vehicle; empty if none did."""
         heard = self._in_question()
         if heard is not None and not heard.firmware:
             return (
@@ -183,7 +183,7 @@ class Identity:
         return f"system {self.system} was not heard on {connection}; heard: {others}"
 
     def _in_question(self) -> Heard | None:
-        """The system that is to be flown, as far as it was heard; without one, the first that was."""
+        """The configured system, or without it the first autopilot; None before its heartbeat."""
         if self.system is not None:
             return self._heard.get(self.system)
         return next(iter(self._heard.values()), None)
@@ -193,7 +193,7 @@ class Identity:
         return Heard(*sender_of(message), message.autopilot, message.type, firmware.name if firmware else "")
 
     def _others(self) -> list[Heard]:
-        """Vehicles of other systems, where which one is flown was not said."""
+        """The vehicles of other systems; empty if the configuration names the system."""
         if self.system is not None or self.vehicle is None:
             return []
         return [

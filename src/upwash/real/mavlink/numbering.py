@@ -20,7 +20,7 @@ _SMALL_STEP = 8  # a larger one is a gap of lost messages if a later number foll
 _JUDGED_EACH = 32  # distinct messages
 _LEAST_STEP, _LARGEST_STEP = 0.75, 16.0  # on average: some come late, and 15 of 16 may be lost
 _REMEMBERED = 64  # messages, to know those that come twice
-_COPIED_WITHIN_S = 0.5  # what is said again later was not sent twice by the link
+_COPIED_WITHIN_S = 0.5  # a repetition after that is the vehicle's, not the link's
 
 
 class Numbering:
@@ -29,7 +29,7 @@ class Numbering:
     def __init__(self) -> None:
         self.counts_up = True  # whether the numbers tell the order
         self.wrong_times = 0  # in a row that they were found not to
-        self.received_share = 1.0  # of the messages that were sent, lately
+        self.received_share = 1.0  # of the messages that the vehicle sent, at the last judgement
         self._newest: int | None = None
         self._newest_s = -math.inf
         self._leapt_to: int | None = None  # a number far ahead, which none has followed yet
@@ -38,7 +38,7 @@ class Numbering:
         self._boot_ms: dict[int, int] = {}  # the latest time since boot, by message number
 
     def is_news(self, message: Message, now_s: float, *, linked: bool) -> bool:
-        """Whether it neither was heard before nor was overtaken; after a silence anything is news."""
+        """Whether it is no copy, and no later message came before it; after a silence each message is news."""
         if not linked:
             self._forget()
         is_copy = self._is_copy(message, now_s)
@@ -83,7 +83,7 @@ class Numbering:
         return is_anew
 
     def _judge(self) -> None:
-        """Looks at the numbers each so many distinct messages."""
+        """Judges the numbers once in 32 distinct messages."""
         self._distinct += 1
         if self._distinct < _JUDGED_EACH:
             return

@@ -1,4 +1,4 @@
-"""The wait until a vehicle is heard for the first time."""
+"""The wait for the first heartbeat of a vehicle."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from upwash.real.mavlink.identity import Identity
 from upwash.real.mavlink.link import MavlinkLink
 
 _LOOKED_EACH_S = 1.0
-_DEFINITE_S = 10.0  # after which nothing better is waited for where the wrong thing is heard
+_DEFINITE_S = 10.0  # the wait ends so long after the first heartbeat of a wrong vehicle
 _TOLD_AFTER_S, _TOLD_EACH_S = 3.0, 15.0
 _DEFINITE = Refusal.UNSIGNED, Refusal.OTHER_KEY
 _REMEDIES = {
@@ -24,7 +24,7 @@ _REMEDIES = {
 
 
 class Search:
-    """Waits for the vehicle of an identity on a link, and knows what was heard instead."""
+    """Waits for the vehicle of an identity on a link, and knows which others sent heartbeats."""
 
     def __init__(self, link: MavlinkLink, identity: Identity) -> None:
         self._link = link
@@ -37,10 +37,9 @@ class Search:
         within_s: float,
         waiting: Callable[[str, float], None],
     ) -> None:
-        """Returns when the vehicle was heard; raises AutopilotNotHeard, or AutopilotError where the wrong one was.
+        """Returns after the vehicle's first heartbeat; AutopilotNotHeard without it, AutopilotError for a wrong vehicle.
 
-        `news` returns when something was heard of the vehicle. `waiting` is told why it is waited for, and how long
-        it has been.
+        `news` returns after a message of the vehicle. `waiting` gets the reason of the wait and its seconds.
         """
         now_s = asyncio.get_running_loop().time
         begun_s, told_s, until_s = now_s(), _TOLD_AFTER_S, within_s
@@ -59,7 +58,7 @@ class Search:
 
     @property
     def _is_definite(self) -> bool:
-        """Whether something was heard that no patience makes right."""
+        """Whether a longer wait cannot help: a wrong key, or a vehicle that cannot be flown."""
         return self._link.refused in _DEFINITE or self._identity.is_unflyable
 
     def _why(self) -> str:

@@ -1,9 +1,9 @@
-"""Which reports a vehicle is asked for, how often each comes, and what is done where one comes too rarely.
+"""The reports of a vehicle: requests for them, their measured rates, and what follows from a rate that is too low.
 
-A report that comes too rarely has one of two causes, and the vehicle's MESSAGE_INTERVAL tells which. The interval is
-another than was asked for, as another program or the vehicle set it: it is asked for again, ever more rarely. Or the
-interval is as asked for, or there is no room for the answer: the link carries less, and less is asked for. Reports
-that the radio lost count as sent.
+A rate that is too low has one of two causes, and the vehicle's MESSAGE_INTERVAL tells the causes apart. If the
+interval differs from the request, another program or the vehicle changed it: the driver repeats the request, ever more
+rarely. If the interval agrees with the request, or no answer gets through, the link carries less: the driver requests
+less. Reports that the radio lost count as sent.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from upwash.ports import LinkTrouble
 from upwash.real.mavlink.firmware import Firmware
 from upwash.real.mavlink.hearing import Message
 
-_ASKED_AT_ONCE = 10  # times that a missing report is asked for each second
-_ASKED_EACH = 30  # and from then on only each so many
+_ASKED_AT_ONCE = 10  # requests for a missing report, one a second
+_ASKED_EACH = 30  # seconds between two requests from then on
 _ASKED_TOGETHER = 4  # of the missing reports, so that requests do not fill a narrow link
 _TOO_RARE = 0.5  # of the rate that is needed
 _CHANCE = 3.0  # standard deviations
 _MEASURED_S, _MEASURED_REPORTS = 1.0, 8.0  # at least; whichever lasts longer
 _SETTLING_S = 0.5  # until a request has an effect
-_ANSWERED_S = 2.0  # within which an interval is told
+_ANSWERED_S = 2.0  # after which no answer will come
 _AGAIN_S, _AGAIN_AT_MOST_S = 3.0, 60.0
 _FORGIVEN_S = 120.0  # at the right rates; then the next request is made at once again
 _TOLD_AFTER = 3  # requests
@@ -56,7 +56,7 @@ class _Stream:
 
 
 class Streams:
-    """Asks for the reports that the driver needs: from the start, and again for as long as the vehicle is heard.
+    """Requests the reports that the driver needs: at the start, and again after a rate fell or the link was silent.
 
     `ask` sends a question: a MAV_CMD and its parameters. `tell` is called once for each kind of trouble.
     """
@@ -75,13 +75,13 @@ class Streams:
         self._streams: dict[int, _Stream] = {}
         self._share = 1.0  # of the rates that are needed, as much as the link carries
         self._forgiven_s = _FORGIVEN_S
-        self._due: list[int] = []  # the reports that are still to be asked for
+        self._due: list[int] = []  # the reports whose request was not sent yet
         self._asked_s = -math.inf  # when a report was last asked for with all others
         self._next_s = -math.inf
-        self._times = self._confirmed_times = (
-            0  # that they were asked for again, and that their intervals were right
+        self._times = self._confirmed_times = 0  # repetitions of the requests, and answers as requested
+        self._questioned: tuple[int, float] | None = (
+            None  # the report that MESSAGE_INTERVAL was requested for, and when
         )
-        self._questioned: tuple[int, float] | None = None  # the report whose interval was asked for, and when
         self._is_answered = False
 
     def heard(self, message: Message, now_s: float) -> None:
@@ -101,7 +101,7 @@ class Streams:
         return self._stream(number).heard_s
 
     def begin(self, firmware: Firmware, now_s: float) -> None:
-        """Asks for all reports: together of a vehicle that was just found, by and by of one that is heard again."""
+        """Requests all reports: at once from a vehicle that was just found, by and by after a silence."""
         together = len(firmware.streams_hz) if math.isinf(self._asked_s) else _ASKED_TOGETHER
         self._times, self._confirmed_times, self._questioned, self._next_s = 0, 0, None, -math.inf
         self._ask_for_all(firmware, now_s, together=together)
@@ -156,7 +156,7 @@ class Streams:
             stream.asked_times += 1
 
     def _too_rare(self, firmware: Firmware, now_s: float, received_share: float) -> int | None:
-        """The first report that comes too rarely, by as many of its intervals as tell, where one does."""
+        """The number of the first report that comes too rarely; None if all come often enough."""
         for number in firmware.streams_hz:
             stream, wanted_hz = self._stream(number), self._wanted_hz(firmware, number)
             if number in firmware.sent_at_times or now_s - stream.heard_s > self._quiet_after_s:

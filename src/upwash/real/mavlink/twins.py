@@ -8,7 +8,7 @@ from collections import deque
 from upwash.real.mavlink.hearing import Message
 
 _BACK_MS = 2000  # more than a message comes late by
-_TIMES, _WITHIN_S = 3, 10.0  # one vehicle restarts, but not so often
+_TIMES, _WITHIN_S = 3, 10.0  # one vehicle restarts too, but less often
 
 
 class Twins:
