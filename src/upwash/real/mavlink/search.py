@@ -37,7 +37,7 @@ class Search:
         within_s: float,
         waiting: Callable[[str, float], None],
     ) -> None:
-        """Returns after the vehicle's first heartbeat; AutopilotNotHeard without it, AutopilotError for a wrong vehicle.
+        """Returns after the first heartbeat; AutopilotNotHeard without it, AutopilotError for a wrong vehicle.
 
         `news` returns after a message of the vehicle. `waiting` gets the reason of the wait and its seconds.
         """

@@ -1,9 +1,9 @@
 """The reports of a vehicle: requests for them, their measured rates, and what follows from a rate that is too low.
 
 A rate that is too low has one of two causes, and the vehicle's MESSAGE_INTERVAL tells the causes apart. If the
-interval differs from the request, another program or the vehicle changed it: the driver repeats the request, ever more
-rarely. If the interval agrees with the request, or no answer gets through, the link carries less: the driver requests
-less. Reports that the radio lost count as sent.
+interval differs from the request, another program or the vehicle changed it: the driver repeats the request, ever
+more rarely. If the interval agrees with the request, or no answer gets through, the link carries less: the driver
+requests less. Reports that the radio lost count as sent.
 """
 
 from __future__ import annotations
