@@ -115,8 +115,8 @@ def test_what_the_reserve_guesses_is_beside_what_it_reckons() -> None:
     )
     assert said == [
         "the vehicle's RTL_ALT is not known: the vehicle has no such parameter",
-        "battery 59 %, 45 s to the landing, 53 % more than needed",
-        "battery 59 %, 45 s to the landing, 53 % more than needed (guessed: RTL_ALT, LAND_SPEED are not known)",
+        "battery 59 %, 45 s to the landing, 53 % to spare",
+        "battery 59 %, 45 s to the landing, 53 % to spare (guessed: RTL_ALT, LAND_SPEED are not known)",
     ]
 
 

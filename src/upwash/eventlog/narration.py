@@ -290,7 +290,7 @@ def _vehicle_told(event: Event) -> Said | None:
             said = f"the autopilot {doing} if it does not hear this program for {silence_s:g} s"
             return Said(said, Tone.ASIDE)
         case schema.Energy(left_percent=left, home_s=home_s, margin_percent=spare, guessed=guessed):
-            said = f"battery {left:.0f} %, {home_s:.0f} s to the landing, {spare:.0f} % more than needed"
+            said = f"battery {left:.0f} %, {home_s:.0f} s to the landing, {spare:.0f} % to spare"
             return Said(f"{said} ({in_words(guessed)})" if guessed else said, Tone.ASIDE)
     return None
 
