@@ -158,7 +158,7 @@ def print_result(result: RunResult, console: Console, *, paced: bool, servers: b
 
 def _calls_line(totals: Totals, *, servers: bool) -> str:
     remote = "".join(f", {count} on {server}" for server, count in totals.remote.items())
-    parts = [f"{counted(totals.calls, 'call')}{f': {totals.local}' if servers else ''} on the drone{remote}"]
+    parts = [f"{counted(totals.calls, 'call')}: {totals.local} on the drone{remote}"]
     if totals.switches:
         parts += [
             f"{counted(totals.switches, 'selection')} of a server",
