@@ -332,7 +332,7 @@ class HeardVehicle:
         self._look_for_restart(message, now_s)
         self.telemetry.take(message, now_s)
         self.firmware.take(self.telemetry, message, now_s)
-        self._take_control(message)
+        self._take_control(message, now_s)
         self._tell_texts()
         for hear in tuple(self._listeners):
             hear(message)
@@ -364,20 +364,19 @@ class HeardVehicle:
         if self.latch.control != before:
             self.tell(self.latch.control)
 
-    def _take_control(self, message: Message) -> None:
+    def _take_control(self, message: Message, now_s: float) -> None:
         """Feeds the latch with each heartbeat, and with what says that a fail-safe chose the mode."""
         if self.telemetry.mode is None or message.get_type() not in _TELL_THE_MODE:
             return
         if message.get_type() != "FENCE_STATUS":
-            self.mode_told_s = self._loop.time()
+            self.mode_told_s = now_s
         mode, told = self.mode_name, self.telemetry
-        now_s = self._loop.time()
         # ArduCopter says that it stands as soon as its motors stop, wherever that is.
         stands = told.stands if told.armed or now_s - told.airborne_s > _STOOD_S else False
         moved = told.remote.moved(now_s)
         report = Report(mode, told.armed, self.firmware.failsafe(told, mode), stands, moved)
-        self._judge(lambda: self.latch.report(report, self._loop.time()))
-        if told.disarmed_s == self._loop.time() and not self.latch.control.is_ours:
+        self._judge(lambda: self.latch.report(report, now_s))
+        if told.disarmed_s == now_s and not self.latch.control.is_ours:
             self.ask_for(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME)  # which tells a restart
 
     def _tell_texts(self) -> None:
