@@ -4,8 +4,8 @@ A position filter that has believed a wrong satellite fix moves the vehicle's re
 afterwards that all is well. The vehicle itself does not jump. Laws:
 
 1. A report that lies farther from the one before it than speed and time allow is a jump.
-2. A jump is undone by jumps that lead back, or by a receiver that agrees with the new place, and was heard without a
-   gap, and without a jump, since before the estimate jumped.
+2. A jump is undone by jumps that lead back, or by a receiver that agrees with the new place. The receiver's reports
+   must have come without a gap and without a jump since before the estimate jumped.
 3. While a jump is not undone, the vehicle's place is unknown.
 """
 

@@ -6,8 +6,8 @@ Laws:
 2. It becomes the program's by a claim alone. A person's act stands behind each claim: the program was started with
    the vehicle disarmed, or resumed with the vehicle in the program's own mode.
 3. From the first report whose mode, arming or target differs from what was commanded, it is not the program's any
-   more. Nor is it after the autopilot restarted in a flight. No later report gives it back: a claim after that is
-   refused for as long as the program runs.
+   more. The same holds after the autopilot restarted in a flight. No later report gives it back: a claim after that
+   is refused for as long as the program runs.
 4. While a command is on its way, the state before it and each state that it leads to are no difference.
 5. Silence changes nothing. What the vehicle did meanwhile shows in the first report after it.
 6. An owner is named by evidence alone. Later evidence may name another owner, never the program.
