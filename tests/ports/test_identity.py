@@ -31,6 +31,18 @@ def position(boot_ms: int, system: int = 1) -> Any:
     return from_(mavlink.MAVLink_global_position_int_message(boot_ms, 1, 1, 1, 1, 0, 0, 0, 0), system)
 
 
+def attitude(boot_ms: int) -> Any:
+    return from_(mavlink.MAVLink_attitude_message(boot_ms, *(0.0,) * 6))
+
+
+def system_time(boot_ms: int) -> Any:
+    return from_(mavlink.MAVLink_system_time_message(0, boot_ms))
+
+
+def local(boot_ms: int) -> Any:
+    return from_(mavlink.MAVLink_local_position_ned_message(boot_ms, *(0.0,) * 6))
+
+
 def version(uid: int) -> Any:
     numbers = [0] * 8
     return from_(
@@ -160,7 +172,10 @@ def test_a_system_that_was_said_does_not_tell_two_vehicles_of_it_apart() -> None
 @pytest.mark.parametrize("speed", [0.3, 1.0, 5.0])
 def test_one_clock_that_restarts_is_one_vehicle(speed: float) -> None:
     link = Link()
-    flown = [position(round((900_000 + ms) * speed)) for ms in range(0, 3000, 100)]
-    late = [position(round((ms - 200 * (ms % 300 == 0)) * speed)) for ms in range(400, 6000, 100)]
-    link.hear(beat(), *flown, *late)
+    before = [
+        kind(round((900_000 + ms) * speed)) for ms in range(0, 3000, 100) for kind in (position, attitude)
+    ]
+    late_ms = [ms - 200 * (ms % 300 == 0) for ms in range(400, 6000, 100)]
+    after = [kind(round(ms * speed)) for ms in late_ms for kind in (position, attitude, system_time, local)]
+    link.hear(beat(), *before, system_time(round(902_000 * speed)), local(round(902_500 * speed)), *after)
     assert link.identity.doubt == ""

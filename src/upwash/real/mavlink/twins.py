@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 
 from upwash.real.mavlink.hearing import Message
@@ -17,7 +16,7 @@ class Twins:
     def __init__(self) -> None:
         self.evidence = ""  # empty while there is none
         self._boot_ms: dict[int, int] = {}  # the last time since boot, by message number
-        self._went_back_s: deque[float] = deque([-math.inf] * _TIMES, maxlen=_TIMES)
+        self._went_back_s: dict[int, deque[float]] = {}  # by message number: a restart shows once in each
         self._hardware: set[tuple[int, bytes]] = set()
 
     def take(self, message: Message, now_s: float) -> None:
@@ -26,8 +25,9 @@ class Twins:
             before_ms = self._boot_ms.get(message.get_msgId(), 0)
             self._boot_ms[message.get_msgId()] = boot_ms
             if boot_ms < before_ms - _BACK_MS:
-                self._went_back_s.append(now_s)
-                if now_s - self._went_back_s[0] <= _WITHIN_S:
+                times_s = self._went_back_s.setdefault(message.get_msgId(), deque(maxlen=_TIMES))
+                times_s.append(now_s)
+                if len(times_s) == _TIMES and now_s - times_s[0] <= _WITHIN_S:
                     self.evidence = "two clocks since boot"
         elif message.get_type() == "AUTOPILOT_VERSION":
             self._hardware.add((message.uid, bytes(message.uid2)))
