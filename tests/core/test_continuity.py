@@ -6,21 +6,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.continuity import Continuity
-from upwash.core.geo import Position
+from upwash.core.geo import Position, Velocity
 
 SPEED_M_S = 4.0
+STILL, FLYING = Velocity(), Velocity(SPEED_M_S)
 
 
 def flown(
-    continuity: Continuity, east_m: list[float], *, begin_s: float = 0.0, step_s: float = 0.1
+    continuity: Continuity,
+    east_m: list[float],
+    *,
+    begin_s: float = 0.0,
+    step_s: float = 0.1,
+    velocity: Velocity = STILL,
 ) -> Continuity:
     for index, each_m in enumerate(east_m):
-        continuity.take_estimate(Position(each_m, 0.0), time_s=begin_s + index * step_s, speed_m_s=SPEED_M_S)
+        continuity.take_estimate(Position(each_m, 0.0), time_s=begin_s + index * step_s, velocity=velocity)
     return continuity
 
 
 def test_a_leg_at_its_speed_has_no_jump() -> None:
-    assert flown(Continuity(), [0.4 * each for each in range(200)]).doubt_m == 0
+    assert flown(Continuity(), [0.4 * each for each in range(200)], velocity=FLYING).doubt_m == 0
 
 
 def test_a_jump_leaves_doubt_however_long_the_estimate_stays_there() -> None:
@@ -33,13 +39,13 @@ def test_the_jump_back_ends_the_doubt() -> None:
 
 
 def test_a_silence_allows_for_the_way_flown_meanwhile_and_no_more() -> None:
-    assert flown(flown(Continuity(), [0.0]), [60.0], begin_s=15.0).doubt_m == 0
-    assert flown(flown(Continuity(), [0.0]), [600.0], begin_s=15.0).doubt_m == 600
+    assert flown(flown(Continuity(), [0.0]), [60.0], begin_s=15.0, velocity=FLYING).doubt_m == 0
+    assert flown(flown(Continuity(), [0.0]), [600.0], begin_s=15.0, velocity=FLYING).doubt_m == 600
 
 
 def test_an_estimate_that_jumps_to_a_receiver_that_never_jumped_is_believed() -> None:
     continuity = flown(Continuity(), [0.0])
-    continuity.take_receiver(Position(20.0, 0.0), time_s=0.0, speed_m_s=0.0)
+    continuity.take_receiver(Position(20.0, 0.0), time_s=0.0, velocity=STILL)
     flown(continuity, [20.0], begin_s=0.1)
     assert continuity.doubt_m == 0
 
@@ -47,18 +53,29 @@ def test_an_estimate_that_jumps_to_a_receiver_that_never_jumped_is_believed() ->
 def test_a_receiver_that_was_not_heard_across_the_jump_vouches_for_nothing() -> None:
     continuity = flown(Continuity(), [0.0])
     for time_s, east_m in ((0.0, 0.0), (20.0, 56.0), (21.0, 56.0)):
-        continuity.take_receiver(Position(east_m, 0.0), time_s=time_s, speed_m_s=SPEED_M_S)
+        continuity.take_receiver(Position(east_m, 0.0), time_s=time_s, velocity=FLYING)
     flown(continuity, [0.0, 56.0, 56.0], begin_s=19.0)
-    continuity.take_receiver(Position(56.0, 0.0), time_s=22.0, speed_m_s=SPEED_M_S)
+    continuity.take_receiver(Position(56.0, 0.0), time_s=22.0, velocity=FLYING)
     assert continuity.doubt_m == 56
 
 
 def test_an_estimate_that_follows_a_receiver_that_jumped_is_not() -> None:
     continuity = flown(Continuity(), [0.0])
     for second, east_m in enumerate((0.0, 0.0, 56.0, 56.0)):
-        continuity.take_receiver(Position(east_m, 0.0), time_s=float(second), speed_m_s=0.0)
+        continuity.take_receiver(Position(east_m, 0.0), time_s=float(second), velocity=STILL)
     flown(continuity, [0.0, 56.0, 56.0], begin_s=4.0)
     assert continuity.doubt_m == 56
+
+
+def test_what_it_flew_while_its_receiver_jumped_is_no_part_of_the_jump() -> None:
+    continuity, true_m = Continuity(), 0.0
+    for second in range(40):
+        off_m = 56.0 if 5 <= second < 20 else 0.0
+        continuity.take_receiver(Position(true_m + off_m, 0.0), time_s=float(second), velocity=FLYING)
+        filtered_m = true_m + (50.0 if 12 <= second < 27 else 0.0)  # it believes late, and not all
+        continuity.take_estimate(Position(filtered_m, 0.0), time_s=second + 0.5, velocity=FLYING)
+        true_m += SPEED_M_S
+        assert (continuity.doubt_m > 0) == (12 <= second < 27)
 
 
 def test_a_clock_that_goes_back_begins_anew() -> None:
@@ -71,4 +88,4 @@ def test_no_motion_at_the_reported_speed_is_a_jump(changes: list[float], step_s:
     for change in changes:
         here_m += 2 * change * SPEED_M_S * step_s
         places.append(here_m)
-    assert flown(Continuity(), places, step_s=step_s).doubt_m == 0
+    assert flown(Continuity(), places, step_s=step_s, velocity=FLYING).doubt_m == 0

@@ -143,7 +143,7 @@ def test_a_defect_ends_offloading_and_the_missions_own_mode_is_used(
 @pytest.mark.parametrize(
     ("declared", "said"),
     [
-        (service(name="detector")(Plain), "no service has a method that is told apart by it"),
+        (service(name="detector")(Plain), "no service has a method with that profile key"),
         (service(name="detector", profile_by="mode")(Strict), "Invalid enum value 'light'"),
     ],
 )

@@ -15,7 +15,7 @@ from upwash.config import read_daemon_config
 from upwash.errors import UsageError
 from upwash.missions.bundled import load_service_alone
 from upwash.packaging.archive import write_packed
-from upwash.packaging.base import lay_base
+from upwash.packaging.base import lay_base, lay_init
 from upwash.packaging.contents import copy_distributions, copy_program, extra_of
 from upwash.packaging.image import Recipe, package
 from upwash.packaging.shipping import find_service
@@ -30,11 +30,13 @@ def base_of_the_host(tmp_path: Path) -> Path:
     root.mkdir()
     try:
         lay_base("host", root)
+        lay_init("host", root)
     except UsageError as why:
         pytest.skip(str(why))
     return root
 
 
+@pytest.mark.sandbox
 @pytest.mark.usefixtures("base_of_the_host")
 def test_the_same_service_makes_the_same_file_and_another_another(services: Path, tmp_path: Path) -> None:
     def made(folder: str, umask: int, cls: str = "Workbench") -> Path:
@@ -51,6 +53,7 @@ def test_the_same_service_makes_the_same_file_and_another_another(services: Path
     assert other.name != first.name
 
 
+@pytest.mark.sandbox
 @pytest.mark.usefixtures("base_of_the_host")
 def test_an_image_says_what_it_holds_and_belongs_to_root(services: Path, tmp_path: Path) -> None:
     recipe = Recipe(load_service_alone(f"{services}:Workbench"), requirements=("cryptography",))
@@ -116,6 +119,7 @@ def test_links_and_rights_survive_the_archive_and_times_do_not(tmp_path: Path) -
         assert archive.getmember("link").linkname == "program"
 
 
+@pytest.mark.sandbox
 @pytest.mark.usefixtures("base_of_the_host")
 def test_settings_go_into_the_image_with_the_files_that_they_name(tmp_path: Path) -> None:
     program = tmp_path / "here" / "reader.py"

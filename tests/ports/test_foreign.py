@@ -15,7 +15,7 @@ import msgspec
 import pytest
 
 from upwash.config import read_daemon_config
-from upwash.errors import InstanceError, LinkError, ServiceError
+from upwash.errors import InstanceError, LinkError, ServiceError, UsageError
 from upwash.missions.bundled import load_services
 from upwash.ports import InstanceSpec, Program
 from upwash.real.limits import Limits
@@ -116,7 +116,10 @@ def run_service(
     *,
     sandboxed: bool = False,
 ) -> None:
-    sandbox = find_sandbox(Limits(2**31, 256, 2**24), readable=()) if sandboxed else None
+    try:
+        sandbox = find_sandbox(Limits(2**31, 256, 2**24), readable=()) if sandboxed else None
+    except UsageError as why:
+        pytest.skip(str(why))
     spec = spec_of(load_service(program.path))
 
     async def story() -> None:

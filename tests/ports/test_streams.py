@@ -228,9 +228,9 @@ def test_a_link_that_does_not_carry_all_reports_is_asked_for_less(
     tell(story, monkeypatch, air)
 
 
-@pytest.mark.parametrize("firmware", [ARDUCOPTER, PX4])
-def test_what_the_latch_needs_comes_at_10_hz_or_more(firmware: Any) -> None:
-    assert firmware.streams_hz[HEARTBEAT] >= 10.0
+@pytest.mark.parametrize(("firmware", "mode"), [(ARDUCOPTER, HEARTBEAT), (PX4, CURRENT_MODE)])
+def test_what_the_latch_needs_comes_at_10_hz_or_more(firmware: Any, mode: int) -> None:
+    assert firmware.streams_hz[mode] >= 10.0
     assert firmware.streams_hz[POSITION] >= 10.0
     assert firmware.streams_hz[mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT] >= 4.0
     assert firmware.streams_hz[mavlink.MAVLINK_MSG_ID_SYSTEM_TIME] >= 1.0

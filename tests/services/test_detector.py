@@ -482,7 +482,7 @@ def test_a_file_that_is_no_detection_model_is_refused(
         (None, r"cannot be read \(No such file"),
         (b"", "expected the name of a class in every line"),
         (b"one\n\nthree\n", "expected the name of a class in every line"),
-        (b"\xff\xfe", "byte 0: not text"),
+        (b"\xff\xfe\x00", "byte 0: not text"),
         (b"one\n", "as 2 anchors, 1 names and stride 16 say"),
         (b"one\ntwo\nthree\n", "as 2 anchors, 3 names and stride 16 say"),
     ],

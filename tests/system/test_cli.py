@@ -269,7 +269,8 @@ def test_check_finds_no_networks_where_none_are_joined(drone: Path) -> None:
 
 @pytest.mark.timeout(90)
 def test_an_autopilot_that_is_not_there_is_a_failure(drone: Path) -> None:
-    said = complaint(upwash("fly", "--config", "drone.toml", "--log", "log", folder=drone.parent), code=1)
+    drone.write_text(DRONE.replace("connection =", "found_within_s = 1.0\nconnection ="))
+    said = complaint(upwash("fly", "--config", "drone.toml", "--log", "log", folder=drone.parent), code=6)
     assert "tcp:127.0.0.1:1" in said
     assert not [file.name for file in drone.parent.iterdir() if file.suffix == ".sock"]
 

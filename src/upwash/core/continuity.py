@@ -15,7 +15,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 
-from upwash.core.geo import Position, ground_distance_m
+from upwash.core.geo import Position, Velocity, ground_distance_m
 
 _FASTER_M_S = 3.0  # than it reports: speeds are reported late, and smoothed
 _NOISE_M = 3.0  # of one report; a smaller jump moves no arrival by much
@@ -39,8 +39,8 @@ class Track:
         """How far all jumps together have moved it."""
         return math.hypot(self._off_east_m, self._off_north_m)
 
-    def take(self, place: Position, *, time_s: float, speed_m_s: float) -> None:
-        """Takes in a position of that time; the speed is the highest since the one before."""
+    def take(self, place: Position, *, time_s: float, velocity: Velocity) -> None:
+        """Takes in a position of that time, and the velocity that the vehicle reports with it."""
         before, passed_s = self.place, time_s - self._time_s
         self.place, self._time_s = place, time_s
         if not 0 <= passed_s <= _GAP_S:
@@ -48,11 +48,12 @@ class Track:
         if before is None or passed_s < 0:  # a clock that goes back: nothing is known of the time between
             return
         moved_m = ground_distance_m(before, place)
-        if moved_m <= _NOISE_M + (speed_m_s + _FASTER_M_S) * passed_s:
+        if moved_m <= _NOISE_M + (velocity.ground_m_s + _FASTER_M_S) * passed_s:
             return
         self.jumps.append((time_s, moved_m))
-        self._off_east_m += place.east_m - before.east_m
-        self._off_north_m += place.north_m - before.north_m
+        flown_s = passed_s if passed_s <= _GAP_S else 0.0  # in a gap it may have flown anywhere
+        self._off_east_m += place.east_m - before.east_m - velocity.east_m_s * flown_s
+        self._off_north_m += place.north_m - before.north_m - velocity.north_m_s * flown_s
         if self.off_m <= _NOISE_M:
             self.believe()
 
@@ -78,14 +79,14 @@ class Continuity:
         """The last jumps of the estimate: when, and how far in metres."""
         return self._estimate.jumps
 
-    def take_estimate(self, place: Position, *, time_s: float, speed_m_s: float) -> None:
+    def take_estimate(self, place: Position, *, time_s: float, velocity: Velocity) -> None:
         """Takes in the position that the vehicle flies by."""
-        self._estimate.take(place, time_s=time_s, speed_m_s=speed_m_s)
+        self._estimate.take(place, time_s=time_s, velocity=velocity)
         self._reconcile()
 
-    def take_receiver(self, place: Position, *, time_s: float, speed_m_s: float) -> None:
-        """Takes in what its satellite receiver alone says."""
-        self._receiver.take(place, time_s=time_s, speed_m_s=speed_m_s)
+    def take_receiver(self, place: Position, *, time_s: float, velocity: Velocity) -> None:
+        """Takes in what its satellite receiver alone says, with the velocity of the vehicle."""
+        self._receiver.take(place, time_s=time_s, velocity=velocity)
         self._reconcile()
 
     def believe(self) -> None:

@@ -40,6 +40,11 @@ class Velocity(msgspec.Struct, frozen=True, gc=False):
         """Its length."""
         return math.hypot(self.east_m_s, self.north_m_s, self.up_m_s)
 
+    @property
+    def ground_m_s(self) -> float:
+        """How fast that is over the ground."""
+        return math.hypot(self.east_m_s, self.north_m_s)
+
 
 @dataclass(frozen=True, slots=True)
 class GeoPosition:

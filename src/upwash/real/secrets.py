@@ -8,11 +8,11 @@ import stat
 from pathlib import Path
 
 from upwash.errors import CredentialsError
-from upwash.mavlink.signing import KEY_BYTES
 from upwash.support.input_files import text_of
 
 _MOST_BYTES = 2**20
 _MARKS = (codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_RAW_KEY_BYTES = 32  # a signing key, which may begin with any bytes
 _ROOT = 0
 
 
@@ -64,7 +64,7 @@ def _read(file: Path) -> tuple[bytes, os.stat_result]:
 
 def _without_mark(content: bytes) -> bytes:
     """The same bytes or, of a text that an editor began with a byte order mark, that text in UTF-8."""
-    if not content.startswith(_MARKS) or len(content) == KEY_BYTES:  # which may begin with any bytes
+    if not content.startswith(_MARKS) or len(content) == _RAW_KEY_BYTES:
         return content
     try:
         return text_of(content).encode()

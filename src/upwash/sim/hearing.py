@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from upwash.core.continuity import Continuity
 from upwash.core.control import Control, Latch, Report
-from upwash.core.geo import Position
+from upwash.core.geo import Position, Velocity
 from upwash.errors import AutopilotLost
 from upwash.eventlog.schema import SEVERITIES
 from upwash.ports import HomeMoved, PositionDoubted, VehicleNews, VehicleText
@@ -102,8 +102,8 @@ class Hearing:
     def take_jump(self, before: Position, after: Position) -> None:
         """Takes in that its reported place was one a moment ago, and is another now."""
         now_s = self._loop.time()
-        self._continuity.take_estimate(before, time_s=now_s, speed_m_s=_FLOWN_M_S)
-        self._continuity.take_estimate(after, time_s=now_s, speed_m_s=0.0)
+        self._continuity.take_estimate(before, time_s=now_s, velocity=Velocity(_FLOWN_M_S))
+        self._continuity.take_estimate(after, time_s=now_s, velocity=Velocity())
         doubt_m = self._continuity.doubt_m
         if self._doubted != (doubt_m > 0) and self._vehicle.armed:
             self._tell(PositionDoubted(jumped_m=doubt_m))

@@ -167,7 +167,6 @@ PX4 = Firmware(
     failsafe=failsafe,
     take=_take,
     streams_hz={
-        mavlink.MAVLINK_MSG_ID_HEARTBEAT: 10.0,  # arming, once a second by itself
         CURRENT_MODE: 50.0,  # it comes when the mode changes, and twice a second
         mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 5.0,
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,

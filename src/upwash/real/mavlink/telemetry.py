@@ -178,7 +178,7 @@ class Telemetry:
     @property
     def ground_speed_m_s(self) -> float:
         """How fast it moves over the ground; 0 while it does not say."""
-        return math.hypot(self.velocity.east_m_s, self.velocity.north_m_s) if self.velocity else 0.0
+        return self.velocity.ground_m_s if self.velocity else 0.0
 
     @property
     def home_above_sea_m(self) -> float:

@@ -11,7 +11,7 @@ from collections import deque
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.continuity import Continuity
-from upwash.core.geo import GeoPosition, LocalFrame, Position, distance_m
+from upwash.core.geo import GeoPosition, LocalFrame, Position, Velocity, distance_m
 from upwash.ports import HomeMoved, PositionDoubted
 from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle
@@ -25,7 +25,6 @@ _NO_PLACE = (
 _STAYS_M = 1.0  # what a home that was set again may differ by
 _RESTLESS_S = 5.0  # for this time after a jump the vehicle cannot be armed
 _MANY_JUMPS = 3  # in that time: no filter settles so
-_UNKNOWN_U16 = 0xFFFF
 
 
 class Whereabouts:
@@ -100,26 +99,25 @@ class Whereabouts:
         """Takes in a message of the vehicle."""
         match message.get_type():
             case "GLOBAL_POSITION_INT" if self._telemetry.position is not None:
-                here, speed_m_s = (
-                    self._frame.position(self._telemetry.position),
-                    self._telemetry.ground_speed_m_s,
-                )
-                self._continuity.take_estimate(here, time_s=self._vehicle.elapsed_s, speed_m_s=speed_m_s)
+                here = self._frame.position(self._telemetry.position)
+                self._continuity.take_estimate(here, time_s=self._vehicle.elapsed_s, velocity=self._velocity)
                 self._look_at_jumps()
-                self._look_at_home()
             case "GPS_RAW_INT" if message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX:
                 there = self._frame.position(GeoPosition(message.lat / 1e7, message.lon / 1e7))
-                speed_m_s = (
-                    message.vel / 100 if message.vel != _UNKNOWN_U16 else self._telemetry.ground_speed_m_s
-                )
-                self._continuity.take_receiver(there, time_s=self._vehicle.elapsed_s, speed_m_s=speed_m_s)
+                self._continuity.take_receiver(there, time_s=self._vehicle.elapsed_s, velocity=self._velocity)
                 self._look_at_jumps()
+            case "HOME_POSITION":
+                self._look_at_home()
             case "POSITION_TARGET_GLOBAL_INT" if self._steers_by_targets:
                 place = GeoPosition(message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
                 self._vehicle.judge_target(self._frame.position(place))
             case "POSITION_TARGET_LOCAL_NED" if self._steers_by_targets:
                 if message.type_mask & _NO_PLACE == _NO_PLACE:
                     self._vehicle.judge_target(None)
+
+    @property
+    def _velocity(self) -> Velocity:
+        return self._telemetry.velocity or Velocity()
 
     @property
     def _steers_by_targets(self) -> bool:
@@ -147,17 +145,14 @@ class Whereabouts:
         return sum(jumped_s >= since_s for jumped_s in self._jumped_s)
 
     def _look_at_home(self) -> None:
-        """Tells where a home was moved to; its altitude shows in the two that each position has."""
+        """Tells where a home was moved to in the flight."""
         now, before = self._present_home(), self._home
-        if now is None or before is None or distance_m(now, before) <= _STAYS_M:
+        if self._ground_m is None or now is None or before is None or distance_m(now, before) <= _STAYS_M:
             return
         self._home = now
-        ground_m = self._ground_m or 0.0
-        self._vehicle.tell(HomeMoved(now.at_altitude(now.altitude_m - ground_m)))
+        self._vehicle.tell(HomeMoved(now.at_altitude(now.altitude_m - self._ground_m)))
 
     def _present_home(self) -> Position | None:
         """Its altitude is above the sea."""
-        told = self._telemetry
-        if told.home is None or told.position is None or told.above_sea_m is None:
-            return None
-        return self._frame.position(told.home).at_altitude(told.home_above_sea_m)
+        home = self._telemetry.home
+        return self._frame.position(home) if home else None
