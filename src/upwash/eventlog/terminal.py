@@ -201,7 +201,7 @@ def _print_waypoints(result: RunResult, console: Console) -> None:
     undone = f", left undone: {spans(result.undone)}" if result.undone else ""
     reached = result.waypoints - len(result.undone)
     if result.waypoints:
-        say(f"{reached} of {counted(result.waypoints, 'waypoint')} reached{undone}", console)
+        say(f"{reached} of {result.waypoints} waypoints reached{undone}", console)
     for phrase in left_undone(result):
         say(Text(phrase, style="yellow"), console)
     if result.left_hovering:
