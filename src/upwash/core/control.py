@@ -36,7 +36,7 @@ class Owner(StrEnum):
     PILOT = "pilot"
     GROUND_STATION = "ground station"
     FAILSAFE = "fail-safe"
-    UNKNOWN = "unknown"  # it does what nobody here commanded, and does not say why
+    UNKNOWN = "unknown"  # no report shows who acted
 
 
 _WHO = {
