@@ -12,7 +12,8 @@ from cv2.typing import MatLike
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.services.photo import Letterbox, NotAPhoto, read_photo
+from upwash.services.photo import MAX_SCANNED_PIXELS, Letterbox, NotAPhoto, read_photo
+from upwash.support.jpeg import EOI, MOST_SEGMENTS, SOS, segments_of
 
 sides = st.sampled_from([32, 320, 608, 1024])
 lengths = st.integers(1, 20_000)
@@ -213,3 +214,66 @@ def test_damaged_headers_raise_nothing_but_not_a_photo() -> None:
         except NotAPhoto:
             refused += 1
     assert 0 < refused < 300
+
+
+# --- photos that would take long ----------------------------------------------------------------------------
+
+
+def progressive(photo: MatLike, *, more_scans: int = 0, padding: bytes = b"") -> bytes:
+    """A JPEG of 10 scans, and so many copies of the last one, each with the tables that it needs."""
+    jpeg = cv2.imencode(".jpg", photo, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    segments = list(segments_of(jpeg))
+    scans = [index for index, segment in enumerate(segments) if segment.marker == SOS]
+    tables, end = segments[scans[-2] + 1], segments[-1]
+    last = jpeg[tables.start : end.start]
+    return jpeg[: end.start] + (padding + last) * more_scans + jpeg[end.start :]
+
+
+def markers_of(jpeg: bytes) -> list[int]:
+    return [segment.marker for segment in segments_of(jpeg)]
+
+
+@pytest.mark.parametrize("padding", [b"", b"\xff\xff", b"\0\1\2", b"\xff\xd0", b"\xff\xfe\0\4\xff\xd9"])
+def test_every_scan_is_counted(padding: bytes) -> None:
+    found = markers_of(progressive(gradient(40, 30), more_scans=5, padding=padding))
+    assert found.count(SOS) == 15
+    assert found[-1] == EOI
+
+
+def test_a_photo_of_as_many_scans_as_its_size_allows_is_read_and_of_one_more_is_not() -> None:
+    photo = gradient(2000, 1000)
+    most = MAX_SCANNED_PIXELS // 2_000_000
+    read_photo(progressive(photo, more_scans=most - 10), 320)
+    with pytest.raises(
+        NotAPhoto, match=f"{most + 1} scans of 2000 x 1000 pixels; .* at most {most} scans .* baseline"
+    ):
+        read_photo(progressive(photo, more_scans=most - 9), 320)
+
+
+@pytest.mark.parametrize("kind", [0xC3, 0xC5, 0xC9, 0xCA, 0xCF])
+def test_kinds_that_no_camera_writes_are_refused(kind: int) -> None:
+    with pytest.raises(NotAPhoto, match=f"rare kind \\(marker ff {kind:02x}\\); save it as a baseline JPEG"):
+        read_photo(PHOTO.replace(b"\xff\xc0", bytes((0xFF, kind))), 320)
+
+
+def test_a_photo_that_says_its_size_twice_is_refused() -> None:
+    at = PHOTO.index(b"\xff\xc0")
+    small = with_size(PHOTO, width_px=8, height_px=8)[at : at + 19]
+    with pytest.raises(NotAPhoto, match="never says its size, or twice"):
+        read_photo(PHOTO[:at] + small + PHOTO[at:], 320)
+
+
+def test_a_photo_of_too_many_segments_is_refused() -> None:
+    comment = b"\xff\xfe\0\2"
+    few = MOST_SEGMENTS - len(markers_of(PHOTO))
+    read_photo(PHOTO[:2] + comment * few + PHOTO[2:], 320)
+    with pytest.raises(NotAPhoto, match=f"more than {MOST_SEGMENTS} segments"):
+        read_photo(PHOTO[:2] + comment * (few + 1) + PHOTO[2:], 320)
+
+
+def test_photos_within_a_photo_and_after_it_do_not_count() -> None:
+    thumbnail = progressive(gradient(40, 30), more_scans=500)
+    exif = b"\xff\xe1" + (len(thumbnail) + 2).to_bytes(2) + thumbnail
+    with_both = PHOTO[:2] + exif + PHOTO[2:] + progressive(gradient(40, 30), more_scans=1000)
+    assert markers_of(with_both).count(SOS) == 1
+    np.testing.assert_array_equal(read_photo(with_both, 320)[0], read_photo(PHOTO, 320)[0])

@@ -153,3 +153,8 @@ def test_a_header_without_room_is_left_as_it_is() -> None:
     exif[ExifTags.Base.Make] = "x" * 65_450
     full = photo(exif)
     assert with_place(full, Shot(1.0, 2.0)) == full
+
+
+def test_a_photo_with_too_many_segments_is_left_as_it_is() -> None:
+    full = PLAIN[:2] + b"\xff\xfe\0\2" * 5000 + PLAIN[2:]
+    assert with_place(full, Shot(1.0, 2.0)) is full

@@ -1,15 +1,17 @@
 """Photos: from a JPEG's bytes to the picture that a network looks at, and from there back to the photo.
 
-The size in a JPEG's header is looked at before anything is decoded, so that no photo takes more memory than
-MAX_PHOTO_PIXELS allow. OpenCV is imported on first use: a mission imports this module for its exception alone.
+Before anything is decoded, the pixels and the scans of a JPEG are counted: they bound the memory and the time.
+OpenCV is imported on first use: a mission imports this module for its exception alone.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from upwash.services.detection import Box
+from upwash.support.jpeg import EOI, MOST_SEGMENTS, SOI, SOS, Segment, segments_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float32]
 
 MAX_PHOTO_PIXELS = 40_000_000
+MAX_SCANNED_PIXELS = 16 * MAX_PHOTO_PIXELS  # each scan visits all; a progressive JPEG has about 10
 _GREY = 0.5  # around the photo, as Darknet has it
 
 
@@ -115,10 +118,8 @@ def decode_photo(photo: bytes) -> MatLike:
 
 # --- from bytes to pixels --------------------------------------------------------------------------
 
-_END_OF_IMAGE = b"\xff\xd9"
-_START_OF_SCAN = 0xDA
-_WITHOUT_LENGTH = frozenset({0x01, *range(0xD0, 0xD8)})
-_FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_DECODED_FRAMES = (0xC0, 0xC1, 0xC2)  # Huffman's codes, sequential or progressive: all that cameras write
+_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _OTHER_FORMATS = {
     b"\x89PNG": "a PNG",
     b"GIF8": "a GIF",
@@ -134,54 +135,58 @@ class _Header:
     width_px: int
     height_px: int
 
+    def require_bounded(self, *, scans: int) -> None:
+        """Raises NotAPhoto where the pixels, or those that all scans visit, are too many."""
+        size, pixels = f"{self.width_px} x {self.height_px} pixels", self.width_px * self.height_px
+        if not 0 < pixels <= MAX_PHOTO_PIXELS:
+            raise NotAPhoto(
+                f"the JPEG says it has {size}; photos of 1 to {MAX_PHOTO_PIXELS:,} pixels are accepted"
+            )
+        if scans * pixels > MAX_SCANNED_PIXELS:
+            raise NotAPhoto(
+                f"the JPEG has {scans} scans of {size}; photos of that size with at most "
+                f"{MAX_SCANNED_PIXELS // pixels} scans are accepted: save it as a baseline JPEG"
+            )
+
 
 def _read_header(photo: bytes) -> _Header:
-    """Reads a JPEG's size before anything is decoded, and makes sure that the file is whole."""
+    """The size of a JPEG, before anything is decoded; requires a whole file that takes a bounded time to decode."""
     if not photo:
         raise NotAPhoto("the photo is empty (0 bytes); send the bytes of a JPEG file")
     if not photo.startswith(b"\xff\xd8\xff"):
         kind = _OTHER_FORMATS.get(photo[:4], f"{len(photo)} bytes that start with {photo[:4].hex(' ')}")
         raise NotAPhoto(f"the photo is {kind}, not a JPEG; send the bytes of a JPEG file")
-    header, scan_at = _walk_segments(photo)
-    pixels = header.width_px * header.height_px
-    if not 0 < pixels <= MAX_PHOTO_PIXELS:
+    segments = list(segments_of(photo))
+    markers = [segment.marker for segment in segments]
+    if EOI not in markers:
+        raise _without_end(photo, segments)
+    frames = [segment for segment in segments if segment.marker in _FRAMES]
+    if len(frames) != 1 or SOS not in markers or markers.index(SOS) < segments.index(frames[0]):
+        raise NotAPhoto("the JPEG is damaged: it never says its size, or twice; take or copy the photo again")
+    _, start, _ = frames[0]
+    if photo[start + 1] not in _DECODED_FRAMES:
         raise NotAPhoto(
-            f"the JPEG says it has {header.width_px} x {header.height_px} pixels; "
-            f"photos of 1 to {MAX_PHOTO_PIXELS:,} pixels are accepted"
+            f"the JPEG is of a rare kind (marker ff {photo[start + 1]:02x}); save it as a baseline JPEG"
         )
-    # Compressed data never contains this marker, as it escapes every 0xff; in a whole file it is near the end.
-    if photo.rfind(_END_OF_IMAGE, scan_at) < 0:
-        raise _truncated(photo)
+    header = _Header(
+        height_px=int.from_bytes(photo[start + 5 : start + 7]),
+        width_px=int.from_bytes(photo[start + 7 : start + 9]),
+    )
+    header.require_bounded(scans=markers.count(SOS))
     return header
 
 
-def _walk_segments(photo: bytes) -> tuple[_Header, int]:
-    """The frame header and where the compressed data begins (ITU-T T.81, annex B)."""
-    header: _Header | None = None
-    at = 2
-    while at + 4 <= len(photo):
-        marker = photo[at + 1]
-        if photo[at] != 0xFF or marker == 0x00:
-            raise NotAPhoto(f"the JPEG is damaged: byte {at} starts no segment; take or copy the photo again")
-        if marker == 0xFF:  # padding between segments
-            at += 1
-        elif marker in _WITHOUT_LENGTH:
-            at += 2
-        elif marker == _START_OF_SCAN:
-            if header is None:
-                raise NotAPhoto("the JPEG is damaged: it never says its size; take or copy the photo again")
-            return header, at
-        else:
-            if marker in _FRAME_HEADERS and at + 9 <= len(photo):
-                header = _Header(
-                    height_px=int.from_bytes(photo[at + 5 : at + 7]),
-                    width_px=int.from_bytes(photo[at + 7 : at + 9]),
-                )
-            at += 2 + int.from_bytes(photo[at + 2 : at + 4])
-    raise _truncated(photo)
-
-
-def _truncated(photo: bytes) -> NotAPhoto:
+def _without_end(photo: bytes, segments: Sequence[Segment]) -> NotAPhoto:
+    """Why no end comes after these segments."""
+    if len(segments) == MOST_SEGMENTS:
+        return NotAPhoto(
+            f"the JPEG has more than {MOST_SEGMENTS} segments; save it as a baseline JPEG without metadata"
+        )
+    at = segments[-1].end if segments else len(SOI)
+    follows = photo[at : at + 4]
+    in_data = any(segment.marker == SOS for segment in segments)
+    if not in_data and len(follows) == 4 and follows < b"\xff\xc0":  # the least marker of a segment
+        return NotAPhoto(f"the JPEG is damaged: byte {at} starts no segment; take or copy the photo again")
     return NotAPhoto(f"the JPEG is cut off after {len(photo):,} bytes; take or copy the photo again")
 
 

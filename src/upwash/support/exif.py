@@ -9,12 +9,14 @@ refers to stays in its place.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import NamedTuple
 
-_SOI, _APP0, _APP1, _SOS = b"\xff\xd8", 0xE0, 0xE1, 0xDA
+from upwash.support.jpeg import SOI, SOS, segments_of
+
+_APP0, _APP1 = 0xE0, 0xE1
 _EXIF = b"Exif\0\0"
 _LONGEST = 0xFFFF - 2  # of what a segment holds, beside its length
 _BYTE, _ASCII, _LONG, _RATIONAL, _UNDEFINED = 1, 2, 4, 5, 7
@@ -38,12 +40,6 @@ class Shot:
     unix_s: float | None = None
 
 
-class _Segment(NamedTuple):
-    marker: int
-    start: int  # of its marker
-    end: int
-
-
 class _Value(NamedTuple):
     kind: int
     length: int
@@ -52,14 +48,14 @@ class _Value(NamedTuple):
 
 def with_place(jpeg: bytes, shot: Shot) -> bytes:
     """The photo with the place in it; as it is where it has one already, or its bytes are no whole JPEG header."""
-    place, exif = len(_SOI), None
-    for segment in _header(jpeg):
+    place, exif = len(SOI), None
+    for segment in segments_of(jpeg):
         if segment.marker == _APP0 and segment.start == place:
             place = segment.end
         if segment.marker == _APP1 and jpeg.startswith(_EXIF, segment.start + 4):
             exif = segment
             break
-        if segment.marker == _SOS:
+        if segment.marker == SOS:
             break
     else:
         return jpeg
@@ -70,18 +66,6 @@ def with_place(jpeg: bytes, shot: Shot) -> bytes:
         return jpeg
     header = struct.pack(">BBH", 0xFF, _APP1, 2 + len(_EXIF) + len(located))
     return b"".join((jpeg[:start], header, _EXIF, located, memoryview(jpeg)[end:]))
-
-
-def _header(jpeg: bytes) -> Iterator[_Segment]:
-    """The segments up to the picture's data; they end early where the bytes are no JPEG."""
-    at = len(_SOI)
-    while jpeg.startswith(_SOI) and at + 4 <= len(jpeg) and jpeg[at] == 0xFF:
-        length = int.from_bytes(jpeg[at + 2 : at + 4], "big")
-        end = at + 2 + length
-        if length < 2 or end > len(jpeg):
-            return
-        yield _Segment(jpeg[at + 1], at, end)
-        at = end
 
 
 def _located(tiff: bytes, shot: Shot) -> bytes | None:
