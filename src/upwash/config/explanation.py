@@ -15,6 +15,7 @@ from typing import Any
 from msgspec import ValidationError, inspect
 
 from upwash.config.problems import Problem, listed, unknown
+from upwash.support.camera_source import shown_source
 
 _WORDS = {
     inspect.BoolType: "true or false",
@@ -41,7 +42,10 @@ def explained(error: ValidationError, document: Mapping[str, object], kind: type
         return key, str(error.__cause__)  # a table that was checked by its own class
     named = re.search(r" field `(.*)`$", said, re.DOTALL)
     if named is None:
-        return key, f"expected {_described(expected)}, found {_shown(_value_at(document, steps))}"
+        return (
+            key,
+            f"expected {_described(expected)}, found {shown_source(_shown(_value_at(document, steps)))}",
+        )
     name = named.group(1)
     inner_key = f"{key}.{name}" if key else name
     if said.startswith("Object missing"):

@@ -13,6 +13,7 @@ from pathlib import Path
 from upwash.core.geo import Position
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Photo
+from upwash.support.camera_source import is_pipeline, shown_source
 from upwash.support.loading import extra
 
 _JPEG_QUALITY = 95
@@ -41,7 +42,7 @@ class VideoCamera:
     def __init__(self, source: int | str, *, latency_s: float = 0.0) -> None:
         self._source = source
         self._latency_s = latency_s
-        self._name = _without_password(source)
+        self._name = shown_source(source)
         self._loop = asyncio.get_running_loop()
         self._trouble = "it has not been opened yet"
         self._wishes: list[_Wish] = []
@@ -54,7 +55,7 @@ class VideoCamera:
         """The camera, once it has shown a frame; raises CameraError if it does not, UsageError without OpenCV."""
         with extra("detector"):
             await asyncio.to_thread(_silence_opencv)
-        if _is_pipeline(source) and not _has_gstreamer():
+        if is_pipeline(source) and not _has_gstreamer():
             raise UsageError(
                 "camera.device is a pipeline, and this OpenCV was built without GStreamer: use Debian's "
                 "python3-opencv (a virtual environment with --system-site-packages), or the URL of a stream"
@@ -135,7 +136,7 @@ class _Capture:
                 else cv2.VideoCapture(source, cv2.CAP_V4L2)
             )
             self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        elif _is_pipeline(source):
+        elif is_pipeline(source):
             self._capture = cv2.VideoCapture(source, cv2.CAP_GSTREAMER)
         else:
             limit_ms = int(1000 * _FRAME_S)
@@ -164,20 +165,10 @@ class _Capture:
         self._capture.release()
 
 
-def _is_pipeline(source: int | str) -> bool:
-    """Whether it is one as gst-launch has them, such as "v4l2src ! videoconvert ! appsink"."""
-    return isinstance(source, str) and " ! " in source
-
-
 def _has_gstreamer() -> bool:
     import cv2
 
     return re.search(r"GStreamer:\s+YES", cv2.getBuildInformation()) is not None
-
-
-def _without_password(source: int | str) -> str:
-    """The source for logs and messages: a URL without the user and password that it may contain."""
-    return re.sub(r"(?<=://)[^/@]*@", "", str(source))
 
 
 def _silence_opencv() -> None:
