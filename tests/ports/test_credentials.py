@@ -185,7 +185,7 @@ def test_a_key_that_others_can_read_is_refused_with_the_remedy(keys: Path) -> No
     key.chmod(0o644)
     with pytest.raises(CredentialsError) as refused:
         read(keys, "heron")
-    assert str(refused.value) == f"{key}: others can read it (mode 0644): chmod 600 {key}"
+    assert str(refused.value) == f"{key}: others can read it (mode 0644): `chmod 600 {key}`"
     key.chmod(0o600)
     assert read(keys, "heron").names == ("heron",)
     (keys / "authority.key").chmod(0o604)

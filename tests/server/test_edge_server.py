@@ -411,7 +411,7 @@ def test_its_status_is_for_operators() -> None:
         assert status.up_s == pytest.approx(COLD_START_S)
         assert [lease.drone for lease in status.servers[0].leases] == ["d1"]
         assert [refusal.why for refusal in status.refusals] == [
-            "d1 is no operator: show a certificate of `upwash keys --operator NAME`",
+            "d1 is no operator: show a certificate of `upwash keys DIR --operator NAME`",
             "s1 has no free slot: 1 of 1 in use",
         ]
 

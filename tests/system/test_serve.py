@@ -462,7 +462,7 @@ def test_a_daemon_that_reads_no_list_of_revoked_certificates_says_so(tmp_path: P
     with daemon(tmp_path, config(own_keys)):
         wait_for(
             lambda: (
-                f"revoked.txt of `upwash keys` beside {own_keys}/authority.pem"
+                f"revoked.txt of `upwash keys DIR --revoke NAME` beside {own_keys}/authority.pem"
                 in (tmp_path / "stderr").read_text()
             )
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,5 +40,7 @@ def run(options: argparse.Namespace) -> bool:
         announce(str(file))
     for file in make_keys(folder / "keys", servers=[["s1"]], drones=["drone"], operators=["operator"]):
         announce(str(file))
-    announce(f"next: cd {folder} && upwash simulate drone.toml    (README.md has the other commands)")
+    announce(
+        f"next: cd {shlex.quote(str(folder))} && upwash simulate drone.toml    (README.md has the other commands)"
+    )
     return True

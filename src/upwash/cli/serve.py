@@ -66,8 +66,8 @@ def _say_if_none_is_refused(config: DaemonConfig) -> DaemonConfig:
     """Warns where no list of revoked certificates is read, so that revoking one changes nothing here."""
     if config.keys and not config.keys.revoked:
         _log.warning(
-            "no list of revoked certificates is read: put the revoked.txt of `upwash keys` beside %s, or name it as "
-            "keys.revoked; until then no certificate can be taken back",
+            "no list of revoked certificates is read: put the revoked.txt of `upwash keys DIR --revoke NAME` beside "
+            "%s, or name it as keys.revoked; until then no certificate can be taken back",
             config.keys.authority,
         )
     return config

@@ -415,7 +415,7 @@ class AdmissionController:
         """What there is to see of the servers, and the last refusals, for an operator."""
         why = self._mistrust(client)
         if not why and client.certificate and client.role is not Role.OPERATOR:
-            why = f"{client.name} is no operator: show a certificate of `upwash keys --operator NAME`"
+            why = f"{client.name} is no operator: show a certificate of `upwash keys DIR --operator NAME`"
         if why:
             self.refused(_ELSEWHERE, client.name, why, now_s=now_s)
             return Denied(why)

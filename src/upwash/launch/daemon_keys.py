@@ -14,6 +14,7 @@ from upwash.real.credentials import Credentials, at_second, read_credentials, re
 from upwash.real.link import GrpcDialer
 from upwash.real.trust import Trust
 from upwash.rpc.protocol import CertificateStatus
+from upwash.support.commands import command
 
 _log = logging.getLogger("upwash.serving")
 
@@ -57,7 +58,7 @@ def _credentials(config: DaemonConfig) -> Credentials | None:
         return None
     credentials = read_credentials(config.keys.authority, config.keys.certificate, config.keys.key)
     names = ",".join(identity.name for identity in config.identities)
-    remedy = f"make one with `upwash keys DIR --server {names}`"
+    remedy = f"make one with {command('upwash', 'keys', 'DIR', '--server', names)}"
     for identity in config.identities:
         if identity.name not in credentials.names:
             raise CredentialsError(

@@ -18,6 +18,7 @@ from upwash.real.link import GrpcDialer
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopilot
 from upwash.real.mavlink.signing import read_signing
 from upwash.real.runtime import ProcessRuntime, sockets_in
+from upwash.support.commands import command
 from upwash.support.loading import extra
 
 _DEFAULTS = FlightSettings()
@@ -102,8 +103,9 @@ def require_certificates(server: ServerConfig, config: DroneConfig) -> None:
     """Raises UsageError for a server that is not to be called without certificates, where there are none."""
     if config.keys is None and server.address and not is_on_this_machine(server.address):
         raise UsageError(
-            f"server {server.name} at {server.address} needs certificates: make them with `upwash keys` "
-            "and name them in [keys]; only servers on this machine are called without"
+            f"server {server.name} at {server.address} needs certificates: make them with "
+            f"{command('upwash', 'keys', 'DIR', '--server', server.name, '--drone', config.name)} and name them in "
+            "[keys]; only servers on this machine are called without"
         )
 
 

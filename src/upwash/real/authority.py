@@ -42,7 +42,7 @@ _CLOCKS_MAY_DIFFER = timedelta(days=1)  # a drone's clock may be behind the auth
 _LONGEST_NAME = 64  # of a certificate's common name
 _REVOKED_FILE = "revoked.txt"
 _REVOKED_HEAD = (
-    b"# SHA-256 fingerprints of certificates that daemons refuse; `upwash keys --revoke` adds to them.\n"
+    b"# SHA-256 fingerprints of refused certificates; `upwash keys DIR --revoke NAME` adds to them.\n"
 )
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import os
 import sys
 import time
 from datetime import UTC, datetime
@@ -16,17 +17,13 @@ from upwash.errors import CredentialsError
 from upwash.eventlog import schema
 from upwash.ports import Journal
 from upwash.real.credentials import Credentials, at_second
+from upwash.support.commands import command
 
 _WRONG_S = 60.0  # TLS compares seconds, but certificates last years; a GPS without leap seconds is 18 s off
 _EARLIEST_UNIX_S = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # before: a receiver that lost count of weeks
 _LATEST_UNIX_S = datetime(2100, 1, 1, tzinfo=UTC).timestamp()  # after: a broken message
 _STA_UNSYNC = 0x40  # of adjtimex(2): nobody keeps the clock in time
 _PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL = 47, 4  # of prctl(2)
-_REMEDY = (
-    "have a battery-backed clock, or chrony with gpsd, keep this computer's clock; or let upwash set it: "
-    "AmbientCapabilities=CAP_SYS_TIME in the [Service] of its systemd unit, or "
-    f"`sudo systemd-run --pty --uid=$USER -p AmbientCapabilities=CAP_SYS_TIME {sys.executable} -m upwash fly ...`"
-)
 
 
 class Clock(Protocol):
@@ -105,11 +102,21 @@ def _set_if_wrong(gps_unix_s: float, journal: Journal, clock: Clock) -> str:
             journal.record(schema.ClockSet(before=_datetime(now_s), after=_datetime(gps_unix_s)))
             return ", as it was set from the vehicle's GPS: make a new certificate"
     journal.record(schema.ClockDiffers(clock=before, gps=told, why=why_not))
-    return f"; the vehicle's GPS says {told}, but {why_not}: {_REMEDY}"
+    return f"; the vehicle's GPS says {told}, but {why_not}: {_remedy()}"
 
 
 def _silence() -> str:
-    return f"; the vehicle's GPS does not tell the time yet: wait for its fix and start again, or {_REMEDY}"
+    return f"; the vehicle's GPS does not tell the time yet: wait for its fix and start again, or {_remedy()}"
+
+
+def _remedy() -> str:
+    again = [sys.executable, *sys.orig_argv[1:]]
+    with_the_right = ("--pty", "--same-dir", f"--uid={os.getuid()}", "-p", "AmbientCapabilities=CAP_SYS_TIME")
+    return (
+        "have a battery-backed clock, or chrony with gpsd, keep this computer's clock; or let upwash set it: "
+        "AmbientCapabilities=CAP_SYS_TIME in the [Service] of its systemd unit, or "
+        + command("sudo", "systemd-run", *with_the_right, *again)
+    )
 
 
 def _datetime(unix_s: float) -> datetime:

@@ -152,7 +152,7 @@ def read_revoked(file: Path) -> frozenset[str]:
         if not re.fullmatch(r"[0-9a-f]{64}", first):
             raise CredentialsError(
                 f"{file}: line {number} does not begin with a SHA-256 fingerprint: "
-                "add to it with `upwash keys --revoke NAME` only"
+                "add to it with `upwash keys DIR --revoke NAME` only"
             )
         revoked.add(first)
     return frozenset(revoked)

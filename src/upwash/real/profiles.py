@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from upwash.errors import NetworkError
 from upwash.real.networkmanager import NO_OBJECT, Connection, Device, DeviceKind, DeviceState, Profile
+from upwash.support.commands import command
 
 _FITS: dict[str, tuple[int, ...]] = {
     "802-3-ethernet": (DeviceKind.ETHERNET, DeviceKind.VETH),
@@ -43,7 +44,7 @@ def find_device(profile: Profile, interfaces: Sequence[str], devices: Iterable[D
     if profile.interface and profile.interface not in interfaces:
         raise NetworkError(
             f"{profile.name} is for {profile.interface}, which is not among network.interfaces: "
-            f"`nmcli connection modify {profile.name} connection.interface-name {interfaces[0]}`"
+            + modified(profile.name, f"connection.interface-name {interfaces[0]}")
         )
     if profile.kind in _MAKES_ITS_OWN_DEVICE:
         return None
@@ -92,7 +93,9 @@ def interface_trouble(
         known = ", ".join(each.interface for each in devices if each.kind in _KIND_NAMES)
         return f"no such interface; NetworkManager knows {known or 'none'}"
     if device.state <= DeviceState.UNMANAGED:
-        return f"NetworkManager leaves it alone: `nmcli device set {interface} managed yes`"
+        return "NetworkManager leaves it alone: " + command(
+            "nmcli", "device", "set", interface, "managed", "yes"
+        )
     if device.kind == DeviceKind.WIFI and device.state == DeviceState.UNAVAILABLE:
         return "its radio is switched off, or lacks its firmware: `nmcli radio wifi on`"
     if device.connection == NO_OBJECT:
@@ -101,9 +104,15 @@ def interface_trouble(
     if active is None or active.uuid in networks or active.name in networks:
         return ""
     return (
-        f"{active.name} is active on it: name another interface, or free it: `nmcli connection modify "
-        f"{active.name} connection.autoconnect no` and `nmcli connection down {active.name}`"
+        f"{active.name} is active on it: name another interface, or free it: "
+        f"{modified(active.name, 'connection.autoconnect no')} and "
+        + command("nmcli", "connection", "down", active.name)
     )
+
+
+def modified(profile: str, settings: str) -> str:
+    """The command that changes these settings of a connection profile, such as "ipv4.never-default yes"."""
+    return command("nmcli", "connection", "modify", profile, *settings.split())
 
 
 def profile_troubles(profile: Profile) -> Iterator[tuple[str, str]]:

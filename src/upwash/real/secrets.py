@@ -8,6 +8,7 @@ import stat
 from pathlib import Path
 
 from upwash.errors import CredentialsError
+from upwash.support.commands import command
 from upwash.support.input_files import text_of
 
 _MOST_BYTES = 2**20
@@ -22,7 +23,7 @@ def read_secret(file: Path) -> bytes:
     problem = exposure(stat.S_IMODE(status.st_mode), owner=status.st_uid)
     if problem:
         mode = 600 if status.st_uid == os.geteuid() else 640  # with which this program can still read it
-        raise CredentialsError(f"{file}: {problem}: chmod {mode} {file}")
+        raise CredentialsError(f"{file}: {problem}: {command('chmod', mode, file)}")
     return content
 
 

@@ -7,7 +7,14 @@ from collections.abc import Mapping, Sequence
 from upwash.errors import NetworkError
 from upwash.real.finding import Finding
 from upwash.real.networkmanager import Connection, Device, Profile, connect_networkmanager
-from upwash.real.profiles import find_device, find_profile, interface_trouble, kind_name, profile_troubles
+from upwash.real.profiles import (
+    find_device,
+    find_profile,
+    interface_trouble,
+    kind_name,
+    modified,
+    profile_troubles,
+)
 
 _ANY_RADIO = "connection.interface-name ''"
 
@@ -75,5 +82,5 @@ def _network_finding(
     return Finding(
         server,
         found,
-        f"{', '.join(trouble for trouble, _ in troubles)}: `nmcli connection modify {profile.name} {settings}`",
+        f"{', '.join(trouble for trouble, _ in troubles)}: {modified(profile.name, settings)}",
     )

@@ -17,6 +17,7 @@ from upwash.real.docker.image import labelled_image
 from upwash.real.docker.instance import ContainerInstance
 from upwash.real.door import Lead
 from upwash.real.service_image import ServiceImage, image_of
+from upwash.support.commands import command
 
 _log = logging.getLogger("upwash.docker")
 
@@ -107,8 +108,9 @@ class ContainerRuntime:
             held = await self._engine.image(reference)
             if held is None:
                 raise EngineError(
-                    f"there is no image {reference} for {service}: make one with `upwash package {service} "
-                    f"--format docker --import`, or name another with service.image ({why})"
+                    f"there is no image {reference} for {service}: make one with "
+                    f"{command('upwash', 'package', service, '--config', 'CONFIG', '--output', 'DIR', '--import')}, "
+                    f"or name another with service.image ({why})"
                 )
         known = self._images.get(service)
         if known is None or known.fingerprint != held.id:

@@ -25,6 +25,7 @@ from upwash.real.lxd.engine import THE_ONLY_ONE, Engine
 from upwash.real.lxd.image import newest_images
 from upwash.real.lxd.instance import ContainerInstance
 from upwash.real.service_image import ServiceImage
+from upwash.support.commands import command
 
 _log = logging.getLogger("upwash.lxd")
 
@@ -99,10 +100,9 @@ class ContainerRuntime:
         image = newest_images(await self._engine.images()).get(service)
         if image is None:
             raise EngineError(
-                f"the container engine has no image of {service}: make one with `upwash package {service}`, "
-                "and import its file with `lxc image import FILE`"
+                f"the container engine has no image of {service}: make and import one with {_packaged(service)}"
             )
-        image.require_release(f"make it again with `upwash package {service}`")
+        image.require_release(f"make it again with {_packaged(service)}")
         return image
 
     async def _recover(self, container: Container, *, keep: bool) -> bool:
@@ -215,3 +215,8 @@ class ContainerRuntime:
             max_message_bytes=self._max_message_bytes,
             is_announced=True,
         )
+
+
+def _packaged(service: str) -> str:
+    """The command that makes the service's image, and has the engine of the configuration take it."""
+    return command("upwash", "package", service, "--config", "CONFIG", "--output", "DIR", "--import")

@@ -1,0 +1,82 @@
+"""A command that a message shows does what it says once it is pasted."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from upwash.cli.main import command_line
+from upwash.real.networkmanager import Connection, Device, DeviceKind
+from upwash.real.profiles import interface_trouble
+from upwash.support.commands import command
+
+SOURCE = Path(__file__).parents[2] / "src" / "upwash"
+FILLED_IN = "1"  # for what a message fills in: fits a name, a file and a number
+SHOWN = re.compile(r"`(upwash [^`]*)`|: (upwash [a-z]+ [^`\n]*)$")
+NAME = 'field\'s Wired "connection" $1'
+
+
+def shown_commands(file: Path) -> Iterator[list[str]]:
+    """The words of each command of upwash's own that messages of the file show."""
+    tree = ast.parse(file.read_text())
+    parts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+    docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "command":
+            words = [text_of(each) or FILLED_IN for each in node.args]
+            if words[0] == "upwash":
+                yield words
+        elif isinstance(node, ast.JoinedStr) or (text_of(node) and id(node) not in parts | docstrings):
+            for quoted, last in SHOWN.findall(written(node)):
+                yield shlex.split(quoted or last)
+
+
+def text_of(node: ast.AST) -> str:
+    return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else ""
+
+
+def written(node: ast.AST) -> str:
+    parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+    return "".join(text_of(part) if isinstance(part, ast.Constant) else FILLED_IN for part in parts)
+
+
+SOURCES = [file for file in sorted(SOURCE.rglob("*.py")) if any(shown_commands(file))]
+
+
+@pytest.mark.parametrize("file", SOURCES, ids=lambda file: str(file.relative_to(SOURCE)))
+def test_a_command_of_a_message_is_understood(file: Path) -> None:
+    for words in shown_commands(file):
+        try:
+            options = command_line().parse_args(words[1:])
+        except SystemExit:
+            pytest.fail(f"a message shows {shlex.join(words)}")
+        if words[1] == "keys":
+            assert options.folder or options.signing, f"{shlex.join(words)} does not say where keys go"
+
+
+def test_messages_that_show_commands_are_found() -> None:
+    assert len(SOURCES) >= 10
+
+
+def test_a_shell_takes_a_shown_command_as_it_is_meant() -> None:
+    shown = command("nmcli", "connection", "down", NAME)
+    assert shlex.split(shown.strip("`")) == ["nmcli", "connection", "down", NAME]
+
+
+def test_the_way_to_free_an_interface_names_whatever_is_active_there() -> None:
+    trouble = interface_trouble(
+        "wlan1",
+        networks=["s1-net"],
+        devices=[Device("/d", "wlan1", DeviceKind.WIFI, 100, True, "/a")],
+        connections=[Connection("/a", "u", NAME, "802-11-wireless", 2, ("/d",), ())],
+        profiles=[],
+    )
+    assert [shlex.split(shown) for shown in re.findall(r"`(.*?)`", trouble)] == [
+        ["nmcli", "connection", "modify", NAME, "connection.autoconnect", "no"],
+        ["nmcli", "connection", "down", NAME],
+    ]
