@@ -37,7 +37,7 @@ CONTENDERS = {
     "raw": "raw TCP",
     "grpc": "bare gRPC, mutual TLS",
     "remote": "upwash, on the server, mutual TLS",
-    "local": "upwash, on the drone, unix socket",
+    "local": "upwash, on the drone, socket pair",
 }
 DAEMON = """\
 listen = "{host}:0"

@@ -36,7 +36,7 @@ from upwash.real.camera import FolderCamera
 from upwash.real.credentials import Credentials, read_credentials
 from upwash.real.journal import FileJournal, JournalNotifier
 from upwash.real.link import CHANNEL_OPTIONS, GrpcDialer
-from upwash.real.runtime import ProcessRuntime
+from upwash.real.runtime import OwnProcesses
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.vehicle import arducopter
 
@@ -109,16 +109,14 @@ async def fly(folder: Path, rounds: int, addresses: Addresses) -> dict[str, list
             _interleaved(contenders, photo, rounds=warm_up_rounds)
             delays_s.update(_interleaved(contenders, photo, rounds=rounds))
 
+    own = OwnProcesses("drone", max_message_bytes=MAX_MESSAGE_BYTES)
     with contextlib.closing(FileJournal(folder / "events.jsonl", watchers=(watch,))) as journal:
         ports = Ports(
             autopilot=ModelAutopilot(Position(0.0, 0.0), ground_speed_m_s=1.0, manner=arducopter),
             networks=[NoNetwork()],
             dialer=GrpcDialer("drone", credentials, max_message_bytes=MAX_MESSAGE_BYTES),
-            onboard_dialer=GrpcDialer("drone", None, max_message_bytes=MAX_MESSAGE_BYTES),
-            onboard_runtime=ProcessRuntime(
-                lambda spec: f"unix:{folder}/{spec.name}.sock",
-                max_message_bytes=MAX_MESSAGE_BYTES,
-            ),
+            onboard_dialer=own,
+            onboard_runtime=own,
             camera=FolderCamera(folder, photo_s=0.0),
             notifier=JournalNotifier(journal),
             journal=journal,

@@ -5,6 +5,9 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
@@ -19,8 +22,7 @@ from upwash.errors import InstanceError, OutcomeUnknown
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.ports import InstanceSpec, Program
-from upwash.real.link import GrpcDialer
-from upwash.real.runtime import ProcessRuntime
+from upwash.real.runtime import OwnProcesses
 from upwash.rpc.service import load_service, spec_of
 
 MAX_MESSAGE_BYTES = 1_000_000
@@ -68,16 +70,14 @@ class Onboard:
 
 @asynccontextmanager
 async def onboard(services: Path, folder: Path, cls: str = "Workbench") -> AsyncIterator[Onboard]:
-    sockets = iter(range(1000))
+    own = OwnProcesses("heron", max_message_bytes=MAX_MESSAGE_BYTES)
     diary = Diary()
     program = f"{services}:{cls}"
     running = OnboardServices(
         [InstanceSpec("heron", cls.lower(), Program(program))],
         drone="heron",
-        runtime=ProcessRuntime(
-            lambda _: f"unix:{folder}/{next(sockets)}", max_message_bytes=MAX_MESSAGE_BYTES
-        ),
-        dialer=GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES),
+        runtime=own,
+        dialer=own,
         journal=diary,
     )
     try:
@@ -247,3 +247,56 @@ def test_services_that_were_never_started_can_be_closed(services: Path, tmp_path
             """Nothing."""
 
     asyncio.run(run())
+
+
+def test_a_crash_without_a_usable_temporary_folder_is_survived(
+    services: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "removed"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "removed"))
+
+    async def use(drone: Onboard) -> None:
+        os.kill(await drone.call("process_id"), signal.SIGKILL)
+        await drone.diary.until("local_ready", 2)
+        assert await drone.call("echo", b"photo") == b"photo"
+
+    with_started(services, tmp_path, use)
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("folder", ["empty", "full"])
+def test_a_crash_with_the_shared_temporary_folder_empty_or_full_is_survived(
+    services: Path, folder: str
+) -> None:
+    """In a mount namespace of its own, where `/tmp` has room for one page."""
+    program = [sys.executable, "-c", CRASHES, str(services), folder]
+    script = 'mount -t tmpfs -o size=4096 none /tmp && exec "$@"'
+    flown = subprocess.run(
+        ["unshare", "--mount", "--map-root-user", "sh", "-c", script, "sh", *program],
+        env={**os.environ, "TMPDIR": "/tmp", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if flown.stderr.startswith(("unshare: ", "mount: ")):
+        pytest.skip(flown.stderr)
+    assert flown.stdout == "photo\n", flown.stderr
+
+
+CRASHES = """
+import asyncio, os, signal, sys
+from pathlib import Path
+from tests.drone.test_onboard import onboard
+
+async def run():
+    async with onboard(Path(sys.argv[1]), Path("/nowhere")) as drone:
+        await drone.services.start()
+        assert not list(Path("/tmp").iterdir()), "something of it lies there"
+        if sys.argv[2] == "full":
+            Path("/tmp/full").write_bytes(bytes(4096))
+        os.kill(await drone.call("process_id"), signal.SIGKILL)
+        await drone.diary.until("local_ready", 2)
+        print((await drone.call("echo", b"photo")).decode())
+
+asyncio.run(run())
+"""

@@ -29,7 +29,8 @@ from upwash.real.crowd import Crowd, Recent, Turns
 from upwash.real.door import Door, DoorLimits, leading, opened_door
 from upwash.real.frames import PREFACE, Counted, FrameCounter
 from upwash.real.link import GrpcDialer
-from upwash.real.listener import Caller, Health, Listener, WhoIs
+from upwash.real.listener import Health, Listener, WhoIs
+from upwash.real.requests import Caller, Requests
 from upwash.real.streams import listening_socket
 from upwash.real.trust import Trust
 from upwash.sim.loop import run_virtually
@@ -46,14 +47,8 @@ def name_of_caller(_path: str, _body: bytes, caller: Caller) -> bytes:
 
 
 def make(listen: str, who_is: WhoIs) -> Listener:
-    listener = Listener(
-        listen,
-        name_of_caller,
-        max_message_bytes=100_000,
-        concurrent_requests=16,
-        requests_per_drone=16,
-        who_is=who_is,
-    )
+    requests = Requests(name_of_caller, max_message_bytes=100_000, concurrent=16, each=16)
+    listener = Listener(listen, requests, who_is=who_is)
     listener.add(Health(["s1"]))
     return listener
 

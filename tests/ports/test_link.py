@@ -23,7 +23,8 @@ from tests.waiting import wait_for
 from upwash.errors import DeadlineExceeded, LinkError, NoLease, Refused, Unreachable, UpwashError, UsageError
 from upwash.real.credentials import Credentials
 from upwash.real.link import DRONE_METADATA, GrpcDialer, GrpcLink
-from upwash.real.listener import Caller, Gate, Handler, Listener, WhoIs
+from upwash.real.listener import Listener, WhoIs
+from upwash.real.requests import Caller, Gate, Handler, Requests
 from upwash.rpc.protocol import AVAILABILITY, LONGEST_REPLY_BYTES, START, STATUS
 
 MAX_MESSAGE_BYTES = 100_000
@@ -48,15 +49,10 @@ def listening(
     gate: Gate = lambda _path, _caller: None,
 ) -> Iterator[str]:
     def make(listen: str, who_is: WhoIs | None = None) -> Listener:
-        return Listener(
-            listen,
-            handler,
-            max_message_bytes=MAX_MESSAGE_BYTES,
-            concurrent_requests=concurrently,
-            requests_per_drone=each,
-            who_is=who_is,
-            gate=gate,
+        requests = Requests(
+            handler, max_message_bytes=MAX_MESSAGE_BYTES, concurrent=concurrently, each=each, gate=gate
         )
+        return Listener(listen, requests, who_is=who_is)
 
     if shown is not None:
         with behind_door(make, shown, listen=listen) as (_, _, address):
@@ -204,11 +200,7 @@ def test_a_server_that_stops_ends_the_request_under_way() -> None:
     async def ask() -> None:
         handler = Stuck()
         stuck = Listener(
-            "127.0.0.1:0",
-            handler,
-            max_message_bytes=MAX_MESSAGE_BYTES,
-            concurrent_requests=4,
-            requests_per_drone=4,
+            "127.0.0.1:0", Requests(handler, max_message_bytes=MAX_MESSAGE_BYTES, concurrent=4, each=4)
         )
         with started(stuck) as listener:
             async with linked(listener.address) as link:

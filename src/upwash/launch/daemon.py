@@ -26,7 +26,8 @@ from upwash.real.announced import Inside
 from upwash.real.door import Door, Seen, door_limits, leading, opened_door, raise_limit_of_files
 from upwash.real.hand_over import HandedOver, Served, hand_over
 from upwash.real.limits import Limits
-from upwash.real.listener import Caller, Health, Listener, cannot_listen
+from upwash.real.listener import Health, Listener, cannot_listen
+from upwash.real.requests import Caller, Requests
 from upwash.real.runtime import ProcessRuntime, sockets_in
 from upwash.real.sandbox import Sandbox, find_sandbox
 from upwash.real.service_manager import ServiceManager
@@ -385,13 +386,16 @@ def _listener(config: DaemonConfig, inside: Inside | None, handle: Handle) -> Li
             answer.cancel()
             raise Refused("the drone's deadline is over") from None
 
+    requests = Requests(
+        answer_in_time,
+        max_message_bytes=min(config.max_message_bytes, _LONGEST_REQUEST_BYTES),
+        concurrent=_CONCURRENT_REQUESTS,
+        each=_REQUESTS_PER_DRONE,
+    )
     return Listener(
         f"unix:{inside.path}" if inside else config.listen,
-        answer_in_time,
+        requests,
         who_is=inside.client if inside else None,
-        max_message_bytes=min(config.max_message_bytes, _LONGEST_REQUEST_BYTES),
-        concurrent_requests=_CONCURRENT_REQUESTS,
-        requests_per_drone=_REQUESTS_PER_DRONE,
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 from upwash.config import DroneConfig, ServerConfig, is_on_this_machine
 from upwash.config.values import MDNS
@@ -17,7 +16,7 @@ from upwash.real.credentials import Credentials, read_credentials
 from upwash.real.link import GrpcDialer
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopilot
 from upwash.real.mavlink.signing import read_signing
-from upwash.real.runtime import ProcessRuntime, sockets_in
+from upwash.real.runtime import OwnProcesses
 from upwash.support.commands import command
 from upwash.support.loading import extra
 
@@ -140,11 +139,6 @@ def drone_credentials(config: DroneConfig, *, valid_now: bool = True) -> Credent
     return credentials
 
 
-def onboard_runtime(sockets: Path, *, max_message_bytes: int) -> ProcessRuntime:
-    """Starts the drone's own services, which listen in that folder."""
-    return ProcessRuntime(sockets_in(sockets), max_message_bytes=max_message_bytes)
-
-
-def onboard_dialer(drone: str, *, max_message_bytes: int) -> GrpcDialer:
-    """Dials the drone's own services, which need no certificates."""
-    return GrpcDialer(drone, None, max_message_bytes=max_message_bytes)
+def onboard(drone: str, *, max_message_bytes: int) -> OwnProcesses:
+    """Starts and dials the drone's own services."""
+    return OwnProcesses(drone, max_message_bytes=max_message_bytes)

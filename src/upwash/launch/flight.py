@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import tempfile
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -18,8 +17,7 @@ from upwash.launch.cameras import opened_camera
 from upwash.launch.drone import (
     VehicleLink,
     drone_credentials,
-    onboard_dialer,
-    onboard_runtime,
+    onboard,
     server_dialer,
     server_finder,
     vehicle_link,
@@ -162,13 +160,13 @@ async def _ports(
     journal: FileJournal,
     stack: contextlib.AsyncExitStack,
 ) -> Ports:
-    sockets = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="upwash-")))
+    own = onboard(config.name, max_message_bytes=config.max_message_bytes)
     return Ports(
         autopilot=autopilot,
         networks=await opened_networks(config, autopilot, journal, stack),
         dialer=server_dialer(config, credentials),
-        onboard_dialer=onboard_dialer(config.name, max_message_bytes=config.max_message_bytes),
-        onboard_runtime=onboard_runtime(sockets, max_message_bytes=config.max_message_bytes),
+        onboard_dialer=own,
+        onboard_runtime=own,
         camera=camera,
         notifier=JournalNotifier(journal),
         journal=journal,

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 
 from upwash.config import DroneConfig, ServerConfig
 from upwash.config.values import MDNS
@@ -12,8 +10,7 @@ from upwash.drone.networks import NoNetwork
 from upwash.drone.server_session import ServerEndpoint
 from upwash.launch.drone import (
     drone_credentials,
-    onboard_dialer,
-    onboard_runtime,
+    onboard,
     require_address,
     require_certificates,
     server_dialer,
@@ -40,17 +37,17 @@ async def profile_on_this_computer(
     service: LoadedService, found: Sequence[Sample], *, calls: int, watch: Watch
 ) -> OnboardProfile:
     """Measures the service in instances such as the drone's own."""
-    with tempfile.TemporaryDirectory(prefix="upwash-") as sockets:
-        return await profile_onboard(
-            InstanceSpec(_PROFILER, spec_of(service.cls).name, service.program),
-            found,
-            calls=calls,
-            drone=_PROFILER,
-            runtime=onboard_runtime(Path(sockets), max_message_bytes=_MAX_MESSAGE_BYTES),
-            dialer=onboard_dialer(_PROFILER, max_message_bytes=_MAX_MESSAGE_BYTES),
-            memory_bytes=peak_memory_bytes,
-            watch=watch,
-        )
+    own = onboard(_PROFILER, max_message_bytes=_MAX_MESSAGE_BYTES)
+    return await profile_onboard(
+        InstanceSpec(_PROFILER, spec_of(service.cls).name, service.program),
+        found,
+        calls=calls,
+        drone=_PROFILER,
+        runtime=own,
+        dialer=own,
+        memory_bytes=peak_memory_bytes,
+        watch=watch,
+    )
 
 
 async def profile_at(

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import functools
 import importlib
-import tempfile
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 from upwash.config import DroneConfig
@@ -19,7 +17,7 @@ from upwash.launch.drone import (
     connection_of,
     drone_credentials,
     home_of,
-    onboard_runtime,
+    onboard,
     require_address,
     require_certificates,
     signing_of,
@@ -77,14 +75,13 @@ def _require(name: str, module: str) -> None:
 async def services_that_do_not_start(config: DroneConfig) -> list[InstanceError]:
     """Starts each of the drone's own services as a flight does, and ends it again; why some cannot run."""
     failed = []
-    with tempfile.TemporaryDirectory(prefix="upwash-") as sockets:
-        runtime = onboard_runtime(Path(sockets), max_message_bytes=config.max_message_bytes)
-        for name, service in load_services(config.services).items():
-            spec = InstanceSpec(config.name, name, service.program)
-            try:
-                instance = await runtime.start(spec, called=lambda _: None)
-            except InstanceError as error:
-                failed.append(error)
-            else:
-                await instance.stop()
+    runtime = onboard(config.name, max_message_bytes=config.max_message_bytes)
+    for name, service in load_services(config.services).items():
+        spec = InstanceSpec(config.name, name, service.program)
+        try:
+            instance = await runtime.start(spec, called=lambda _: None)
+        except InstanceError as error:
+            failed.append(error)
+        else:
+            await instance.stop()
     return failed

@@ -26,9 +26,10 @@ MOST_REPORTS_PER_S = 1000  # one for each call, and one a second for each drone
 class Begin(msgspec.Struct, frozen=True, tag="begin"):
     """To the instance, first: what to be.
 
-    gRPC listens at `listen`. What comes to the inherited socket is handed on to there; in a container what comes to
-    the address `outside` from who holds the same `credentials`. Each such connection announces who calls if it
+    gRPC listens at `listen`. The inherited socket's connections are handed on to gRPC; in a container those of the
+    address `outside`, from holders of the same `credentials`. Each connection announces its caller if it
     `is_announced`.
+    Without `listen`, calls arrive over the inherited socket itself (`direct`).
     """
 
     program: str

@@ -1,6 +1,6 @@
 """A service's program in any language, which answers calls over its standard input and output.
 
-Each frame is 4 bytes with its length, the highest first, and so many bytes of MessagePack: docs/other-languages.md.
+The frames are those of `framing`: docs/other-languages.md.
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ from typing import IO
 import msgspec
 
 from upwash.errors import UsageError
+from upwash.real.framing import BESIDE_BYTES, frame, read_frame
 from upwash.rpc.service import Fault, Method
 from upwash.support.text import printable
 
-_LENGTH_BYTES = 4
 _LONGEST_REASON = 1000
 _ENDS_S = 1.0  # once it has hung up
-_BESIDE_BYTES = 4096  # of a frame, beside what is limited
 
 
 class Call(msgspec.Struct, frozen=True):
@@ -59,12 +58,6 @@ _encoder = msgspec.msgpack.Encoder()
 _answer = msgspec.msgpack.Decoder(Answer)
 
 
-def frame(message: Call | Settings | Answer) -> bytes:
-    """The message as it is written."""
-    body = _encoder.encode(message)
-    return len(body).to_bytes(_LENGTH_BYTES) + body
-
-
 class ForeignProgram:
     """Starts the program, and has it compute calls; raises UsageError where it does not start.
 
@@ -75,7 +68,7 @@ class ForeignProgram:
     def __init__(
         self, command: Sequence[str], settings: Mapping[str, object], *, max_message_bytes: int
     ) -> None:
-        self._most_bytes = max_message_bytes + _BESIDE_BYTES
+        self._most_bytes = max_message_bytes + BESIDE_BYTES
         self._numbers = itertools.count(1)
         self._writing = threading.Lock()
         self._waiting: dict[int, Future[Answer]] = {}
@@ -122,10 +115,7 @@ class ForeignProgram:
             self._input.flush()
 
     def _read(self, output: IO[bytes]) -> Answer:
-        length = int.from_bytes(_whole(output, _LENGTH_BYTES))
-        if length > self._most_bytes:
-            raise ValueError(f"a frame of {length} bytes, at most {self._most_bytes} are read")
-        answer = _answer.decode(_whole(output, length))
+        answer = _answer.decode(read_frame(output, most_bytes=self._most_bytes))
         if (answer.value is msgspec.UNSET) == (answer.fault is msgspec.UNSET):
             raise ValueError("an answer with neither a value nor a fault, or with both")
         return answer
@@ -154,10 +144,3 @@ class ForeignProgram:
         if why:
             print(printable(why, _LONGEST_REASON), flush=True)  # noqa: T201 - for the log of who started this
         os._exit(1 if why else code)
-
-
-def _whole(output: IO[bytes], length: int) -> bytes:
-    data = output.read(length)
-    if len(data) < length:
-        raise EOFError("it hung up")
-    return data

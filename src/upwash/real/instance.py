@@ -1,8 +1,9 @@
 """One service instance: a process of its own that a runtime started.
 
-`python -m upwash.real.instance CONTROL [OUTSIDE]`, two file descriptors: the control socket, and in a sandbox the
-socket that listens outside. It imports the service, pays its cold start, and serves as many calls at a time as the
-service declares: by default one after the other, as services need not be safe for threads.
+`python -m upwash.real.instance CONTROL [OUTSIDE]`, two file descriptors: the control socket, and a socket for calls.
+The second one listens outside a sandbox, or is an end of a pair; an instance with an address of its own has none. The
+process imports the service, pays its cold start, and serves as many calls at a time as the service declares. The
+default is one: services need not be safe for threads.
 """
 
 from __future__ import annotations
@@ -42,8 +43,10 @@ from upwash.real.control import (
     to_instance,
 )
 from upwash.real.control_credentials import ControlCredentials
+from upwash.real.direct import DirectListener
 from upwash.real.foreign import ForeignProgram
-from upwash.real.listener import Caller, Health, Listener
+from upwash.real.listener import Health, Listener
+from upwash.real.requests import Caller, Requests
 from upwash.real.socket_proxy import SocketProxy
 from upwash.real.streams import listening_socket
 from upwash.rpc.protocol import service_path
@@ -71,7 +74,7 @@ class _Performed:
 class ServiceInstance:
     """Serves the calls of one service object."""
 
-    def __init__(self, begin: Begin, control: socket.socket) -> None:
+    def __init__(self, begin: Begin, control: socket.socket, outside: socket.socket | None) -> None:
         cls = load_service(begin.program)
         spec = spec_of(cls)
         self._compute: Callable[[Method, bytes], tuple[str, bytes]]
@@ -97,22 +100,28 @@ class ServiceInstance:
         self._reported_s: dict[str, float] = {}  # when each drone's calls were last reported
         self._reports = Allowance(MOST_REPORTS_PER_S, at_once=MOST_REPORTS_PER_S)
         self._is_announced = begin.is_announced
-        self._inside = Inside(begin.listen.removeprefix("unix:"))
-        self._listener = Listener(
-            begin.listen,
+        requests = Requests(
             self._answer,
             max_message_bytes=begin.max_message_bytes,
-            concurrent_requests=_CONCURRENT_CALLS,
-            requests_per_drone=_CALLS_PER_DRONE,
+            concurrent=_CONCURRENT_CALLS,
+            each=_CALLS_PER_DRONE,
             gate=self._admit,
-            who_is=self._inside.client if begin.is_announced else None,
         )
+        self._listener: Listener | DirectListener
+        self._inside: Inside | None = None
+        if not begin.listen:
+            assert outside is not None  # noqa: S101 - its program's other end
+            self._listener = DirectListener(outside, requests)
+            return
+        self._inside = Inside(begin.listen.removeprefix("unix:"))
+        who_is = self._inside.client if begin.is_announced else None
+        self._listener = Listener(begin.listen, requests, who_is=who_is)
         self._listener.add(Health())
 
     def serve(self, outside: socket.socket | None, context: ssl.SSLContext | None) -> None:
         """Begins to answer, also who connects to the socket from outside, and says so."""
         self._listener.start()
-        if outside is not None:
+        if outside is not None and self._inside is not None:
             SocketProxy(outside, self._inside, is_announced=self._is_announced, context=context).open()
         self._report(Ready(self._listener.address))
 
@@ -214,7 +223,7 @@ def main() -> NoReturn:
     try:
         if begin.limits is not None:
             begin.limits.apply()
-        instance = ServiceInstance(begin, control)
+        instance = ServiceInstance(begin, control, outside)
     except UsageError as error:
         if error.__cause__ is not None:
             traceback.print_exception(error.__cause__)  # for the log of who started this

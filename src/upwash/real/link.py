@@ -197,19 +197,28 @@ class GrpcLink:
             case grpc.StatusCode.PERMISSION_DENIED:
                 return NoLease(f"{self._peer}: {details}")
             case grpc.StatusCode.RESOURCE_EXHAUSTED if not path.startswith(f"/{_DAEMON}/"):
-                return Refused(f"{self._peer}: {_too_large(details)}")
+                return Refused(f"{self._peer}: {_in_words(details)}")
             case _:
                 return Refused(f"{self._peer}: {code.name}: {details}")
 
 
-def _too_large(details: str) -> str:
-    """What is too large for whom, and what to do about it, in place of what gRPC says."""
+def _in_words(details: str) -> str:
+    """gRPC's words about a size, with what to do; other words stay as they are."""
     found = _LARGER.search(details)
     if found is None:
         return details
     end, did, size, most = found.groups()
     what = "request" if (end, did) in (("CLIENT", "Sent"), ("SERVER", "Received")) else "result"
-    whose = "the drone" if end == "CLIENT" else "the computer that runs the service"
+    return too_large(
+        what,
+        int(size),
+        int(most),
+        whose="the drone" if end == "CLIENT" else "the computer that runs the service",
+    )
+
+
+def too_large(what: str, size: int, most: int, *, whose: str) -> str:
+    """Why a request or a result of that size is not carried, and what to do; `whose` configuration limits it."""
     return (
         f"the {what} has {size} bytes, more than max_message_bytes = {most}: make it smaller, or raise that in the "
         f"configuration of {whose}"

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import logging
 import socket
-import threading
-from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any
 
 import grpc
@@ -17,12 +12,9 @@ import grpc
 from upwash.core.clients import Client
 from upwash.errors import NoLease, Refused, UpwashError, UsageError
 from upwash.real.link import DRONE_METADATA
-from upwash.real.log import Sparing
+from upwash.real.requests import Caller, Requests, words_for_caller
 from upwash.rpc.protocol import HEALTH_CHECK, SERVING
 from upwash.support.text import printable
-
-_log = logging.getLogger("upwash.listener")
-_log.addFilter(Sparing())
 
 SERVER_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.so_reuseport", 0),  # else two daemons could share a port, and each get half of the calls
@@ -44,63 +36,31 @@ _LAST_REQUESTS_S = 5.0  # for handlers that are told that nobody waits
 NOT_SERVING = b"\x08\x02"  # a HealthCheckResponse, as SERVING is
 
 
-@dataclass(frozen=True, slots=True)
-class Caller:
-    """Who sent a request, and whether they still wait for the answer."""
-
-    client: Client
-    time_left_s: Callable[[], float | None]
-    is_waiting: Callable[[], bool]
-
-
-Handler = Callable[[str, bytes, Caller], bytes]
-Gate = Callable[[str, Caller], None]
 WhoIs = Callable[[str], Client]  # at the other end of gRPC's peer
 
 
 class Listener:
-    """Answers requests at one address with `handler`, which runs in a thread of the listener's.
+    """Answers requests at one address, each in a thread of the listener's.
 
-    A handler refuses by raising `Refused`; any other error is a bug of the handler, logged, and answered as an
-    internal error without its text. `gate` may refuse in the same way before the request's body is received, so
-    that whoever is not served takes no memory. `who_is` knows callers by their connections, which a door has
-    announced; without it they say themselves who they are. Whoever takes long to send its body keeps none but
-    itself waiting. Beyond `concurrent_requests` under way, and `requests_per_drone` of one drone, each is refused.
+    `who_is` knows callers by their connections, which a door has announced; without it they say themselves who they
+    are. A caller who takes long to send its body keeps none but itself waiting.
     """
 
-    def __init__(
-        self,
-        listen: str,
-        handler: Handler,
-        *,
-        max_message_bytes: int,
-        concurrent_requests: int,
-        requests_per_drone: int,
-        gate: Gate = lambda _path, _caller: None,
-        who_is: WhoIs | None = None,
-    ) -> None:
+    def __init__(self, listen: str, requests: Requests, *, who_is: WhoIs | None = None) -> None:
         if _is_in_use(listen):
             raise cannot_listen(listen)
         self._server = grpc.server(
             ThreadPoolExecutor(
-                max_workers=concurrent_requests + _REFUSING, thread_name_prefix="upwash-request"
+                max_workers=requests.concurrent + _REFUSING, thread_name_prefix="upwash-request"
             ),
-            maximum_concurrent_rpcs=concurrent_requests + _REFUSING,
+            maximum_concurrent_rpcs=requests.concurrent + _REFUSING,
             options=[
                 *SERVER_OPTIONS,
-                ("grpc.max_receive_message_length", max_message_bytes),
-                ("grpc.max_send_message_length", max_message_bytes),
+                ("grpc.max_receive_message_length", requests.max_message_bytes),
+                ("grpc.max_send_message_length", requests.max_message_bytes),
             ],
         )
-        requests = _Requests(
-            handler,
-            gate,
-            who_is=who_is,
-            max_message_bytes=max_message_bytes,
-            concurrent_requests=concurrent_requests,
-            requests_per_drone=requests_per_drone,
-        )
-        self._server.add_generic_rpc_handlers((requests,))
+        self._server.add_generic_rpc_handlers((_Handlers(requests, who_is),))
         try:
             port = self._server.add_insecure_port(listen)
         except RuntimeError as error:
@@ -171,27 +131,12 @@ def _health_question(name: str) -> bytes:
     return b"\x0a" + bytes([len(text)]) + text if text else b""
 
 
-class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
-    """Hands every unary request below /upwash. to the handler, once it has passed the gate and is whole."""
+class _Handlers(grpc.GenericRpcHandler):  # type: ignore[misc]
+    """Has every unary request below /upwash. answered, whose body is received once it is let in."""
 
-    def __init__(
-        self,
-        handler: Handler,
-        gate: Gate,
-        *,
-        who_is: WhoIs | None,
-        max_message_bytes: int,
-        concurrent_requests: int,
-        requests_per_drone: int,
-    ) -> None:
-        self._handler = handler
-        self._gate = gate
+    def __init__(self, requests: Requests, who_is: WhoIs | None) -> None:
+        self._requests = requests
         self._who_is = who_is
-        self._max_message_bytes = max_message_bytes
-        self._concurrent_requests = concurrent_requests
-        self._requests_per_drone = requests_per_drone
-        self._counting = threading.Lock()
-        self._under_way: Counter[str] = Counter()
 
     def service(self, handler_call_details: Any) -> Any:
         path: str = handler_call_details.method
@@ -205,51 +150,31 @@ class _Requests(grpc.GenericRpcHandler):  # type: ignore[misc]
     def _answer(self, path: str, bodies: Iterator[bytes], context: grpc.ServicerContext) -> bytes:
         caller = Caller(self._client(context), context.time_remaining, context.is_active)
         try:
-            with self._counted(caller.client.key):
-                self._gate(path, caller)
-                reply = self._handler(path, _whole(bodies, self._max_message_bytes), caller)
-                if len(reply) > self._max_message_bytes:
-                    raise Refused(
-                        f"the result has {len(reply)} bytes, more than max_message_bytes = "
-                        f"{self._max_message_bytes}: "
-                        "make it smaller, or raise that in the configuration of the computer that runs the service"
-                    )
-                return reply
-        except Refused as refusal:
-            why = printable(str(refusal))
-            _log.warning("refused %s to %s: %s", path, caller.client.name or "an unnamed caller", why)
-            # Drones that know nothing of turns take each of the two for a refusal.
-            lacks_lease = isinstance(refusal, NoLease)
-            code = grpc.StatusCode.PERMISSION_DENIED if lacks_lease else grpc.StatusCode.FAILED_PRECONDITION
-            context.abort(code, why)
-        except UpwashError as error:
-            context.abort(grpc.StatusCode.ABORTED, printable(str(error)))
-        except BaseException:  # noqa: BLE001 - a bug of the handler must not end the listener
-            _log.exception("%s by %s failed", path, caller.client.name)
-            context.abort(grpc.StatusCode.INTERNAL, "the server failed; its log says why")
+            return self._requests.answer(
+                path, caller, lambda: _whole(bodies, self._requests.max_message_bytes)
+            )
+        except BaseException as error:  # noqa: BLE001 - a defect of the handler must not end the listener
+            context.abort(_status_of(error), words_for_caller(error))
         raise AssertionError("abort raises")
-
-    @contextlib.contextmanager
-    def _counted(self, drone: str) -> Iterator[None]:
-        with self._counting:
-            if self._under_way.total() >= self._concurrent_requests:
-                raise Refused(f"{self._concurrent_requests} requests are under way already")
-            if self._under_way[drone] >= self._requests_per_drone:
-                raise Refused(f"this drone has {self._requests_per_drone} requests under way already")
-            self._under_way[drone] += 1
-        try:
-            yield
-        finally:
-            with self._counting:
-                self._under_way[drone] -= 1
-                if not self._under_way[drone]:
-                    del self._under_way[drone]
 
     def _client(self, context: grpc.ServicerContext) -> Client:
         if self._who_is is not None:
             return self._who_is(context.peer())
         named = (value for key, value in context.invocation_metadata() if key == DRONE_METADATA)
         return Client(printable(next(named, ""), _LONGEST_NAME))
+
+
+def _status_of(error: BaseException) -> grpc.StatusCode:
+    """What an error is for gRPC. Drones that know nothing of turns take either of the first two for a refusal."""
+    match error:
+        case NoLease():
+            return grpc.StatusCode.PERMISSION_DENIED
+        case Refused():
+            return grpc.StatusCode.FAILED_PRECONDITION
+        case UpwashError():
+            return grpc.StatusCode.ABORTED
+        case _:
+            return grpc.StatusCode.INTERNAL
 
 
 def _whole(bodies: Iterator[bytes], max_message_bytes: int) -> bytes:

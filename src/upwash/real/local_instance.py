@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import socket
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
@@ -15,13 +16,15 @@ from upwash.errors import InstanceError
 from upwash.ports import Answered, InstanceSpec
 from upwash.real.announced import announcing_at
 from upwash.real.control import Begin
+from upwash.real.direct import Calls, direct_pair
 from upwash.real.door import Lead, Passage
 from upwash.real.instance_control import InstanceControl
 from upwash.real.output import Output, reading_pace
-from upwash.real.streams import endpoint_of, listening_socket
+from upwash.real.streams import endpoint_of, hang_up, listening_socket
 
 STOP_GRACE_S = 2.0
 _CHUNK_BYTES = 65536
+_numbers = itertools.count()  # of pairs, in their names
 _INSIDE = "unix:/tmp/instance.sock"  # in its own /tmp
 
 
@@ -70,6 +73,7 @@ class LocalInstance:
         self._called = called
         self._answered = answered
         self._passage: Passage | None = None
+        self._calls: Calls | None = None
         self._path = ""  # of the socket to which callers are led
         self._running: Running | None = None
         self._output = Output(spec.name)
@@ -81,12 +85,16 @@ class LocalInstance:
         """Starts it and tells it what to be; returns when it is ready, raises InstanceError.
 
         One that `is_apart` has no address to listen at, and behind a door each connection has a first line: it
-        inherits the listening socket, and hands on what comes to it.
+        inherits the listening socket, and hands on what comes to it. Without an address the
+        instance is called over a pair: `take_calls`.
         """
         listen, endpoint = begin.listen, ""
         with contextlib.ExitStack() as stack:
             outside: socket.socket | None = None
-            if is_apart or self._lead is not None:
+            if not listen:
+                outside = stack.enter_context(await self._pair())
+                endpoint = f"pair:{next(_numbers)}"
+            elif is_apart or self._lead is not None:
                 outside = stack.enter_context(self._listen_at(listen))
                 endpoint = endpoint_of(outside)
                 begin = msgspec.structs.replace(begin, listen=_INSIDE if is_apart else f"{listen}-inside")
@@ -102,6 +110,12 @@ class LocalInstance:
             self.endpoint = endpoint
         else:
             self.endpoint = address if address.startswith("unix:") else f":{address.rpartition(':')[2]}"
+
+    def take_calls(self) -> Calls:
+        """The program's end of the pair to an instance without an address; only once."""
+        assert self._calls is not None  # noqa: S101 - it began so, and nobody has it yet
+        calls, self._calls = self._calls, None
+        return calls
 
     async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
         """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
@@ -124,6 +138,9 @@ class LocalInstance:
     async def stop(self) -> None:
         """Ends it and everything that it started; returns when it is gone."""
         await self._shut()
+        if self._calls is not None:
+            _, unused = self.take_calls()
+            hang_up(unused.transport)
         if self._running is not None:
             await self._running.end()
         if self._listening is not None:
@@ -168,6 +185,13 @@ class LocalInstance:
         await self.control.ended()
         if not self.control.fault:
             await asyncio.sleep(STOP_GRACE_S)
+
+    async def _pair(self) -> socket.socket:
+        try:
+            self._calls, theirs = await direct_pair()
+        except OSError as error:
+            raise InstanceError(f"{self.spec.name} did not start: {error}") from error
+        return theirs
 
     def _listen_at(self, address: str) -> socket.socket:
         try:

@@ -11,9 +11,11 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from weakref import WeakValueDictionary
 
 from upwash.ports import Answered, InstanceSpec, ignored
 from upwash.real.control import Begin, begin_of
+from upwash.real.direct import DirectLink
 from upwash.real.door import Lead
 from upwash.real.local_instance import STOP_GRACE_S, Handed, LocalInstance
 from upwash.real.sandbox import Sandbox, open_call_filter
@@ -25,6 +27,11 @@ def sockets_in(folder: Path) -> Callable[[InstanceSpec], str]:
     """Has each instance listen at a unix socket of its own in the folder."""
     numbers = itertools.count()
     return lambda spec: f"unix:{folder}/{spec.name}-{next(numbers)}.sock"
+
+
+def nowhere(_spec: InstanceSpec) -> str:
+    """Has each instance called over a socket pair alone, which needs no address."""
+    return ""
 
 
 class ProcessRuntime:
@@ -118,3 +125,29 @@ class ProcessGroup:
     def _signal(self, number: signal.Signals) -> None:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, number)
+
+
+class OwnProcesses(ProcessRuntime):
+    """Starts a program's own services, and dials them: each is called over a socket pair."""
+
+    def __init__(self, drone: str, *, max_message_bytes: int) -> None:
+        super().__init__(nowhere, max_message_bytes=max_message_bytes)
+        self._drone = drone
+        self._instances: WeakValueDictionary[str, LocalInstance] = WeakValueDictionary()
+
+    async def start(
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
+    ) -> LocalInstance:
+        """As of any runtime."""
+        instance = await super().start(spec, called=called, answered=answered)
+        self._instances[instance.endpoint] = instance
+        return instance
+
+    def dial(self, address: str, *, server: str) -> DirectLink:
+        """The one link to an instance that was started here, by its endpoint."""
+        return DirectLink(
+            self._instances[address].take_calls(),
+            peer=f"{server} at {address}",
+            drone=self._drone,
+            max_message_bytes=self._max_message_bytes,
+        )

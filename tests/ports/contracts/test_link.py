@@ -1,11 +1,11 @@
-"""What every Link does, with the same errors: the model on virtual time, and gRPC with a listener."""
+"""What every Link does, with the same errors: the model on virtual time, and gRPC and socket pairs with listeners."""
 
 from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager
 from pathlib import Path
 
 import pytest
@@ -13,8 +13,10 @@ import pytest
 from upwash.core.clients import Client
 from upwash.errors import DeadlineExceeded, Refused, Unreachable
 from upwash.ports import Link
+from upwash.real.direct import DirectLink, DirectListener, direct_pair
 from upwash.real.link import GrpcDialer
-from upwash.real.listener import Caller, Listener
+from upwash.real.listener import Listener
+from upwash.real.requests import Caller, Requests
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
 from upwash.sim.world import Wire
@@ -41,8 +43,9 @@ async def model_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
     await link.close()
 
 
-@asynccontextmanager
-async def grpc_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
+@contextmanager
+def requests() -> Iterator[Requests]:
+    """Answered by the name of who asks and what it said; what is stuck goes on at the end."""
     let_go = threading.Event()
 
     def answer(_path: str, body: bytes, caller: Caller) -> bytes:
@@ -53,25 +56,55 @@ async def grpc_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
                 let_go.wait(10.0)
         return caller.client.name.encode() + b" " + body
 
-    address = f"unix:{folder}/s1.sock"
-    listener = Listener(address, answer, max_message_bytes=1000, concurrent_requests=4, requests_per_drone=4)
-    if answered:
-        listener.start()
-    link = GrpcDialer("heron", None, max_message_bytes=1000).dial(address, server="s1")
     try:
-        yield link
+        yield Requests(answer, max_message_bytes=1000, concurrent=4, each=4)
     finally:
-        await link.close()
         let_go.set()
-        await asyncio.to_thread(listener.stop)
 
 
-@pytest.fixture(params=["model", "grpc"])
+@asynccontextmanager
+async def grpc_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
+    address = f"unix:{folder}/s1.sock"
+    with requests() as answering:
+        listener = Listener(address, answering)
+        if answered:
+            listener.start()
+        link = GrpcDialer("heron", None, max_message_bytes=1000).dial(address, server="s1")
+        try:
+            yield link
+        finally:
+            await link.close()
+    await asyncio.to_thread(listener.stop)
+
+
+@asynccontextmanager
+async def direct_link(folder: Path, *, answered: bool) -> AsyncIterator[Link]:
+    calls, theirs = await direct_pair()
+    with requests() as answering, theirs:
+        listener = DirectListener(theirs, answering)
+        if answered:
+            listener.start()
+        else:
+            theirs.close()
+        link = DirectLink(calls, peer="s1 at its end", drone="heron", max_message_bytes=1000)
+        try:
+            yield link
+        finally:
+            await link.close()
+    await asyncio.to_thread(listener.stop)
+
+
+LINKS: dict[str, Callable[..., AbstractAsyncContextManager[Link]]] = {
+    "model": model_link,
+    "grpc": grpc_link,
+    "direct": direct_link,
+}
+
+
+@pytest.fixture(params=LINKS)
 def hold(request: pytest.FixtureRequest, tmp_path: Path) -> Hold:
-    """Has a talk over a link of one of the twins, to a server that answers or to nobody."""
-    link: Callable[..., AbstractAsyncContextManager[Link]] = (
-        model_link if request.param == "model" else grpc_link
-    )
+    """Has a talk over a link of each kind, to a server that answers or to nobody."""
+    link = LINKS[request.param]
     run = run_virtually if request.param == "model" else asyncio.run
 
     def held(talk: Talk, answered: bool) -> None:
