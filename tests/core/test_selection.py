@@ -9,6 +9,7 @@ from upwash.core.estimates import Beliefs, Estimates, Operation
 from upwash.core.events import (
     CheckAnswered,
     CheckFailed,
+    DescentBegun,
     LeaseRenewed,
     LocalCallEnded,
     MissionEnded,
@@ -728,6 +729,29 @@ def test_after_the_mission_nobody_is_selected_any_more() -> None:
 
 
 # ---- hedged calls, where the server is later than the drone
+
+
+def test_on_the_way_down_the_server_is_left_and_no_other_is_joined() -> None:
+    machine = with_s1_ready(selection())
+    left = machine.handle(DescentBegun(), now_s=11.0, position=UNDER_S1)
+    assert written(left) == ["s1 READY AVL-R", "leave s1"]
+    assert machine.handle(Tick(), now_s=12.0, position=UNDER_S2) == []
+
+
+def test_a_call_under_way_keeps_its_server_on_the_way_down() -> None:
+    machine = with_s1_ready(selection())
+    machine.decide(HEAVY, now_s=11.0, position=UNDER_S1)
+    assert machine.handle(DescentBegun(), now_s=11.5, position=UNDER_S1) == []
+    answered = RemoteCallEnded("s1", HEAVY, 0.75)
+    left = machine.handle(answered, now_s=11.75, position=UNDER_S1)
+    assert written(left) == ["s1 READY AVL-R", "leave s1"]
+
+
+def test_a_mission_that_calls_on_its_way_down_has_servers_again() -> None:
+    machine = selection()
+    machine.handle(DescentBegun(), now_s=0.0, position=UNDER_S1)
+    machine.decide(HEAVY, now_s=1.0, position=UNDER_S1)
+    assert "check s1 1" in written(machine.handle(Tick(), now_s=1.5, position=UNDER_S1))
 
 
 def test_a_late_answer_teaches_how_slow_the_server_is_and_is_no_second_call() -> None:

@@ -215,6 +215,11 @@ class TargetUnknown:
 
 
 @dataclass(frozen=True, slots=True)
+class DescentBegun:
+    """The drone begins to return or to land: the mission needs no server, unless it calls again."""
+
+
+@dataclass(frozen=True, slots=True)
 class MissionEnded:
     """No call will come any more."""
 
@@ -242,5 +247,6 @@ Event = (
     | LegBegun
     | Arrived
     | TargetUnknown
+    | DescentBegun
     | MissionEnded
 )

@@ -11,6 +11,7 @@ Laws:
 - a server without a slot for the drone has not failed: it goes on asking there, unless another one is better;
 - with probing a call that runs on the drone is sent to a server too that becomes of use before the drone is done;
 - what a server says a service raised counts as an answer where it raised on the drone too, and as a failed call else;
+- while the drone returns or lands no server is selected, unless a call is open or the mission calls again;
 - after each event the selection is looked at again at once; a decision on a call may leave a server, but select none;
 - commands are to be carried out in their order; without a spare radio a server is selected after the old one is left.
 """
@@ -29,6 +30,7 @@ from upwash.core.events import (
     Arrived,
     CheckAnswered,
     CheckFailed,
+    DescentBegun,
     Event,
     LeaseRenewed,
     LegBegun,
@@ -136,6 +138,7 @@ class Selection:
         )
         self._lighter = Lighter(settings.lighter, planning) if settings.lighter else None
         self._ended = False
+        self._comes_down = False
         self._probed_at: dict[str, MeasuredPlace] = {}  # where the server was last probed in vain
 
     @property
@@ -158,6 +161,13 @@ class Selection:
         """Whether calls that run on the drone may be sent to a server too."""
         return self._recovery is not None
 
+    @property
+    def _unneeded(self) -> str:
+        """Why no call needs a server any more; empty while one may."""
+        if self._ended:
+            return "mission ended"
+        return "on the way down" if self._comes_down and self._planning.under_way is None else ""
+
     def is_awaited(self, check: int) -> bool:
         """Whether that check is still under way, and may be over soon: for a slot no call waits."""
         server = self._radios.selected_by(check, CHECKING)
@@ -170,14 +180,14 @@ class Selection:
             return self._begin(event, now_s, position)
         self._locate(position, now_s)
         effects = self._take_in(event, now_s, position)
-        effects += radios.end_probes([each for each in radios.probed if self._ended or not each.in_range])
+        effects += radios.end_probes([each for each in radios.probed if self._unneeded or not each.in_range])
         effects += table.expire(now_s, probed=radios.probed)
         if not effects:  # else the policy is asked anyway
             planning.forget_slow_calls(now_s)
         if effects or planning.is_due(now_s):
             effects += self._select(now_s, position)
         effects += radios.end_probes([each for each in radios.probed if each.state is not State.BLACKLISTED])
-        if not self._ended:
+        if not self._unneeded:
             effects += radios.probe(now_s)
         return effects
 
@@ -192,6 +202,8 @@ class Selection:
     ) -> tuple[Decision, list[Effect]]:
         """Where a call that is wanted now shall run; its inputs say whether as another operation."""
         self._locate(position, now_s)
+        if self._comes_down:
+            self._comes_down, self._planning.changed = False, True
         self._planning.mission.call_begun(operation, now_s=now_s)
         lightened = self._lighter.judge(operation, now_s=now_s, position=position) if self._lighter else None
         operation = lightened.operation if lightened else operation
@@ -286,6 +298,9 @@ class Selection:
             case LegBegun() | Arrived() | TargetUnknown():
                 self._planning.mission_goes_on(event, position, now_s)
                 return []
+            case DescentBegun():
+                self._planning.mission.lost()
+                self._comes_down = True
             case MissionEnded():
                 self._ended = True
             case LocalCallEnded(operation, delay_s):
@@ -449,7 +464,7 @@ class Selection:
         """Asks the policy, and gives the radios the roles that it wants."""
         radios, planning = self._radios, self._planning
         planning.changed = False
-        choice = Choice(None, "mission ended") if self._ended else planning.choose(now_s, position)
+        choice = Choice(None, self._unneeded) if self._unneeded else planning.choose(now_s, position)
         effects: list[Effect] = []
         for server in [each for each in radios.selected if not each.in_range]:
             effects += radios.leave(server, "out of range", now_s)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Coroutine, Iterator
 from typing import Any, Literal, ParamSpec, TypeVar
 
 from upwash.core.estimates import Operation
-from upwash.core.events import Arrived, Event, LegBegun, MissionBegun, TargetUnknown
+from upwash.core.events import Arrived, DescentBegun, Event, LegBegun, MissionBegun, TargetUnknown
 from upwash.core.geo import EarthPosition, Position, Waypoint, distance_m, rounded
 from upwash.core.telemetry import Telemetry
 from upwash.drone.descent import ComingDown
@@ -259,7 +259,7 @@ class Vehicle:
         self._settle()
         self._coming_down = how
         try:
-            self._thread.call(self._logged(verb, schema.Landed, before=doing))
+            self._thread.call(self._logged(verb, schema.Landed, begun=DescentBegun, before=doing))
             self._in_the_air = self._found_flying = False
         finally:
             self._coming_down = None
@@ -389,9 +389,10 @@ class Vehicle:
         verb: Callable[[], Coroutine[Any, Any, None]],
         after: _AtPlace,
         *,
+        begun: type[TargetUnknown | DescentBegun] = TargetUnknown,
         before: _AtPlace | None = None,
     ) -> None:
-        self._tell(TargetUnknown())
+        self._tell(begun())
         if before is not None:
             self._journal.record(before(position=rounded(self._autopilot.position)))
         await verb()

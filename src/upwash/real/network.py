@@ -25,7 +25,7 @@ from upwash.real.networkmanager import (
 )
 from upwash.real.profiles import find_device, find_profile, interface_trouble, is_left_over
 
-_LEAVE_S = 3.0
+_LEAVE_S = 15.0  # scripts of NetworkManager's dispatcher run first; the mission computes on meanwhile
 _ADDRESS_AGAIN_S = 0.02  # a connection may count as activated a moment before its address is there
 _SCAN_AGAIN_S = 10.0  # a network that was seen lately is joined within half a second, another one in four
 
