@@ -383,12 +383,20 @@ class HomeMoved(Event, frozen=True, kw_only=True):
 
 
 LinkTroubleName: TypeAlias = Literal[
-    "another-vehicle", "same-id", "another-program", "numbers", "rates", "capacity"
+    "another-vehicle",
+    "same-id",
+    "another-program",
+    "numbers",
+    "rates",
+    "capacity",
+    "out-of-range",
+    "defect",
+    "flood",
 ]
 
 
 class LinkTrouble(Event, frozen=True, kw_only=True):
-    """What is wrong with the vehicle's link, or who else is on it; once for each of these."""
+    """What is wrong with the vehicle's link, or who else is on it; once for each, or at each tenfold."""
 
     about: LinkTroubleName
     why: str

@@ -285,7 +285,8 @@ def _word(name: str, place: int, value: float) -> str | float:
             return _ACTIONS.get(int(value), str(value))
         if (name, place) in (("commander_failsafe_enter", 2), ("commander_failsafe_enter_hold", 3)):
             return _CAUSES.get(int(value), str(value))
-    return _WORDS.get((name, place), {}).get(int(value), value)
+    words = _WORDS.get((name, place))
+    return words.get(int(value), value) if words else value
 
 
 # --- parameters ---------------------------------------------------------------------------------------------

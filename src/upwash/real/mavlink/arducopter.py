@@ -23,6 +23,7 @@ from upwash.real.mavlink.firmware import Firmware
 from upwash.real.mavlink.needs import require_reposition
 from upwash.real.mavlink.parameters import read_parameters
 from upwash.real.mavlink.quantities import read_quantities
+from upwash.real.mavlink.ranges import ABOVE_SEA_M, LATITUDE_E7, LONGITUDE_E7, RANGES
 from upwash.real.mavlink.telemetry import Telemetry
 from upwash.real.mavlink.way_home import ARDUCOPTER_QUANTITIES, arducopter_energy
 
@@ -77,6 +78,10 @@ ARDUCOPTER = Firmware(
     mode_name=_mode_name,
     failsafe=_failsafe,
     keeps_targets=True,
+    ranges={
+        **RANGES,
+        "POSITION_TARGET_GLOBAL_INT": {"lat_int": LATITUDE_E7, "lon_int": LONGITUDE_E7, "alt": ABOVE_SEA_M},
+    },
     streams_hz={
         mavlink.MAVLINK_MSG_ID_HEARTBEAT: 10.0,  # mode and arming, once a second by itself
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from upwash.mavlink.version import Version
 from upwash.real.mavlink.hearing import Message
+from upwash.real.mavlink.ranges import RANGES, Ranges
 from upwash.real.mavlink.telemetry import Telemetry
 
 
@@ -22,8 +23,8 @@ class Firmware:
     fail-safe may have chosen the mode of that name, or nothing. `streams_hz` are the reports that the driver needs,
     by message; `sent_at_times` are those of them that the vehicle sends only while it has something to tell.
     `always_has` is the name of a parameter that all its versions have. `oldest` is the oldest version that can be
-    flown, as upwash `needs` what older ones lack. `take` has the telemetry remember what only this firmware reports,
-    at that time.
+    flown, as upwash `needs` what older ones lack. `ranges` are those of the numbers that the driver uses. `take` has
+    the telemetry remember what only this firmware reports, at that time.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Firmware:
     always_has: str
     oldest: Version
     needs: str
+    ranges: Ranges = field(default_factory=lambda: RANGES)
     keeps_targets: bool = False  # in `own_mode` it reports the last target that it was sent to
     sent_at_times: frozenset[int] = frozenset()
     take: Callable[[Telemetry, Message, float], None] = _nothing_more

@@ -10,27 +10,35 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from functools import partial
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from upwash.core.allowance import Allowance
 from upwash.core.control import Latch, Report
 from upwash.core.geo import Position
 from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
 from upwash.mavlink.signing import Signing
-from upwash.ports import LinkChanged, LinkTrouble, VehicleNews
+from upwash.ports import HomeMoved, LinkChanged, LinkTrouble, PositionDoubted, VehicleNews, VehicleText
 from upwash.real.mavlink.boot_clock import BootClock
 from upwash.real.mavlink.firmware import Firmware
 from upwash.real.mavlink.hearing import Message, is_signed
 from upwash.real.mavlink.identity import Heard, Identity, sender_of
 from upwash.real.mavlink.link import MavlinkLink
 from upwash.real.mavlink.numbering import Numbering
+from upwash.real.mavlink.ranges import admits
 from upwash.real.mavlink.search import Search
 from upwash.real.mavlink.settings import Patience
 from upwash.real.mavlink.streams import Streams
 from upwash.real.mavlink.telemetry import Telemetry
+from upwash.real.mavlink.troubles import Troubles
 
 _HEARTBEAT_S = 1.0
 _TELL_THE_MODE = ("HEARTBEAT", "CURRENT_MODE", "FENCE_STATUS")
+_TELL_WHOSE = ("HEARTBEAT", "CURRENT_MODE", "POSITION_TARGET_GLOBAL_INT", "POSITION_TARGET_LOCAL_NED")
+_BLIND_S = (
+    1.5  # after a defect in taking one of these in, unless the next one was taken in; they come once a second
+)
 _STOOD_S = 1.0  # on the ground before its motors stop
 _WRONG_TIMES = 2  # in a row that sequence numbers do not count
 _NUMBERS_PROBLEM = (
@@ -42,13 +50,18 @@ _SIGNS = (
     "remove the key from the vehicle with a ground station"
 )
 _NEWS_KEPT = 1000  # until somebody listens
+_AT_WILL = VehicleText, HomeMoved, PositionDoubted  # what a vehicle, or a forger, may say without end
+_AT_WILL_PER_S, _AT_WILL_AT_ONCE = 5.0, 100.0
 
 
 class HeardVehicle:
     """The vehicle with that `system` on the connection, or without `system` the only vehicle on it.
 
     Others on the connection are ignored. Messages that arrive twice or late are ignored too: a mode that the vehicle
-    has left, an answer to an earlier attempt. `firmwares` can be flown; `firmware` is right after `found` returned.
+    has left, an answer to an earlier attempt. A message that cannot be true is a sign of life and nothing else
+    (`ranges`), and an exception in the handling of one costs that message alone (`troubles`). But while reports of
+    whose the vehicle is cannot be taken in, the vehicle counts as silent, and gets no command. `firmwares` can be
+    flown; `firmware` is right after `found` returned.
     """
 
     def __init__(
@@ -64,6 +77,11 @@ class HeardVehicle:
         self.patience = patience
         self.identity = Identity(firmwares, system=system, tell=self.tell)
         self._loop = asyncio.get_running_loop()
+        self._troubles = Troubles(self.tell)
+        self._at_will = Allowance(_AT_WILL_PER_S, at_once=_AT_WILL_AT_ONCE)
+        self._missed_s: dict[
+            str, float
+        ] = {}  # when a report of the owner could not be taken in, by its kind
         self.latch = Latch(self._loop.time())
         self._hear_news: Callable[[VehicleNews], None] | None = None
         self._unheard_news: deque[VehicleNews] = deque(maxlen=_NEWS_KEPT)
@@ -85,7 +103,7 @@ class HeardVehicle:
             self._hear,
             signing=signing,
             follows=self.identity.follows,
-            overheard=self.identity.overhear,
+            overheard=self._overhear,
             moved_after_s=patience.dead_after_s,
         )
         self.heartbeat_word: Callable[[], int] = lambda: 0  # what else each of our heartbeats says
@@ -173,7 +191,11 @@ class HeardVehicle:
             hear(self._unheard_news.popleft())
 
     def tell(self, news: VehicleNews) -> None:
-        """Passes news on to who listens, or keeps them until somebody does."""
+        """Passes news on to the listener, or keeps the news until there is one; floods are cut to five a second."""
+        if isinstance(news, _AT_WILL) and not self._at_will.take(1, now_s=self._loop.time()):
+            what = type(news).__name__
+            self._troubles.count("flood", what, f"the vehicle says more than is told and logged ({what})")
+            return
         if self._hear_news:
             self._hear_news(news)
         else:
@@ -307,37 +329,58 @@ class HeardVehicle:
         now_silent_s = self._loop.time() - self._last_heard_s
         return self._silent_s + (now_silent_s if now_silent_s >= self.patience.quiet_after_s else 0.0)
 
+    def _spare(self, step: Callable[..., None], message: Message, *more: float) -> bool:
+        return self._troubles.spare(message, partial(step, message, *more))
+
+    def _overhear(self, message: Message) -> None:
+        self._spare(self.identity.overhear, message)
+
     def _hear(self, message: Message) -> None:
-        identity, linked = self.identity, self.linked
+        self._spare(self._sort_out, message)
+
+    def _sort_out(self, message: Message) -> None:
+        identity, linked, now_s = self.identity, self.linked, self._loop.time()
         if identity.meet(message):
             self._link.speak_as_part_of(message.get_srcSystem())
-        now_s = self._loop.time()
         if sender_of(message) != identity.ids or not identity.believes(message, now_s):
             return
         if not self._numbering.is_news(message, now_s, linked=linked):
             return
-        self._believe(message, linked=linked)
-
-    def _believe(self, message: Message, *, linked: bool) -> None:
-        """Takes in what the vehicle says."""
-        now_s = self._loop.time()
         self._suspect_dead_man(now_s)
+        is_report = admits(message, self.firmware.ranges, self._troubles) and self._take_in(message, now_s)
+        if all(now_s - missed_s > _BLIND_S for missed_s in self._missed_s.values()):
+            self._count_as_heard(message, now_s, is_report=is_report, linked=linked)
+        news, self._news = self._news, asyncio.Event()
+        news.set()
+
+    def _take_in(self, message: Message, now_s: float) -> bool:
+        """Whether all of it was taken in; no step misses the message because another fails."""
+        steps = (
+            self._look_for_restart,
+            self.telemetry.take,
+            partial(self.firmware.take, self.telemetry),
+            self._take_control,
+            self._tell_texts,
+        )
+        done = [self._spare(step, message, now_s) for step in steps]
+        done += [self._spare(hear, message) for hear in tuple(self._listeners)]
+        kind = message.get_type()
+        if all(done):
+            self._missed_s.pop(kind, None)
+        elif kind in _TELL_WHOSE:
+            self._missed_s[kind] = now_s
+        return all(done)
+
+    def _count_as_heard(self, message: Message, now_s: float, *, is_report: bool, linked: bool) -> None:
+        """It is a sign of life, and a report where it was taken in."""
         self._silent_s = self._silence_so_far_s()
         self._last_heard_s = now_s
         self._only_signed &= is_signed(message)
-        self._streams.heard(message, now_s)
+        if is_report:
+            self._streams.heard(message, now_s)
         if self._asks and not linked:
             self.ask_for(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
             self._streams.begin(self.firmware, now_s)
-        self._look_for_restart(message, now_s)
-        self.telemetry.take(message, now_s)
-        self.firmware.take(self.telemetry, message, now_s)
-        self._take_control(message, now_s)
-        self._tell_texts()
-        for hear in tuple(self._listeners):
-            hear(message)
-        news, self._news = self._news, asyncio.Event()
-        news.set()
 
     def _suspect_dead_man(self, now_s: float) -> None:
         """What it said when it acted is lost where the link was."""
@@ -379,7 +422,7 @@ class HeardVehicle:
         if told.disarmed_s == now_s and not self.latch.control.is_ours:
             self.ask_for(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME)  # which tells a restart
 
-    def _tell_texts(self) -> None:
+    def _tell_texts(self, _message: Message, _now_s: float) -> None:
         new = self.telemetry.texts_heard - self._texts_told
         self._texts_told = self.telemetry.texts_heard
         for _, text in list(self.telemetry.texts)[-new:] if new else ():

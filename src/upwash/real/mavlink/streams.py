@@ -92,9 +92,9 @@ class Streams:
         stream.came_s.append(now_s)
         if message.get_type() == "COMMAND_ACK" and message.command == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
             self._is_answered = True
-        elif message.get_type() == "MESSAGE_INTERVAL":
+        elif message.get_type() == "MESSAGE_INTERVAL" and (asked := self._streams.get(message.message_id)):
             interval_us = message.interval_us
-            self._stream(message.message_id).set_hz = 1e6 / interval_us if interval_us > 0 else 0.0
+            asked.set_hz = 1e6 / interval_us if interval_us > 0 else 0.0
 
     def heard_s(self, number: int) -> float:
         """When a message of that number last came; minus infinity where none did."""

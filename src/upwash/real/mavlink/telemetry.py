@@ -25,6 +25,7 @@ _CHUNK_BYTES = 50  # of a text; a longer one comes in several
 _MOST_CHUNKS = 20
 _DEAD_MAN_ACTS = "upwash: companion silent"  # as dead_man.lua says it
 _EKF_GPS_GLITCHING = 1 << 15  # ArduPilot's; the dialect has no name for it
+_NOT_KNOWN_YET = 0, 0  # a latitude and a longitude
 _UNKNOWN_U8, _UNKNOWN_U16 = 0xFF, 0xFFFF
 _FIXES: dict[int, FixKind] = {
     mavlink.GPS_FIX_TYPE_2D_FIX: "2d",
@@ -75,9 +76,8 @@ class Telemetry:
     texts_heard: int = 0
     answers: dict[int, int] = field(default_factory=dict)  # MAV_RESULT by MAV_CMD
     _dead_man_s: float = -math.inf
-    _chunks: dict[int, list[str]] = field(
-        default_factory=dict
-    )  # of texts that are not complete, by their numbers
+    _text: int = 0  # the number of the text that is not complete, and its parts
+    _chunks: list[str] = field(default_factory=list)
 
     def take(self, message: Message, now_s: float) -> None:
         """Remembers what the message reports."""
@@ -93,17 +93,17 @@ class Telemetry:
                 self.system_status = message.system_status
                 if now_s - self._dead_man_s > _LATELY_S:
                     self.dead_man = ""
-            case "GLOBAL_POSITION_INT" if _is_a_place(message):
+            case "GLOBAL_POSITION_INT" if (message.lat, message.lon) != _NOT_KNOWN_YET:
                 self.position = GeoPosition(message.lat / 1e7, message.lon / 1e7, message.relative_alt / 1e3)
                 self.above_sea_m = message.alt / 1e3
                 self.velocity = Velocity(message.vy / 100, message.vx / 100, -message.vz / 100)
                 self.heading_deg = message.hdg / 100 if message.hdg < _ROUND_CDEG else None
-            case "ATTITUDE" if math.isfinite(message.roll + message.pitch + message.yaw):
+            case "ATTITUDE":
                 yaw_deg = math.degrees(message.yaw) % 360
                 self.attitude = Attitude(math.degrees(message.roll), math.degrees(message.pitch), yaw_deg)
             case "GPS_RAW_INT":
                 self.gps = _fix(message)
-            case "HOME_POSITION":
+            case "HOME_POSITION" if (message.latitude, message.longitude) != _NOT_KNOWN_YET:
                 place = message.latitude / 1e7, message.longitude / 1e7
                 self.home = GeoPosition(*place, message.altitude / 1e3)
             case "EXTENDED_SYS_STATE":
@@ -135,10 +135,10 @@ class Telemetry:
                 self.fence_breached = bool(message.breach_status)
             case "SYSTEM_TIME":
                 self.unix_s = message.time_unix_usec / 1e6 or None  # 0: not known
-            case "WIND" if message.speed < math.inf:  # from where it blows, in degrees
+            case "WIND":  # from where it blows, in degrees
                 towards = math.radians(message.direction + 180)
                 self.wind = Velocity(message.speed * math.sin(towards), message.speed * math.cos(towards))
-            case "WIND_COV" if math.hypot(message.wind_x, message.wind_y) < math.inf:
+            case "WIND_COV":
                 self.wind = Velocity(message.wind_y, message.wind_x)
 
     def _take_words(self, message: Message, now_s: float) -> None:
@@ -203,18 +203,22 @@ class Telemetry:
         return self.landed_state in _IN_THE_AIR
 
     def _take_battery(self, percent: int) -> None:
-        self.battery_percent = float(percent) if 0 <= percent <= 100 else None  # -1: not known
+        self.battery_percent = float(percent) if percent >= 0 else None  # -1: not known
 
     def _whole_text(self, message: Message) -> str:
         """The text, empty while parts of it are missing."""
         if not getattr(message, "id", 0):
             return str(message.text)
-        if message.chunk_seq == 0:
+        if message.chunk_seq == 0 or message.id != self._text:
             self._chunks.clear()  # one text at a time: what was not completed never will be
-        chunks = self._chunks.setdefault(message.id, [])
-        chunks.append(message.text)
-        is_whole = len(message.text) < _CHUNK_BYTES or len(chunks) == _MOST_CHUNKS
-        return "".join(self._chunks.pop(message.id)) if is_whole else ""
+        self._text = message.id
+        self._chunks.append(message.text)
+        is_whole = len(message.text) < _CHUNK_BYTES or len(self._chunks) == _MOST_CHUNKS
+        if not is_whole:
+            return ""
+        text = "".join(self._chunks)
+        self._chunks.clear()
+        return text
 
 
 def _fix(message: Message) -> GpsFix:
@@ -228,10 +232,3 @@ def _fix(message: Message) -> GpsFix:
 
 def _trusts(flags: int, absolute: int, doubts: int) -> bool:
     return bool(flags & absolute) and not flags & doubts
-
-
-def _is_a_place(message: Message) -> bool:
-    """Whether the position is one on the Earth; 0, 0 says that it is not known yet."""
-    latitude_e7, longitude_e7 = message.lat, message.lon
-    known = (latitude_e7, longitude_e7) != (0, 0)
-    return bool(known and abs(latitude_e7) <= 90e7 and abs(longitude_e7) <= 180e7)

@@ -29,7 +29,7 @@ class Twins:
                 times_s.append(now_s)
                 if len(times_s) == _TIMES and now_s - times_s[0] <= _WITHIN_S:
                     self.evidence = "two clocks since boot"
-        elif message.get_type() == "AUTOPILOT_VERSION":
+        elif message.get_type() == "AUTOPILOT_VERSION" and len(self._hardware) < 2:
             self._hardware.add((message.uid, bytes(message.uid2)))
             if len(self._hardware) > 1:
                 self.evidence = "two serial numbers of hardware"
