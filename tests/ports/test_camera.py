@@ -12,7 +12,7 @@ import pytest
 from upwash.core.geo import Position
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Camera, Photo
-from upwash.real.camera import FolderCamera
+from upwash.real.camera import FolderCamera, read_photos
 from upwash.sim.camera import RenderedCamera
 from upwash.sim.loop import run_virtually
 
@@ -41,6 +41,16 @@ def test_other_files_and_folders_are_no_photos(tmp_path: Path) -> None:
     (tmp_path / "a.jpg").mkdir()
     camera = FolderCamera(fill(tmp_path, "photo.jpg", "truth.json", "photo.png"), photo_s=0)
     assert shoot(camera, 2) == [b"photo.jpg"] * 2
+
+
+def test_hidden_files_are_no_photos(tmp_path: Path) -> None:
+    folder = fill(tmp_path, "._DJI_0001.JPG", ".trashed-1.jpg", ".DS_Store", "Thumbs.db", "DJI_0001.JPG")
+    assert shoot(FolderCamera(folder, photo_s=0), 2) == [b"DJI_0001.JPG"] * 2
+    assert read_photos(folder, most=9) == {"DJI_0001.JPG": b"DJI_0001.JPG"}
+
+
+def test_no_more_photos_are_read_than_are_wanted(tmp_path: Path) -> None:
+    assert list(read_photos(fill(tmp_path, "c.jpg", "a.jpg", "b.jpg"), most=2)) == ["a.jpg", "b.jpg"]
 
 
 def test_a_photo_takes_its_time(tmp_path: Path) -> None:
@@ -81,6 +91,11 @@ def test_files_are_read_off_the_event_loop(tmp_path: Path, monkeypatch: pytest.M
 def test_a_missing_folder_is_refused_at_once(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"no folder .*nowhere; name a folder that holds JPEG photos"):
         FolderCamera(tmp_path / "nowhere", photo_s=0)
+
+
+def test_a_folder_that_cannot_be_read_is_refused_at_once(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"cannot be read: File name too long; let this user read it"):
+        FolderCamera(tmp_path / ("a" * 300), photo_s=0)
 
 
 def test_a_folder_without_photos_is_refused_at_once(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import os
 from pathlib import Path
 
 from upwash.core.geo import Position
@@ -22,33 +23,57 @@ class FolderCamera:
 
     def __init__(self, folder: Path, *, photo_s: float) -> None:
         self._photo_s = photo_s
-        self._paths = itertools.cycle(_photos(folder))
+        self._paths = itertools.cycle(photo_files(folder))
 
     async def take_photo(self, at: Position) -> Photo:
         """Returns the next file after `photo_s` seconds; raises CameraError if it cannot be read."""
         await asyncio.sleep(self._photo_s)
         path = next(self._paths)
-        try:
-            jpeg = await asyncio.to_thread(path.read_bytes)
-        except OSError as error:
-            raise CameraError(
-                str(path.parent),
-                f"{path.name} cannot be read: {error.strerror}; put it back, or start again without it",
-            ) from error
+        jpeg = await asyncio.to_thread(read_photo_file, path)
         return Photo(jpeg, asyncio.get_running_loop().time(), source=path.name)
 
 
-def read_photos(folder: Path) -> list[bytes]:
-    """Every JPEG file of the folder, in name order; raises UsageError where there is none."""
-    return [path.read_bytes() for path in _photos(folder)]
+def read_photos(folder: Path, most: int) -> dict[str, bytes]:
+    """The first JPEG files of the folder, in name order and by their names; raises UsageError where there is none.
+
+    Raises CameraError for a file that cannot be read.
+    """
+    return {path.name: read_photo_file(path) for path in photo_files(folder)[:most]}
 
 
-def _photos(folder: Path) -> list[Path]:
-    if not folder.is_dir():
-        raise UsageError(f"camera: there is no folder {folder}; name a folder that holds JPEG photos")
-    photos = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
-    if not photos:
+def read_photo_file(path: Path) -> bytes:
+    """The bytes of a photo; raises CameraError, which names the file."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise CameraError(
+            str(path.parent),
+            f"{path.name} cannot be read: {error.strerror}; put it back, or start again without it",
+        ) from error
+
+
+def photo_files(folder: Path) -> list[Path]:
+    """The JPEG files of the folder in name order, without hidden ones; raises UsageError where there is none.
+
+    A hidden file with the name of a photo is what macOS leaves beside it ("._DJI_0001.JPG").
+    """
+    try:
+        with os.scandir(folder) as entries:
+            names = sorted(each.name for each in entries if _is_photo(each))
+    except (FileNotFoundError, NotADirectoryError):
+        raise UsageError(
+            f"camera: there is no folder {folder}; name a folder that holds JPEG photos"
+        ) from None
+    except OSError as error:  # of another user, or on a drive that is gone
+        raise UsageError(
+            f"camera: the folder {folder} cannot be read: {error.strerror}; let this user read it, or name another"
+        ) from error
+    if not names:
         raise UsageError(
             f"camera: the folder {folder} has no *.jpg or *.jpeg file; put JPEG photos in it or name another"
         )
-    return photos
+    return [folder / name for name in names]
+
+
+def _is_photo(entry: os.DirEntry[str]) -> bool:
+    return not entry.name.startswith(".") and Path(entry.name).suffix.lower() in _SUFFIXES and entry.is_file()
