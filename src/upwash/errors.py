@@ -186,6 +186,16 @@ class InstanceError(UpwashError):
     """A service instance did not start, or crashed."""
 
 
+class NotReadyInTime(InstanceError):
+    """A service instance was not ready within the configured time."""
+
+    def __init__(self, instance: str, within_s: float, *, whose: str = "the drone's") -> None:
+        super().__init__(
+            f"{instance} was not ready within {within_s:g} s: raise start_timeout_s in {whose} configuration if its "
+            "start takes longer"
+        )
+
+
 class OutcomeUnknown(InstanceError):
     """A call that must not run twice may have run: the drone's service crashed in it, or gave no answer."""
 

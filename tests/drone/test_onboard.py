@@ -76,6 +76,7 @@ async def onboard(services: Path, folder: Path, cls: str = "Workbench") -> Async
     running = OnboardServices(
         [InstanceSpec("heron", cls.lower(), Program(program))],
         drone="heron",
+        start_timeout_s=60.0,
         runtime=own,
         dialer=own,
         journal=diary,

@@ -14,7 +14,7 @@ import pytest
 from upwash.config import read_document
 from upwash.drone.networks import NoNetwork
 from upwash.drone.server_session import ServerEndpoint
-from upwash.errors import LinkError, Refused, Unreachable, UsageError
+from upwash.errors import InstanceError, LinkError, Refused, Unreachable, UsageError
 from upwash.ports import InstanceSpec, Program
 from upwash.profiling.profiler import (
     Sample,
@@ -31,7 +31,8 @@ from upwash.sim.loop import run_virtually
 
 T = TypeVar("T")
 START_S, FIRST_S, CALL_S, LATENCY_S, BYTES_PER_S = 4.0, 1.5, {"light": 0.25, "heavy": 2.0}, 0.01, 1e6
-PHOTOS = [b"p" * 100_000, b"p" * 300_000]
+PHOTOS = {"a.jpg": b"p" * 100_000, "b.jpg": b"p" * 300_000}
+START_TIMEOUT_S = 10.0
 
 
 class Size(Enum):
@@ -152,6 +153,7 @@ def onboard(computer: Computer, found: list[Sample], watch: Callable[[str], None
             found,
             calls=4,
             drone="profiler",
+            start_timeout_s=START_TIMEOUT_S,
             runtime=computer,
             dialer=computer,
             memory_bytes=lambda: 7_000_000,
@@ -163,7 +165,15 @@ def onboard(computer: Computer, found: list[Sample], watch: Callable[[str], None
 def at_server(computer: Computer) -> Any:
     endpoint = ServerEndpoint("s1", "net", "s1:7070", ("viewer",))
     return virtually(
-        profile_server(endpoint, VIEWER, calls=4, network=NoNetwork(), dialer=computer, watch=lambda _: None)
+        profile_server(
+            endpoint,
+            VIEWER,
+            calls=4,
+            start_timeout_s=START_TIMEOUT_S,
+            network=NoNetwork(),
+            dialer=computer,
+            watch=lambda _: None,
+        )
     )
 
 
@@ -197,9 +207,19 @@ def test_on_the_drone_the_start_the_first_call_and_those_after_it_are_told_apart
     assert len(watched) == calls_to_make(VIEWER, 4)
 
 
+def test_a_service_that_starts_too_slowly_ends_the_profiling_with_the_key_that_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("tests.profiling.test_profiling.START_S", START_TIMEOUT_S + 1)
+    with pytest.raises(
+        InstanceError, match=r"within 10 s: raise start_timeout_s in the drone's configuration"
+    ):
+        onboard(Computer(), VIEWER)
+
+
 def test_a_photo_that_the_service_refuses_ends_the_profiling_and_the_instance() -> None:
     computer = Computer(cls=Picky)
-    with pytest.raises(UsageError, match="not such a photo"):
+    with pytest.raises(UsageError, match=r"picky\.look failed on a\.jpg: not such a photo"):
         onboard(computer, samples(spec_of(Picky), PHOTOS))
     assert not computer.running
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import platform
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -29,22 +29,29 @@ T = TypeVar("T")
 
 
 def measure_onboard(
-    service: LoadedService, photos: Sequence[bytes], *, program: str | None, calls: int, out: Path | None
+    service: LoadedService,
+    photos: Mapping[str, bytes],
+    *,
+    program: str | None,
+    calls: int,
+    start_timeout_s: float,
+    out: Path | None,
 ) -> None:
     """Measures the service on this computer; the [[service]] table goes to `out`, or to standard output."""
     found = samples(spec_of(service.cls), photos)
-    profile = _watched(found, calls, partial(_onboard, service, found, calls))
+    profile = _watched(found, calls, partial(_onboard, service, found, calls, start_timeout_s))
     table = service_table(profile, program=program, computer=_computer(), settings=_settings(service))
     _tell(call_table(profile.calls), table, out)
 
 
 def measure_each(
     service: LoadedService,
-    photos: Sequence[bytes],
+    photos: Mapping[str, bytes],
     *,
     setting: str,
     program: str | None,
     calls: int,
+    start_timeout_s: float,
     out: Path | None,
 ) -> None:
     """Measures the service with each value of the setting; the [[service]] table is that of the fastest."""
@@ -56,7 +63,9 @@ def measure_each(
         with_value = replace(service, program=replace(service.program, settings=settings))
         Console(stderr=True, markup=False).print(f"{setting} = {value}", highlight=False)
         try:
-            profiles[value] = _watched(found, calls, partial(_onboard, with_value, found, calls))
+            profiles[value] = _watched(
+                found, calls, partial(_onboard, with_value, found, calls, start_timeout_s)
+            )
         except InstanceError as error:
             Console(stderr=True, markup=False).print(f"  left out: {error}", highlight=False)
             continue
@@ -70,9 +79,9 @@ def measure_each(
 
 
 def _onboard(
-    service: LoadedService, found: Sequence[Sample], calls: int, watch: Watch
+    service: LoadedService, found: Sequence[Sample], calls: int, start_timeout_s: float, watch: Watch
 ) -> Coroutine[Any, Any, OnboardProfile]:
-    return profile_on_this_computer(service, found, calls=calls, watch=watch)
+    return profile_on_this_computer(service, found, calls=calls, start_timeout_s=start_timeout_s, watch=watch)
 
 
 def _settings(service: LoadedService, *, but: str | None = None) -> str:
@@ -89,7 +98,7 @@ def measure_server(
     server: ServerConfig,
     config: DroneConfig,
     service: LoadedService,
-    photos: Sequence[bytes],
+    photos: Mapping[str, bytes],
     *,
     calls: int,
     out: Path | None,

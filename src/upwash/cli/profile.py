@@ -48,6 +48,7 @@ def run(options: argparse.Namespace) -> bool:
     """Measures it and prints the part of a configuration."""
     from upwash.cli.measuring import find_server, measure_each, measure_onboard, measure_server
     from upwash.config import read_drone_config
+    from upwash.config.values import START_TIMEOUT_S
     from upwash.real.camera import read_photos
 
     if options.server and not options.config:
@@ -57,17 +58,31 @@ def run(options: argparse.Namespace) -> bool:
     if options.server and options.each:
         raise UsageError("--each is for this computer: run it on the server for the server's own settings")
     config = read_drone_config(options.config) if options.config else None
+    start_timeout_s = config.start_timeout_s if config else START_TIMEOUT_S
     service, program = _service(options.service, config)
-    photos = read_photos(options.photos)
+    photos = read_photos(options.photos, most=options.calls + 1)
     if config is not None and options.server:
         server = find_server(config, options.server)
         measure_server(server, config, service, photos, calls=options.calls, out=options.out)
     elif options.each:
         measure_each(
-            service, photos, setting=options.each, program=program, calls=options.calls, out=options.out
+            service,
+            photos,
+            setting=options.each,
+            program=program,
+            calls=options.calls,
+            start_timeout_s=start_timeout_s,
+            out=options.out,
         )
     else:
-        measure_onboard(service, photos, program=program, calls=options.calls, out=options.out)
+        measure_onboard(
+            service,
+            photos,
+            program=program,
+            calls=options.calls,
+            start_timeout_s=start_timeout_s,
+            out=options.out,
+        )
     return True
 
 

@@ -14,6 +14,7 @@ from upwash.config.reading import convert, read_document
 from upwash.config.runtime import RuntimeConfig, runtime_problems
 from upwash.config.shorthand import image_written_out
 from upwash.config.values import (
+    START_TIMEOUT_S,
     Command,
     FilePath,
     ImportPath,
@@ -118,7 +119,7 @@ class DaemonConfig(
     """A drone that is silent for so long loses its slot, in seconds."""
     idle_stop_s: Positive = 600.0
     """An instance that nobody called for so long, with no drone on the server, is stopped, in seconds."""
-    start_timeout_s: Positive = 60.0
+    start_timeout_s: Positive = START_TIMEOUT_S
     """An instance that is not ready by then is given up, in seconds."""
     drain_s: Positive = 10.0
     """Calls under way get so long to end when the daemon or their service stops, in seconds."""

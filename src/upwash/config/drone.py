@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from upwash.config.values import (
+    START_TIMEOUT_S,
     Bytes,
     Command,
     Count,
@@ -510,6 +511,9 @@ class DroneConfig(
     """Where Prometheus finds a flight's numbers, `host:port`: [metrics](metrics.md)."""
     max_message_bytes: MessageBytes = 16_777_216
     """The largest request and result of a call on the drone's side."""
+    start_timeout_s: Positive = START_TIMEOUT_S
+    """A service that is not ready by then is given up, in seconds: one of the drone by `fly`, `check` and `profile`,
+    one at a server by `check --servers` and `profile --server`. A daemon has the same key."""
     mission: MissionConfig
     vehicle: VehicleConfig = VehicleConfig()
     autopilot: AutopilotConfig = AutopilotConfig()

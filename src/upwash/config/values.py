@@ -107,6 +107,7 @@ VideoSource = Annotated[
     Meta(description="a video device's number, such as 0, or its path, the URL of a stream, or a pipeline"),
 ]
 _MOST_BYTES = 2**31 - 1  # gRPC counts a message's bytes in 32 bits
+START_TIMEOUT_S = 60.0  # a detector's model may take long to load from an SD card
 MessageBytes = Annotated[
     int, Meta(ge=1024, le=_MOST_BYTES, description=f"an integer from 1024 to {_MOST_BYTES}, in bytes")
 ]

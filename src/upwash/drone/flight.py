@@ -428,6 +428,7 @@ def _onboard_services(config: DroneConfig, programs: Mapping[str, Program], port
             for service in config.services
         ],
         drone=config.name,
+        start_timeout_s=config.start_timeout_s,
         runtime=ports.onboard_runtime,
         dialer=ports.onboard_dialer,
         journal=ports.journal,

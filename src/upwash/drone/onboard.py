@@ -8,23 +8,45 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from upwash.core.places import ON_DRONE
-from upwash.errors import InstanceError, LinkError, OutcomeUnknown, Refused
+from upwash.errors import InstanceError, LinkError, NotReadyInTime, OutcomeUnknown, Refused
 from upwash.eventlog import schema
 from upwash.ports import Dialer, Instance, InstanceSpec, Journal, Link, Runtime
 from upwash.rpc.protocol import service_path
 
-_START_S = 60.0  # a detector's model may take long to load from an SD card
 _PAUSE_S = 1.0  # between two starts, so that a service that cannot start does not eat the computer
+
+
+async def started(runtime: Runtime, spec: InstanceSpec, *, within_s: float) -> Instance:
+    """Starts an instance on this computer; raises InstanceError, NotReadyInTime for one that takes longer."""
+    try:
+        async with asyncio.timeout(within_s):
+            return await runtime.start(spec, called=lambda _: None)
+    except TimeoutError:
+        raise NotReadyInTime(spec.name, within_s) from None
 
 
 class OnboardServices:
     """Keeps the drone's own instances running and calls them."""
 
     def __init__(
-        self, specs: Iterable[InstanceSpec], *, drone: str, runtime: Runtime, dialer: Dialer, journal: Journal
+        self,
+        specs: Iterable[InstanceSpec],
+        *,
+        drone: str,
+        start_timeout_s: float,
+        runtime: Runtime,
+        dialer: Dialer,
+        journal: Journal,
     ) -> None:
         self._services: Mapping[str, _OnboardService] = {
-            spec.service: _OnboardService(spec, drone=drone, runtime=runtime, dialer=dialer, journal=journal)
+            spec.service: _OnboardService(
+                spec,
+                drone=drone,
+                start_timeout_s=start_timeout_s,
+                runtime=runtime,
+                dialer=dialer,
+                journal=journal,
+            )
             for spec in specs
         }
 
@@ -58,10 +80,18 @@ class _OnboardService:
     """One service of the drone and its instance."""
 
     def __init__(
-        self, spec: InstanceSpec, *, drone: str, runtime: Runtime, dialer: Dialer, journal: Journal
+        self,
+        spec: InstanceSpec,
+        *,
+        drone: str,
+        start_timeout_s: float,
+        runtime: Runtime,
+        dialer: Dialer,
+        journal: Journal,
     ) -> None:
         self._spec = spec
         self._drone = drone
+        self._start_timeout_s = start_timeout_s
         self._runtime = runtime
         self._dialer = dialer
         self._journal = journal
@@ -99,10 +129,10 @@ class _OnboardService:
 
     async def _attempt(self, method: str, request: bytes, timeout_s: float) -> bytes:
         try:
-            async with asyncio.timeout(_START_S):
+            async with asyncio.timeout(self._start_timeout_s):
                 running = await asyncio.shield(self._running)
         except TimeoutError:
-            raise InstanceError(f"{self._spec.service} does not start again on the drone") from None
+            raise NotReadyInTime(f"{self._spec.service} on the drone", self._start_timeout_s) from None
         path = service_path(self._spec.service, method)
         try:
             return await running.link.request(path, request, timeout_s=timeout_s)
@@ -134,11 +164,7 @@ class _OnboardService:
                 await asyncio.sleep(_PAUSE_S)
 
     async def _launch(self) -> _Running:
-        try:
-            async with asyncio.timeout(_START_S):
-                instance = await self._runtime.start(self._spec, called=lambda _: None)
-        except TimeoutError:
-            raise InstanceError(f"{self._spec.name} was not ready within {_START_S:.0f} s") from None
+        instance = await started(self._runtime, self._spec, within_s=self._start_timeout_s)
         try:
             await instance.admit(frozenset({self._drone}))
         except BaseException:

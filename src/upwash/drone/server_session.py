@@ -10,7 +10,15 @@ from typing import NoReturn
 
 import msgspec
 
-from upwash.errors import LinkError, NoSlot, Refused, Unreachable, UpwashError
+from upwash.errors import (
+    DeadlineExceeded,
+    LinkError,
+    NoSlot,
+    NotReadyInTime,
+    Refused,
+    Unreachable,
+    UpwashError,
+)
 from upwash.ports import Dialer, Finder, Link, Network
 from upwash.rpc.protocol import (
     AVAILABILITY,
@@ -154,6 +162,16 @@ class ServerSession:
                 self._raise_if_full(reply)
                 raise Refused(f"{self._server.name} cannot start {service}: {reply.reason}")
             await self._dial(service, reply.endpoint)
+
+    async def start_patiently(self, *, within_s: float) -> None:
+        """As `start`, on the ground, where time is no matter; raises NotReadyInTime for a longer start."""
+        try:
+            await self.start(
+                timeout_s=within_s + _ANSWER_S
+            )  # a daemon with the same limit tells what it knows
+        except DeadlineExceeded:
+            services = " and ".join(self._server.services)
+            raise NotReadyInTime(f"{services} at {self.server}", within_s) from None
 
     async def prepare(self, peer: ServerEndpoint, *, arrives_in_s: float, hold_s: float) -> None:
         """Has the peer of this server start its services and hold a slot; raises LinkError where it will not."""

@@ -34,7 +34,7 @@ _MAX_MESSAGE_BYTES = 16 * 2**20
 
 
 async def profile_on_this_computer(
-    service: LoadedService, found: Sequence[Sample], *, calls: int, watch: Watch
+    service: LoadedService, found: Sequence[Sample], *, calls: int, start_timeout_s: float, watch: Watch
 ) -> OnboardProfile:
     """Measures the service in instances such as the drone's own."""
     own = onboard(_PROFILER, max_message_bytes=_MAX_MESSAGE_BYTES)
@@ -43,6 +43,7 @@ async def profile_on_this_computer(
         found,
         calls=calls,
         drone=_PROFILER,
+        start_timeout_s=start_timeout_s,
         runtime=own,
         dialer=own,
         memory_bytes=peak_memory_bytes,
@@ -60,4 +61,12 @@ async def profile_at(
     services = tuple(dict.fromkeys(sample.operation.service for sample in found))
     finder = server_finder(config) if server.address == MDNS else None
     endpoint = ServerEndpoint(server.name, server.network, server.address or "", services, finder)
-    return await profile_server(endpoint, found, calls=calls, network=NoNetwork(), dialer=dialer, watch=watch)
+    return await profile_server(
+        endpoint,
+        found,
+        calls=calls,
+        start_timeout_s=config.start_timeout_s,
+        network=NoNetwork(),
+        dialer=dialer,
+        watch=watch,
+    )

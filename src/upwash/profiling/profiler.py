@@ -18,14 +18,14 @@ from msgspec import inspect as types
 
 from upwash.core.estimates import Operation
 from upwash.core.places import ON_DRONE
+from upwash.drone.onboard import started
 from upwash.drone.server_session import ServerEndpoint, ServerSession
 from upwash.errors import UpwashError, UsageError
 from upwash.ports import Dialer, InstanceSpec, Link, Network, Runtime
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import Method, ServiceSpec
 
-_LONGEST_CALL_S = 600.0
-_LONGEST_START_S = 300.0
+LONGEST_CALL_S = 600.0
 _PROBES = 7
 _LEAST_CARRIED_S = 1e-3  # a shorter difference is noise: the way is too fast to tell
 _UNDECODABLE = (
@@ -35,16 +35,16 @@ _UNDECODABLE = (
 
 @dataclass(frozen=True)
 class Sample:
-    """One operation, and a request of it for each photo."""
+    """One operation, and a request of it for each photo, by the photo's name."""
 
     operation: Operation
     method: Method
-    requests: tuple[bytes, ...]
+    requests: Mapping[str, bytes]
 
     @property
     def request_bytes(self) -> int:
         """The mean size of its requests."""
-        return round(statistics.fmean(len(request) for request in self.requests))
+        return round(statistics.fmean(map(len, self.requests.values())))
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,8 @@ class ServerProfile:
 Watch = Callable[[str], None]  # told what is done next, once per call
 
 
-def samples(spec: ServiceSpec, photos: Sequence[bytes]) -> list[Sample]:
-    """Every operation that can be called with a photo; raises UsageError where there is none.
+def samples(spec: ServiceSpec, photos: Mapping[str, bytes]) -> list[Sample]:
+    """Every operation that can be called with a photo, for photos by their names; UsageError where there is none.
 
     That is a method with one parameter of bytes; the profile argument takes each of its values, and any other
     parameter has a default.
@@ -103,7 +103,7 @@ def samples(spec: ServiceSpec, photos: Sequence[bytes]) -> list[Sample]:
         Sample(
             Operation(spec.name, method.name, key),
             method,
-            tuple(method.encode((), {name: photo, **arguments})[1] for photo in photos),
+            {called: method.encode((), {name: photo, **arguments})[1] for called, photo in photos.items()},
         )
         for method in spec.methods.values()
         if not method.once and (name := _photo_parameter(method)) is not None
@@ -146,6 +146,7 @@ async def profile_onboard(
     *,
     calls: int,
     drone: str,
+    start_timeout_s: float,
     runtime: Runtime,
     dialer: Dialer,
     memory_bytes: Callable[[], int],
@@ -158,8 +159,7 @@ async def profile_onboard(
     profiles, starts_s, memories_bytes = [], [], []
     for sample in found:
         began_s = _now_s()
-        async with asyncio.timeout(_LONGEST_START_S):
-            instance = await runtime.start(spec, called=lambda _: None)
+        instance = await started(runtime, spec, within_s=start_timeout_s)
         starts_s.append(_now_s() - began_s)
         try:
             await instance.admit(frozenset({drone}))
@@ -179,12 +179,15 @@ async def profile_server(
     found: Sequence[Sample],
     *,
     calls: int,
+    start_timeout_s: float,
     network: Network,
     dialer: Dialer,
     watch: Watch,
 ) -> ServerProfile:
     """Visits the server twice, as a drone does, and calls its services the second time."""
-    check_s = await _check_stopped_s(ServerSession(endpoint, network=network, dialer=dialer))
+    check_s = await _check_stopped_s(
+        ServerSession(endpoint, network=network, dialer=dialer), start_timeout_s=start_timeout_s
+    )
     session = ServerSession(endpoint, network=network, dialer=dialer)
     began_s = _now_s()
     try:
@@ -213,7 +216,7 @@ Request = Callable[[Sample, bytes], Awaitable[bytes]]
 def _over(link: Link) -> Request:
     def request(sample: Sample, body: bytes) -> Awaitable[bytes]:
         path = service_path(sample.operation.service, sample.operation.method)
-        return link.request(path, body, timeout_s=_LONGEST_CALL_S)
+        return link.request(path, body, timeout_s=LONGEST_CALL_S)
 
     return request
 
@@ -221,26 +224,29 @@ def _over(link: Link) -> Request:
 def _to(session: ServerSession) -> Request:
     def request(sample: Sample, body: bytes) -> Awaitable[bytes]:
         operation = sample.operation
-        return session.call(operation.service, operation.method, body, deadline_s=_LONGEST_CALL_S)
+        return session.call(operation.service, operation.method, body, deadline_s=LONGEST_CALL_S)
 
     return request
 
 
 async def _measure(sample: Sample, request: Request, *, calls: int, watch: Watch) -> CallProfile:
     delays_s, replies_bytes = [], []
-    for body in itertools.islice(itertools.cycle(sample.requests), calls + 1):
+    for photo in itertools.islice(itertools.cycle(sample.requests), calls + 1):
         watch(str(sample.operation))
         began_s = _now_s()
-        reply = await request(sample, body)
+        reply = await request(sample, sample.requests[photo])
         delays_s.append(_now_s() - began_s)
         replies_bytes.append(len(reply))
-        try:
-            sample.method.result(sample.method.decode(reply))
-        except Exception as error:
-            raise UsageError(
-                f"{sample.operation} failed on a photo, so there is nothing to measure: {error}"
-            ) from error
+        require_answer(sample, photo, reply)
     return CallProfile(sample, delays_s[0], tuple(delays_s[1:]), round(statistics.fmean(replies_bytes)))
+
+
+def require_answer(sample: Sample, photo: str, reply: bytes) -> None:
+    """Raises UsageError, with the photo's name, for a reply that is an exception of the service."""
+    try:
+        sample.method.result(sample.method.decode(reply))
+    except Exception as error:
+        raise UsageError(f"{sample.operation} failed on {photo}: {error}") from error
 
 
 async def _measure_transfer(sample: Sample, request: Request) -> tuple[float, float | None]:
@@ -259,13 +265,13 @@ async def _measure_transfer(sample: Sample, request: Request) -> tuple[float, fl
     return large_s, 8 * (sizes_bytes[1] - sizes_bytes[0]) / carried_s
 
 
-async def _check_stopped_s(session: ServerSession) -> float | None:
+async def _check_stopped_s(session: ServerSession, *, start_timeout_s: float) -> float | None:
     """From selection to READY with the services to be started; None where they ran already."""
     began_s = _now_s()
     try:
         if (await session.ask()).running:
             return None
-        await session.start(timeout_s=_LONGEST_START_S)
+        await session.start_patiently(within_s=start_timeout_s)
         return _now_s() - began_s
     finally:
         await session.end(in_range=True)

@@ -23,7 +23,7 @@ from upwash.core.admission import (
 from upwash.core.clients import Client, ServerStatus
 from upwash.core.instances import StartInstance, StopInstance
 from upwash.core.leases import Admit
-from upwash.errors import InstanceError, LinkError, Refused
+from upwash.errors import InstanceError, LinkError, NotReadyInTime, Refused
 from upwash.ports import AnsweredCall, Dialer, Instance, InstanceSpec, Program, Runtime
 from upwash.rpc.protocol import (
     AVAILABILITY,
@@ -386,7 +386,7 @@ class EdgeServer:
             self._host.gone(start.server, start.service, start.number)
             _log.warning("%s is gone: %s", spec.name, why)
         except TimeoutError:
-            why = f"{spec.name} was not ready within {self._start_timeout_s:.0f} s"
+            why = str(NotReadyInTime(spec.name, self._start_timeout_s, whose="the daemon's"))
             _log.warning("%s", why)
         except InstanceError as error:
             why = str(error)
