@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from tests.events import written
 from upwash import Drone
 from upwash.config import read_drone_config
 from upwash.core.selection import Selection
+from upwash.drone.server_session import ServerSession
 from upwash.errors import MissionFailed
 from upwash.lab.run import Run, simulate
 from upwash.services import Detector
@@ -156,6 +158,8 @@ def test_offloading_goes_on_after_the_vehicle_was_silent_for_a_while(tmp_path: P
     assert run.failure == "" and run.result.completed
     assert not events(run, "offloading_failed")
     assert len(events(run, "border_watch_failed")) == 1
+    there, back = run.range_intervals
+    assert there.from_s < 47.0 and there.to_s < back.from_s, "the borders were crossed all the same"
     assert places(run) == ["local", "local", "s1", "s1", "local", "local"]
 
 
@@ -266,3 +270,22 @@ def test_a_defect_in_deciding_ends_offloading_and_not_the_mission(
     (failure,) = events(run, "offloading_failed")
     assert failure["why"] == "ZeroDivisionError: a defect"
     assert {call.place for call in run.result.calls if call.at_s > failure["t"]} <= {"local"}
+
+
+@pytest.mark.parametrize("defective", ["keep_lease", "lost", "end"])
+def test_a_defect_in_the_background_of_offloading_ends_offloading_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, defective: str
+) -> None:
+    failed_s: list[float] = []
+
+    async def fail_soon(*_: Any, **__: Any) -> None:
+        await asyncio.sleep(1.0)
+        failed_s.append(asyncio.get_running_loop().time())
+        raise ZeroDivisionError("a defect")
+
+    monkeypatch.setattr(ServerSession, defective, fail_soon)
+    run = fly(tmp_path, truth="join_s = 1.0\nstart_s = 1.0")
+    assert run.failure == "" and run.result.completed
+    (failure,) = events(run, "offloading_failed")
+    assert failure["why"] == "ZeroDivisionError: a defect"
+    assert failure["t"] == failed_s[0], "not only when something else is asked of the session"

@@ -301,3 +301,39 @@ async def run():
 
 asyncio.run(run())
 """
+
+
+def test_a_defect_in_watching_a_service_fails_its_calls_at_once_and_is_logged() -> None:
+    class Defective:
+        endpoint = "unix:nowhere"
+
+        async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None: ...
+
+        async def drain(self, why: str) -> None: ...
+
+        async def exited(self) -> str:
+            raise LookupError("a defect")
+
+        async def stop(self) -> None: ...
+
+        async def start(self, *_: object, **__: object) -> Defective:
+            return self
+
+    async def main() -> None:
+        diary = Diary()
+        services = OnboardServices(
+            [InstanceSpec("heron", "workbench", Program("nowhere:Workbench"))],
+            drone="heron",
+            runtime=Defective(),
+            dialer=GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES),
+            journal=diary,
+        )
+        await services.start()
+        await diary.until("local_failed", 1)
+        with pytest.raises(
+            InstanceError, match="not watched any more, after a defect: LookupError: a defect"
+        ):
+            await services.call("workbench", "light", b"", timeout_s=1.0)
+        await services.close()
+
+    asyncio.run(main())

@@ -513,3 +513,38 @@ def test_a_flight_that_does_not_ask_for_it_does_without() -> None:
     scene, error = fly(scenario(), autopilot=FaithlessAutopilot)
     assert error is None
     assert told_to_dead_man(scene) == ["goodbye"]
+
+
+def battery_that_raises(after_s: float) -> type[ModelAutopilot]:
+    """A vehicle whose battery cannot be read any more from then on, by a defect of ours."""
+
+    class Defective(ModelAutopilot):
+        @property
+        def battery_percent(self) -> float | None:
+            if asyncio.get_running_loop().time() >= after_s:
+                raise LookupError("the battery's report has no such field")
+            return super().battery_percent
+
+    return Defective
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+def test_a_watch_of_the_reserve_that_fails_ends_the_flight_as_the_reserve_does(action: SafeEnd) -> None:
+    config = scenario(
+        mission={"reserve_percent": 25.0}, vehicle={"endurance_s": 1000.0}, autopilot={"on_failure": action}
+    )
+    scene, error = fly(config, autopilot=battery_that_raises(60.0))
+    assert isinstance(error, ReserveReached) and "a defect has ended the watch of the reserve" in str(error)
+    (failed,) = scene.events("battery_watch_failed")
+    assert failed["t"] == pytest.approx(60.0, abs=1.0)
+    assert "no such field" in failed["why"] and "Traceback" in failed["trace"]
+    assert_ended_in(action, scene)
+
+
+def test_a_watch_of_the_reserve_that_fails_on_the_way_down_is_told_and_ends_nothing() -> None:
+    well, _ = fly(scenario(mission={"reserve_percent": 25.0}, vehicle={"endurance_s": 1000.0}))
+    (returning,) = well.events("returning")
+    config = scenario(mission={"reserve_percent": 25.0}, vehicle={"endurance_s": 1000.0})
+    scene, error = fly(config, autopilot=battery_that_raises(returning["t"] + 1.0))
+    assert error is None
+    assert scene.events("battery_watch_failed") and not scene.events("stopping")

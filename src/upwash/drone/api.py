@@ -24,7 +24,9 @@ from upwash.eventlog.schema import SEVERITIES
 from upwash.plans import Ending
 from upwash.ports import Autopilot, Journal, Notifier, VehicleLimits
 from upwash.rpc.service import Method, make_stub, spec_of
+from upwash.support.background import begin
 from upwash.support.text import printable
+from upwash.support.waiting import first
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -308,15 +310,12 @@ class Vehicle:
 
     async def _until_answered(self, verb: Coroutine[Any, Any, None], demand: Demand[Any]) -> bool:
         """Begins to fly; returns whether it has arrived, or else, flying on, once the answer is there."""
-        leg = self._leg = asyncio.create_task(verb)
-        answered = asyncio.create_task(demand.pending._answered())
+        leg = self._leg = begin(verb)
         try:
-            await asyncio.wait((leg, answered), return_when=asyncio.FIRST_COMPLETED)
+            await first(asyncio.wait([leg]), demand.pending._answered())
         except asyncio.CancelledError:
             await self._end_leg()
             raise
-        finally:
-            answered.cancel()
         if not leg.done():
             return False
         await self._rest_of_leg()

@@ -10,6 +10,7 @@ from upwash.config import SafeEnd
 from upwash.errors import AutopilotError, AutopilotOverruled
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
+from upwash.support.waiting import first
 
 _Action = SafeEnd | Literal["disarm"]
 _ENDED: Mapping[_Action, type[schema.Landed | schema.LeftHovering | schema.Disarmed]] = {
@@ -58,20 +59,15 @@ async def follow(autopilot: Autopilot, journal: Journal, *, until: asyncio.Event
     journal.record(
         schema.LeftToPilot(why=f"{control}; the log continues until the vehicle stands, or Ctrl-C")
     )
-    stood = asyncio.create_task(autopilot.stood())
-    stopped = asyncio.create_task(until.wait())
     try:
-        await asyncio.wait((stood, stopped), return_when=asyncio.FIRST_COMPLETED)
-        if not stood.done():
-            journal.record(schema.FollowingEnded(why="the program was stopped"))
-        elif isinstance(error := stood.exception(), AutopilotError):
-            journal.record(schema.FollowingEnded(why=str(error)))
-        else:
-            stood.result()
-            journal.record(schema.Stood(position=autopilot.position))
-    finally:
-        stood.cancel()
-        stopped.cancel()
+        stopped = await first(autopilot.stood(), until.wait())
+    except AutopilotError as error:
+        journal.record(schema.FollowingEnded(why=str(error)))
+        return
+    if stopped:
+        journal.record(schema.FollowingEnded(why="the program was stopped"))
+    else:
+        journal.record(schema.Stood(position=autopilot.position))
 
 
 async def _carry_out(action: _Action, autopilot: Autopilot) -> None:

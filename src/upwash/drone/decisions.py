@@ -18,6 +18,7 @@ from upwash.core.servers import Change
 from upwash.core.stay_or_go import Outlook
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
+from upwash.support.waiting import first
 
 _NAMES: Mapping[type[Decision], Literal["local", "remote", "wait"]] = {
     Local: "local",
@@ -125,12 +126,10 @@ class Decisions:
 
     async def until_told(self, unless: asyncio.Task[object], *, until_s: float) -> None:
         """Returns when something has happened, that time has come, or the task is done."""
-        told = asyncio.create_task(self._told.wait())
         left_s = until_s - now_s() if until_s < math.inf else None
-        try:
-            await asyncio.wait((unless, told), timeout=left_s, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            told.cancel()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(left_s):
+                await first(asyncio.wait([unless]), self._told.wait())
 
     def _decided(
         self, operation: Operation, decision: Decision, effects: Sequence[Effect], position: Position

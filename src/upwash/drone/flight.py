@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import traceback
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -60,6 +61,7 @@ from upwash.ports import (
     VehicleText,
 )
 from upwash.rpc.service import spec_of
+from upwash.support.background import end, start
 from upwash.support.heat import Surroundings
 
 _WORDS_KEPT = 8  # of the vehicle's, to say with whom it was lost to
@@ -321,7 +323,7 @@ class Flight:
         return True
 
     async def _run_mission(self) -> None:
-        watch = asyncio.create_task(self._watch_battery())
+        watch = start(self._watch_battery(), name="the watch of the reserve", failed=self._end_unwatched)
         try:
             await self._thread.run(self._fly_program)
         except UpwashError as error:
@@ -332,7 +334,7 @@ class Flight:
         except Exception as error:
             raise mission_failed(error) from error
         finally:
-            watch.cancel()
+            await end(watch)
             await self._vehicle._end_leg()
             await self._calls.close()
         self._require_control()
@@ -381,8 +383,17 @@ class Flight:
             leg_speed_m_s=lambda: (vehicle.ground_speed_m_s or default_m_s) if vehicle.on_a_leg else None,
             down_s=lambda: self._descent.left_s,
         )
-        why = await watch.reached()
-        if not vehicle.coming_down:
+        self._end_at_reserve(await watch.reached())
+
+    def _end_unwatched(self, defect: Exception) -> None:
+        """Ends the mission as the reserve does: a drone does not fly on without that watch."""
+        why = f"a defect has ended the watch of the reserve: {type(defect).__name__}: {defect}"
+        trace = "".join(traceback.format_exception(defect))
+        self._ports.journal.record(schema.BatteryWatchFailed(why=why, trace=trace))
+        self._end_at_reserve(why)
+
+    def _end_at_reserve(self, why: str) -> None:
+        if not self._vehicle.coming_down:
             self._end_mission(ReserveReached(why))
 
     def _drone(self) -> Drone:

@@ -16,6 +16,8 @@ from upwash.errors import TransitionError, UpwashError
 from upwash.eventlog import schema
 from upwash.ports import Journal
 from upwash.rpc.service import Method
+from upwash.support.background import end, start
+from upwash.support.waiting import first
 
 
 class FailSafeOffloading:
@@ -30,16 +32,12 @@ class FailSafeOffloading:
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
         """Looks for servers and visits them until the end of the block, by when whatever was selected is left."""
-        background = self._background = asyncio.create_task(self._offloading.run())
-        background.add_done_callback(self._note_end)
+        background = self._background = start(self._offloading.run(), name="offloading", failed=self._fail)
         try:
             yield
         finally:
-            if not background.done():
-                await self._end()
-            background.cancel()
-            with contextlib.suppress(Exception, asyncio.CancelledError):
-                await background
+            await self._end(background)
+            await end(background)
 
     async def invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
         """Runs one call where it is decided to run, or on the drone; returns its decoded reply.
@@ -78,14 +76,13 @@ class FailSafeOffloading:
             except Exception as error:  # noqa: BLE001 - whatever it is, the drone flies on
                 self._fail(error)
 
-    async def _end(self) -> None:
+    async def _end(self, background: asyncio.Task[Any]) -> None:
+        """Leaves the server, unless the background fails before or meanwhile: it is what leaves."""
+        if background.done():
+            return
         try:
-            await self._offloading.end()
+            await first(self._offloading.end(), asyncio.wait([background]))
         except Exception as error:  # noqa: BLE001 - the mission was flown all the same
-            self._fail(error)
-
-    def _note_end(self, background: asyncio.Task[Any]) -> None:
-        if not background.cancelled() and (error := background.exception()) is not None:
             self._fail(error)
 
     def _fail(self, error: BaseException) -> None:
@@ -94,9 +91,11 @@ class FailSafeOffloading:
         self._failed = True
         if self._background is not None:
             self._background.cancel()
-        first = error.exceptions[0] if isinstance(error, BaseExceptionGroup) else error
+        defect: BaseException = error
+        while isinstance(defect, BaseExceptionGroup):
+            defect = defect.exceptions[0]
         trace = "".join(traceback.format_exception(error))
-        self._journal.record(schema.OffloadingFailed(why=f"{type(first).__name__}: {first}", trace=trace))
+        self._journal.record(schema.OffloadingFailed(why=f"{type(defect).__name__}: {defect}", trace=trace))
 
 
 def _is_defect(error: Exception) -> bool:

@@ -18,6 +18,7 @@ from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 from upwash.errors import MissionFailed, MissionStopped, UpwashError, UsageError
+from upwash.support.background import begin, thread
 
 T = TypeVar("T")
 
@@ -103,14 +104,11 @@ class MissionThread:
                 failure = error
             except BaseException as error:  # noqa: BLE001 - sys.exit() ends the mission, not the program
                 failure = MissionStopped(f"the mission raised {error!r}")
-            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
-                self._loop.call_soon_threadsafe(self._settle, failure)
+            self._settle_from_thread(failure)
             if self._turn is not None:
                 self._turn.end()
 
-        self._thread = threading.Thread(
-            target=body, name="mission", daemon=True
-        )  # it cannot hold up the exit
+        self._thread = thread(body, name="mission", failed=self._settle_from_thread)
         self._thread.start()
         self._give_turn()
         try:
@@ -138,12 +136,16 @@ class MissionThread:
         if self._stopped:
             raise MissionStopped(self._stopped)
 
+    def _settle_from_thread(self, failure: Exception | None) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+            self._loop.call_soon_threadsafe(self._settle, failure)
+
     def _settle(self, failure: Exception | None) -> None:
         if not self._ended.done():
             self._ended.set_result(failure)
 
     def _begin(self, verb: Coroutine[Any, Any, Any]) -> None:
-        self._verb = self._loop.create_task(verb)
+        self._verb = begin(verb)
         self._verb.add_done_callback(self._end)
         if self._stopped:  # between the call and now
             self._verb.cancel()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -12,6 +11,7 @@ from upwash.errors import InstanceError, LinkError, NotReadyInTime, OutcomeUnkno
 from upwash.eventlog import schema
 from upwash.ports import Dialer, Instance, InstanceSpec, Journal, Link, Runtime
 from upwash.rpc.protocol import service_path
+from upwash.support.background import end, start
 
 _PAUSE_S = 1.0  # between two starts, so that a service that cannot start does not eat the computer
 
@@ -100,7 +100,7 @@ class _OnboardService:
 
     async def start(self) -> None:
         first = await self._launch()
-        self._life = asyncio.create_task(self._live(first))
+        self._life = start(self._live(first), name=f"the life of {self._spec.name}", failed=self._give_up)
 
     async def call(self, method: str, request: bytes, *, timeout_s: float, once: bool) -> bytes:
         try:
@@ -122,10 +122,16 @@ class _OnboardService:
             raise InstanceError(f"{self._spec.service} failed on the drone, twice: {error}") from error
 
     async def close(self) -> None:
-        if self._life is not None:
-            self._life.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._life
+        await end(self._life)
+
+    def _give_up(self, defect: Exception) -> None:
+        """Fails every call from now on, as nothing starts the service again."""
+        why = (
+            f"{self._spec.service} is not watched any more, after a defect: {type(defect).__name__}: {defect}"
+        )
+        self._journal.record(schema.LocalFailed(service=self._spec.service, why=why))
+        self._running = asyncio.get_running_loop().create_future()
+        self._running.set_exception(InstanceError(why))
 
     async def _attempt(self, method: str, request: bytes, timeout_s: float) -> bytes:
         try:

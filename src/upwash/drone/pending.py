@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections.abc import Callable, Coroutine
 from typing import Any, Generic, ParamSpec, TypeVar, cast
 
@@ -14,6 +13,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.ports import Journal
 from upwash.rpc.service import Method, request_of
+from upwash.support.background import begin, end
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -162,15 +162,13 @@ class Calls:
         self._require_free(operation)
         started, after, waypoint = Started(), self._dropped, self._waypoint()
 
-        def begin() -> None:
+        def on_loop() -> None:
             self._journal.record(schema.CallStarted(operation=str(operation), waypoint=waypoint))
-            started.task = asyncio.get_running_loop().create_task(
-                self._run(operation, method, request, after)
-            )
+            started.task = begin(self._run(operation, method, request, after))
             started.task.add_done_callback(_take_note)
 
         self._under_way, self._dropped = started, _NONE
-        self._thread.post(begin)
+        self._thread.post(on_loop)
         return Pending(self, started, method, waypoint)
 
     def wait(self, call: Started) -> float:
@@ -196,11 +194,7 @@ class Calls:
 
     async def close(self) -> None:
         """Ends what is still under way; for the loop, once no mission makes calls any more."""
-        for call in (self._under_way, self._dropped):
-            if call.task is not None:
-                call.task.cancel()
-                with contextlib.suppress(Exception, asyncio.CancelledError):
-                    await call.task
+        await end(self._under_way.task, self._dropped.task)
 
     def _require_free(self, operation: Operation) -> None:
         self._thread.require_turn()

@@ -26,6 +26,7 @@ from upwash.drone.server_session import ServerEndpoint, ServerSession
 from upwash.errors import UNREACHED, LinkError, NetworkError, NoSlot
 from upwash.eventlog import schema
 from upwash.ports import Dialer, Journal, Network
+from upwash.support.background import begin, end
 
 T = TypeVar("T")
 
@@ -53,6 +54,7 @@ class RadioWorker:
         self._journal = journal
         self._tell = tell
         self._commands: asyncio.Queue[Command] = asyncio.Queue()
+        self._tasks: asyncio.TaskGroup  # of `run`: the worker fails with any of them
         self._errand: asyncio.Task[None] | None = None  # what the session is busy with
         self._message: asyncio.Task[None] | None = None  # for a peer of the server
         self._watch: asyncio.Task[None] | None = None  # over the network that the session joined
@@ -73,46 +75,43 @@ class RadioWorker:
 
     async def run(self) -> NoReturn:
         """Carries the commands out, until cancelled."""
-        try:
+        async with asyncio.TaskGroup() as self._tasks:
             while True:
                 command = await self._commands.get()
                 try:
                     await self._follow(command)
                 finally:
                     self._commands.task_done()
-        finally:
-            await self._pause()
+        raise AssertionError("it carries them out for ever")
 
     async def _follow(self, command: Command) -> None:
         match command:
             case Check(server):
                 await self._pause()
-                self._errand = asyncio.create_task(self._ask(self._session_at(server), command))
+                self._errand = self._tasks.create_task(self._ask(self._session_at(server), command))
             case Probe(server):
                 await self._pause()
                 session = self._session_at(server)
                 await session.hang_up()
                 self.cut = None  # which teaches nothing, as the server is probed
-                self._errand = asyncio.create_task(self._probe(session, command))
+                self._errand = self._tasks.create_task(self._probe(session, command))
             case Start() if self.session is not None:
-                self._errand = asyncio.create_task(self._start(self.session, command))
+                self._errand = self._tasks.create_task(self._start(self.session, command))
             case Prepare() if self.session is not None:
-                await _stop(self._message)
-                self._message = asyncio.create_task(self._prepare(self.session, command))
+                await end(self._message)
+                self._message = self._tasks.create_task(self._prepare(self.session, command))
             case Leave(server):
-                await _stop(self._message)
-                await _stop(self._errand)
+                await end(self._message, self._errand)
                 if self.session is not None:
                     answered = await self.session.end(in_range=self._in_range(server))
                     if answered and self.cut is not None:
                         self._tell(self.cut)
-                await _stop(self._watch)
+                await end(self._watch)
                 self.session = self.cut = self._errand = self._message = self._watch = None
 
     async def _pause(self) -> None:
         """Drops what is under way with the server, without leaving it."""
-        for task in (self._message, self._errand, self._watch):
-            await _stop(task)
+        await end(self._message, self._errand, self._watch)
         self._message = self._errand = self._watch = None
 
     def _session_at(self, server: str) -> ServerSession:
@@ -126,7 +125,7 @@ class RadioWorker:
         check = command.check
         try:
             await self._join(session, command)
-            self._watch = asyncio.create_task(self._notice_loss(session, check))
+            self._watch = self._tasks.create_task(self._notice_loss(session, check))
             answer = await self._with_slot(session.ask, check)
         except (NetworkError, LinkError) as error:
             self._tell(CheckFailed(check, str(error), isinstance(error, UNREACHED)))
@@ -186,10 +185,10 @@ class RadioWorker:
                 except NetworkError:
                     continue
                 if self._watch is None or self._watch.done():
-                    self._watch = asyncio.create_task(_until_lost(session))
-                asking.add(asyncio.create_task(self._question(session, command.check)))
+                    self._watch = self._tasks.create_task(_until_lost(session))
+                asking.add(begin(self._question(session, command.check)))
         finally:
-            await end_all(asking)
+            await end(*asking)
 
     async def _question(self, session: ServerSession, check: int) -> ProbeAnswered:
         return ProbeAnswered(check, await session.probe())
@@ -243,14 +242,3 @@ async def end_all(tasks: Collection[asyncio.Task[Any]]) -> None:
     for task in tasks:
         task.cancel()
     await asyncio.gather(*tasks, return_exceptions=True)
-
-
-async def _stop(task: asyncio.Task[None] | None) -> None:
-    """Cancels the task and waits for its end; raises what else it ended with."""
-    if task is not None:
-        task.cancel()
-        (ended,) = await asyncio.gather(
-            task, return_exceptions=True
-        )  # which is cancelled only by our own caller
-        if isinstance(ended, Exception):
-            raise ended

@@ -12,7 +12,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -20,6 +19,7 @@ from pathlib import Path
 from upwash.emulation.groups import remove_groups
 from upwash.emulation.tools import command, require_tools
 from upwash.errors import UsageError
+from upwash.support.background import thread
 
 MARK = "UPWASH_EMULATION"  # in the environment: the process, and when it started, of the command that owns this one
 _TOOLS = {"unshare": "util-linux", "ip": "iproute2", "tc": "iproute2"}
@@ -96,7 +96,7 @@ def settle_in(stop: Callable[[], object]) -> None:
     Path("/run/tmp").mkdir(mode=0o1777)
     os.environ["TMPDIR"] = "/run/tmp"
     command("ip", "link", "set", "lo", "up")
-    threading.Thread(target=_listen, args=(stop,), name="control line", daemon=True).start()
+    thread(lambda: _listen(stop), name="control line", failed=lambda _: os._exit(1)).start()
 
 
 def _listen(stop: Callable[[], object]) -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import subprocess
-import threading
 from collections.abc import Iterator, Sequence
 
 from upwash.core.geo import Position
@@ -12,6 +12,7 @@ from upwash.emulation.field import Link
 from upwash.emulation.namespaces import End, give_address
 from upwash.emulation.native import native_program, wifi_of
 from upwash.errors import NetworkError
+from upwash.support.background import thread
 
 _PREFIX_BITS = 24
 _SERVER_DEVICE = "air"  # one for all drones, as they share the network
@@ -71,13 +72,16 @@ class GhostRadio:
             raise NetworkError(f"ns-3 did not start (exit code {self._process.wait()})")
         for end in ends.values():
             give_address(end, prefix_bits=_PREFIX_BITS)
-        threading.Thread(target=self._watch_lag, name="lag", daemon=True).start()
+        thread(self._watch_lag, name="watch of ns-3's lag", failed=self._lose_sight).start()
 
     def _watch_lag(self) -> None:
         assert self._process.stdout is not None  # noqa: S101
         for line in self._process.stdout:
             _, _, lag_s = line.partition("lag ")
             self.lag_s = max(self.lag_s, float(lag_s))
+
+    def _lose_sight(self, _: Exception) -> None:
+        self.lag_s = math.inf  # an unmeasured lag is not within the limit
 
     def _tell(self, line: str) -> None:
         assert self._process.stdin is not None  # noqa: S101

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractAsyncContextManager
-from typing import TypeVar
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 
@@ -17,8 +16,11 @@ T = TypeVar("T")
 def on_a_loop(
     enter: Callable[[], object], using: Callable[[], AbstractAsyncContextManager[T]]
 ) -> Iterator[T]:
-    """Holds what `using` opens until the end of the block, on the loop of a thread that has entered a namespace."""
-    ready: Future[tuple[T, Callable[[], object]]] = Future()
+    """Holds what `using` opens until the end of the block, on the loop of a thread that has entered a namespace.
+
+    A loop that ends earlier has its failure raised at the end of the block.
+    """
+    ready: Future[Any] = Future()  # what is held, and what ends that
 
     async def hold() -> None:
         loop, over = asyncio.get_running_loop(), asyncio.Event()
@@ -27,18 +29,18 @@ def on_a_loop(
             await over.wait()
 
     def run() -> None:
-        try:
-            enter()
-            asyncio.run(hold())
-        except Exception as error:  # noqa: BLE001 - carried over to the thread that waits
-            if not ready.done():
-                ready.set_exception(error)
+        enter()
+        asyncio.run(hold())
 
-    thread = threading.Thread(target=run, name="namespace")
-    thread.start()
-    held, end = ready.result()
-    try:
-        yield held
-    finally:
-        end()
-        thread.join()
+    with ThreadPoolExecutor(1, "namespace") as threads:
+        over: Future[Any] = threads.submit(run)
+        wait((ready, over), return_when=FIRST_COMPLETED)
+        if not ready.done():
+            over.result()
+        held, end = ready.result()
+        try:
+            yield held
+        finally:
+            with contextlib.suppress(RuntimeError):  # the loop has ended by itself, and the result says why
+                end()
+            over.result()

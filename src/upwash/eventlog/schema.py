@@ -601,10 +601,14 @@ class EnergyUsed(Event, frozen=True, kw_only=True, omit_defaults=True):
         return round(self.flight_wh + self.hover_wh + self.computing_wh + self.radio_wh, 6)
 
 
-class BatteryWatchFailed(Event, frozen=True, kw_only=True):
-    """The vehicle does not report its battery, so no reserve is watched."""
+class BatteryWatchFailed(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """No reserve is watched: the vehicle does not report its battery, or a defect has ended the watch.
+
+    A defect ends the mission as the reserve does; its `trace` is for a bug report.
+    """
 
     why: str
+    trace: str = ""
 
 
 class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="position", gc=False):

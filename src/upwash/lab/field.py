@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import functools
 from collections.abc import AsyncIterator, Mapping
@@ -18,8 +17,10 @@ from upwash.server.daemon import EdgeServer, Image
 from upwash.sim.chance import Chance
 from upwash.sim.faults import Faults, FaultyServer
 from upwash.sim.link import ModelDialer, Switchboard
+from upwash.sim.loop import end_run
 from upwash.sim.runtime import ModelRuntime
 from upwash.sim.world import ServerComputer, Wire
+from upwash.support.background import end, start
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +88,8 @@ class _Field:
         handle = observer.daemon(edge.handle) if observer else edge.handle
         outside.plug_daemon(handle, crash=runtime.crash)
         self._stack.push_async_callback(edge.close)
-        watch = asyncio.create_task(edge.run(), name=f"daemon of {server.name}")
-        self._stack.callback(_end, watch)
+        watch = start(edge.run(), name=f"daemon of {server.name}", failed=end_run)
+        self._stack.push_async_callback(end, watch)
 
     def _daemon(self, name: str, truth: ServerTruth, runtime: Runtime) -> EdgeServer:
         peers = {peer: self._addresses[peer] for peer in truth.peers if peer in self._addresses}
@@ -110,9 +111,3 @@ def _offer(truth: ServerTruth, specs: Mapping[str, ServiceSpec]) -> ServerOffer:
         truth.turn_s,
         {service: truth.lanes or specs[service].concurrency for service in truth.images if service in specs},
     )
-
-
-def _end(watch: asyncio.Task[None]) -> None:
-    if watch.done():
-        watch.result()  # a daemon never ends by itself: this raises what ended it
-    watch.cancel()

@@ -8,7 +8,6 @@ import itertools
 import multiprocessing
 import os
 import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -17,6 +16,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
 from upwash.errors import UpwashError
+from upwash.support.background import thread
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -106,7 +106,7 @@ def _begin(_do: Callable[[T], R]) -> None:
     signal.signal(
         signal.SIGINT, signal.SIG_IGN
     )  # Ctrl-C goes to every process: the first one ends the others
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    thread(_end_with_parent, name="watch of the parent", failed=lambda _: os._exit(1)).start()
     gc.freeze()  # what was imported stays: the garbage collector need not look through it again and again
 
 

@@ -6,10 +6,11 @@ import asyncio
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NoReturn
 
 from upwash.core.geo import Circle
 from upwash.core.ranges import Ranges
-from upwash.ports import Autopilot
+from upwash.sim.autopilot import ModelAutopilot
 
 _HAIR_M = 0.01  # a drone that hovers on a border is now within and now without
 
@@ -23,7 +24,9 @@ class RangeInterval:
     to_s: float = math.inf
 
 
-async def observe(autopilot: Autopilot, areas: Mapping[str, Circle], stays: list[RangeInterval]) -> None:
+async def observe(
+    autopilot: ModelAutopilot, areas: Mapping[str, Circle], stays: list[RangeInterval]
+) -> NoReturn:
     """Adds each stay as it begins, and ends it, until cancelled."""
     wider = {name: Circle(area.centre, area.radius_m + _HAIR_M) for name, area in areas.items()}
     ranges, circles = Ranges(wider), list(wider.values())
@@ -37,4 +40,4 @@ async def observe(autopilot: Autopilot, areas: Mapping[str, Circle], stays: list
             else:
                 begun[server] = len(stays)
                 stays.append(RangeInterval(server, now_s))
-        await autopilot.border_crossed(circles)
+        await autopilot.border_truly_crossed(circles)

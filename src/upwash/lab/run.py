@@ -56,6 +56,7 @@ from upwash.sim.runtime import Computer, ModelRuntime
 from upwash.sim.sleeping import sleeps_reported
 from upwash.sim.vehicle import Manner
 from upwash.sim.world import DroneComputer, Radio, Wire
+from upwash.support.background import beside
 from upwash.support.heat import Heat, Surroundings
 from upwash.vehicle import arducopter
 from upwash.vehicle.px4 import airframe as px4
@@ -252,15 +253,14 @@ async def _fly_one(
         ports=_ports(config, autopilot, radios, journal, software=software, chance=chance, observer=observer),
     )
     watching = observe(autopilot, areas, range_intervals)
-    watch = asyncio.create_task(watching, name="observer of ranges")
     try:
-        await lived(flight.run(), life, until_s=presence.vanishes_s)
+        async with beside(watching, name="observer of ranges"):
+            await lived(flight.run(), life, until_s=presence.vanishes_s)
     except MissionFailed:
         raise
     except UpwashError as error:
         return _End(str(error), coverage=flight.coverage)
     finally:
-        watch.cancel()
         saw(lambda: Seen(event="flight_over", altitude_m=autopilot.position.altitude_m))
         await autopilot.close()
     if life.is_over:

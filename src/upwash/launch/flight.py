@@ -32,6 +32,7 @@ from upwash.real.journal import FileJournal, JournalNotifier, Watcher, read_even
 from upwash.real.log_file import Unwritten
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience
 from upwash.real.signals import outliving_the_terminal, stopping_politely
+from upwash.support.background import end, only_logged, start
 from upwash.support.loading import extra
 
 _TRACK_PERIOD_S = 1.0
@@ -206,10 +207,8 @@ async def _tracking(flight: Flight, journal: Journal) -> AsyncIterator[None]:
             journal.record(flight.position_report())
             await asyncio.sleep(_TRACK_PERIOD_S)
 
-    task = asyncio.create_task(track())
+    task = start(track(), name="the log of the drone's positions", failed=only_logged)
     try:
         yield
     finally:
-        task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await task
+        await end(task)

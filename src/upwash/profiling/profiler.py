@@ -7,11 +7,10 @@ every other one from tests on the ground (section 3.3).
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import inspect
 import itertools
 import statistics
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from msgspec import inspect as types
@@ -24,6 +23,7 @@ from upwash.errors import UpwashError, UsageError
 from upwash.ports import Dialer, InstanceSpec, Link, Network, Runtime
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import Method, ServiceSpec
+from upwash.support.background import beside
 
 LONGEST_CALL_S = 600.0
 _PROBES = 7
@@ -196,7 +196,7 @@ async def profile_server(
                 f"{endpoint.name} has stopped its services again already: let its idle_stop_s be longer"
             )
         check_running_s = _now_s() - began_s
-        async with _kept(session):
+        async with beside(session.keep_lease(), name=f"the lease at {session.server}"):
             profiles = [await _measure(sample, _to(session), calls=calls, watch=watch) for sample in found]
             transfer_s, goodput_bit_s = await _measure_transfer(found[0], _to(session))
     finally:
@@ -275,17 +275,6 @@ async def _check_stopped_s(session: ServerSession, *, start_timeout_s: float) ->
         return _now_s() - began_s
     finally:
         await session.end(in_range=True)
-
-
-@contextlib.asynccontextmanager
-async def _kept(session: ServerSession) -> AsyncIterator[None]:
-    lease = asyncio.create_task(session.keep_lease())
-    try:
-        yield
-    finally:
-        lease.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await lease
 
 
 def _photo_parameter(method: Method) -> str | None:

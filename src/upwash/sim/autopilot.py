@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 
@@ -20,6 +21,7 @@ from upwash.sim.energy import EnergyMeter
 from upwash.sim.hearing import Hearing
 from upwash.sim.incidents import Incidents
 from upwash.sim.vehicle import GUIDED, LAND, RETURN, Manner, ModelVehicle
+from upwash.support.waiting import first
 from upwash.vehicle.flight import TURN_DEG_S
 from upwash.vehicle.kinematics import Phase, duration_s, stretched
 
@@ -314,6 +316,11 @@ class ModelAutopilot:
                 self._hearing.require("watch the borders")
                 return
 
+    async def border_truly_crossed(self, circles: Sequence[Circle]) -> None:
+        """Returns just after the vehicle has crossed a border, whether its link tells or not."""
+        while not await self._vehicle.borders.crossed(circles):
+            pass
+
     async def close(self) -> None:
         """Tells nothing more."""
         self._hearing.listen(lambda _: None)
@@ -406,13 +413,9 @@ class ModelAutopilot:
         left_s = begun_s + arrival_s + _PATIENCE_S - self._loop.time()
         if left_s <= 0:
             raise _late("goto", arrival_s, self._hearing.doubt)
-        jumped = asyncio.create_task(self._hearing.jumped.wait())
-        try:
-            await asyncio.wait(
-                (self._hearing.lost, jumped), timeout=left_s, return_when=asyncio.FIRST_COMPLETED
-            )
-        finally:
-            jumped.cancel()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(left_s):
+                await first(asyncio.wait([self._hearing.lost]), self._hearing.jumped.wait())
         await self._rest("goto")
 
     async def _booted(self) -> None:

@@ -10,6 +10,7 @@ from typing import Protocol
 from upwash.core.clients import Client
 from upwash.errors import DeadlineExceeded, InstanceError, NoLease, Refused, Unreachable
 from upwash.sim.life import Life
+from upwash.support.background import begin
 from upwash.support.text import printable
 
 Handler = Callable[[str, bytes, Client], Awaitable[bytes]]  # path, body, who asks → reply
@@ -74,7 +75,7 @@ class ModelLink:
         """Sends one request and returns its reply; raises LinkError."""
         if self._closed:
             raise Unreachable(f"{self._server} at {self._address}: the link is closed")
-        exchange = asyncio.create_task(self._exchange(path, body))
+        exchange = begin(self._exchange(path, body))
         self._requests.add(exchange)
         try:
             await asyncio.wait((exchange,), timeout=timeout_s)

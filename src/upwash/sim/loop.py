@@ -65,7 +65,16 @@ def _run(main: Coroutine[Any, Any, T]) -> T:
         loop = runner.get_loop()
         assert isinstance(loop, VirtualLoop)  # noqa: S101 - that is what was asked for
         interrupts.end(loop.turns)
-        return loop.run_until_complete(main)
+        try:
+            return loop.run_until_complete(main)
+        finally:
+            if loop.failure is not None:
+                raise loop.failure
+
+
+def end_run(failure: Exception) -> None:
+    """Have the run on virtual time that this is a part of end with the failure."""
+    asyncio.get_running_loop().call_exception_handler({"message": str(failure), "exception": failure})
 
 
 class VirtualLoop(base_events.BaseEventLoop):
@@ -81,6 +90,7 @@ class VirtualLoop(base_events.BaseEventLoop):
         self._cancelled = 0  # timers that are still in the heap
         self._rounds = 0  # since time last went on
         self.turns = Turns()
+        self.failure: BaseException | None = None  # the first unhandled one
 
     def time(self) -> float:
         """The virtual time in seconds."""
@@ -89,6 +99,18 @@ class VirtualLoop(base_events.BaseEventLoop):
     def mission_turn(self) -> MissionTurn:
         """The turn of a mission's thread, which is to begin."""
         return MissionTurn(self.turns, self, self._run_until)
+
+    def call_exception_handler(self, context: dict[str, Any]) -> None:
+        """Ends the run with an unhandled failure: of a callback, or of a task without an owner that awaits it.
+
+        Unless that is an UpwashError, which work may end with.
+        """
+        failure = context.get("exception") or RuntimeError(context["message"])
+        if isinstance(failure, UpwashError) or self.failure is not None:
+            return
+        self.failure = failure
+        if self.is_running():
+            self.stop()
 
     # What follows does what the base class does in fewer steps, as it is asked thousands of times a mission, and in
     # debug mode without the question which thread this is: it is the one whose turn it is.

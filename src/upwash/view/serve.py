@@ -15,6 +15,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from upwash.errors import UsageError
 from upwash.real.signals import stopping_politely
 from upwash.report.photos import PhotoShelf
+from upwash.support.background import beside
 from upwash.view.app import application
 from upwash.view.feed import Feed
 from upwash.view.recording import reading
@@ -75,12 +76,14 @@ async def serve_view(
             )
         )
 
-        following = asyncio.create_task(feed.follow())
-        following.add_done_callback(lambda _: server.handle_exit(signal.SIGTERM, None))
+        async def follow() -> None:
+            await feed.follow()
+            server.handle_exit(signal.SIGTERM, None)
+
         with stopping_politely(lambda _: feed.close()):
             ready(f"http://127.0.0.1:{listener.getsockname()[1]}/")
-            await server.serve(sockets=[listener])
-            await following
+            async with beside(follow(), name="the reader of the logs"):
+                await server.serve(sockets=[listener])
 
 
 @contextlib.contextmanager

@@ -11,6 +11,7 @@ from pathlib import Path
 from upwash.errors import UsageError
 from upwash.eventlog.log import LineReader
 from upwash.eventlog.schema import Event
+from upwash.support.background import beside
 from upwash.view.tail import Tail
 
 _LOOK_S = 0.1
@@ -38,13 +39,10 @@ async def followed(logs: Mapping[str, Path], follow: Callable[[str, Event], None
                 look()
                 await asyncio.sleep(_LOOK_S)
 
-        watching = asyncio.create_task(watch())
         try:
-            yield
+            async with beside(watch(), name="the reader of the flights' logs"):
+                yield
         finally:
-            watching.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await watching
             look()
 
 

@@ -1,0 +1,88 @@
+"""Background work: tasks and threads that run beside their owner, and never fail in silence.
+
+    beside(work)               for a block: work that fails cancels the block, which raises the failure
+    start(work, failed=...)    for an object: a failure is logged with its trace, then passed to `failed`
+    thread(work, failed=...)   the same in a thread
+    begin(work)                for a result: whoever awaits the task gets its failure
+
+An owner ends its tasks with `end`. Nothing else in upwash makes a thread, or a task outside an `asyncio.TaskGroup`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import threading
+from collections.abc import AsyncIterator, Callable, Coroutine
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+Failed = Callable[[Exception], object]  # what a failure leads to
+
+_log = logging.getLogger("upwash.background")
+
+
+def only_logged(_: Exception) -> None:
+    """What the failure of work leads to that its owner can do without."""
+
+
+@contextlib.asynccontextmanager
+async def beside(work: Coroutine[Any, Any, object], *, name: str) -> AsyncIterator[None]:
+    """Run `work` until the end of the block; work that fails cancels the block, which raises the failure."""
+    failures: tuple[BaseException, ...] = ()
+    try:
+        async with asyncio.TaskGroup() as group:
+            task = group.create_task(work, name=name)
+            yield
+            task.cancel()
+    except BaseExceptionGroup as both:
+        failures = both.exceptions
+    for failure in failures[:-1]:  # of the work, while the block failed by itself
+        _report(name, failure)
+    if failures:
+        raise failures[-1]
+
+
+def start(work: Coroutine[Any, Any, T], *, name: str, failed: Failed) -> asyncio.Task[T]:
+    """A task whose failure is logged with its trace, and then passed to `failed`."""
+    task = begin(work, name=name)
+
+    def look(ended: asyncio.Task[T]) -> None:
+        if not ended.cancelled() and isinstance(failure := ended.exception(), Exception):
+            _report(name, failure)
+            failed(failure)
+
+    task.add_done_callback(look)
+    return task
+
+
+def begin(work: Coroutine[Any, Any, T], *, name: str | None = None) -> asyncio.Task[T]:
+    """A task whose owner awaits its result, and gets its failure there; asyncio logs a failure that nobody gets."""
+    return asyncio.get_running_loop().create_task(work, name=name)
+
+
+async def end(*tasks: asyncio.Task[Any] | None) -> None:
+    """Cancel the tasks, and return when they have ended."""
+    running = [task for task in tasks if task is not None and not task.done()]
+    for task in running:
+        task.cancel()
+    if running:
+        await asyncio.wait(running)
+
+
+def thread(work: Callable[[], object], *, name: str, failed: Failed) -> threading.Thread:
+    """A thread that does not hold up the program's end; its failure is logged, and passed to `failed`, there."""
+
+    def run() -> None:
+        try:
+            work()
+        except Exception as failure:  # noqa: BLE001 - every one has the same consequence
+            _report(name, failure)
+            failed(failure)
+
+    return threading.Thread(target=run, name=name, daemon=True)
+
+
+def _report(name: str, failure: BaseException) -> None:
+    _log.error("%s failed: %s: %s", name, type(failure).__name__, failure, exc_info=failure)

@@ -1,0 +1,191 @@
+"""Each way to run work in the background, and what its failure leads to."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from typing import NoReturn
+
+import pytest
+
+from upwash.support.background import begin, beside, end, start, thread
+from upwash.support.waiting import first, never
+
+
+async def fail(*, after_turns: int = 0) -> NoReturn:
+    for _ in range(after_turns):
+        await asyncio.sleep(0)
+    raise LookupError("a defect")
+
+
+def test_work_that_fails_beside_a_block_ends_the_block_with_its_failure() -> None:
+    async def block() -> None:
+        async with beside(fail(), name="work"):
+            await never()
+
+    with pytest.raises(LookupError, match="a defect"):
+        asyncio.run(block())
+
+
+def test_a_block_that_fails_raises_its_own_failure_and_logs_that_of_the_work(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def fail_at_the_end() -> None:
+        try:
+            await never()
+        finally:
+            await fail()
+
+    async def block() -> None:
+        async with beside(fail_at_the_end(), name="work"):
+            await asyncio.sleep(0)
+            try:
+                raise KeyError("cause")
+            except KeyError as cause:
+                raise ValueError("the block") from cause
+
+    with pytest.raises(ValueError, match="the block") as raised:
+        asyncio.run(block())
+    assert isinstance(raised.value.__cause__, KeyError)
+    assert "work failed: LookupError: a defect" in caplog.text
+
+
+def test_work_beside_a_block_ends_with_it() -> None:
+    ended = []
+
+    async def work() -> None:
+        try:
+            await never()
+        finally:
+            ended.append(True)
+
+    async def block() -> str:
+        async with beside(work(), name="work"):
+            await asyncio.sleep(0)
+            return "the block's own"
+
+    assert asyncio.run(block()) == "the block's own"
+    assert ended
+
+
+def test_cancelling_a_block_cancels_its_owner() -> None:
+    async def block() -> None:
+        async with beside(never(), name="work"):
+            await never()
+
+    async def main() -> None:
+        task = begin(block())
+        await asyncio.sleep(0)
+        await end(task)
+        assert task.cancelled()
+
+    asyncio.run(main())
+
+
+def test_the_failure_of_started_work_is_logged_with_its_trace_and_has_its_consequence(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    failures: list[Exception] = []
+
+    async def main() -> None:
+        task = start(fail(), name="the work", failed=failures.append)
+        await asyncio.wait([task])
+        await end(task)
+
+    asyncio.run(main())
+    assert [str(failure) for failure in failures] == ["a defect"]
+    (record,) = caplog.records
+    assert record.levelname == "ERROR" and record.getMessage() == "the work failed: LookupError: a defect"
+    assert record.exc_info and record.exc_info[1] is failures[0]
+
+
+def test_started_work_that_is_ended_has_not_failed(caplog: pytest.LogCaptureFixture) -> None:
+    async def main() -> None:
+        task = start(never(), name="the work", failed=lambda _: pytest.fail("it was ended"))
+        await asyncio.sleep(0)
+        await end(task, None)
+        assert task.cancelled()
+
+    asyncio.run(main())
+    assert not caplog.records
+
+
+def test_who_awaits_begun_work_gets_its_failure() -> None:
+    async def main() -> None:
+        await begin(fail(after_turns=1))
+
+    with pytest.raises(LookupError):
+        asyncio.run(main())
+
+
+def test_begun_work_that_fails_unawaited_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    async def main() -> None:
+        begin(fail())
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+
+    asyncio.run(main())
+    assert "a defect" in caplog.text
+
+
+def test_a_thread_that_fails_is_logged_and_has_its_consequence(caplog: pytest.LogCaptureFixture) -> None:
+    failures: list[tuple[str, str]] = []
+
+    def work() -> None:
+        raise LookupError("a defect")
+
+    runs = thread(
+        work,
+        name="reader",
+        failed=lambda error: failures.append((str(error), threading.current_thread().name)),
+    )
+    runs.start()
+    runs.join()
+    assert failures == [("a defect", "reader")]
+    assert "reader failed: LookupError: a defect" in caplog.text
+
+
+def test_the_first_to_end_decides_and_the_others_have_ended() -> None:
+    ended = []
+
+    async def slow() -> str:
+        try:
+            await never()
+        finally:
+            ended.append("slow")
+
+    async def quick() -> str:
+        return "quick"
+
+    async def main() -> None:
+        assert await first(slow(), quick()) == "quick"
+        assert ended == ["slow"]
+
+    asyncio.run(main())
+
+
+def test_a_wait_that_fails_first_fails_the_race() -> None:
+    async def main() -> None:
+        await first(never(), fail(after_turns=1))
+
+    with pytest.raises(LookupError):
+        asyncio.run(main())
+
+
+def test_a_race_that_is_cancelled_cancels_its_waits() -> None:
+    ended = []
+
+    async def wait() -> None:
+        try:
+            await never()
+        finally:
+            ended.append(True)
+
+    async def main() -> None:
+        race = begin(first(wait(), wait()))
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        await end(race)
+        assert race.cancelled() and ended == [True, True]
+
+    asyncio.run(main())
