@@ -34,6 +34,7 @@ from upwash.real.requests import Caller, Requests
 from upwash.real.streams import listening_socket
 from upwash.real.trust import Trust
 from upwash.sim.loop import run_virtually
+from upwash.support.waiting import never
 
 ReadCredentials = Callable[[str], Credentials]
 PATH = "/upwash.test/name"
@@ -344,3 +345,23 @@ def test_who_asks_again_and_again_keeps_nobody_else_out() -> None:
             task.cancel()
 
     run_virtually(scenario())
+
+
+def test_a_way_in_that_fails_ends_the_door_with_its_failure(
+    credentials: Callable[[str], Credentials], caplog: pytest.LogCaptureFixture
+) -> None:
+    class Defective(socket.socket):
+        def accept(self) -> tuple[socket.socket, object]:
+            raise LookupError("a defect")
+
+    async def main() -> None:
+        async with opened_door(Trust(credentials("s1"))) as door:
+            listening = Defective(fileno=listening_socket("127.0.0.1:0").detach())
+            passage = await door.lead(listening, announcing_at("/nowhere"))
+            with socket.create_connection(("127.0.0.1", int(passage.address.rpartition(":")[2]))):
+                async with asyncio.timeout(10.0):
+                    await never()
+
+    with pytest.raises(LookupError, match="a defect"):
+        asyncio.run(main())
+    assert "the way in at 127.0.0.1" in caplog.text

@@ -9,7 +9,7 @@ import os
 import signal
 import socket
 import tempfile
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -35,7 +35,9 @@ from upwash.real.signals import ending_in_time, on_signal, stopping_politely
 from upwash.real.streams import listening_socket
 from upwash.rpc.service import spec_of
 from upwash.server.daemon import EdgeServer, Image
+from upwash.support.background import beside
 from upwash.support.loading import extra
+from upwash.support.waiting import first, never
 
 if TYPE_CHECKING:
     from upwash.metrics.daemon import DaemonMetrics
@@ -124,28 +126,19 @@ async def serve(
             door=door,
             manager=manager,
         )
-        for work in (edge.run(), reloading, watch_expiry(keys)):
-            stack.callback(asyncio.create_task(work).cancel)
-        going = asyncio.create_task(_hand_over(asked_to_go, config, outside, edge, manager))
-        stack.callback(going.cancel)
-        await _first(stopped.wait(), going)
-        if going.done() and not stopped.is_set():
+        for name, work in (
+            ("the edge server", edge.run()),
+            ("the watch for another configuration", reloading),
+            ("the watch of certificates", watch_expiry(keys)),
+        ):
+            await stack.enter_async_context(beside(work, name=name))
+        await first(stopped.wait(), _hand_over(asked_to_go, config, outside, edge, manager))
+        if not stopped.is_set():
             await answering.aclose()
-            await _first(stopped.wait(), edge.emptied())
+            await first(stopped.wait(), edge.emptied())
         in_time(config.drain_s + _ENDING_S)
         manager.stopping("waiting for the calls under way")
         await edge.drain(_CLOSING)
-
-
-async def _first(*waits: Awaitable[Any]) -> None:
-    """Returns when one of them does."""
-    waiting = [asyncio.ensure_future(each) for each in waits]
-    try:
-        await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
-    finally:
-        for each in waiting:
-            if not each.done():
-                each.cancel()
 
 
 async def _edge_server(
@@ -348,28 +341,34 @@ async def _hand_over(
                 "processes: restart it"
             )
             continue
-        served = {
-            each.name: Served(
-                [(lease.drone, lease.certificate) for lease in each.leases if not lease.held_by],
-                [instance.service for instance in each.instances if instance.state == InstanceState.RUNNING],
-            )
-            for each in edge.standing().servers
-        }
         _log.info("another daemon is to take this one's place")
         try:
             process = await hand_over(
                 outside,
                 config.listen,
-                served,
+                _served(edge),
                 environment=manager.environment,
                 timeout_s=config.start_timeout_s + _COMING_S,
             )
         except (UpwashError, OSError) as error:
             _log.error("this daemon stays: %s", error)
             continue
+        except Exception:  # noqa: BLE001 - a defect must not take the drones' leases
+            _log.exception("this daemon stays: a defect in handing over")
+            continue
         manager.main_is(process)
         _log.info("process %d has taken this daemon's place, which ends when its last lease does", process)
         return
+
+
+def _served(edge: EdgeServer) -> dict[str, Served]:
+    return {
+        each.name: Served(
+            [(lease.drone, lease.certificate) for lease in each.leases if not lease.held_by],
+            [instance.service for instance in each.instances if instance.state == InstanceState.RUNNING],
+        )
+        for each in edge.standing().servers
+    }
 
 
 # --- requests -----------------------------------------------------------------------------------------------
@@ -423,19 +422,15 @@ async def _exposed(
         while True:
             with contextlib.suppress(UsageError):
                 async with exposed(metrics.registry, listen):
-                    await asyncio.get_running_loop().create_future()
+                    await never()
             await asyncio.sleep(_METRICS_S)
 
     if not patient:
         async with exposed(metrics.registry, listen):
             yield
         return
-    offering = asyncio.create_task(offer())
-    try:
+    async with beside(offer(), name="the metrics"):
         yield
-    finally:
-        offering.cancel()
-        await asyncio.wait([offering])
 
 
 @contextlib.asynccontextmanager

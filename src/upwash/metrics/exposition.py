@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 import logging
 import socket
-import threading
 from collections.abc import AsyncIterator
 from email.parser import BytesParser
 from http import HTTPStatus
@@ -20,6 +19,7 @@ from prometheus_client.exposition import choose_encoder
 
 from upwash.config import is_on_this_machine
 from upwash.errors import UsageError
+from upwash.support.background import only_logged, thread
 from upwash.support.http_host import names_this_machine
 
 _PATHS = ("/metrics", "/")
@@ -50,14 +50,14 @@ async def exposed(registry: CollectorRegistry, listen: str) -> AsyncIterator[str
         ) from error
     address = f"{host}:{listener.getsockname()[1]}"
     server = _Server(registry, listener, host)
-    thread = threading.Thread(target=server.run, name="metrics", daemon=True)
-    thread.start()
+    serving = thread(server.run, name="metrics", failed=only_logged)
+    serving.start()
     _log.info("metrics at http://%s/metrics", address)
     try:
         yield address
     finally:
         server.stop()
-        await asyncio.to_thread(thread.join)
+        await asyncio.to_thread(serving.join)
 
 
 def _listener(host: str, port: int) -> socket.socket:
@@ -87,7 +87,8 @@ class _Server:
 
     def stop(self) -> None:
         """Ends it, with every connection; from any thread."""
-        self._loop.call_soon_threadsafe(self._stopped.set)
+        with contextlib.suppress(RuntimeError):  # its loop was closed by a failure
+            self._loop.call_soon_threadsafe(self._stopped.set)
 
     async def _serve(self) -> None:
         server = await asyncio.start_server(self._admit, sock=self._listener, limit=_LARGEST_REQUEST_BYTES)

@@ -15,12 +15,12 @@ import logging
 import resource
 import socket
 import ssl
-import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from ipaddress import IPv6Address, ip_address
-from typing import Any
+from typing import Any, NoReturn
 
 from upwash.core.allowance import Allowance
 from upwash.core.clients import Client
@@ -31,6 +31,7 @@ from upwash.real.frames import Counted, FrameCounter
 from upwash.real.log import Sparing
 from upwash.real.streams import End, endpoint_of, join, listening_socket, readable
 from upwash.real.trust import Holder, Trust
+from upwash.support.background import beside, end, only_logged, start, thread
 
 _log = logging.getLogger("upwash.door")
 _log.addFilter(Sparing())
@@ -117,7 +118,8 @@ class Door:
         self._trust = trust
         self._limits = limits or DoorLimits()
         self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._run, name="door", daemon=True)
+        self._thread = thread(self._run, name="door", failed=self._break)
+        self._broken: Future[NoReturn] = Future()
         limits = self._limits
         self._strangers: Crowd[asyncio.Task[Any]] = Crowd(
             limits.strangers, most_of_group=limits.strangers_per_address
@@ -133,6 +135,11 @@ class Door:
         """Begins to work."""
         self._thread.start()
 
+    async def broken(self) -> NoReturn:
+        """Raises what has ended the door, or a way in, where a defect does."""
+        await asyncio.wrap_future(self._broken)
+        raise AssertionError("it has no result")
+
     async def close(self) -> None:
         """Hangs up on everybody; returns when that is done."""
         await self._there(self._hang_up())
@@ -143,23 +150,27 @@ class Door:
         """Lets callers of that socket, which becomes the door's, through to `inside`, an instance of that server."""
         host, port = listening.getsockname()[:2]
         address = f"[{host}]:{port}" if listening.family == socket.AF_INET6 else f"{host}:{port}"
-        passage = Passage(endpoint_of(listening), address, lambda: self._there(shut()))
         listening.setblocking(False)
+        accepting: asyncio.Task[None] | None = None
 
-        async def begin() -> asyncio.Task[None]:
-            return asyncio.create_task(self._accept(listening, inside, server))
-
-        accepting = await self._there(begin())
+        def open_it() -> None:
+            nonlocal accepting
+            accept = self._accept(listening, inside, server)
+            accepting = start(accept, name=f"the way in at {address}", failed=self._break)
 
         async def shut() -> None:
-            accepting.cancel()
-            await asyncio.wait([accepting])
+            await end(accepting)
 
-        return passage
+        self._loop.call_soon_threadsafe(open_it)
+        return Passage(endpoint_of(listening), address, lambda: self._there(shut()))
 
     async def trust(self, trust: Trust) -> None:
         """Believes these from now on; connections of whom it believes no more are ended."""
         await self._there(self._change_trust(trust))
+
+    def _break(self, defect: Exception) -> None:
+        if not self._broken.done():
+            self._broken.set_exception(defect)
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
@@ -188,7 +199,6 @@ class Door:
 
     async def _accept(self, listening: socket.socket, inside: Connect, server: str) -> None:
         """Each newcomer is a stranger first."""
-        loop = asyncio.get_running_loop()
         with listening:
             while True:
                 await readable(listening)
@@ -202,7 +212,8 @@ class Door:
                     continue
                 connection.setblocking(False)
                 address = _site(peer[0])
-                task = loop.create_task(self._welcome(connection, address, inside, server))
+                welcome = self._welcome(connection, address, inside, server)
+                task = start(welcome, name=f"serving {address}", failed=only_logged)
                 leaving = self._strangers.enter(task, address)
                 task.add_done_callback(self._strangers.leave)
                 task.add_done_callback(functools.partial(_close_unseen, connection))
@@ -225,10 +236,13 @@ class Door:
         try:
             holder = self._trust.holder(certificate)
             self._refuse_shut_out(holder)
-        except CredentialsError as error:
-            _log.warning("refused %s: %s", address, error)
+        except Exception as error:
             # Without a word: gRPC's clients would take any for the beginning of a connection, and try again at once.
-            await _hang_up_on(outer)
+            outer.hang_up()
+            if not isinstance(error, CredentialsError):
+                raise
+            _log.warning("refused %s: %s", address, error)
+            await asyncio.wait([outer.lost])
             return
         await self._serve(outer, certificate, holder, inside, server)
 
@@ -321,11 +335,12 @@ def _plainly(error: OSError) -> str:
 async def opened_door(
     trust: Trust, limits: DoorLimits | None = None, *, seen: Seen = lambda _server, _key: None
 ) -> AsyncIterator[Door]:
-    """A door that is closed after the block."""
+    """A door that is closed after the block; a defect that ends it ends the block."""
     door = Door(trust, limits, seen=seen)
     door.open()
     try:
-        yield door
+        async with beside(door.broken(), name="the door"):
+            yield door
     finally:
         await door.close()
 

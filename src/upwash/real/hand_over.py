@@ -18,12 +18,13 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 
 import msgspec
 from msgspec import Struct
 
 from upwash.errors import UpwashError
+from upwash.real.streams import readable
 
 _VARIABLE = "UPWASH_HANDED_OVER"
 _READY = b"ready"
@@ -70,49 +71,36 @@ async def hand_over(
     environment: Mapping[str, str],
     timeout_s: float,
 ) -> int:
-    """Starts this program anew, as it is on the disk now, with that environment; returns
-    its process once it is ready. Raises UpwashError where that ends before, or takes longer.
+    """Starts this program anew, as it is on the disk now, with that environment.
+
+    Returns its process once it is ready; raises UpwashError where it ends before, or takes longer. After any error
+    nothing of it is left.
     """
-    with _pipe() as (reading, writing):
-        told = HandedOver(listen, listening.fileno(), writing, servers)
-        new = subprocess.Popen(  # noqa: ASYNC220, S603 - asyncio's own would end it together with the loop
-            [sys.executable, *sys.orig_argv[1:]],
-            stderr=sys.stderr,  # where file descriptor 2 leads to a log that ends with this daemon
-            pass_fds=(listening.fileno(), writing),
-            env={**os.environ, **environment, _VARIABLE: msgspec.json.encode(told).decode()},
-        )
-        os.close(writing)
+    ready, theirs = socket.socketpair()
+    with ready:
+        with theirs:
+            given = HandedOver(listen, listening.fileno(), theirs.fileno(), servers)
+            new = subprocess.Popen(  # noqa: ASYNC220, S603 - asyncio's own would end it together with the loop
+                [sys.executable, *sys.orig_argv[1:]],
+                stderr=sys.stderr,  # where file descriptor 2 leads to a log that ends with this daemon
+                pass_fds=(listening.fileno(), theirs.fileno()),
+                env={**os.environ, **environment, _VARIABLE: msgspec.json.encode(given).decode()},
+            )
         try:
-            async with asyncio.timeout(timeout_s):
-                await _readable(reading)
-        except TimeoutError:
+            await _until_ready(new, ready, timeout_s=timeout_s)
+        except BaseException:
             new.kill()
             await asyncio.to_thread(new.wait)
-            raise UpwashError(f"the new daemon was not ready within {timeout_s:g} s: it was ended") from None
-        except asyncio.CancelledError:
-            new.kill()
             raise
-        if os.read(reading, len(_READY)) != _READY:
-            code = await asyncio.to_thread(new.wait)
-            raise UpwashError(f"the new daemon ended with code {code}: its own log says why")
     return new.pid
 
 
-@contextlib.contextmanager
-def _pipe() -> Iterator[tuple[int, int]]:
-    """Its writing end is closed by whoever has given it away."""
-    reading, writing = os.pipe()
+async def _until_ready(new: subprocess.Popen[bytes], ready: socket.socket, *, timeout_s: float) -> None:
     try:
-        yield reading, writing
-    finally:
-        os.close(reading)
-
-
-async def _readable(file: int) -> None:
-    loop = asyncio.get_running_loop()
-    readable = asyncio.Event()
-    loop.add_reader(file, readable.set)
-    try:
-        await readable.wait()
-    finally:
-        loop.remove_reader(file)
+        async with asyncio.timeout(timeout_s):
+            await readable(ready)
+    except TimeoutError:
+        raise UpwashError(f"the new daemon was not ready within {timeout_s:g} s: it was ended") from None
+    if ready.recv(len(_READY)) != _READY:
+        code = await asyncio.to_thread(new.wait)
+        raise UpwashError(f"the new daemon ended with code {code}: its own log says why")
