@@ -24,6 +24,8 @@ from upwash.eventlog.schema import Event
 from upwash.ports import InstanceSpec, Program
 from upwash.real.runtime import OwnProcesses
 from upwash.rpc.service import load_service, spec_of
+from upwash.sim.link import ModelDialer, Switchboard
+from upwash.sim.world import Wire
 
 MAX_MESSAGE_BYTES = 1_000_000
 
@@ -325,7 +327,7 @@ def test_a_defect_in_watching_a_service_fails_its_calls_at_once_and_is_logged() 
             [InstanceSpec("heron", "workbench", Program("nowhere:Workbench"))],
             drone="heron",
             runtime=Defective(),
-            dialer=GrpcDialer("heron", None, max_message_bytes=MAX_MESSAGE_BYTES),
+            dialer=ModelDialer("heron", Switchboard({}), Wire()),
             journal=diary,
         )
         await services.start()

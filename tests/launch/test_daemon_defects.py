@@ -52,7 +52,7 @@ async def fail(*_: Any, **__: Any) -> NoReturn:
     raise LookupError("a defect")
 
 
-def serve(text: str, folder: Path, ready: Callable[[str], object] = lambda _: None) -> None:
+def serve(text: str, folder: Path, ready: Callable[[str], None] = lambda _: None) -> None:
     file = folder / "daemon.toml"
     file.write_text(text.format(folder=folder))
     config = read_daemon_config(file)
@@ -62,7 +62,7 @@ def serve(text: str, folder: Path, ready: Callable[[str], object] = lambda _: No
             await daemon.serve(
                 config,
                 read_again=lambda: config,
-                ready=lambda at: ready(at) and None,
+                ready=ready,
                 manager=ServiceManager(""),
             )
 
