@@ -10,7 +10,8 @@ from pathlib import Path
 import msgspec
 
 from upwash.eventlog import schema
-from upwash.eventlog.schema import Event, Step
+from upwash.eventlog.log import LONGEST_LINE_BYTES, MOST_EVENTS
+from upwash.eventlog.schema import LONGEST, LONGEST_TEXT, MOST_FEW, MOST_ITEMS, Event, Step
 
 PAGE = Path(__file__).parents[1] / "docs" / "event-log.md"
 _HEADING = re.compile(r"# --- (.+?) -+")
@@ -25,6 +26,13 @@ a question mark is absent where there is nothing to say.
 The first event tells the version of this table, which is {schema.VERSION}. `version` goes up with each change
 that an earlier upwash could not read; programs should pass over fields that they do not know. A log of a later
 version is refused. Logs of releases that wrote no version are read as far as their events are still known.
+
+A log is data: no command opens a file or runs a program because a log names it. Every value is bounded: a time or
+a length to {LONGEST:.0e} s or m either way, a text to {LONGEST_TEXT} characters, a list of waypoints or places to
+{MOST_ITEMS} entries, any other list to {MOST_FEW}, a line to {LONGEST_LINE_BYTES >> 20} MiB, and a log to
+{MOST_EVENTS} events. What a mission says (`message`) is nested at most 3 deep. An event that exceeds these bounds is
+shortened as it is written, and `shortened` follows it. A reader leaves out a line that is no event of this table, and
+tells the number of those lines, the first of them and the reason.
 
 `check` numbers what the drone has to do with a server from its selection, or the start of a probe, to its end.
 So a `call` names the check that made its server usable, and the `selected` of that number says why the server

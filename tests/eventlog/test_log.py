@@ -14,7 +14,7 @@ from upwash.core.servers import Trigger
 from upwash.errors import UsageError
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
-from upwash.eventlog.log import LineReader
+from upwash.eventlog.log import EventLog, LineReader
 from upwash.eventlog.schema import Event
 from upwash.lab.run import simulate
 from upwash.lab.simulation import read_scenario
@@ -23,10 +23,27 @@ OPENED = line("log_opened", 0.0, version=schema.VERSION)
 OPENED_BY_AN_EARLIER_RELEASE = b'{"t": 0.0, "event": "log_opened", "time": "2026-01-01T00:00:00+00:00"}\n'
 
 
+ARMED = b'{"event":"armed","t":2.0}\n'
+
+
 def read(folder: Path, *lines: bytes) -> list[Event]:
     file = folder / "flown.jsonl"
     file.write_bytes(b"".join(lines))
     return event_log.read(file)
+
+
+def kinds(folder: Path, *lines: bytes) -> list[str]:
+    return [each.kind for each in read(folder, *lines)]
+
+
+def left_out(folder: Path, *lines: bytes) -> str:
+    """What the log says of the lines that are no events."""
+    read(folder, *lines)
+    log = EventLog(folder / "flown.jsonl")
+    assert log.left_out == ""
+    for _ in log:
+        pass
+    return log.left_out
 
 
 @pytest.mark.parametrize("kind", [schema.kind_of(each) for each in schema.EVENTS])
@@ -41,8 +58,11 @@ def test_each_step_of_the_table_is_an_event() -> None:
 
 
 def test_an_event_that_no_journal_has_stamped_is_none_of_a_log(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="each line of one has an event and its time"):
-        read(tmp_path, OPENED, msgspec.json.encode(schema.Armed()) + b"\n")
+    lines = OPENED, msgspec.json.encode(schema.Armed()) + b"\n"
+    assert kinds(tmp_path, *lines) == ["log_opened"]
+    assert left_out(tmp_path, *lines) == (
+        "1 line of the log is left out, line 2: each line of one has an event and its time"
+    )
 
 
 @pytest.mark.parametrize("kind", ["log_opened", "log_resumed", "simulated"])
@@ -62,13 +82,39 @@ def test_a_log_of_a_later_version_is_refused(tmp_path: Path, kind: str) -> None:
         b'{"event":"teleported","t":1.0}\n',
         b'{"event":"call","t":1.0,"place":"local"}\n',
         b'{"event":"selected","t":1.0,"server":"s1","before":"AVL","after":"ASLEEP"}\n',
+        b'{"event":"mission_started","t":1.0,"policy":"p","waypoints":9223372036854775808}\n',
+        b'{"event":"leg","t":1e300,"waypoint":1,"east_m":0.0,"north_m":0.0}\n',
+        b'{"event":"leg","t":1.0,"waypoint":1,"east_m":NaN,"north_m":0.0}\n',
+        b'{"event":"mission_ended","t":1.0,"why":"' + b"x" * 20_000 + b'"}\n',
+        b'{"event":"notified","t":1.0,"message":[[[[[]]]]],"at":{"east_m":0.0,"north_m":0.0}}\n',
+        b'{"event":"mission_ended","t":1.0,"why":"' + b"x" * 2**24 + b'"}\n',
+        b"[" * 100_000 + b"\n",
     ],
+    ids=range(10),
 )
-def test_what_this_version_cannot_have_written_is_refused_with_its_line(tmp_path: Path, odd: bytes) -> None:
-    with pytest.raises(
-        UsageError, match=r"flown\.jsonl is not an event log that this version reads: line 2: "
-    ):
-        read(tmp_path, OPENED, odd)
+def test_a_line_that_is_no_event_costs_itself_alone(tmp_path: Path, odd: bytes) -> None:
+    lines = OPENED, odd, ARMED, odd
+    assert kinds(tmp_path, *lines) == ["log_opened", "armed"]
+    said = left_out(tmp_path, *lines)
+    assert said.startswith("2 lines of the log are left out, the first is line 2: ")
+    assert len(said) < 300 and said.isprintable()
+
+
+@pytest.mark.parametrize(
+    "content", [b"latitude,longitude\n39.36,22.95\n", b"\n" * 10**6, bytes(10**6) + b"\n"]
+)
+def test_a_file_without_events_is_no_log(tmp_path: Path, content: bytes) -> None:
+    with pytest.raises(UsageError, match=r"flown\.jsonl is not an event log: line 1: "):
+        read(tmp_path, content)
+
+
+def test_no_more_events_are_read_than_there_is_memory_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(event_log, "MOST_EVENTS", 5_000)
+    lines = OPENED, ARMED * 10_000
+    assert 2_000 < len(read(tmp_path, *lines)) <= 5_000
+    assert "no more than 5000 events of a log are read" in left_out(tmp_path, *lines)
 
 
 def test_a_log_of_an_earlier_release_is_read_as_far_as_its_events_are_known(tmp_path: Path) -> None:
@@ -77,24 +123,29 @@ def test_a_log_of_an_earlier_release_is_read_as_far_as_its_events_are_known(tmp_
         "log_opened",
         "armed",
     ]
-    with pytest.raises(UsageError, match="that this version reads: line 2: Object missing required field"):
-        read(tmp_path, OPENED_BY_AN_EARLIER_RELEASE, b'{"t": 1.0, "event": "leg"}\n')
+    lines = OPENED_BY_AN_EARLIER_RELEASE, gone, b'{"t": 1.0, "event": "leg"}\n'
+    assert left_out(tmp_path, *lines).startswith(
+        "1 line of the log is left out, line 3: Object missing required field"
+    )
 
 
 def test_each_part_of_a_log_is_read_by_the_version_that_wrote_it(tmp_path: Path) -> None:
     gone = b'{"t": 1.0, "event": "teleported"}\n'
     resumed = line("log_resumed", 2.0, version=schema.VERSION)
-    assert len(read(tmp_path, OPENED_BY_AN_EARLIER_RELEASE, gone, resumed)) == 2
-    with pytest.raises(UsageError, match="line 4"):
-        read(tmp_path, OPENED_BY_AN_EARLIER_RELEASE, gone, resumed, gone)
+    lines = OPENED_BY_AN_EARLIER_RELEASE, gone, resumed, gone
+    assert kinds(tmp_path, *lines) == ["log_opened", "log_resumed"]
+    assert "line 4: " in left_out(tmp_path, *lines)
 
 
 def test_a_torn_line_of_this_version_costs_itself(tmp_path: Path) -> None:
     torn = b'{"event":"leg","t":1.0,"wayp{"event":"armed","t":2.0}\n'
-    assert [each.kind for each in read(tmp_path, OPENED, torn, b'{"eve\n')] == ["log_opened", "armed"]
+    assert kinds(tmp_path, OPENED, torn, b'{"eve\n') == ["log_opened", "armed"]
+    assert (
+        left_out(tmp_path, OPENED, torn, b'{"eve\n')
+        == "2 lines of the log are left out, the first is line 2: it is torn"
+    )
 
 
-ARMED = b'{"event":"armed","t":2.0}\n'
 LEG = line("leg", 3.0, waypoint=1)
 
 
@@ -107,25 +158,35 @@ LEG = line("leg", 3.0, waypoint=1)
         b'{"event":"leg","t":1.0,"wayp{"event":"armed","t":2.0}\n', b'{"eve\n', b"\0\0\n",
         line("log_opened", 0.0, version=schema.VERSION + 1), line("log_resumed", 2.0, version=schema.VERSION),
     ],
+    ids=range(19),
 )  # fmt: skip
 @pytest.mark.parametrize("opened", [OPENED, OPENED_BY_AN_EARLIER_RELEASE, b""])
-def test_lines_that_are_read_at_once_are_what_they_are_one_by_one(opened: bytes, odd: bytes) -> None:
-    parts = [opened, ARMED + LEG, ARMED + odd, odd + LEG, LEG, b'{"event":"teleported","t":9.0}\n']
-    by_itself, at_once = LineReader(Path("log")), LineReader(Path("log"))
-    assert made_of(map(at_once.take_all, parts)) == made_of(
-        [by_itself.take(line)] for line in b"".join(parts).split(b"\n")[:-1]
-    )
+@pytest.mark.parametrize("piece_bytes", [1, 7, 50])
+def test_the_pieces_in_which_a_log_is_read_change_nothing(
+    opened: bytes, odd: bytes, piece_bytes: int
+) -> None:
+    parts = [
+        opened,
+        ARMED + LEG,
+        ARMED + odd[:1000],
+        odd[-1000:] + LEG,
+        LEG,
+        b'{"event":"teleported","t":9.0}\n',
+    ]
+    content = b"".join(parts)
+    pieces = [content[start : start + piece_bytes] for start in range(0, len(content), piece_bytes)]
+    assert made_of(pieces) == made_of(parts) == made_of([content])
 
 
-def made_of(parts: Iterable[Iterable[Event | None]]) -> tuple[list[Event], str]:
-    """The events of a log's parts, and why it is read no further."""
-    events = list[Event]()
+def made_of(pieces: Iterable[bytes]) -> tuple[list[Event], str]:
+    """The events of a log that comes in pieces, and what of it is left out or why it is read no further."""
+    events, lines = list[Event](), LineReader(Path("log"))
     try:
-        for part in parts:
-            events.extend(event for event in part if event is not None)
+        for piece in pieces:
+            events.extend(lines.take_all(piece))
     except UsageError as error:
         return events, str(error)
-    return events, ""
+    return events, lines.left_out
 
 
 def test_a_place_is_a_server_or_the_drone() -> None:

@@ -199,7 +199,7 @@ def test_an_explanation_has_the_bound_of_those_that_completed_it(
 ) -> None:
     log = tmp_path / "ended.jsonl"
     assert main(["simulate", str(BATTERY), "--policy", "local-only", "--log", str(log)]) == 1
-    assert main(["explain", str(log)]) == 0
+    assert main(["explain", str(log), "--scenario", str(BATTERY)]) == 0
     told = capsys.readouterr().out
     assert "local-only: 1478.0 s, not completed" in told and "theoretical minimum: 1469.7 s" in told
 

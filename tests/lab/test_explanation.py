@@ -11,6 +11,7 @@ from upwash.cli.main import main
 
 ROOT = Path(__file__).parents[2]
 SCENARIO = ROOT / "scenarios" / "power-line-heavy.toml"
+IN_ITS_WORLD = ("--scenario", str(SCENARIO))
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +50,8 @@ def test_every_call_is_explained_by_what_was_believed(capsys: pytest.CaptureFixt
 def test_the_calls_of_one_waypoint_or_the_longest_alone_are_explained(
     capsys: pytest.CaptureFixture[str], log: Path
 ) -> None:
-    everything = explanation(capsys, log)
-    one = explanation(capsys, log, "--waypoint", "5")
+    everything = explanation(capsys, log, *IN_ITS_WORLD)
+    one = explanation(capsys, log, "--waypoint", "5", *IN_ITS_WORLD)
     assert [line for line in one if line.startswith("waypoint ")] == [
         line for line in everything if line.startswith("waypoint 5,")
     ]
@@ -71,10 +72,10 @@ def test_a_waypoint_without_a_call_is_refused(capsys: pytest.CaptureFixture[str]
     assert "--waypoint 999: no call was made there" in capsys.readouterr().err
 
 
-def test_other_policies_are_flown_in_the_world_that_the_log_names(
+def test_other_policies_are_flown_in_the_world_that_is_given(
     capsys: pytest.CaptureFixture[str], log: Path
 ) -> None:
-    lines = explanation(capsys, log)
+    lines = explanation(capsys, log, *IN_ITS_WORLD)
     told = [line for line in lines if line.startswith("    local-only: on the drone, 10.00 s; ")]
     assert len(told) == 81
     assert "location-aware: on the drone, 10.00 s" in told[5]
@@ -88,9 +89,25 @@ def test_a_log_without_a_world_is_explained_by_itself_or_in_one_that_is_given(
 ) -> None:
     flown = without_its_scenario(log, tmp_path)
     alone = explanation(capsys, flown)
-    assert "give --scenario FILE" in alone[-1]
+    assert alone[-1].endswith("give --scenario FILE to see what other policies would have done")
     assert not any("local-only" in line for line in alone)
-    assert explanation(capsys, flown, "--scenario", str(SCENARIO)) == explanation(capsys, log)
+    assert explanation(capsys, flown, *IN_ITS_WORLD) == explanation(capsys, log, *IN_ITS_WORLD)
+
+
+def test_no_program_of_the_world_that_a_log_names_runs_unless_that_world_is_given(
+    capsys: pytest.CaptureFixture[str], log: Path, tmp_path: Path
+) -> None:
+    ran = tmp_path / "ran"
+    (tmp_path / "sent.py").write_text(f"open({str(ran)!r}, 'w').close()\ndef fly(drone): pass\n")
+    world = tmp_path / "world.toml"
+    world.write_text('[mission]\nprogram = "sent.py:fly"\nwaypoints_m = [[0, 0], [10, 0]]\n')
+    named, *events = log.read_bytes().splitlines(keepends=True)
+    sent = tmp_path / "sent.jsonl"
+    sent.write_bytes(named.replace(str(SCENARIO).encode(), str(world).encode()) + b"".join(events))
+    assert f"(the log names {world}, whose programs run then)" in explanation(capsys, sent)[-1]
+    assert not ran.exists()
+    explanation(capsys, sent, "--scenario", str(world))
+    assert ran.exists()
 
 
 def test_a_world_where_the_mission_makes_other_calls_is_no_comparison_call_by_call(
@@ -155,7 +172,7 @@ def test_one_of_several_drones_is_explained_among_the_others(
     assert main(["simulate", str(scenario), "--json", "--log", str(log)]) == 0
     fleet = simulate_fleet(scenario)
     for name, calls in ("d1", 6), ("d2", 3):
-        lines = explanation(capsys, log.with_name(f"log-{name}.jsonl"))
+        lines = explanation(capsys, log.with_name(f"log-{name}.jsonl"), "--scenario", str(scenario))
         assert len([line for line in lines if line.startswith("waypoint ")]) == calls
         flown = fleet.drones[name]
         (own,) = [
@@ -174,6 +191,8 @@ def test_the_drone_that_is_explained_is_one_of_the_scenarios(
     assert 'name one with --drone; unknown drone "drone"; allowed: d1, d2' in capsys.readouterr().err
     assert "other calls" in "".join(explanation(capsys, log, "--scenario", str(scenario), "--drone", "d2"))
     assert main(["explain", str(log), "--drone", "d2"]) == 2
+    assert "--drone d2 goes with --scenario FILE" in capsys.readouterr().err
+    assert main(["explain", str(log), "--drone", "d2", *IN_ITS_WORLD]) == 2
     assert "has no [[drone]] tables: leave it out" in capsys.readouterr().err
 
 

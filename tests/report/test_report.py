@@ -238,9 +238,6 @@ def test_logs_of_the_same_name_are_told_apart(tmp_path: Path) -> None:
     ("events", "why"),
     [
         ([event(0.0, "log_opened", time="2026-01-01T00:00:00+00:00")], "has no mission"),
-        ([STARTED, event(2.0, "call", place="local")], "not an event log that this version reads"),
-        ([STARTED, step(2.0, "selected", "AVL", "ASLEEP")], "not an event log that this version reads"),
-        ([event(0.0, "planned", ranges=7), STARTED], "not an event log that this version reads"),
         ([{"t": 1}], "is not an event log"),
         ([], "is not an event log"),
     ],
@@ -251,6 +248,22 @@ def test_what_cannot_be_told_is_refused_with_the_logs_name(
     log = write_log(tmp_path / "odd.jsonl", *events)
     with pytest.raises(UsageError, match=f"odd.jsonl .*{why}"):
         read_records([log])
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        event(2.0, "call", place="local"),
+        step(2.0, "selected", "AVL", "ASLEEP"),
+        event(0.0, "planned", ranges=7),
+        event(3.0, "mission_started", policy="p", waypoints=2**63),
+    ],
+    ids=range(4),
+)
+def test_what_is_no_event_is_left_out_of_the_page_and_said_there(tmp_path: Path, odd: dict[str, Any]) -> None:
+    (record,) = read_records([write_log(tmp_path / "odd.jsonl", STARTED, odd)])
+    assert "1 line of the log is left out, line 2: " in " ".join(record.notices.cautions)
+    assert "1 line of the log is left out, line 2: " in write_page([record])
 
 
 # --- exports --------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import msgspec
 import pytest
 
 from upwash.errors import UsageError
+from upwash.view import recording
 from upwash.view.feed import Feed
 from upwash.view.recording import reading
 
@@ -234,15 +235,30 @@ def test_two_logs_are_told_apart(log: Path, tmp_path: Path) -> None:
     asyncio.run(run())
 
 
-def test_what_is_no_event_ends_the_reading_and_is_said(log: Path) -> None:
+def test_what_is_no_event_is_left_out_and_said(log: Path) -> None:
     async def run() -> None:
         async with following(log) as feed:
             page = Page(feed)
             await page.hear(lambda page: page.reached() == 1)
-            append(log, {"t": 4.0, "event": "call", "place": "local"})
+            append(log, {"t": 4.0, "event": "call", "place": "local"}, arrival(1))
+            await page.hear(lambda page: page.reached() == 2)
+            assert not page.trouble
+            said = [fact["cause"] for fact in page.facts[0] if fact["fact"] == "notice"]
+            assert [each[:43] for each in said] == ["1 line of the log is left out, line 4: Obje"]
+
+
+def test_what_is_more_than_a_page_can_show_ends_the_reading(
+    log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "_MOST_BYTES", 200_000)
+    append(log, *(arrival(waypoint) for waypoint in range(1, 9_000)))
+
+    async def run() -> None:
+        async with following(log) as feed:
+            page = Page(feed)
             await page.hear(lambda page: bool(page.trouble))
-            assert "flight.jsonl" in page.trouble
-            assert "line 4" in page.trouble
+            assert "flight.jsonl tells more than a page can show" in page.trouble
+            assert page.facts[0]
 
     asyncio.run(run())
 

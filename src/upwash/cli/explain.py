@@ -18,7 +18,7 @@ def add(commands: Commands) -> None:
     explain.add_argument("log", type=Path, metavar="LOG", help="an event log, of `fly`, `demo` or `simulate`")
     explain.add_argument(
         "--scenario", type=Path, metavar="FILE",
-        help="the world in which other policies are flown to compare (default: the one that the log names)",
+        help="the world in which other policies are flown to compare; its programs run (default: none)",
     )  # fmt: skip
     explain.add_argument(
         "--drone", metavar="NAME",

@@ -171,4 +171,4 @@ def _print_result(result: RunResult, config: DroneConfig, log: Path) -> None:
 
 def read_log(log: Path) -> RunResult:
     """The result of the run that wrote the event log."""
-    return read_result(event_log.stream(log))
+    return read_result(event_log.EventLog(log))

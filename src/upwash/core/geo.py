@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated, TypeAlias
 
 import msgspec
 
+FARTHEST_M = 1e9  # from home, of any place: what comes from elsewhere is refused beyond it
+Metres: TypeAlias = Annotated[float, msgspec.Meta(ge=-FARTHEST_M, le=FARTHEST_M)]
 _EQUATORIAL_RADIUS_M = 6_378_137.0  # WGS 84
 _ECCENTRICITY_SQUARED = 6.694_379_990_141e-3
 
@@ -19,9 +22,9 @@ _ECCENTRICITY_SQUARED = 6.694_379_990_141e-3
 class Position(msgspec.Struct, frozen=True, gc=False):
     """A place relative to the mission's home: metres east and north of it, and above it."""
 
-    east_m: float
-    north_m: float
-    altitude_m: float = 0.0
+    east_m: Metres
+    north_m: Metres
+    altitude_m: Metres = 0.0
 
     def at_altitude(self, altitude_m: float) -> Position:
         """The place at that altitude above, or below, this one."""
@@ -50,9 +53,9 @@ class Velocity(msgspec.Struct, frozen=True, gc=False):
 class GeoPosition:
     """A place on the Earth, in degrees, and metres above home."""
 
-    latitude_deg: float
-    longitude_deg: float
-    altitude_m: float = 0.0
+    latitude_deg: Annotated[float, msgspec.Meta(ge=-90, le=90)]
+    longitude_deg: Annotated[float, msgspec.Meta(ge=-360, le=360)]
+    altitude_m: Metres = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +92,7 @@ class Circle:
     """An area on the ground: a server's radio range."""
 
     centre: Position
-    radius_m: float
+    radius_m: Annotated[float, msgspec.Meta(ge=0, le=FARTHEST_M)]
 
     def contains(self, position: Position) -> bool:
         """Whether the position lies within the circle, its border included."""

@@ -1,99 +1,157 @@
 """The event log as it is read: JSON lines, one object an event.
 
-A line that was torn as it was written, by a full disk or by a computer that lost its power, costs itself and no more.
-A log of a later version is refused. In one of an earlier release, which says no version, events that are not known
-any more are passed over.
+A log can be anybody's, and can have been torn as it was written, by a full disk or by a computer that lost its power.
+A line that is no event of this version, or too long, costs itself alone: it is left out, and readers say so. A log of
+a later version is refused. In one of an earlier release, which says no version, events that are not known any more
+are passed over.
 """
 
 from __future__ import annotations
 
 import logging
 import os
+import stat
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import msgspec
 
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
+from upwash.support.text import printable
 
 LONGEST_LINE_BYTES = 2**24
+MOST_EVENTS = 2_000_000  # 23 days of positions: what readers keep of the calls among them fits into memory
+_PIECE_BYTES = 2**16
+_LINES_BEFORE_AN_EVENT = 1000  # at most, for a file is no log that begins with more than these
+_LONGEST_WHY = 200  # characters
 _VERSIONED = frozenset({schema.LogOpened, schema.LogResumed, schema.Simulated})
 _BEGINNINGS = (b'{"event":', b'{"t":')  # of every line that is written, and of those of earlier releases
 _log = logging.getLogger("upwash.event_log")
 
 
 def read(file: str | os.PathLike[str]) -> list[Event]:
-    """The events of a log, flown or simulated, without torn lines, which are warned of; raises UsageError.
+    """The events of a log, flown or simulated; a warning tells the lines that are left out. Raises UsageError.
 
     `t` counts seconds from the start of the program, and docs/event-log.md has the fields of each kind. A last line
     that was left unfinished is no event yet.
     """
-    return list(stream(Path(file)))
+    return list(EventLog(Path(file)))
 
 
-def stream(path: Path) -> Iterator[Event]:
-    """The same one after the other, of which it holds no more than one; raises UsageError where it comes to it."""
-    empty, lines = True, LineReader(path)
+class EventLog(Iterable[Event]):
+    """The same one after the other, read anew by each pass, of which it holds no more than one.
+
+    After a pass to the end `left_out` says which lines are no events, and why; empty where all are.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.left_out = ""
+        self._path = path
+
+    def __iter__(self) -> Iterator[Event]:
+        lines = LineReader(self._path)
+        try:
+            with opened(self._path) as file:
+                while content := file.read(_PIECE_BYTES):
+                    yield from lines.take_all(content)
+        except OSError as error:
+            raise UsageError(f"cannot read the event log {self._path}: {error.strerror}") from error
+        lines.require_events()
+        if lines.left_out and not self.left_out:
+            _log.warning("%s: %s", self._path, lines.left_out)
+        self.left_out = lines.left_out
+
+
+def opened(path: Path) -> BinaryIO:
+    """The file of a log, to be read from its beginning; raises OSError, or UsageError where it is no file."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
     try:
-        for line in _lines(path):
-            event = lines.take(line)
-            if event is not None:
-                yield event
-                empty = False
-    except OSError as error:
-        raise UsageError(f"cannot read the event log {path}: {error.strerror}") from error
-    except ValueError as error:
-        raise UsageError(f"{path} is not an event log: {error}") from error
-    if empty:
-        raise UsageError(f"{path} is not an event log: it is empty")
-
-
-def _lines(path: Path) -> Iterator[bytes]:
-    """The whole lines of a log; raises ValueError for one that no event is as long as."""
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise ValueError("it is a device or a pipe, and has to be read more than once: name a file")
-    with path.open("rb") as file:
-        while line := file.readline(LONGEST_LINE_BYTES + 1):
-            if len(line) > LONGEST_LINE_BYTES:
-                raise ValueError("it has a line of more than 16 MiB")
-            if not line.endswith(b"\n"):  # what follows the last line's end is torn
-                return
-            yield line[:-1]
+        mode = os.fstat(descriptor).st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise UsageError(
+                f"{path} is not an event log: it is a device or a pipe, and has to be read more than once: "
+                "name a file"
+            )
+        return os.fdopen(descriptor, "rb")
+    except BaseException:
+        os.close(descriptor)
+        raise
 
 
 class LineReader:
-    """Makes events of the lines of one log, one line after the other."""
+    """Makes events of the content of one log, piece by piece, and counts the lines that are left out."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._number = 0
+        self._rest = bytearray()  # of a line without its end yet
+        self._is_too_long = False  # that line, of which the rest has gone
+        self._number = 0  # of the last line
+        self._events = 0
         self._version = 0  # that the log has said last
+        self._left_out = 0
+        self._first_left_out = ""
 
-    def take_all(self, lines: bytes) -> Iterable[Event]:
-        """The events of the next lines, each with its end; raises UsageError where it comes to what is none."""
-        events = _decode_all(lines)
+    @property
+    def left_out(self) -> str:
+        """How many lines are no events, and why the first is none; empty where all are."""
+        if not self._left_out:
+            return ""
+        if self._left_out == 1:
+            return f"1 line of the log is left out, {self._first_left_out}"
+        return f"{self._left_out} lines of the log are left out, the first is {self._first_left_out}"
+
+    def require_events(self) -> None:
+        """Raises UsageError where there was none."""
+        if not self._events:
+            why = self._first_left_out or "it is empty"
+            raise UsageError(f"{self._path} is not an event log: {why}")
+
+    def take_all(self, content: bytes) -> Iterable[Event]:
+        """The events of the next lines; what follows the last line's end waits for its own.
+
+        Raises UsageError, where it comes to it, for a version that cannot be read, and for what is no log at all.
+        """
+        lines, end, rest = content.rpartition(b"\n")
+        if end:
+            lines, self._rest = bytes(self._rest) + lines + end, bytearray()
+            if self._is_too_long:
+                self._is_too_long = False
+                self._leave_out(f"it has more than {LONGEST_LINE_BYTES // 2**20} MiB")
+                lines = lines.partition(b"\n")[2]
+        self._rest += rest
+        if len(self._rest) > LONGEST_LINE_BYTES or self._is_too_long:
+            self._is_too_long = True
+            self._rest.clear()
+        return self._events_of(lines) if end and lines else ()
+
+    def _events_of(self, lines: bytes) -> Iterable[Event]:
+        count = lines.count(b"\n")
+        if self._events + count > MOST_EVENTS:
+            self._leave_out(f"no more than {MOST_EVENTS} events of a log are read", count)
+            return ()
+        events = _decode_all(lines, count)
         if events is None:
             return self._one_by_one(lines)
-        self._number += len(events)
+        self._number += count
+        self._events += count
         return events
 
     def _one_by_one(self, lines: bytes) -> Iterator[Event]:
         for line in lines.split(b"\n")[:-1]:
-            if (event := self.take(line)) is not None:
+            if (event := self._take(line)) is not None:
+                self._events += 1
                 yield event
 
-    def take(self, line: bytes) -> Event | None:
-        """The event of the next line; raises UsageError where it is none, or none that can be read.
-
-        Of a torn line, which is warned of, it is the event that was written behind the torn one, or None.
-        """
-        self._number += 1
+    def _take(self, line: bytes) -> Event | None:
+        """The event of the next line, or of its end where it is torn; None where it has none."""
         try:
             event = decode(line)
         except (ValueError, RecursionError) as error:
             return self._without_event(line, error)
+        self._number += 1
         if isinstance(event, (schema.LogOpened, schema.LogResumed, schema.Simulated)):
             self._require_readable(event.version)
             self._version = event.version
@@ -101,7 +159,7 @@ class LineReader:
 
     def _without_event(self, line: bytes, error: Exception) -> Event | None:
         if _is_torn(line):
-            _log.warning("%s: line %d is torn, and what it lost is left out", self._path, self._number)
+            self._leave_out("it is torn")
             try:
                 return decode(line[_last_beginning(line) :])
             except (ValueError, RecursionError):
@@ -109,15 +167,23 @@ class LineReader:
         try:
             header = msgspec.json.decode(line, type=_Header)
         except (ValueError, RecursionError):
-            raise UsageError(
-                f"{self._path} is not an event log: line {self._number}: each line of one has an event and its time"
-            ) from error
-        self._require_readable(header.version)
-        if self._version == 0 and header.event not in _KINDS:
+            self._leave_out(_NO_EVENT)
             return None
-        raise UsageError(
-            f"{self._path} is not an event log that this version reads: line {self._number}: {error}"
-        ) from error
+        if self._version == 0 and header.event not in _KINDS:
+            self._number += 1
+        else:
+            self._leave_out(printable(str(error), _LONGEST_WHY))
+        self._require_readable(header.version)
+        return None
+
+    def _leave_out(self, why: str, lines: int = 1) -> None:
+        """The next lines are none of the events."""
+        if not self._left_out:
+            self._first_left_out = f"line {self._number + 1}: {why}"
+        self._number += lines
+        self._left_out += lines
+        if self._left_out > _LINES_BEFORE_AN_EVENT:
+            self.require_events()
 
     def _require_readable(self, version: int) -> None:
         if version > schema.VERSION:
@@ -136,23 +202,24 @@ class _Header(msgspec.Struct):
 
 
 _KINDS = frozenset(map(schema.kind_of, schema.EVENTS))
+_NO_EVENT = "each line of one has an event and its time"
 
 
 def decode(line: bytes) -> Event:
     """The event of one line; raises ValueError or RecursionError where it is none."""
     event = schema.DECODER.decode(line)  # its errors are ValueErrors
     if not event.is_stamped:
-        raise ValueError("each line of one has an event and its time")
+        raise ValueError(_NO_EVENT)
     return event
 
 
-def _decode_all(lines: bytes) -> list[Event] | None:
+def _decode_all(lines: bytes, count: int) -> list[Event] | None:
     """The events of lines that are read at once, in half the time; None where a line is to be looked at by itself."""
     try:
         events = schema.DECODER.decode_lines(lines)
     except (ValueError, RecursionError):
         return None
-    plain = len(events) == lines.count(b"\n") and _VERSIONED.isdisjoint(map(type, events))
+    plain = len(events) == count and _VERSIONED.isdisjoint(map(type, events))
     return events if plain and all(event.is_stamped for event in events) else None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -14,6 +15,7 @@ from upwash.eventlog import schema
 from upwash.eventlog.beginning import Beginning
 from upwash.eventlog.schema import SEVERITIES, Event
 from upwash.eventlog.whereabouts import Whereabouts
+from upwash.support.text import printable
 
 SAFE_ENDS = {
     "return": "returning to land",
@@ -357,6 +359,9 @@ def _failure(event: Event) -> Said | None:
     if isinstance(event, _FAILURES):
         return Said(f"{event.kind.replace('_', ' ')}: {event.why}", Tone.TROUBLE)
     match event:
+        case schema.Shortened(of=of, why=why):
+            said = f"the log has no more than a part of what it was told ({of.replace('_', ' ')}): {why}"
+            return Said(said, Tone.TROUBLE)
         case schema.RemoteRaised(server=server, operation=operation, raised=raised):
             said = f"{server} says that {operation} raised {raised}; making the call on the drone"
             return Said(said, Tone.TROUBLE)
@@ -383,6 +388,6 @@ def named(waypoint: int | None) -> str:
 def in_one_line(message: object) -> str:
     """A message to the user: detections by their number and labels, other messages unchanged."""
     if isinstance(message, list) and all(isinstance(item, dict) and "label" in item for item in message):
-        labels = [item["label"] for item in message]
-        return ", ".join(f"{labels.count(label)} x {label}" for label in dict.fromkeys(labels))
-    return str(message)
+        labels = Counter(str(item["label"]) for item in message)
+        message = ", ".join(f"{count} x {label}" for label, count in labels.items())
+    return printable(str(message))

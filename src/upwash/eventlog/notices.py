@@ -172,6 +172,8 @@ def _defects(event: Event) -> Iterator[Notice]:
             yield Notice("border", f"Borders of ranges are noticed late: {why}")
         case schema.CoverageNotKept(why=why):
             yield Notice("coverage", f"The coverage map is as it was before the flight: {why}")
+        case schema.Shortened(of=of, why=why):
+            yield Notice("shortened", f"The log has a part of an event alone ({of.replace('_', ' ')}): {why}")
         case schema.EventsLost(count=count):
             yield Notice("events", f"{counted(count, 'event')} of the log could not be kept")
 

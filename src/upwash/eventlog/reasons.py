@@ -128,9 +128,11 @@ class Reasons:
 
 
 def told_calls(events: Iterable[Event]) -> list[list[str]]:
-    """The calls of a run in their order, each a heading and its reasons."""
+    """The calls of the last of the runs that a log holds, each a heading and its reasons."""
     reasons, calls = Reasons(), Told()
     for event in events:
+        if isinstance(event, schema.LogOpened):
+            reasons, calls = Reasons(), Told()
         calls.take(reasons.take(event))
     return calls.lines
 

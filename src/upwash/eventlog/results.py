@@ -182,7 +182,7 @@ class Tally:
 
     def take(self, event: Event) -> None:
         """Takes in the next event."""
-        self._ended_s = event.t
+        self._ended_s = max(self._ended_s, event.t)  # a log is anybody's: times in it may go back
         if type(event) not in _COUNTED:
             return
         self._began.take(event)
@@ -278,16 +278,6 @@ def as_json(value: object) -> Any:
             return [as_json(each) for each in items]
         case plain:
             return plain
-
-
-def last_run(events: Iterable[Event]) -> list[Event]:
-    """The events of the last of the runs that a log holds."""
-    run: list[Event] = []
-    for event in events:
-        if isinstance(event, schema.LogOpened):
-            run = []
-        run.append(event)
-    return run
 
 
 def _in_order(waypoints: Iterable[int | None]) -> list[int | None]:

@@ -12,7 +12,7 @@ import operator
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias, TypeVar
 
 import msgspec
 
@@ -22,7 +22,7 @@ from upwash.core.geo import Circle, GeoPosition, Position
 from upwash.core.places import server_of
 from upwash.core.servers import State, Trigger
 
-VERSION = 4  # of the log; logs of earlier releases have none
+VERSION = 5  # of the log; logs of earlier releases have none
 SEVERITIES = (
     "emergency",
     "alert",
@@ -36,6 +36,29 @@ SEVERITIES = (
 
 _UNSTAMPED = float("nan")  # known by its identity: the time of an event that no journal has recorded yet
 _Time: TypeAlias = Annotated[datetime, msgspec.Meta(tz=True)]
+
+# A log is anybody's: what is larger than these is in no event, and no reader has to be ready for it.
+LONGEST = 1e9  # of times and lengths, in seconds and metres: 31 years
+LONGEST_TEXT = 10_000  # characters
+MOST_ITEMS = 100_000  # of a list that has an entry for each waypoint or place
+MOST_FEW = 1_000  # of any other list
+MOST_NAMES = 10_000  # of servers, or operations
+Number: TypeAlias = Annotated[float, msgspec.Meta(ge=-LONGEST, le=LONGEST)]
+Rate: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=1e15)]
+Parameter: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e39, le=1e39)]  # of MAVLink: of 32 bits
+Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=10**12)]
+Index: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=MOST_ITEMS)]  # of a waypoint, or how many there are
+Text: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_TEXT)]
+_Item = TypeVar("_Item")
+_Few = Annotated[Sequence[_Item], msgspec.Meta(max_length=MOST_FEW)]
+_Many = Annotated[Sequence[_Item], msgspec.Meta(max_length=MOST_ITEMS)]
+_ByName = Annotated[Mapping[Text, _Item], msgspec.Meta(max_length=MOST_NAMES)]
+_Map = Annotated[dict[Text, _Item], msgspec.Meta(max_length=MOST_FEW)]
+_List = Annotated[list[_Item], msgspec.Meta(max_length=MOST_FEW)]
+_Leaf: TypeAlias = bool | int | float | Text | None
+_Twig: TypeAlias = _Leaf | _List[_Leaf] | _Map[_Leaf]
+Branch: TypeAlias = _Leaf | _List[_Twig] | _Map[_Twig]
+Message: TypeAlias = _Leaf | _List[Branch] | _Map[Branch]  # what a mission says: nested no deeper
 _SafeEndAction: TypeAlias = Literal["return", "land", "hold", "disarm"]
 
 
@@ -49,7 +72,7 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, tag_field="event", tag=_s
     Whoever makes one leaves the time to the journal that records it.
     """
 
-    t: float = _UNSTAMPED
+    t: Number = _UNSTAMPED
 
     @property
     def kind(self) -> str:
@@ -74,28 +97,35 @@ class LogOpened(Event, frozen=True, kw_only=True):
     """The log of a flight begins, at that time of day; `version` is the version of this table."""
 
     time: _Time
-    version: int = 0
+    version: Count = 0
 
 
 class LogResumed(Event, frozen=True, kw_only=True):
     """`--resume` took the flight up, at that time of day."""
 
     time: _Time
-    version: int = 0
+    version: Count = 0
 
 
 class Simulated(Event, frozen=True, kw_only=True):
     """First line of `upwash simulate --log`: the scenario's file and the seed."""
 
-    scenario: str
+    scenario: Text
     seed: int
-    version: int = 0
+    version: Count = 0
 
 
 class EventsLost(Event, frozen=True, kw_only=True):
     """So many events could be kept neither on the disk, which was full, nor in memory."""
 
-    count: int
+    count: Count
+
+
+class Shortened(Event, frozen=True, kw_only=True):
+    """An event of the kind `of` did not fit into the log, and why: a part of it stands before this, or nothing."""
+
+    of: Text
+    why: Text
 
 
 # --- the mission --------------------------------------------------------------------------------------------
@@ -108,13 +138,13 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     is that of the answered calls, computing included. The last time was so many flights ago.
     """
 
-    east_m: float
-    north_m: float
-    tried: int
-    answered: int
-    call_s: Mapping[str, float] = {}
-    goodput_bit_s: float | None = None
-    flights_ago: int = 0
+    east_m: Number
+    north_m: Number
+    tried: Count
+    answered: Count
+    call_s: _ByName[Number] = {}
+    goodput_bit_s: Rate | None = None
+    flights_ago: Count = 0
 
     @classmethod
     def of(cls, place: MeasuredPlace) -> Measured:
@@ -144,13 +174,13 @@ class Planned(Event, frozen=True, kw_only=True):
     """
 
     home: GeoPosition | None = None
-    waypoints_m: Sequence[tuple[float, float]] = []
-    altitudes_m: Sequence[float] = []
-    ranges: Mapping[str, Circle] = {}
+    waypoints_m: _Many[tuple[Number, Number]] = []
+    altitudes_m: _Many[Number] = []
+    ranges: _ByName[Circle] = {}
     paced: bool = False
-    order: Sequence[int] = []
-    order_why: str = ""
-    measured: Mapping[str, Sequence[Measured]] = {}
+    order: _Many[Index] = []
+    order_why: Text = ""
+    measured: _ByName[_Many[Measured]] = {}
 
     @property
     def has_servers(self) -> bool:
@@ -178,10 +208,10 @@ class Planned(Event, frozen=True, kw_only=True):
 class MissionStarted(Event, frozen=True, kw_only=True):
     """The drone, the policy, how many waypoints are planned, and those that were `done` when a flight is taken up."""
 
-    drone: str = ""
-    policy: str
-    waypoints: int = 0
-    done: Sequence[int] = []
+    drone: Text = ""
+    policy: Text
+    waypoints: Index = 0
+    done: _Many[Index] = []
 
 
 class Foreseen(Event, frozen=True, kw_only=True, omit_defaults=True):
@@ -191,10 +221,10 @@ class Foreseen(Event, frozen=True, kw_only=True, omit_defaults=True):
     the mission's time.
     """
 
-    as_asked_s: float
-    lightest_s: float | None = None
-    finish_by_s: float | None = None
-    reached_s: Sequence[float] = []
+    as_asked_s: Number
+    lightest_s: Number | None = None
+    finish_by_s: Number | None = None
+    reached_s: _Many[Number] = []
 
     @property
     def fits(self) -> bool:
@@ -209,13 +239,13 @@ class MissionCompleted(Event, frozen=True, kw_only=True):
 class MissionEnded(Event, frozen=True, kw_only=True):
     """The mission ended early, and why."""
 
-    why: str
+    why: Text
 
 
 class Stopping(Event, frozen=True, kw_only=True):
     """The mission is to end early: by Ctrl-C, SIGTERM or the reserve."""
 
-    why: str
+    why: Text
 
 
 class Leg(Event, frozen=True, kw_only=True, omit_defaults=True):
@@ -224,19 +254,19 @@ class Leg(Event, frozen=True, kw_only=True, omit_defaults=True):
     `back` where it comes back to a waypoint whose answer demands something, or whose call failed.
     """
 
-    waypoint: int | None
-    east_m: float
-    north_m: float
+    waypoint: Index | None
+    east_m: Number
+    north_m: Number
     back: bool = False
 
 
 class Arrived(Event, frozen=True, kw_only=True, omit_defaults=True):
     """The drone has arrived at the place that it set off for; there it first hovers for the plan's `hold_s`."""
 
-    waypoint: int | None
-    east_m: float
-    north_m: float
-    hold_s: float = 0.0
+    waypoint: Index | None
+    east_m: Number
+    north_m: Number
+    hold_s: Number = 0.0
 
 
 class Photo(Event, frozen=True, kw_only=True, omit_defaults=True):
@@ -245,21 +275,21 @@ class Photo(Event, frozen=True, kw_only=True, omit_defaults=True):
     Its place on the Earth in degrees (WGS 84), and above the sea, are absent where they were not known.
     """
 
-    source: str
-    bytes: int
-    age_s: float
+    source: Text
+    bytes: Count
+    age_s: Number
     position: Position
-    latitude_deg: float | None = None
-    longitude_deg: float | None = None
-    above_sea_m: float | None = None
-    truth: Sequence[object] | None = None
+    latitude_deg: Number | None = None
+    longitude_deg: Number | None = None
+    above_sea_m: Number | None = None
+    truth: _Few[Branch] | None = None
 
 
 class CallStarted(Event, frozen=True, kw_only=True):
     """The mission began a call at the waypoint, without waiting; its `call` event comes when it is over."""
 
-    operation: str
-    waypoint: int | None
+    operation: Text
+    waypoint: Index | None
 
 
 class StayOrGo(Event, frozen=True, kw_only=True):
@@ -269,25 +299,25 @@ class StayOrGo(Event, frozen=True, kw_only=True):
     nothing, and loses `lost_s` where it does; null where nothing was reckoned.
     """
 
-    waypoint: int | None
+    waypoint: Index | None
     goes: bool
-    why: str
-    chance: float
-    saved_s: float | None = None
-    lost_s: float | None = None
+    why: Text
+    chance: Number
+    saved_s: Number | None = None
+    lost_s: Number | None = None
 
 
 class Demanded(Event, frozen=True, kw_only=True, omit_defaults=True):
     """An answer that arrived on the way has a demand at that waypoint, or the call `failed`, with the reason."""
 
-    waypoint: int | None
-    failed: str = ""
+    waypoint: Index | None
+    failed: Text = ""
 
 
 class TurnedBack(Event, frozen=True, kw_only=True):
     """An answer demands something at a waypoint that the drone has left, or its call failed: it flies back."""
 
-    waypoint: int | None
+    waypoint: Index | None
     position: Position
 
 
@@ -297,22 +327,22 @@ class AnswerTaken(Event, frozen=True, kw_only=True, omit_defaults=True):
     `demanded` says whether it demands something there.
     """
 
-    waypoint: int | None
-    waited_s: float
+    waypoint: Index | None
+    waited_s: Number
     demanded: bool = False
-    failed: str = ""
+    failed: Text = ""
 
 
 class Acted(Event, frozen=True, kw_only=True):
     """What an answer demanded at the waypoint is done."""
 
-    waypoint: int | None
+    waypoint: Index | None
 
 
 class Notified(Event, frozen=True, kw_only=True):
     """What the user was told, and of which place."""
 
-    message: object
+    message: Message
     at: Position
 
 
@@ -323,7 +353,7 @@ class Control(Event, frozen=True, kw_only=True):
     """Who has the vehicle from now on (`program`, `pilot`, `fail-safe`, `unknown`), and why."""
 
     owner: Owner
-    why: str
+    why: Text
 
 
 class UnsignedPort(Event, frozen=True, kw_only=True):
@@ -332,15 +362,15 @@ class UnsignedPort(Event, frozen=True, kw_only=True):
     See [signed messages](vehicle.md#signed-messages).
     """
 
-    why: str
+    why: Text
 
 
 class WaitingForVehicle(Event, frozen=True, kw_only=True):
     """The vehicle has not been heard for so long, and why; it is waited for within so many seconds in all."""
 
-    why: str
-    waited_s: float
-    within_s: float
+    why: Text
+    waited_s: Number
+    within_s: Number
 
 
 class VehicleFound(Event, frozen=True, kw_only=True):
@@ -349,37 +379,37 @@ class VehicleFound(Event, frozen=True, kw_only=True):
     `version` is the firmware's, null if the vehicle does not tell it.
     """
 
-    system: int
-    component: int
-    firmware: str
-    type: str
-    version: str | None = None
+    system: Count
+    component: Count
+    firmware: Text
+    type: Text
+    version: Text | None = None
 
 
 class LinkLost(Event, frozen=True, kw_only=True):
     """Nothing has been heard of the vehicle for so long."""
 
-    silent_s: float
+    silent_s: Number
 
 
 class LinkRestored(Event, frozen=True, kw_only=True):
     """The vehicle is heard again, after so long."""
 
-    silent_s: float
+    silent_s: Number
 
 
 class PositionDoubted(Event, frozen=True, kw_only=True):
     """The vehicle cannot be where it reports: its position jumped that far; 0 once it can be there again."""
 
-    jumped_m: float
+    jumped_m: Number
 
 
 class HomeMoved(Event, frozen=True, kw_only=True):
     """The vehicle's home was moved in the flight; `altitude_m` is above the ground below the take-off."""
 
-    east_m: float
-    north_m: float
-    altitude_m: float
+    east_m: Number
+    north_m: Number
+    altitude_m: Number
 
 
 LinkTroubleName: TypeAlias = Literal[
@@ -399,57 +429,57 @@ class LinkTrouble(Event, frozen=True, kw_only=True):
     """What is wrong with the vehicle's link, or who else is on it; once for each, or at each tenfold."""
 
     about: LinkTroubleName
-    why: str
+    why: Text
 
 
 class VehicleSaid(Event, frozen=True, kw_only=True):
     """The vehicle's own words and their severity, 0 (emergency) to 7 (debug)."""
 
     severity: Annotated[int, msgspec.Meta(ge=0, lt=len(SEVERITIES))]
-    text: str
+    text: Text
 
 
 class VehicleSetting(Event, frozen=True, kw_only=True):
     """A parameter of the vehicle that the user should know before the flight, and why; null: it is not known."""
 
-    name: str
-    value: float | None
-    advice: str
+    name: Text
+    value: Parameter | None
+    advice: Text
 
 
 class ArmingDelayed(Event, frozen=True, kw_only=True):
     """Why the vehicle cannot be armed yet, in its words, each time that changes."""
 
-    reasons: Sequence[str]
+    reasons: _Few[Text]
 
 
 class VehicleLimits(Event, frozen=True, kw_only=True, omit_defaults=True):
     """The vehicle's home, the altitudes between which it may fly, and its fences by name, as read before arming."""
 
     home: Position | None
-    highest_m: float | None
-    fences: Sequence[str]
-    lowest_m: float | None = None
-    home_above_sea_m: float | None = None
+    highest_m: Number | None
+    fences: _Few[Text]
+    lowest_m: Number | None = None
+    home_above_sea_m: Number | None = None
 
 
 class SiteDoubt(Event, frozen=True, kw_only=True):
     """What a person should know before arming of where the mission is flown: nothing forbids it."""
 
-    why: str
+    why: Text
 
 
 class DeadManSet(Event, frozen=True, kw_only=True):
     """After how long a silence of the program the autopilot will do what."""
 
-    silence_s: float
+    silence_s: Number
     action: Literal["return", "land"]
 
 
 class DeadManFailed(Event, frozen=True, kw_only=True):
     """Why the autopilot will not miss the program, where the flight was in the air already."""
 
-    why: str
+    why: Text
 
 
 class _AtPlace(Event, frozen=True, kw_only=True, omit_defaults=True):
@@ -467,13 +497,13 @@ class Armed(_AtPlace, frozen=True, kw_only=True):
 class TakingOff(Event, frozen=True, kw_only=True):
     """The vehicle is told to climb to the altitude above home."""
 
-    altitude_m: float
+    altitude_m: Number
 
 
 class TookOff(_AtPlace, frozen=True, kw_only=True):
     """The vehicle has climbed to the altitude above home."""
 
-    altitude_m: float
+    altitude_m: Number
 
 
 class Holding(_AtPlace, frozen=True, kw_only=True):
@@ -483,22 +513,22 @@ class Holding(_AtPlace, frozen=True, kw_only=True):
 class Turned(Event, frozen=True, kw_only=True):
     """The vehicle's nose points there, clockwise from north, as the mission said; until the next leg."""
 
-    heading_deg: float
+    heading_deg: Number
 
 
 class PayloadCommanded(Event, frozen=True, kw_only=True):
     """The vehicle has accepted a MAVLink command of what it carries; null: a parameter that is left open."""
 
-    number: int
-    name: str
-    parameters: list[float | None]
+    number: Count
+    name: Text
+    parameters: _Few[Parameter | None]
 
 
 class TextSent(Event, frozen=True, kw_only=True):
     """The mission's own words to whoever listens to the vehicle; severity as of `vehicle_said`."""
 
     severity: Annotated[int, msgspec.Meta(ge=0, lt=len(SEVERITIES))]
-    text: str
+    text: Text
 
 
 class Returning(_AtPlace, frozen=True, kw_only=True):
@@ -521,14 +551,14 @@ class SafeEnd(Event, frozen=True, kw_only=True):
     """What is done to end a flight that cannot go on, and why it cannot."""
 
     action: _SafeEndAction
-    why: str
+    why: Text
 
 
 class SafeEndFailed(Event, frozen=True, kw_only=True):
     """The vehicle did not do it, and why; it is told again."""
 
     action: _SafeEndAction
-    why: str
+    why: Text
 
 
 class LeftHovering(Event, frozen=True, kw_only=True):
@@ -538,7 +568,7 @@ class LeftHovering(Event, frozen=True, kw_only=True):
 class LeftToPilot(Event, frozen=True, kw_only=True):
     """The program sends the vehicle nothing any more, and why."""
 
-    why: str
+    why: Text
 
 
 class Stood(Event, frozen=True, kw_only=True):
@@ -550,19 +580,19 @@ class Stood(Event, frozen=True, kw_only=True):
 class FollowingEnded(Event, frozen=True, kw_only=True):
     """Why the log of a vehicle that was not the program's any more ends before it stands."""
 
-    why: str
+    why: Text
 
 
 class CoverageNotKept(Event, frozen=True, kw_only=True):
     """The coverage map could not be written: what this flight measured is in its log only."""
 
-    why: str
+    why: Text
 
 
 class BorderWatchFailed(Event, frozen=True, kw_only=True):
     """The vehicle is silent: until it is heard again, ranges are looked at once a period only."""
 
-    why: str
+    why: Text
 
 
 class Energy(Event, frozen=True, kw_only=True):
@@ -574,13 +604,13 @@ class Energy(Event, frozen=True, kw_only=True):
     the vehicle's parameters that are not known; a usual value stands for each.
     """
 
-    left_percent: float
-    rate_percent_s: float
-    home_s: float
-    needed_percent: float
-    floor_percent: float
-    margin_percent: float
-    guessed: list[str] = []
+    left_percent: Number
+    rate_percent_s: Number
+    home_s: Number
+    needed_percent: Number
+    floor_percent: Number
+    margin_percent: Number
+    guessed: _Few[Text] = []
 
 
 class EnergyUsed(Event, frozen=True, kw_only=True, omit_defaults=True):
@@ -589,11 +619,11 @@ class EnergyUsed(Event, frozen=True, kw_only=True, omit_defaults=True):
     `flight_wh` is of the rotors while the drone moves, `hover_wh` while it rests in the air.
     """
 
-    flight_wh: float
-    hover_wh: float
-    computing_wh: float
-    radio_wh: float
-    battery_wh: float | None = None
+    flight_wh: Number
+    hover_wh: Number
+    computing_wh: Number
+    radio_wh: Number
+    battery_wh: Number | None = None
 
     @property
     def total_wh(self) -> float:
@@ -607,8 +637,8 @@ class BatteryWatchFailed(Event, frozen=True, kw_only=True, omit_defaults=True):
     A defect ends the mission as the reserve does; its `trace` is for a bug report.
     """
 
-    why: str
-    trace: str = ""
+    why: Text
+    trace: Text = ""
 
 
 class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="position", gc=False):
@@ -618,15 +648,15 @@ class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="
     the `server` in use took. While the program brings it down, it is on the ground in `down_s`.
     """
 
-    east_m: float
-    north_m: float
-    altitude_m: float
-    ground_speed_m_s: float | None = None
-    heading_deg: float | None = None
-    battery_percent: float | None = None
-    server: str | None = None
-    round_trip_s: float | None = None
-    down_s: float | None = None
+    east_m: Number
+    north_m: Number
+    altitude_m: Number
+    ground_speed_m_s: Number | None = None
+    heading_deg: Number | None = None
+    battery_percent: Number | None = None
+    server: Text | None = None
+    round_trip_s: Number | None = None
+    down_s: Number | None = None
 
 
 # --- servers ------------------------------------------------------------------------------------------------
@@ -639,13 +669,13 @@ class Step(Event, frozen=True, kw_only=True):
     that is in range.
     """
 
-    server: str
+    server: Text
     before: State
     after: State
-    why: str = ""
-    check: int = 0
-    local_mean_call_s: float | None = None
-    mean_call_s: Mapping[str, float | None] = {}
+    why: Text = ""
+    check: Count = 0
+    local_mean_call_s: Number | None = None
+    mean_call_s: _ByName[Number | None] = {}
     position: Position | None = None
 
 
@@ -696,23 +726,23 @@ class TurnOver(Step, frozen=True, kw_only=True):
 class NoSlot(Event, frozen=True, kw_only=True):
     """The server, which is being checked, serves as many drones as it can; so many wait, and the drone asks again."""
 
-    server: str
-    check: int
-    waiting: int
+    server: Text
+    check: Count
+    waiting: Count
 
 
 class ServiceMoved(Event, frozen=True, kw_only=True):
     """The server, which is READY, has the service elsewhere now, as where its daemon was changed: calls go there."""
 
-    server: str
-    check: int
-    service: str
+    server: Text
+    check: Count
+    service: Text
 
 
 class PlaceMeasured(Event, frozen=True, kw_only=True):
     """A server without a range was asked something at a place, of which this is known now."""
 
-    server: str
+    server: Text
     place: Measured
 
 
@@ -739,30 +769,30 @@ class Prepared(Step, frozen=True, kw_only=True):
 class NotPrepared(Event, frozen=True, kw_only=True):
     """Why the server `by`, which is in use, does not have its peer `server` prepared."""
 
-    server: str
-    by: str
-    why: str
+    server: Text
+    by: Text
+    why: Text
 
 
 class Joined(Event, frozen=True, kw_only=True):
     """The server's network was just joined, for that check."""
 
-    server: str
-    network: str
-    check: int = 0
+    server: Text
+    network: Text
+    check: Count = 0
 
 
 class LeftOver(Event, frozen=True, kw_only=True):
     """A network that was found joined, and left."""
 
-    network: str
+    network: Text
 
 
 class LeaveFailed(Event, frozen=True, kw_only=True):
     """A network that could not be left, and why."""
 
-    network: str
-    why: str
+    network: Text
+    why: Text
 
 
 # --- calls --------------------------------------------------------------------------------------------------
@@ -777,20 +807,20 @@ class Decided(Event, frozen=True, kw_only=True, omit_defaults=True):
     at the call.
     """
 
-    operation: str
+    operation: Text
     decision: Literal["local", "remote", "wait"]
-    server: str | None = None
-    deadline_s: float | None = None
-    at_most_s: float | None = None
+    server: Text | None = None
+    deadline_s: Number | None = None
+    at_most_s: Number | None = None
     raced: bool = False
-    why: str
-    local_s: float | None
-    selected: str | None
+    why: Text
+    local_s: Number | None
+    selected: Text | None
     state: State | None
-    check: int | None = None
-    remote_s: float | None
-    check_s: float | None
-    check_elapsed_s: float | None
+    check: Count | None = None
+    remote_s: Number | None
+    check_s: Number | None
+    check_elapsed_s: Number | None
     position: Position
 
 
@@ -805,21 +835,21 @@ class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
     `forecast_s` of its time, later than `finish_by_s`.
     """
 
-    operation: str
-    asked: str = ""
-    forecast_s: float | None = None
-    finish_by_s: float | None = None
-    place: str
-    check: int | None = None
-    decision: str
-    at_s: float
-    delay_s: float
-    waited_s: float
-    onboard_s: float
+    operation: Text
+    asked: Text = ""
+    forecast_s: Number | None = None
+    finish_by_s: Number | None = None
+    place: Text
+    check: Count | None = None
+    decision: Text
+    at_s: Number
+    delay_s: Number
+    waited_s: Number
+    onboard_s: Number
     wait: Literal["", "paid off", "failed"]
     fell_back: bool
-    hedged_s: float | None = None
-    queued_s: float | None = None
+    hedged_s: Number | None = None
+    queued_s: Number | None = None
     remote_fault: Literal["", "confirmed", "denied"] = ""
 
     @property
@@ -831,17 +861,17 @@ class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
 class Hedged(Event, frozen=True, kw_only=True):
     """The drone's own service starts on a call, after so long, that the server may answer until its new deadline."""
 
-    server: str
-    check: int = 0
-    after_s: float
-    deadline_s: float
+    server: Text
+    check: Count = 0
+    after_s: Number
+    deadline_s: Number
 
 
 class Dropped(Event, frozen=True, kw_only=True):
     """The answer to a call that came second, and from where."""
 
-    operation: str
-    place: str
+    operation: Text
+    place: Text
 
     @property
     def server(self) -> str | None:
@@ -852,46 +882,46 @@ class Dropped(Event, frozen=True, kw_only=True):
 class RemoteRaised(Event, frozen=True, kw_only=True):
     """What a server says that the service raised in a call, which is then made on the drone."""
 
-    server: str
-    check: int = 0
-    operation: str
-    raised: str
+    server: Text
+    check: Count = 0
+    operation: Text
+    raised: Text
 
 
 class RemoteFailed(Event, frozen=True, kw_only=True):
     """A call to a server got no usable answer, or raised there and not on the drone; and why."""
 
-    server: str
-    check: int = 0
-    why: str
+    server: Text
+    check: Count = 0
+    why: Text
 
 
 class LocalReady(Event, frozen=True, kw_only=True):
     """The service is ready on the drone."""
 
-    service: str
+    service: Text
 
 
 class LocalFailed(Event, frozen=True, kw_only=True, omit_defaults=True):
     """The drone's own service failed in a call of the method, or could not be started again."""
 
-    service: str
-    method: str | None = None
-    why: str
+    service: Text
+    method: Text | None = None
+    why: Text
 
 
 class LocalEnded(Event, frozen=True, kw_only=True):
     """The drone's own service ended, and how; it is started again."""
 
-    service: str
-    how: str
+    service: Text
+    how: Text
 
 
 class OffloadingFailed(Event, frozen=True, kw_only=True):
     """A defect in deciding: from now on every call runs on the drone; `trace` is for a bug report."""
 
-    why: str
-    trace: str
+    why: Text
+    trace: Text
 
 
 # --- the clock ----------------------------------------------------------------------------------------------
@@ -903,7 +933,7 @@ class WaitingForTheTime(Event, frozen=True, kw_only=True):
     See [a clock that is wrong](raspberry-pi.md#a-clock-that-is-wrong), for the next two as well.
     """
 
-    why: str
+    why: Text
 
 
 class ClockSet(Event, frozen=True, kw_only=True):
@@ -916,9 +946,9 @@ class ClockSet(Event, frozen=True, kw_only=True):
 class ClockDiffers(Event, frozen=True, kw_only=True):
     """This computer's clock and the vehicle's GPS differ, and why the clock was not set."""
 
-    clock: str
-    gps: str
-    why: str
+    clock: Text
+    gps: Text
+    why: Text
 
 
 def _leaves(cls: type[Event]) -> Iterator[type[Event]]:

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 from upwash.config import DroneConfig
 from upwash.config.problems import unknown
 from upwash.core.policies import POLICIES
 from upwash.errors import UsageError
-from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
+from upwash.eventlog.log import EventLog
 from upwash.eventlog.narration import ran_on
 from upwash.eventlog.reasons import told_calls
-from upwash.eventlog.results import CallResult, last_run, read_result
+from upwash.eventlog.results import CallResult, read_result
 from upwash.eventlog.schema import Event
 from upwash.lab.fleet import simulate_fleet
 from upwash.lab.simulation import Simulation, read_scenario, simulate
 from upwash.support.sentences import say
-from upwash.support.text import escaped_lines
+from upwash.support.text import escaped_lines, printable
+
+Kind = TypeVar("Kind", bound=Event)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,36 +60,30 @@ def show_explanation(
 ) -> None:
     """Prints why each call of the log, or each wanted one, ran where it ran, and what other policies would have done.
 
-    These are flown in the scenario that is given, or else in the one that the log names, if it does. Where that has
-    several drones they are flown by the one that is named, or else by the one that the log names.
+    These are flown in the scenario that is given, and in none without one: a log can be anybody's, and a scenario
+    runs its author's program. Where it has several drones, the one that is named flies by them, or else the log's.
     """
     from rich.console import Console
 
-    events = _with_calls(log)
+    events = EventLog(log)
     console = Console(markup=False, highlight=False)
     wanted = wanted or Wanted()
-    wanted.of(read_result(events).calls)  # before other policies are flown for none
-    for line in explain(events, replay(events, scenario, drone), wanted):
+    calls = read_result(events).calls
+    if not calls:
+        raise UsageError(f"{log} has no service call to explain")
+    wanted.of(calls)  # before other policies are flown for none
+    if scenario is None and drone is not None:
+        raise UsageError(f"--drone {drone} goes with --scenario FILE: without one no drone is flown")
+    replayed = Replay() if scenario is None else replay(events, scenario, drone)
+    for line in explain(events, replayed, wanted):
         words = line.lstrip(" ")
         say(escaped_lines(words), console, indent=len(line) - len(words))
 
 
-def _with_calls(log: Path) -> list[Event]:
-    """The events of a log with calls; raises UsageError for any other file."""
-    events = event_log.read(log)
-    if not any(isinstance(event, schema.Call) for event in events):
-        raise UsageError(f"{log} has no service call to explain")
-    return events
-
-
-def replay(events: Sequence[Event], scenario: Path | None, drone: str | None = None) -> Replay:
-    """Flies every policy in the world of the log: that of the scenario, or of the one that the log names, if any."""
-    named = next((event for event in events if isinstance(event, schema.Simulated)), None)
+def replay(events: Iterable[Event], scenario: Path, drone: str | None = None) -> Replay:
+    """Flies every policy in the world of that scenario, with the log's seed where it has one."""
+    named = _first(schema.Simulated, events)
     seed = named.seed if named else None
-    if scenario is None and named is not None:
-        scenario = Path(named.scenario)
-    if scenario is None:
-        return Replay()
     config = read_scenario(scenario)
     if config.drones:
         name = _drone_of(events, config, scenario, drone)
@@ -99,9 +96,13 @@ def replay(events: Sequence[Event], scenario: Path | None, drone: str | None = N
     return Replay(runs, bound.free_s if bound else None, others=len(config.drones) > 1)
 
 
-def _drone_of(events: Sequence[Event], config: DroneConfig, scenario: Path, drone: str | None) -> str:
+def _first(kind: type[Kind], events: Iterable[Event]) -> Kind | None:
+    return next((event for event in events if isinstance(event, kind)), None)
+
+
+def _drone_of(events: Iterable[Event], config: DroneConfig, scenario: Path, drone: str | None) -> str:
     """The scenario's drone that is given, or else the one that left the log."""
-    started = next((event for event in events if isinstance(event, schema.MissionStarted)), None)
+    started = _first(schema.MissionStarted, events)
     name = drone or (started.drone if started else "")
     names = [each.name for each in config.drones]
     if name not in names:
@@ -117,10 +118,10 @@ def _among_others(scenario: Path, drone: str, policy: str, seed: int | None) -> 
     return fleet.drones[drone]
 
 
-def explain(events: Sequence[Event], replayed: Replay, wanted: Wanted) -> Iterator[str]:
+def explain(events: Iterable[Event], replayed: Replay, wanted: Wanted) -> Iterator[str]:
     """The explanation of the wanted calls, line by line."""
     result = read_result(events)
-    calls = told_calls(last_run(events))
+    calls = told_calls(events)
     for number in wanted.of(result.calls):
         heading, *reasons = calls[number]
         yield heading
@@ -130,7 +131,7 @@ def explain(events: Sequence[Event], replayed: Replay, wanted: Wanted) -> Iterat
         yield ""
     took = f"{result.policy} took {result.mission_time_s:.1f} s"
     if not replayed.runs:
-        yield f"{took}; give --scenario FILE to see what other policies would have done"
+        yield f"{took}; give --scenario FILE to see what other policies would have done{_in_its_world(events)}"
         return
     others = ", among drones that fly as the scenario says" if replayed.others else ""
     yield f"{took}; in the same world{others}, simulated:"
@@ -139,6 +140,12 @@ def explain(events: Sequence[Event], replayed: Replay, wanted: Wanted) -> Iterat
         yield f"    {policy}: {run.mission_time_s:.1f} s{ended}"
     if replayed.bound_s is not None:
         yield f"    theoretical minimum: {replayed.bound_s:.1f} s"
+
+
+def _in_its_world(events: Iterable[Event]) -> str:
+    """Which file that is, by the log; whoever wants it can look at it first."""
+    named = _first(schema.Simulated, events)
+    return f" (the log names {printable(named.scenario)}, whose programs run then)" if named else ""
 
 
 def _elsewhere(number: int, count: int, replayed: Replay, own: str) -> str:

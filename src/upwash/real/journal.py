@@ -14,9 +14,9 @@ from upwash.core.geo import Position
 from upwash.errors import UsageError
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
-from upwash.eventlog.schema import Event
+from upwash.eventlog.fitting import fitted, line_of
+from upwash.eventlog.schema import LONGEST, Event
 from upwash.real.log_file import LogFile, Unwritten
-from upwash.support.text import json_line
 
 _TRY_AGAIN_S = 1.0  # to write to a full disk
 _log = logging.getLogger("upwash.journal")
@@ -46,6 +46,10 @@ class FileJournal:
         self._next_try_s = 0.0
         now = datetime.now(UTC)
         opened_s = _seconds_since(read_events(path), now) if resumes else 0.0
+        if opened_s > LONGEST / 2:
+            raise UsageError(
+                f"no flight is taken up after {opened_s:.0f} s: the times in {path} are not true"
+            )
         self._began_s = self._loop.time() - opened_s
         kind = schema.LogResumed if resumes else schema.LogOpened
         opening = kind(t=round(opened_s, 6), time=now, version=schema.VERSION)
@@ -55,7 +59,7 @@ class FileJournal:
             try:
                 if resumes:
                     self._file.cut_torn_line()
-                self._file.append(_encoded(opening))
+                self._file.append(line_of(opening))
             except OSError:
                 self._file.close()
                 raise
@@ -68,11 +72,11 @@ class FileJournal:
 
         A disk that fills up in flight is no reason to end it: what is missing is written as soon as there is room.
         """
-        entry = msgspec.structs.replace(event, t=self._now_s())
-        try:
-            self._keep(_encoded(entry))
-        finally:
-            self._show(entry)
+        for entry in fitted(msgspec.structs.replace(event, t=self._now_s())):
+            try:
+                self._keep(line_of(entry))
+            finally:
+                self._show(entry)
 
     def _now_s(self) -> float:
         return round(self._loop.time() - self._began_s, 6)
@@ -101,7 +105,7 @@ class FileJournal:
                 self._file.append(self._unwritten.lines[0])
                 self._unwritten.written()
             if self._unwritten.lost:
-                self._file.append(_encoded(schema.EventsLost(t=self._now_s(), count=self._unwritten.lost)))
+                self._file.append(line_of(schema.EventsLost(t=self._now_s(), count=self._unwritten.lost)))
                 self._unwritten.lost = 0
         except OSError as error:
             self._missed(error)
@@ -133,15 +137,6 @@ class FileJournal:
             _log.error("the event log %s may lack its last events: %s", self.path, error)
 
 
-def _encoded(entry: Event) -> bytes:
-    try:
-        line = msgspec.json.encode(entry)
-    except UnicodeEncodeError:  # a file name, say, that is no text
-        facts = {name: _printable(fact) for name, fact in msgspec.structs.asdict(entry).items()}
-        line = msgspec.json.encode(msgspec.structs.replace(entry, **facts))
-    return json_line(line)
-
-
 def read_events(path: Path) -> list[Event]:
     """The events of a flight's log, which begins with the time of day; raises UsageError."""
     events = event_log.read(path)
@@ -160,18 +155,6 @@ def _seconds_since(events: Sequence[Event], now: datetime) -> float:
             case schema.LogOpened(time=known):
                 return max(last_s, (now - known).total_seconds())
     return last_s
-
-
-def _printable(fact: object) -> object:
-    """The same without halves of code units, which no JSON has."""
-    match fact:
-        case str():
-            return str(fact).encode(errors="backslashreplace").decode()
-        case list() | tuple():
-            return [_printable(each) for each in fact]
-        case dict():
-            return {_printable(key): _printable(value) for key, value in fact.items()}
-    return fact
 
 
 class JournalNotifier:

@@ -7,6 +7,7 @@ from foxglove.messages import Timestamp
 from upwash.report.record import Record
 
 _NS = 1_000_000_000
+_LATEST_NS = (2**32 - 1) * _NS  # seconds of messages have 32 bits: in 2106
 
 
 class RecordClock:
@@ -18,7 +19,7 @@ class RecordClock:
 
     def ns(self, at_s: float) -> int:
         """In nanoseconds since 1970."""
-        return max(0, self._began_ns + round(at_s * _NS))
+        return min(_LATEST_NS, max(0, self._began_ns + round(at_s * _NS)))
 
     def time(self, at_s: float) -> Timestamp:
         """As messages have it."""

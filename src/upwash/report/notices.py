@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from upwash.core.control import Owner
 from upwash.core.servers import State
@@ -49,6 +49,10 @@ class Notices:
 
     urgent: Sequence[str] = ()
     cautions: Sequence[str] = ()
+
+    def with_caution(self, words: str) -> Notices:
+        """The same with one more, unless it is empty."""
+        return replace(self, cautions=[*self.cautions, _sentence(words)]) if words else self
 
 
 class NoticesTaken:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import functools
 import heapq
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
 from upwash.core.geo import Position
 from upwash.core.servers import State
 from upwash.errors import UsageError
-from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
 from upwash.eventlog.beginning import Beginning
+from upwash.eventlog.log import EventLog
 from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, told, told_answer
 from upwash.eventlog.results import CallResult, RunResult, Tally
 from upwash.eventlog.schema import Event
@@ -69,8 +68,8 @@ class MissionEvents:
     A long flight's log is larger than what a page about it holds, so that none of them is kept.
     """
 
-    def __init__(self, read: Callable[[], Iterable[Event]]) -> None:
-        self._read = read
+    def __init__(self, events: Iterable[Event]) -> None:
+        self._events = events
         self._first = self._end = 0
         self.opening: Event | None = None  # the first of them
         self.planned = UNPLANNED
@@ -80,7 +79,7 @@ class MissionEvents:
 
     def _look_through(self) -> None:
         began, completed = Beginning(), False
-        for number, event in enumerate(self._read()):
+        for number, event in enumerate(self._events):
             if isinstance(event, schema.LogOpened) or number == 0:
                 began, completed = Beginning(), False
                 self._first, self.opening, self.planned = number, event, UNPLANNED
@@ -96,7 +95,7 @@ class MissionEvents:
         self.began_s = began.at_s
 
     def __iter__(self) -> Iterator[Event]:
-        return itertools.islice(self._read(), self._first, self._end)
+        return itertools.islice(self._events, self._first, self._end)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,15 +154,17 @@ class Record:
 def read_records(logs: Sequence[Path]) -> list[Record]:
     """The last run of each log, named after its file; raises UsageError for what is no log of a mission."""
     names = names_of(logs)
-    return [
-        _record(MissionEvents(functools.partial(event_log.stream, log)), log, name)
-        for log, name in zip(logs, names, strict=True)
-    ]
+    return [_record_of_log(EventLog(log), log, name) for log, name in zip(logs, names, strict=True)]
 
 
 def record_of(events: Sequence[Event], log: Path) -> Record:
     """The last run of these events, which the log has or should have; raises UsageError as `read_records` does."""
-    return _record(MissionEvents(lambda: events), log, *names_of([log]))
+    return _record(MissionEvents(events), log, *names_of([log]))
+
+
+def _record_of_log(events: EventLog, log: Path, name: str) -> Record:
+    record = _record(MissionEvents(events), log, name)
+    return replace(record, notices=record.notices.with_caution(events.left_out))
 
 
 def names_of(logs: Sequence[Path]) -> list[str]:
@@ -294,7 +295,8 @@ class _States:
 
     def take(self, event: Event) -> None:
         """Takes in the next event."""
-        self._ended_s = at_s = event.t - self._began_s
+        at_s = event.t - self._began_s
+        self._ended_s = max(self._ended_s, at_s)
         if isinstance(event, schema.LogResumed):  # a program that begins anew knows of no server's state
             for server in self._now:
                 self._end(server, at_s)

@@ -8,6 +8,7 @@ import msgspec
 
 from upwash.core.geo import Position
 from upwash.eventlog import schema
+from upwash.eventlog.fitting import fitted
 from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.schema import Event
 from upwash.sim.energy import EnergyMeter
@@ -38,7 +39,8 @@ class MemoryJournal:
             return
         if self.meter is not None and isinstance(event, (schema.MissionCompleted, schema.MissionEnded)):
             self.record(self.meter.used())
-        self.events.append(msgspec.structs.replace(event, t=round(self._loop.time(), 6)))
+        for entry in fitted(msgspec.structs.replace(event, t=round(self._loop.time(), 6))):
+            self.events.append(entry)
 
     async def notify(self, message: object, at: Position) -> None:
         """Records a message to the user."""

@@ -18,6 +18,8 @@ from upwash.view.facts import Fact
 from upwash.view.story import Story
 from upwash.view.tail import Tail
 
+_MOST_BYTES = 2**27  # of facts: many days of a flight
+
 
 @dataclass(frozen=True, slots=True)
 class Piece:
@@ -63,6 +65,7 @@ class Recording:
         self.outcome = OutcomeSoFar()
         self.count = 0
         self._pieces: list[Piece] = []
+        self._bytes = 0  # of all of them
         self.run += 1
 
     def advance(self) -> bool:
@@ -70,15 +73,15 @@ class Recording:
         if self.trouble:
             return False
         try:
-            lines = self._tail.read()
-            if lines is None and self._tail.was_replaced():
+            content = self._tail.read()
+            if content is None and self._tail.was_replaced():
                 self._start_over()
                 return True
-            self._take(lines or b"")
+            self._take(content or b"")
         except UsageError as error:
             self.trouble = str(error)
             return True
-        news = lines is not None or not self.caught_up
+        news = content is not None or not self.caught_up
         self.caught_up = self._tail.at_end
         return news
 
@@ -94,23 +97,34 @@ class Recording:
         self.caught_up = False
         self._begin()
 
-    def _take(self, lines: bytes) -> None:
+    def _take(self, content: bytes) -> None:
         told: list[Fact] = []
         try:
-            for event in self._lines.take_all(lines):
+            for event in self._lines.take_all(content):
                 if type(event) is schema.LogOpened and (self.count or told):
                     told.clear()
                     self._begin()
                 self.outcome.take(event)
                 told += self.story.take(event)
-        finally:  # what came before a line that is no event is told
+            told += self.story.lacks(self._lines.left_out)
+        finally:  # what came before the end of what can be read is told
             if told:
                 self._pieces.append(Piece(self.count, len(told), msgspec.json.encode(told)))
                 self.count += len(told)
+        self._bytes += len(self._pieces[-1].json) if told else 0
+        if self._bytes > _MOST_BYTES:
+            raise UsageError(
+                f"{self.log} tells more than a page can show: what is after {self._bytes / 1e6:.0f} MB is left out"
+            )
 
     def since(self, count: int) -> Sequence[Piece]:
         """The facts after the first so many, in their order; the first piece may begin with some of those."""
         return self._pieces[bisect_right(self._pieces, count, key=lambda piece: piece.end) :]
+
+    def require_log(self) -> None:
+        """Raises UsageError where the file has lines, and none of them is an event."""
+        if self._lines.left_out:
+            self._lines.require_events()
 
     def close(self) -> None:
         """Lets go of the log."""
@@ -128,5 +142,6 @@ def reading(logs: Sequence[Path], keeps: Callable[[str], bool]) -> Iterator[list
                 recording.advance()
             if recording.trouble:
                 raise UsageError(recording.trouble)
+            recording.require_log()
             recordings.append(recording)
         yield recordings

@@ -9,7 +9,7 @@ from upwash.core.servers import CHECKING, State
 from upwash.eventlog import schema
 from upwash.eventlog.beginning import Beginning
 from upwash.eventlog.narration import MEANINGS, Narrator, in_one_line, tone_of
-from upwash.eventlog.notices import Notices
+from upwash.eventlog.notices import Level, Notices
 from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, told, told_decision
 from upwash.eventlog.schema import Event
 from upwash.eventlog.whereabouts import Whereabouts
@@ -46,6 +46,7 @@ class Story:
         self._placed_s = 0.0
         self._doing = ("", 0)
         self._servers: set[str] = set()
+        self._left_out = ""
 
     def take(self, event: Event) -> Iterable[Fact]:
         """What the next event tells."""
@@ -54,6 +55,13 @@ class Story:
             here = Position(event.east_m, event.north_m, event.altitude_m)
             return (self._fix(here, event),) if self._is_news(here) else ()
         return self._told(event)
+
+    def lacks(self, left_out: str) -> Iterator[Fact]:
+        """What is told of the lines that are no events, where that is news."""
+        if left_out != self._left_out:
+            self._left_out = left_out
+            cause = left_out[:1].upper() + left_out[1:]
+            yield facts.Notice(at_s=self._now_s, key="log", level=Level.CAUTION, cause=cause, action="")
 
     def _told(self, event: Event) -> Iterator[Fact]:
         said = self._narrator.tell(event)

@@ -6,33 +6,27 @@ import os
 from pathlib import Path
 
 from upwash.errors import UsageError
-from upwash.eventlog.log import LONGEST_LINE_BYTES
+from upwash.eventlog.log import opened
 
-_CHUNK_BYTES = 2**16
+_PIECE_BYTES = 2**16
 
 
 class Tail:
-    """Reads what a log gains, whole lines only; raises UsageError where it cannot be read."""
+    """Reads what a log gains; raises UsageError where it cannot be read."""
 
     def __init__(self, log: Path) -> None:
         self.at_end = False  # whether the last look came to the end of what the log had by then
         self._log = log
-        self._rest = b""
         try:
-            self._file = log.open("rb")
+            self._file = opened(log)
         except OSError as error:
             raise UsageError(f"cannot read the event log {log}: {error.strerror}") from error
 
     def read(self) -> bytes | None:
-        """The lines that end in the next 64 KB, with their ends; None where there is nothing new."""
-        chunk = self._file.read(_CHUNK_BYTES)
-        self.at_end = len(chunk) < _CHUNK_BYTES
-        if not chunk:
-            return None
-        lines, end, self._rest = (self._rest + chunk).rpartition(b"\n")
-        if len(self._rest) > LONGEST_LINE_BYTES:
-            raise UsageError(f"{self._log} is not an event log: it has a line of more than 16 MiB")
-        return lines + end
+        """The next 64 KB; None where there is nothing new."""
+        content = self._file.read(_PIECE_BYTES)
+        self.at_end = len(content) < _PIECE_BYTES
+        return content or None
 
     def was_replaced(self) -> bool:
         """Whether another file bears the name now, or what was read is no longer in this one."""

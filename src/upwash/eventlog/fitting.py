@@ -1,0 +1,74 @@
+"""Events as their log's readers take them: what is too much for a log is shortened before it is written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+
+from upwash.eventlog import schema
+from upwash.eventlog.log import LONGEST_LINE_BYTES, decode
+from upwash.eventlog.schema import LONGEST, LONGEST_TEXT, MOST_FEW, Event
+from upwash.support.text import json_line, printable
+
+_LONGEST_WHY = 200  # characters
+_DEEPEST = {schema.Notified: 3, schema.Photo: 3}  # of what comes from elsewhere: containers in each other
+_FLAT = 10  # of what does not: deeper than any event
+
+
+def line_of(event: Event) -> bytes:
+    """The event as a line of a log, without its end; what is no text, as some file names, is escaped."""
+    try:
+        line = msgspec.json.encode(event)
+    except UnicodeEncodeError:
+        facts = _part(msgspec.to_builtins(event), most=None, depth=_FLAT)
+        line = msgspec.json.encode(msgspec.convert(facts, type(event)))
+    return json_line(line)
+
+
+def fitted(event: Event) -> Sequence[Event]:
+    """The event where readers of a log take it; else what they take of it, and a `shortened` with the reason."""
+    why = _refused(event)
+    if not why:
+        return (event,)
+    told = schema.Shortened(t=event.t, of=event.kind, why=why)
+    for most in (LONGEST_TEXT, MOST_FEW, 30):
+        facts = _part(msgspec.to_builtins(event), most=most, depth=_DEEPEST.get(type(event), _FLAT))
+        try:
+            part = msgspec.convert(facts, type(event))
+        except msgspec.ValidationError:
+            continue
+        if not _refused(part):
+            return part, told
+    return (told,)
+
+
+def _refused(event: Event) -> str:
+    """Why readers would leave the event out; empty where they would not."""
+    try:
+        line = line_of(event)
+        decode(line)
+    except (ValueError, RecursionError) as error:
+        return printable(str(error), _LONGEST_WHY)
+    return "it is too long" if len(line) > LONGEST_LINE_BYTES else ""
+
+
+def _part(fact: object, *, most: int | None, depth: int) -> object:
+    """So much of each text and each list, within the numbers that a log has; deeper containers become text."""
+    match fact:
+        case str():
+            text = fact.encode(errors="backslashreplace").decode()
+            return text if most is None or len(text) <= most else f"{text[: most - 1]}…"
+        case float():
+            return None if math.isnan(fact) else max(-LONGEST, min(LONGEST, fact))
+        case list() | dict() if depth < 0:
+            return f"{len(fact)} entries"
+        case list():
+            return [_part(each, most=most, depth=depth - 1) for each in fact[:most]]
+        case dict():
+            return {
+                _part(key, most=most, depth=0): _part(value, most=most, depth=depth - 1)
+                for key, value in list(fact.items())[:most]
+            }
+    return fact
