@@ -329,6 +329,7 @@ def test_a_defect_in_watching_a_service_fails_its_calls_at_once_and_is_logged() 
             runtime=Defective(),
             dialer=ModelDialer("heron", Switchboard({}), Wire()),
             journal=diary,
+            start_timeout_s=60.0,
         )
         await services.start()
         await diary.until("local_failed", 1)
