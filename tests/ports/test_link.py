@@ -538,6 +538,31 @@ def test_a_request_that_is_too_large_is_refused_in_the_log_too(caplog: pytest.Lo
         wait_for(lambda: f"larger than max_message_bytes = {MAX_MESSAGE_BYTES}" in caplog.text, within_s=5.0)
 
 
+def test_a_compressed_request_is_not_inflated() -> None:
+    with listening(echo) as address, grpc.insecure_channel(address) as channel:
+        ask = channel.unary_unary(PATH)
+        arrived = ask(bytes(MAX_MESSAGE_BYTES * 100), compression=grpc.Compression.Gzip, timeout=5.0)
+    assert len(arrived) < MAX_MESSAGE_BYTES
+
+
+def test_a_compressed_reply_is_not_inflated() -> None:
+    class Compressing(grpc.GenericRpcHandler):  # type: ignore[misc]
+        def service(self, _: object) -> Any:
+            return grpc.unary_unary_rpc_method_handler(self.answer)
+
+        def answer(self, _: bytes, context: grpc.ServicerContext) -> bytes:
+            context.set_compression(grpc.Compression.Gzip)
+            return bytes(MAX_MESSAGE_BYTES * 100)
+
+    server = grpc.server(ThreadPoolExecutor(1), handlers=[Compressing()])
+    port = server.add_insecure_port("127.0.0.1:0")
+    server.start()
+    try:
+        assert len(request(f"127.0.0.1:{port}")) < MAX_MESSAGE_BYTES
+    finally:
+        server.stop(None)
+
+
 def name_of_caller(_path: str, _body: bytes, caller: Caller) -> bytes:
     return caller.client.name.encode()
 

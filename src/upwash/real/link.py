@@ -25,6 +25,8 @@ from upwash.support.text import printable
 
 DRONE_METADATA = "upwash-drone"  # says who calls where no certificate does: on a unix socket or on loopback
 
+# A compressed message arrives as it is, and cannot be decoded: gRPC 1.70 inflates one before it looks at its size.
+NOT_INFLATED = ("grpc.per_message_decompression", 0)
 _DAEMON, _STATUS = STATUS.strip("/").split("/")
 _LONGEST_REPLIES = {  # by gRPC's own rules of a channel: a longer one is not even received
     "methodConfig": [
@@ -42,6 +44,7 @@ CHANNEL_OPTIONS: tuple[tuple[str, int | str], ...] = (
     ("grpc.max_reconnect_backoff_ms", 1000),
     ("grpc.enable_http_proxy", 0),
     ("grpc.use_local_subchannel_pool", 1),
+    NOT_INFLATED,
     ("grpc.service_config", msgspec.json.encode(_LONGEST_REPLIES).decode()),
     ("grpc.service_config_disable_resolution", 1),  # whoever answers for DNS has no say in it
 )

@@ -11,7 +11,7 @@ import grpc
 
 from upwash.core.clients import Client
 from upwash.errors import NoLease, Refused, UpwashError, UsageError
-from upwash.real.link import DRONE_METADATA
+from upwash.real.link import DRONE_METADATA, NOT_INFLATED
 from upwash.real.requests import Caller, Requests, words_for_caller
 from upwash.rpc.protocol import HEALTH_CHECK, SERVING
 from upwash.support.text import printable
@@ -25,6 +25,7 @@ SERVER_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.keepalive_timeout_ms", 3000),
     ("grpc.server_handshake_timeout_ms", 10_000),  # else a connection that says nothing stays for two minutes
     ("grpc.max_concurrent_streams", 64),  # of one connection
+    NOT_INFLATED,
 )
 
 

@@ -17,6 +17,7 @@ from typing import Any, Literal
 from upwash.errors import DeclarationError
 
 _NUMBERS = "biufc"  # numpy's kinds of bool, integers, floats and complex numbers
+_MOST_DIMENSIONS = 64  # numpy's own; the product of many sizes takes hours
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +26,6 @@ class ArrayHint:
 
     dtype: Any
     shape: tuple[int | None, ...] | None  # None: any number of dimensions
-
-    @property
-    def least(self) -> tuple[int, ...]:
-        """The smallest shape that fits."""
-        return (0,) if self.shape is None else tuple(size or 0 for size in self.shape)
 
     def fits(self, shape: tuple[int, ...]) -> bool:
         """Whether an array of that shape is meant."""
@@ -105,15 +101,10 @@ def to_wire(value: Any) -> Any:
 
 
 def from_wire(hint: Any, sent: Any) -> Any:
-    """The array, its own copy; raises ValueError for what does not fit the type hint.
-
-    An empty map is the smallest array that fits.
-    """
+    """The array, its own copy; raises ValueError for what does not fit the type hint."""
     import numpy as np
 
     meant = array_hint(hint)
-    if sent == {}:
-        return np.zeros(meant.least, meant.dtype)
     match sent:
         case {"dtype": str(dtype), "shape": [*sizes], "data": bytes(data)} if len(sent) == 3:
             shape = tuple(sizes)
@@ -121,6 +112,8 @@ def from_wire(hint: Any, sent: Any) -> Any:
             raise ValueError("expected an array: a map of dtype, shape and data")
     if dtype != meant.dtype.str:
         raise ValueError(f"expected an array of {meant.dtype.name}, found dtype {dtype!r}")
+    if len(shape) > _MOST_DIMENSIONS:
+        raise ValueError(f"expected an array of at most {_MOST_DIMENSIONS} dimensions, found {len(shape)}")
     if not all(type(size) is int and 0 <= size <= sys.maxsize for size in shape) or not meant.fits(shape):
         raise ValueError(f"expected an array of shape {_written(meant)}, found {shape}")
     if math.prod(shape) * meant.dtype.itemsize != len(data):

@@ -15,14 +15,14 @@ import os
 import re
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 from msgspec import Meta
 
 from upwash.core.clients import RefusalStatus, ServerStatus
 from upwash.errors import GarbledReply, Refused
-from upwash.rpc.wire import decode
+from upwash.rpc.wire import Encoding
 from upwash.support.text import LONGEST_TEXT, escaped, printable
 
 AVAILABILITY = "/upwash.Daemon/Availability"
@@ -40,7 +40,7 @@ LONGEST_STATUS_BYTES = 2**20  # of a daemon to an operator
 LEAST_LEASE_S = 2.0  # a drone renews it three times as often
 
 T = TypeVar("T")
-_PLAIN = msgspec.msgpack.Decoder()
+_PLAIN: Encoding[Any] = Encoding(Any)
 _MOST_S = 86_400.0
 _LONGEST_UP_S = 1e10
 _PORT = re.compile(r":([1-9][0-9]{0,4})\Z")
@@ -179,7 +179,7 @@ def decode_request(request: bytes, expected: type[T]) -> T:
 
 def _decode(message: bytes, expected: type[T]) -> T:
     try:
-        return msgspec.convert(_clean(decode(message, _PLAIN)), expected)
+        return msgspec.convert(_clean(_PLAIN.decode(message)), expected)
     except RecursionError as error:
         raise msgspec.DecodeError("nested too deeply") from error
 

@@ -30,7 +30,7 @@ from msgspec import UNSET, UnsetType
 from upwash.core.estimates import Operation
 from upwash.errors import DeclarationError, GarbledReply, ServiceError, UpwashError, UsageError
 from upwash.rpc.settings import describe_settings
-from upwash.rpc.wire import decode, decoder, encode, require_sendable
+from upwash.rpc.wire import Encoding, require_sendable
 from upwash.support.loading import load
 from upwash.support.text import printable
 
@@ -42,6 +42,7 @@ _SPEC = "__upwash_service__"
 _ONCE = "__upwash_once__"
 _STUB = "__upwash_stub__"
 _MOST_CONCURRENCY = 64  # more threads than that of one process only wait for each other
+_LONGEST_MESSAGE = 10_000  # characters of an exception's that says too much
 _TOLD_LENGTH = 200  # characters of what a fault says, where it is told and not raised
 
 
@@ -64,30 +65,33 @@ class Method:
     name: str
     signature: inspect.Signature
     profile_by: str | None
-    request: msgspec.msgpack.Decoder[Any]
+    request: Encoding[Any]
     reply_type: Callable[..., Any]
-    reply: msgspec.msgpack.Decoder[Any]
+    reply: Encoding[Any]
     once: bool = False
     key_type: Any = None  # the type hint of the parameter that `profile_by` names
 
     def encode(self, args: tuple[object, ...], kwargs: Mapping[str, object]) -> tuple[str, bytes]:
-        """The profile key and the request of a call with these arguments; raises TypeError as the call would."""
+        """The profile key and the request of a call with these arguments.
+
+        Raises TypeError as the call would, and ValueError for arguments that are too much.
+        """
         bound = self.signature.bind(*args, **kwargs)
         bound.apply_defaults()
-        return self._key(bound.arguments), encode(bound.arguments)
+        return self._key(bound.arguments), self.request.encode(bound.arguments)
 
     def perform(self, target: object, request: bytes) -> tuple[str, bytes]:
         """Runs the call on a service object; returns its profile key, and its value or exception as a reply."""
         try:
             arguments = self._arguments(request)
         except msgspec.MsgspecError as error:
-            return "", _encode_fault(TypeError(f"{self.name}(): {error}"))
+            return "", self._encode_fault(TypeError(f"{self.name}(): {error}"))
         key = self._key(arguments)
         try:
             value = getattr(target, self.name)(**arguments)
-            return key, encode(self.reply_type(value=value))
+            return key, self.reply.encode(self.reply_type(value=value))
         except BaseException as error:  # noqa: BLE001 - whatever the service raises, sys.exit() too, is the caller's
-            return key, _encode_fault(error)
+            return key, self._encode_fault(error)
 
     def key_of(self, request: bytes) -> str:
         """The profile key of a request; raises msgspec.MsgspecError for anything else."""
@@ -95,8 +99,10 @@ class Method:
 
     def under(self, key: str, request: bytes) -> bytes:
         """The same request under another profile key; raises ValueError where there is no such argument."""
-        arguments = decode(request, self.request)
-        return encode(msgspec.structs.replace(arguments, **{str(self.profile_by): self.argument(key)}))
+        arguments = self.request.decode(request)
+        return self.request.encode(
+            msgspec.structs.replace(arguments, **{str(self.profile_by): self.argument(key)})
+        )
 
     def argument(self, key: str) -> object:
         """The argument that has that profile key; raises ValueError where its type hint has none."""
@@ -108,7 +114,7 @@ class Method:
     def decode(self, reply: bytes) -> Any:
         """A reply, checked against the type hints; raises GarbledReply for anything else."""
         try:
-            decoded = decode(reply, self.reply)
+            decoded = self.reply.decode(reply)
         except msgspec.MsgspecError as error:
             raise GarbledReply(
                 f"{self.service}.{self.name}(): what it returned is not what its type hint says: {error}"
@@ -129,8 +135,21 @@ class Method:
             raise _rebuild(decoded.fault)
         return decoded.value
 
+    def _encode_fault(self, error: BaseException) -> bytes:
+        cls = type(error)
+        type_path = f"{cls.__module__}:{cls.__qualname__}"
+        try:
+            message = str(error)
+        except Exception:  # noqa: BLE001 - an exception that cannot say what it is
+            message = ""
+        try:
+            return self.reply.encode({"fault": Fault(type_path, message, _plain_args(error))})
+        except (OverflowError, ValueError):  # what it says has no encoding, or is too much
+            message = message[:_LONGEST_MESSAGE].encode(errors="backslashreplace").decode()
+            return self.reply.encode({"fault": Fault(type_path, message)})
+
     def _arguments(self, request: bytes) -> dict[str, Any]:
-        decoded = decode(request, self.request)
+        decoded = self.request.decode(request)
         return {name: getattr(decoded, name) for name in self.signature.parameters}
 
     def _key(self, arguments: Mapping[str, object]) -> str:
@@ -331,26 +350,12 @@ def _describe_method(
         name=function.__name__,
         signature=signature.replace(parameters=parameters),
         profile_by=profile_by if profile_by in types else None,
-        request=decoder(request_type),
+        request=Encoding(request_type),
         reply_type=reply_type,
-        reply=decoder(reply_type),
+        reply=Encoding(reply_type),
         once=getattr(function, _ONCE, False),
         key_type=types.get(profile_by or ""),
     )
-
-
-def _encode_fault(error: BaseException) -> bytes:
-    cls = type(error)
-    type_path = f"{cls.__module__}:{cls.__qualname__}"
-    try:
-        message = str(error)
-    except Exception:  # noqa: BLE001 - an exception that cannot say what it is
-        message = ""
-    try:
-        return msgspec.msgpack.encode({"fault": Fault(type_path, message, _plain_args(error))})
-    except (OverflowError, UnicodeEncodeError):
-        message = message.encode(errors="backslashreplace").decode()
-        return msgspec.msgpack.encode({"fault": Fault(type_path, message)})
 
 
 def _plain_args(error: BaseException) -> list[Any] | None:

@@ -8,22 +8,33 @@ from typing import Any
 import msgspec
 from msgspec import inspect as types
 
+from upwash.rpc.arrays import array_hint
 from upwash.rpc.service import Method
+from upwash.rpc.wire import Encoding
 
 EVENT = b"an event that the scenario put here"
 
 
 def reply_to(method: Method, request: bytes) -> bytes:
     """A reply with the emptiest value of the method's result type, or a fuller one where the photo shows an event."""
-    return _reply(method.reply.type, EVENT in request)  # type: ignore[arg-type]  # mypy doubts that classes are hashable
+    return _reply(method.reply, EVENT in request)
 
 
 @functools.cache
-def _reply(reply_type: Any, has_event: bool) -> bytes:
-    reply = types.type_info(reply_type)
+def _reply(encoding: Encoding[Any], has_event: bool) -> bytes:
+    reply = types.type_info(encoding.type)
     assert isinstance(reply, types.StructType)  # noqa: S101 - made by service.py
     value = next(field.type for field in reply.fields if field.name == "value")
-    return msgspec.msgpack.encode({"value": _filled(value) if has_event else _empty(value)})
+    plain = {"value": _filled(value) if has_event else _empty(value)}
+    return encoding.encode(msgspec.convert(plain, encoding.type, dec_hook=_smallest))
+
+
+def _smallest(hint: Any, _: object) -> Any:
+    """The smallest array that fits the type hint, which msgspec does not look into."""
+    import numpy as np
+
+    meant = array_hint(hint)
+    return np.zeros([size or 0 for size in meant.shape or (None,)], meant.dtype)
 
 
 def _filled(found: types.Type) -> Any:
@@ -56,7 +67,7 @@ def _empty(found: types.Type) -> Any:
             return None
         case types.ListType() | types.VarTupleType() | types.SetType() | types.FrozenSetType():
             return []
-        case types.DictType() | types.CustomType():  # which is an array, and this the smallest
+        case types.DictType() | types.CustomType():  # which is an array
             return {}
         case types.BoolType():
             return False

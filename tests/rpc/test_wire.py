@@ -1,0 +1,183 @@
+"""Messages whose bytes would cost far more than their number: each is refused before it is built."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Any
+from uuid import UUID
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from upwash.errors import DeclarationError, GarbledReply
+from upwash.rpc.service import make_stub, service, spec_of
+from upwash.rpc.wire import Encoding
+
+MOST_S = 1.0  # what used to take from seconds to hours takes some 50 ms
+MOST_BYTES = 40e6
+MEGABYTES_16 = 16_000_000
+Decodes = Callable[[], object]
+
+
+class Branch(msgspec.Struct):
+    inner: list[Branch] = []
+
+
+@dataclass(frozen=True)
+class Cell:
+    row: int
+
+
+@dataclass
+class Checked:
+    value: int
+
+    def __post_init__(self) -> None:
+        raise KeyError("a class of the service's own")
+
+
+def listed(values: int, value: bytes) -> bytes:
+    """A list of one value, many times over."""
+    return b"\xdd" + values.to_bytes(4) + value * values
+
+
+def array(shape: list[int], data: bytes = bytes(4)) -> bytes:
+    return msgspec.msgpack.encode({"dtype": "<f4", "shape": shape, "data": data})
+
+
+def same_hash(values: int) -> list[str]:
+    """Identifiers that all have one hash."""
+    return [str(UUID(int=1 + number * (2**61 - 1))) for number in range(values)]
+
+
+def colliding(values: int) -> list[int]:
+    """Numbers of which each is looked for in the places of all before it."""
+    bits = values.bit_length()
+    chain = [0]
+    while len(chain) < values:
+        chain.append((5 * chain[-1] + 1) % 2**bits)
+    return chain
+
+
+BOMBS: dict[str, tuple[Any, bytes]] = {
+    "an array of many dimensions": (NDArray[np.float32], array([2**63 - 1] * 1_000_000)),
+    "an array of 65 dimensions": (NDArray[np.float32], array([1] * 65)),
+    "an array without a shape": (NDArray[np.float32], array([])[:-10] + b"\xa5shape\xa0"),
+    "arrays of nothing": (list[NDArray[np.float32]], listed(MEGABYTES_16, b"\x80")),
+    "lists in a list": (list[list[int]], listed(MEGABYTES_16, b"\x90")),
+    "lists of lists": (list[list[list[int]]], listed(MEGABYTES_16 // 16, b"\x9f" + b"\x90" * 15)),
+    "structs of defaults": (list[Branch], listed(MEGABYTES_16, b"\x80")),
+    "numbers": (list[float], listed(MEGABYTES_16, b"\x00")),
+    "texts": (list[str], listed(MEGABYTES_16, b"\xa0")),
+    "a text": (str, msgspec.msgpack.encode("\x01" * MEGABYTES_16)),
+    "a text of wide letters": (str, msgspec.msgpack.encode("\U0001f6f8" + "x" * MEGABYTES_16)),
+    "a map by number": (dict[int, None], msgspec.msgpack.encode(dict.fromkeys(colliding(20_000)))),
+    "a set of identifiers": (set[UUID], msgspec.msgpack.encode(same_hash(3000))),
+    "a set of objects": (frozenset[Cell], msgspec.msgpack.encode([{"row": row} for row in range(1000)])),
+    "a recursive struct": (Branch, b"\x81\xa5inner\x91" * 101 + b"\x80"),
+    "more dimensions than a list may say": (list[int], b"\xdd\xff\xff\xff\xff"),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_message_that_costs_more_than_its_bytes_is_refused_at_once(name: str) -> None:
+    hint, message = BOMBS[name]
+    encoding: Encoding[Any] = Encoding(hint)
+    tracemalloc.start()
+    began_s = time.process_time()
+    with pytest.raises(msgspec.MsgspecError) as refused:
+        encoding.decode(message)
+    took_s = time.process_time() - began_s
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert took_s < MOST_S
+    assert peak_bytes < MOST_BYTES
+    assert len(str(refused.value)) <= 1000
+
+
+@pytest.mark.parametrize(
+    ("hint", "value"),
+    [
+        (bytes, bytes(MEGABYTES_16)),
+        (list[float], [0.5] * 100_000),
+        (dict[str, list[int]], {str(number): [number] * 30 for number in range(4000)}),
+        (dict[int, str], dict.fromkeys(range(8000), "x")),
+        (str, "x" * 200_000),
+        (Branch, Branch([Branch()] * 9)),
+    ],
+    ids=["bytes", "numbers", "by name", "by number", "text", "recursive"],
+)
+def test_what_a_service_has_to_say_arrives(hint: Any, value: object) -> None:
+    encoding: Encoding[Any] = Encoding(hint)
+    assert encoding.decode(encoding.encode(value)) == value
+
+
+def test_an_array_as_large_as_a_message_arrives() -> None:
+    encoding: Encoding[Any] = Encoding(NDArray[np.float32])
+    sent = np.ones((1000, 4000), np.float32)
+    assert np.array_equal(encoding.decode(encoding.encode(sent)), sent)
+
+
+def test_a_class_that_raises_anything_makes_a_message_undecodable() -> None:
+    with pytest.raises(msgspec.DecodeError, match="a value cannot be made: KeyError"):
+        Encoding(Checked).decode(b"\x81\xa5value\x01")
+
+
+@service
+class Counts:
+    def double(self, numbers: list[int]) -> list[int]:
+        return numbers * 2
+
+    def fail(self) -> None:
+        raise ValueError("x" * 1_000_000)
+
+
+def counts() -> Counts:
+    methods = spec_of(Counts).methods
+    return make_stub(
+        Counts,
+        lambda operation, method, request: method.decode(
+            methods[operation.method].perform(Counts(), request)[1]
+        ),
+    )
+
+
+def test_arguments_and_results_that_are_too_much_raise_where_they_are_sent() -> None:
+    assert len(counts().double([1] * 50_000)) == 100_000
+    for size in 100_000, 200_000:  # the result is too much, the argument is
+        with pytest.raises(
+            ValueError, match="more than 131072 values in one message: send numbers as an array"
+        ):
+            counts().double([1] * size)
+
+
+def test_an_exception_with_a_long_message_arrives_cut() -> None:
+    with pytest.raises(ValueError, match=r"^x{10000}$"):
+        counts().fail()
+
+
+def test_an_argument_that_is_too_much_is_named_to_the_caller() -> None:
+    method = spec_of(Counts).methods["double"]
+    _, reply = method.perform(Counts(), b"\x81\xa7numbers" + listed(1_000_000, b"\x01"))
+    with pytest.raises(TypeError, match=r"double\(\): more than 131072 values"):
+        method.result(method.decode(reply))
+
+
+def test_a_reply_that_is_too_much_is_a_garbled_reply() -> None:
+    method = spec_of(Counts).methods["double"]
+    with pytest.raises(GarbledReply, match=r"counts\.double\(\).*more than 131072 values"):
+        method.decode(b"\x81\xa5value" + listed(1_000_000, b"\x01"))
+
+
+def test_decimals_cannot_be_sent_as_one_of_them_may_have_any_number_of_digits() -> None:
+    def add(self: object, amounts: list[Decimal]) -> None: ...
+
+    add.__annotations__ = {"amounts": list[Decimal], "return": None}
+    with pytest.raises(DeclarationError, match="'amounts' cannot be sent: Decimal has no bound; use float"):
+        service(type("Till", (), {"add": add}))
