@@ -70,8 +70,19 @@ class UpwashError(Exception):
     """Anything that upwash itself reports as wrong."""
 
 
+_LONGEST = (
+    2000  # characters of a message that quotes a file: what is wrong stands first, what to do about it last
+)
+_LAST = 600
+
+
 class UsageError(UpwashError):
     """What the user typed, configured or declared cannot work; nothing was started."""
+
+    def __init__(self, message: str) -> None:
+        if len(message) > _LONGEST:
+            message = f"{message[: _LONGEST - _LAST - 1]}…{message[-_LAST:]}"
+        super().__init__(message)
 
 
 class ConfigError(UsageError):

@@ -1,35 +1,52 @@
 """Every decoder that faces a network or a file, by name: it takes bytes and raises nothing but its own errors.
 
-Hypothesis and atheris feed the same table: test_decoders.py with each test run, `campaign` for as long as one likes.
+Two feed the same table: test_decoders.py with each test run, `python -m tests.fuzz` for as long as one likes.
 """
 
 from __future__ import annotations
 
 import atexit
 import contextlib
+import io
 import shutil
 import tempfile
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, Literal, cast
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from tests.events import line as line_of
 
 from upwash.config import read_drone_config
+from upwash.config.coverage import CoverageFile
 from upwash.config.daemon import read_daemon_config
-from upwash.errors import CredentialsError, GarbledReply, Refused, UsageError
+from upwash.core.coverage import Coverage, MeasuredPlace
+from upwash.core.estimates import Operation
+from upwash.core.geo import GeoPosition, Position
+from upwash.errors import CredentialsError, GarbledReply, Refused, UpwashError, UsageError
 from upwash.eventlog import log as event_log
+from upwash.eventlog import schema
+from upwash.eventlog.results import read_result
+from upwash.mavlink.ftp import Opcode, Packet, read_packet
 from upwash.mavlink.signing import Signing
 from upwash.plans.reading import read_plan
 from upwash.real.authority import keys_in, make_keys
 from upwash.real.control import Called, Ended, Ready, Said, from_instance, line
-from upwash.real.credentials import read_credentials
+from upwash.real.credentials import read_credentials, read_revoked
+from upwash.real.foreign import Answer, ForeignProgram
+from upwash.real.frames import PREFACE, FrameCounter
+from upwash.real.framing import frame
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.hearing import Hearing, from_autopilot
 from upwash.real.mavlink.peer import Peer
+from upwash.real.mavlink.signing import read_key
 from upwash.real.mavlink.telemetry import Telemetry
 from upwash.rpc.protocol import (
     AvailabilityReply,
@@ -41,7 +58,7 @@ from upwash.rpc.protocol import (
     decode_reply,
     decode_request,
 )
-from upwash.rpc.service import spec_of
+from upwash.rpc.service import Fault, service, spec_of
 from upwash.services import Detector
 from upwash.services.darknet.layers import read_network
 from upwash.services.darknet.weights import WeightsFile
@@ -49,25 +66,55 @@ from upwash.services.heads import HEADS_METADATA, Head, encode_heads
 from upwash.services.inference import ModelFiles, open_inference
 from upwash.services.photo import NotAPhoto, read_photo
 from upwash.sim.radio import read_goodput
+from upwash.support.exif import Shot, with_place
 
 ROOT = Path(__file__).parents[2]
 Decode = Callable[[bytes], object]
 
 
+_LONGEST_REFUSAL = 2000  # characters
+
+
+class Broken(AssertionError):
+    """A decoder did what it must not; the cause is what it raised."""
+
+
 @dataclass(frozen=True)
 class Decoder:
-    """What reads the bytes, what it may raise, and inputs that it understands."""
+    """What reads the bytes, what it may raise, inputs that it understands, and what it may take for 1 MB at most."""
 
     decode: Decode
     refuses: tuple[type[Exception], ...]
     understood: tuple[bytes, ...]
+    most_s: float = 1.0  # of the processor
+    most_bytes: int = 300_000_000  # beside what the process held before
+    tests: int = 100  # inputs in a run of the tests
 
-    def feed(self, data: bytes) -> None:
-        """Raises only what it may not."""
+    def feed(self, data: bytes) -> str:
+        """The outcome in words; raises Broken."""
+        began_s = time.thread_time()
+        outcome = self._outcome(data)
+        if (took_s := time.thread_time() - began_s) > self.most_s * max(1.0, len(data) / 1e6):
+            raise Broken(f"{len(data)} bytes took {took_s:.1f} s: {outcome[:100]}")
+        return outcome
+
+    def _outcome(self, data: bytes) -> str:
         try:
-            self.decode(data)
-        except self.refuses:
-            return
+            return type(self.decode(data)).__name__
+        except self.refuses as refusal:
+            outcome = str(refusal)
+            if isinstance(refusal, (UpwashError, NotAPhoto)):  # what people read
+                _require_readable(outcome)
+            return outcome
+        except Exception as error:
+            raise Broken(f"raised {type(error).__name__}") from error
+
+
+def _require_readable(message: str) -> None:
+    if len(message) > _LONGEST_REFUSAL:
+        raise Broken(f"the message has {len(message)} characters: {message[:200]!a}")
+    if "\n" in message:  # the terminal and the log escape all else
+        raise Broken(f"the message is not one line: {message[:300]!a}")
 
 
 # --- from a network -----------------------------------------------------------------------------------------
@@ -102,6 +149,21 @@ def _messages_of_a_vehicle(data: bytes) -> None:
     assert telemetry.battery_percent is None or 0 <= telemetry.battery_percent <= 100
 
 
+def _with_right_checksums(data: bytes) -> bytes:
+    """The packets of MAVLink 2 in the bytes, each with the checksum that it needs to be looked at."""
+    whole, at = bytearray(data), 0
+    while (at := whole.find(0xFD, at)) >= 0 and at + 12 <= len(whole):
+        end = at + 10 + whole[at + 1]
+        known = mavlink.mavlink_map.get(int.from_bytes(whole[at + 7 : at + 10], "little"))
+        if known is not None and end + 2 <= len(whole):
+            checksum = mavlink.x25crc(whole[at + 1 : end])
+            checksum.accumulate(bytes((known.crc_extra,)))
+            whole[end : end + 2] = checksum.crc.to_bytes(2, "little")
+            at = end
+        at += 1
+    return bytes(whole)
+
+
 def _said_by_a_vehicle() -> bytes:
     codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     messages = (
@@ -113,6 +175,25 @@ def _said_by_a_vehicle() -> bytes:
     )
     return b"".join(bytes(message.pack(codec)) for message in messages)
 
+
+def _answers_of_a_program(data: bytes) -> None:
+    """As a stream of frames, and as what stands in a frame of the right length."""
+    for stream in (data, len(data).to_bytes(4) + data):
+        with contextlib.suppress(EOFError, ValueError):
+            ForeignProgram._read(
+                cast(ForeignProgram, SimpleNamespace(_most_bytes=2_000_000)), io.BytesIO(stream)
+            )
+
+
+class _Counts:
+    """A service whose arguments and results are arrays."""
+
+    def count(self, points: np.ndarray[tuple[int, Literal[3]], np.dtype[np.float32]]) -> NDArray[np.int64]:
+        """Counts them."""
+        return np.array([len(points)])
+
+
+_COUNT = spec_of(service(_Counts)).methods["count"]
 
 # --- from a file --------------------------------------------------------------------------------------------
 
@@ -131,6 +212,19 @@ def _as_file(name: str, read: Callable[[Path], object]) -> Decode:
         return read(file)
 
     return decode
+
+
+def _as_secret(name: str, read: Callable[[Path], object]) -> Decode:
+    def read_own(file: Path) -> object:
+        file.chmod(0o600)
+        return read(file)
+
+    return _as_file(name, read_own)
+
+
+def _log_of_every_kind() -> bytes:
+    kinds = map(schema.kind_of, schema.EVENTS)
+    return b"".join(line_of(kind, float(number)) for number, kind in enumerate(kinds))
 
 
 def _goodput(file: Path) -> object:
@@ -224,12 +318,54 @@ def _metadata(data: bytes) -> None:
 _HEADS = encode_heads([Head(output="heads", stride=8, anchors=((10.0, 13.0),))])
 
 
-def _photo() -> bytes:
+def _photo(*, progressive: bool = False) -> bytes:
     import cv2
-    import numpy as np
 
-    encoded: Any = cv2.imencode(".jpg", np.full((24, 32, 3), 90, np.uint8))[1]
+    picture = np.arange(240 * 320 * 3, dtype=np.uint32).astype(np.uint8).reshape(240, 320, 3)
+    encoded: Any = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_PROGRESSIVE, int(progressive)])[1]
     return bytes(encoded.tobytes())
+
+
+def _exif_of_a_camera() -> bytes:
+    """With a directory that leads to another one, which leads back, and a thumbnail."""
+    entries = b"".join(
+        tag.to_bytes(2) + kind.to_bytes(2) + count.to_bytes(4) + value.to_bytes(4)
+        for tag, kind, count, value in (
+            (0x010F, 2, 20, 100),
+            (0x8769, 4, 1, 8),
+            (0x0201, 4, 1, 120),
+            (0x0202, 4, 1, 40),
+        )
+    )
+    tiff = b"MM\0*\0\0\0\x08" + b"\0\4" + entries + b"\0\0\0\x08" + bytes(120)
+    exif = b"Exif\0\0" + tiff
+    photo = _photo()
+    return photo[:2] + b"\xff\xe1" + (2 + len(exif)).to_bytes(2) + exif + photo[2:]
+
+
+_SHOT = Shot(39.3666, 22.9507, 415.25, 271.5, 1.7e9)
+
+
+def _coverage(file: Path) -> None:
+    """Reads the map, and does with it what a flight does."""
+    kept = CoverageFile(file)
+    known = Coverage(kept.places(GeoPosition(39.4, 22.9)))
+    for server in known.servers:
+        for place in list(known.places(server))[:10]:
+            assert known.at(server, place.position) is not None
+            assert place.goodput_bit_s is None or place.goodput_bit_s >= 0
+    kept.keep(known, GeoPosition(39.4, 22.9))
+
+
+def _map() -> bytes:
+    file = _folder() / "valid map"
+    operation = Operation("detector", "process_photo", "heavy")
+    places = (
+        MeasuredPlace(Position(30.0 * number, 40.0), 3, 2, 8e6, 3.0, came_to_s={operation: (1.5, 1.0)})
+        for number in range(3)
+    )
+    CoverageFile(file).keep(Coverage({"s1": tuple(places), "s2": ()}), GeoPosition(39.36, 22.95))
+    return file.read_bytes()
 
 
 # --- all of them --------------------------------------------------------------------------------------------
@@ -275,6 +411,24 @@ def decoders() -> Mapping[str, Decoder]:
         "requests to a service": Decoder(
             _PROCESS.key_of, (msgspec.MsgspecError,), (_PROCESS.encode((b"photo", "light"), {})[1],)
         ),
+        "arrays of a call": Decoder(
+            _COUNT.key_of,
+            (msgspec.MsgspecError,),
+            (_COUNT.encode((np.zeros((4, 3), np.float32),), {})[1], b"\x81\xa6points\x80"),
+        ),
+        "frames of a program": Decoder(
+            _answers_of_a_program,
+            (),
+            (
+                frame(Answer(1, msgspec.Raw(msgspec.msgpack.encode([1, {"a": 2.5}])))),
+                msgspec.msgpack.encode(Answer(2, fault=Fault("builtins:ValueError", "no"))),
+            ),
+        ),
+        "frames of HTTP/2": Decoder(
+            lambda data: FrameCounter().count(data),
+            (),
+            (PREFACE + b"\0\0\4\1\5\0\0\0\1abcd" + b"\0\0\0\3\0\0\0\0\1",),
+        ),
         "replies of a service": Decoder(
             _PROCESS.decode,
             (GarbledReply,),
@@ -285,11 +439,20 @@ def decoders() -> Mapping[str, Decoder]:
             (ValueError, RecursionError),
             tuple(line(each) for each in (Ready(":1"), Called("drone"), Said(b"x"), Ended(1))),
         ),
-        "messages of a vehicle": Decoder(_messages_of_a_vehicle, (), (_said_by_a_vehicle(),)),
+        "messages of a vehicle": Decoder(
+            lambda data: _messages_of_a_vehicle(_with_right_checksums(data)),
+            (),
+            (_said_by_a_vehicle(),),
+            tests=15,
+        ),
+        "files over MAVLink": Decoder(read_packet, (), (Packet(1, 2, Opcode.ACK, 7, 3, b"data").payload(),)),
         "a drone's configuration": Decoder(
             _as_file("drone.toml", read_drone_config),
             (UsageError,),
-            _bytes_of("scenarios/demonstration.toml", "tests/config/full.toml"),
+            _bytes_of(
+                "scenarios/demonstration.toml",
+                *(f"tests/config/{name}.toml" for name in ("full", "several", "fleet")),
+            ),
         ),
         "a daemon's configuration": Decoder(
             _as_file("server.toml", read_daemon_config), (UsageError,), _bytes_of("tests/config/daemon.toml")
@@ -299,8 +462,11 @@ def decoders() -> Mapping[str, Decoder]:
             (UsageError,),
             _bytes_of("tests/plans/field.plan", "tests/plans/field.waypoints", "tests/plans/survey.plan"),
         ),
+        "a coverage map": Decoder(_as_file("map.json", _coverage), (UsageError,), (_map(),)),
         "an event log": Decoder(
-            _as_file("events.jsonl", event_log.read), (UsageError,), (b'{"t":0.5,"event":"armed"}\n',)
+            _as_file("events.jsonl", lambda file: read_result(event_log.read(file))),
+            (UsageError,),
+            (b'{"t":0.5,"event":"armed"}\n', _log_of_every_kind()),
         ),
         "a goodput table": Decoder(
             _as_file("goodput.csv", _goodput), (UsageError,), (b"distance_m,goodput_mbit_s\n10,11.5\n20,9\n",)
@@ -310,9 +476,25 @@ def decoders() -> Mapping[str, Decoder]:
             (),
             tuple((keys / name).read_bytes() for name in ("authority.pem", "drone.pem", "drone.key")),
         ),
-        "a Darknet cfg": Decoder(_cfg, (UsageError,), (_SMALL_CFG,)),
+        "revoked certificates": Decoder(
+            _as_file("revoked", read_revoked), (CredentialsError,), (b"# of 2026\n" + b"0f" * 32 + b" d1\n",)
+        ),
+        "a signing key": Decoder(
+            _as_secret("signing", read_key), (CredentialsError,), (b"0f" * 32 + b"\n", bytes(range(32)))
+        ),
+        "a Darknet cfg": Decoder(
+            _cfg, (UsageError,), (_SMALL_CFG, *_bytes_of("src/upwash/services/models/solar_park.cfg"))
+        ),
         "Darknet weights": Decoder(_as_file("model.weights", _weights), (UsageError,), (_small_weights(),)),
         "an ONNX model": Decoder(_as_file("whole.onnx", _model), (UsageError,), (model_with(_HEADS),)),
         "an ONNX model's metadata": Decoder(_metadata, (UsageError,), (_HEADS.encode(),)),
-        "a photo": Decoder(partial(read_photo, side_px=320), (NotAPhoto,), (_photo(),)),
+        "a photo": Decoder(
+            partial(read_photo, side_px=320),
+            (NotAPhoto,),
+            (_photo(), _photo(progressive=True)),
+            most_bytes=10**9,
+        ),
+        "a photo's EXIF": Decoder(
+            partial(with_place, shot=_SHOT), (), (_photo(), with_place(_photo(), _SHOT), _exif_of_a_camera())
+        ),
     }

@@ -110,6 +110,17 @@ def test_a_photo_that_is_gone_is_named(tmp_path: Path) -> None:
         shoot(camera, 1)
 
 
+def test_a_file_too_large_for_a_photo_is_refused(tmp_path: Path) -> None:
+    folder = fill(tmp_path, "photo.jpg")
+    with (folder / "photo.jpg").open("r+b") as photo:
+        photo.truncate(10**10)
+    with pytest.raises(
+        CameraError,
+        match=r"photo\.jpg cannot be read: it has 10000 MB, and no photo more than 100; put it back",
+    ):
+        read_photos(folder, most=1)
+
+
 # --- rendered photos -------------------------------------------------------------------------------
 
 

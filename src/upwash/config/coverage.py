@@ -17,7 +17,7 @@ from upwash.core.coverage import MOST_PLACES, Coverage, MeasuredPlace
 from upwash.core.estimates import WINDOW_LENGTH, Operation
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.errors import ConfigError
-from upwash.support.input_files import read_file, text_of
+from upwash.support.input_files import read_file, text_of, why_unreadable
 from upwash.support.output_files import write_file
 
 FORGOTTEN_AFTER = 5  # flights: a place where nothing is asked, as it never answered, gets another chance
@@ -112,7 +112,9 @@ def _read(file: Path) -> _Map:
         problem = f"no coverage map of upwash: {error}: restore the file, or delete it to begin anew"
         raise ConfigError(str(file), "", problem) from None
     except (OSError, ValueError) as error:
-        raise ConfigError(str(file), "", f"cannot be read ({error}): name a readable file") from None
+        raise ConfigError(
+            str(file), "", f"cannot be read ({why_unreadable(error)}): name a readable file"
+        ) from None
 
 
 def _shift(before: _Home | None, home: GeoPosition | None) -> Position:

@@ -17,7 +17,7 @@ from upwash.config.coverage import CoverageFile
 from upwash.config.problems import Document, Problem, refuse_first
 from upwash.config.values import PlanFile, SettingsTable
 from upwash.errors import ConfigError
-from upwash.support.input_files import read_file, read_toml, text_of
+from upwash.support.input_files import read_file, read_toml, text_of, why_unreadable
 
 T = TypeVar("T")
 
@@ -77,8 +77,7 @@ def convert(
 def _unreadable(error: OSError | ValueError) -> str:
     if isinstance(error, UnicodeDecodeError):
         return f"not UTF-8 text (byte {error.start}): save it as UTF-8"
-    reason = error.strerror if isinstance(error, OSError) else error
-    return f"cannot be read ({reason}): name a readable file"
+    return f"cannot be read ({why_unreadable(error)}): name a readable file"
 
 
 def impossible_values(value: object, key: str, depth: int = 0) -> Iterator[Problem]:

@@ -237,4 +237,6 @@ def _is_torn(line: bytes) -> bool:
         msgspec.json.decode(line, type=msgspec.Raw)
     except msgspec.DecodeError:
         return True
+    except RecursionError:  # JSON as far as it was followed
+        return False
     return False

@@ -17,7 +17,7 @@ from upwash.support.text import printable
 
 T = TypeVar("T")
 
-_LONGEST_NAME = 40  # of a pattern, as a person reads it
+_LONGEST_NAME = 40  # of what a file names, as a person reads it
 _MOST_CORNERS = 500  # of all fences together; an autopilot takes fewer
 _LARGEST_RADIUS_M = 100_000.0
 _MULTICOPTERS = (0, 2, 3, 4, 13, 14, 15, 29, 35)  # MAV_TYPE; 0 is any
@@ -130,7 +130,7 @@ def parse_plan(text: str) -> Plan:
 def _check_kind(document: _Document) -> None:
     mission, fence = document.mission, document.geo_fence
     if document.file_type != "Plan":
-        raise Refusal("fileType", f'expected "Plan", found "{document.file_type}"')
+        raise Refusal("fileType", f'expected "Plan", found "{_name_of(document.file_type)}": {WANTED}')
     for where, version, known in [
         ("version", document.version, 1),
         ("mission.version", mission.version, 2),
@@ -173,10 +173,10 @@ def _singly(number: int, table: dict[str, Any]) -> tuple[list[dict[str, Any]], s
     if kind == "SimpleItem":
         return [table], ""
     if kind != "ComplexItem":
-        raise Refusal(where, f"{kind or 'an item without a type'} is not understood: {_SAVED_ANEW}")
+        raise Refusal(where, f"{_name_of(kind or 'an item without a type')} is not understood: {_SAVED_ANEW}")
     pattern = _converted(where, table, _Pattern)
     inner = pattern.transect.items if pattern.transect else []
-    name = printable(pattern.complex_item_type, _LONGEST_NAME)
+    name = _name_of(pattern.complex_item_type)
     if not inner:
         raise Refusal(where, f"ComplexItem ({name}) has no single waypoints in the file: {_SINGLY}")
     return inner, name
@@ -185,7 +185,7 @@ def _singly(number: int, table: dict[str, Any]) -> tuple[list[dict[str, Any]], s
 def _item(number: int, table: dict[str, Any]) -> Item:
     where = f"item {number}"
     if table.get("type") != "SimpleItem":
-        raise Refusal(where, f'has type "{table.get("type")}" within a pattern: {_SINGLY}')
+        raise Refusal(where, f'has type "{_name_of(table.get("type"))}" within a pattern: {_SINGLY}')
     item = _converted(where, table, _SimpleItem)
     return Item(number, item.command, item.frame, tuple(item.params), item.auto_continue)
 
@@ -222,4 +222,9 @@ def _converted(where: str, value: object, kind: type[T]) -> T:
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
-        raise Refusal(where, str(error)) from None
+        raise Refusal(where, f"{error}: {_SAVED_ANEW}") from None
+
+
+def _name_of(found: object) -> str:
+    """A word of the file as a message quotes it."""
+    return printable(str(found), _LONGEST_NAME)

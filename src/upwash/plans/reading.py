@@ -9,7 +9,7 @@ from upwash.plans.foreign import WANTED, kind_of_bytes, kind_of_text
 from upwash.plans.items import Refusal
 from upwash.plans.plan import Plan
 from upwash.plans.waypoint_list import HEADER, parse_waypoint_list
-from upwash.support.input_files import read_file, text_of
+from upwash.support.input_files import read_file, text_of, why_unreadable
 
 _MOST_BYTES = 10_000_000
 
@@ -45,4 +45,6 @@ def _content(file: Path) -> bytes:
     except FileNotFoundError:
         raise ConfigError(str(file), "", "no such file: check the path") from None
     except (OSError, ValueError) as error:
-        raise ConfigError(str(file), "", f"cannot be read ({error}): name a readable file") from None
+        raise ConfigError(
+            str(file), "", f"cannot be read ({why_unreadable(error)}): name a readable file"
+        ) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 
 from upwash.plans.commands import SET_HOME, Command
@@ -21,12 +22,14 @@ _NO_COMMAND = 0  # as some ground stations write home
 
 def parse_waypoint_list(text: str) -> Plan:
     """The plan in the text of a waypoint list; raises Refusal."""
-    header, *lines = text.splitlines()
+    lines = io.StringIO(text, newline=None)  # read one by one: a file may hold millions
+    header = next(lines)
     if header.split() != [*HEADER.split(), _VERSION]:
         raise Refusal("line 1", f'expected "{HEADER} {_VERSION}", found "{header.strip()[:40]}"')
-    rows = [(number, line.split()) for number, line in enumerate(lines, start=2) if line.strip()]
+    found = ((number, line.split()) for number, line in enumerate(lines, start=2) if line.strip())
+    rows = list(itertools.islice(found, MOST_ITEMS + 2))  # home, the items, and one too many
     if len(rows) > MOST_ITEMS + 1:
-        raise Refusal("", f"{len(rows)} items: at most {MOST_ITEMS} can be flown")
+        raise Refusal("", f"more than {MOST_ITEMS} items: at most {MOST_ITEMS} can be flown, so fly less")
     if not rows:
         raise Refusal("", "no item in it: item 0 is home, and waypoints follow it")
     notices = Notices()

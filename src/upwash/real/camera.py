@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import itertools
 import os
 from pathlib import Path
@@ -11,6 +12,7 @@ from upwash.core.geo import Position
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Photo
 
+_MOST_BYTES = 100_000_000  # of a photo; a JPEG of 40 megapixels has some 20 MB
 _SUFFIXES = frozenset({".jpg", ".jpeg"})
 
 
@@ -44,6 +46,10 @@ def read_photos(folder: Path, most: int) -> dict[str, bytes]:
 def read_photo_file(path: Path) -> bytes:
     """The bytes of a photo; raises CameraError, which names the file."""
     try:
+        if (size := path.stat().st_size) > _MOST_BYTES:
+            raise OSError(
+                errno.EFBIG, f"it has {size / 1e6:.0f} MB, and no photo more than {_MOST_BYTES / 1e6:g}"
+            )
         return path.read_bytes()
     except OSError as error:
         raise CameraError(

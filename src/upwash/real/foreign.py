@@ -115,7 +115,10 @@ class ForeignProgram:
             self._input.flush()
 
     def _read(self, output: IO[bytes]) -> Answer:
-        answer = _answer.decode(read_frame(output, most_bytes=self._most_bytes))
+        try:
+            answer = _answer.decode(read_frame(output, most_bytes=self._most_bytes))
+        except RecursionError:
+            raise ValueError("an answer that is nested too deeply") from None
         if (answer.value is msgspec.UNSET) == (answer.fault is msgspec.UNSET):
             raise ValueError("an answer with neither a value nor a fault, or with both")
         return answer

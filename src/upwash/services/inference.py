@@ -16,6 +16,7 @@ from upwash.services.darknet.conversion import Facts, converted
 from upwash.services.darknet.graph import INPUT
 from upwash.services.heads import HEADS_METADATA, Head, decode_heads
 from upwash.support.input_files import read_file, text_of
+from upwash.support.text import words_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -133,7 +134,7 @@ class Inference(ABC):
         )
 
     def _error(self, problem: str) -> ModelError:
-        return ModelError(self._file, "", problem)
+        return ModelError(self._file, "", words_of(problem))
 
 
 class OnnxInference(Inference):
@@ -176,9 +177,11 @@ class OnnxInference(Inference):
         options.log_severity_level = 3  # errors only: they are raised too
         with _onnx(files) as model:
             try:
-                session = onnxruntime.InferenceSession(str(model), options, providers=[_PROVIDERS[provider]])
+                session = onnxruntime.InferenceSession(
+                    str(model), options, providers=[_PROVIDERS[provider]], enable_fallback=provider != "cpu"
+                )
             except Exception as error:  # onnxruntime's have no base of their own
-                raise ModelError(model, "", f"onnxruntime cannot load it ({error})") from error
+                raise ModelError(model, "", f"onnxruntime cannot load it ({words_of(str(error))})") from error
         if _PROVIDERS[provider] not in session.get_providers():
             raise UsageError(f'provider = "{provider}" cannot run here; onnxruntime says why above')
         return session

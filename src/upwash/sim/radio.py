@@ -15,8 +15,10 @@ from pathlib import Path
 from upwash.config import ServerTruth
 from upwash.errors import UsageError
 from upwash.support.input_files import read_file, text_of
+from upwash.support.text import printable
 
 _MOST_BYTES = 10_000_000
+_LONGEST_PROBLEM = 200  # characters
 _BUNDLED = {"disc54": "goodput_54.csv", "disc12": "goodput_12.csv"}
 
 
@@ -75,14 +77,21 @@ def read_goodput(radio: str) -> GoodputTable | None:
             text = (files("upwash.sim") / bundled).read_text(encoding="utf-8")
         else:
             text = text_of(read_file(Path(radio), most_bytes=_MOST_BYTES))
-        lines = text.splitlines()
-        rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
-        return _table([(float(row["distance_m"]), 1e6 * float(row["goodput_mbit_s"])) for row in rows])
-    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
+        return _table(_rows(text))
+    except (OSError, IndexError, ValueError, csv.Error) as error:
+        problem = f"{type(error).__name__}: {printable(str(error), _LONGEST_PROBLEM)}"
         raise UsageError(
-            f"radio {radio!r}: {type(error).__name__}: {error}; it must be a csv file with the columns "
-            "distance_m, ascending, and goodput_mbit_s"
+            f"radio {radio!r}: {problem}; it must be a csv file with the columns distance_m, ascending, and "
+            "goodput_mbit_s"
         ) from error
+
+
+def _rows(text: str) -> list[tuple[float, float]]:
+    """Distance in metres and goodput in bit/s of each row: two of the columns that the first row names."""
+    rows = csv.reader(line for line in text.splitlines() if line and not line.startswith("#"))
+    names = next(rows, [])
+    distance, goodput = names.index("distance_m"), names.index("goodput_mbit_s")
+    return [(float(row[distance]), 1e6 * float(row[goodput])) for row in rows]
 
 
 def _table(rows: Sequence[tuple[float, float]]) -> GoodputTable:

@@ -46,6 +46,11 @@ def read_file(file: Path, *, most_bytes: int) -> bytes:
     return bytes(content)
 
 
+def why_unreadable(error: OSError | ValueError) -> str:
+    """What read_file says, without the name of the file."""
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)
+
+
 def text_of(content: bytes) -> str:
     """The text in a file's content: UTF-8, or UTF-16 where a byte order mark says so; without the mark.
 

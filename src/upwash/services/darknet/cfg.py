@@ -9,11 +9,14 @@ from typing import TypeVar
 
 from upwash.errors import ModelError
 from upwash.support.input_files import text_of
+from upwash.support.text import printable
 
 T = TypeVar("T")
 
 _MOST_BYTES = 1_000_000  # YOLOv3's has 8,300
 _MOST_SECTIONS = 2000
+_MOST_LISTED = 100  # numbers of one option; YOLOv3 has 9 anchors
+_LONGEST_QUOTE = 60  # of the file, in a message
 
 
 class Section:
@@ -21,7 +24,7 @@ class Section:
 
     def __init__(self, file: Path, name: str, line: int) -> None:
         self.name = name
-        self.where = f"line {line} [{name}]"  # until it is known which layer it is
+        self.where = f"line {line} [{_quoted(name)}]"  # until it is known which layer it is
         self._file = file
         self._options: dict[str, str] = {}
         self._read: set[str] = set()
@@ -29,7 +32,7 @@ class Section:
     def add(self, name: str, value: str, line: int) -> None:
         """Takes one `name=value`; raises ModelError where the section has it already."""
         if name in self._options:
-            raise self.error(f"line {line}: a second {name}: remove one of the two")
+            raise self.error(f"line {line}: a second {_quoted(name)}: remove one of the two")
         self._options[name] = value
 
     def error(self, problem: str) -> ModelError:
@@ -49,18 +52,24 @@ class Section:
 
     def integers(self, name: str) -> tuple[int, ...]:
         """Whole numbers with commas between them."""
-        return self._value(name, lambda text: tuple(map(_integer, text.split(","))), None, "whole numbers")
+
+        def read(text: str) -> tuple[int, ...]:
+            return tuple(map(_integer, _listed(text)))
+
+        return self._value(name, read, None, f"whole numbers, at most {_MOST_LISTED}")
 
     def sizes(self, name: str) -> tuple[tuple[float, float], ...]:
         """Pairs of width and height, all above 0."""
 
         def read(text: str) -> tuple[tuple[float, float], ...]:
-            numbers = [float(number) for number in text.rstrip(",").split(",")]
+            numbers = [float(number) for number in _listed(text.rstrip(","))]
             if not all(0 < number < 1e6 for number in numbers):
                 raise ValueError
             return tuple(zip(numbers[::2], numbers[1::2], strict=True))
 
-        return self._value(name, read, None, "pairs of width and height, all above 0")
+        return self._value(
+            name, read, None, f"pairs of width and height, all above 0, at most {_MOST_LISTED // 2}"
+        )
 
     def choice(self, name: str, default: str | None, allowed: tuple[str, ...]) -> str:
         """One of the words that are allowed; without a default it must be there."""
@@ -80,7 +89,8 @@ class Section:
         """Raises ModelError for an option that was not read: it might change what the network computes."""
         for name in self._options:
             if name not in self._read and name not in ignored:
-                raise self.error(f"unsupported option {name}={self._options[name]}")
+                option = _quoted(f"{name}={self._options[name]}")
+                raise self.error(f"unsupported option {option}: remove it if only training reads it")
 
     def _value(self, name: str, read: Callable[[str], T], default: T | None, expected: str) -> T:
         self._read.add(name)
@@ -91,7 +101,7 @@ class Section:
         try:
             return read(self._options[name])
         except ValueError:
-            raise self.error(f"{name}={self._options[name][:60]}: expected {expected}") from None
+            raise self.error(f"{_quoted(f'{name}={self._options[name]}')}: expected {expected}") from None
 
 
 def read_sections(file: Path, content: bytes) -> list[Section]:
@@ -108,14 +118,27 @@ def read_sections(file: Path, content: bytes) -> list[Section]:
     for number, line in _lines(text):
         if line.startswith("["):
             if not line.endswith("]") or len(sections) == _MOST_SECTIONS:
-                raise ModelError(file, f"line {number}", f"not a section: {line[:60]}")
+                raise ModelError(file, f"line {number}", f"not a section: {_quoted(line)}")
             sections.append(Section(file, line[1:-1], number))
             continue
         name, equals, value = line.partition("=")
         if not equals or not name or not value or not sections:
-            raise ModelError(file, f"line {number}", f"expected [section] or option=value, found {line[:60]}")
+            raise ModelError(
+                file, f"line {number}", f"expected [section] or option=value, found {_quoted(line)}"
+            )
         sections[-1].add(name, value, number)
     return sections
+
+
+def _listed(text: str) -> list[str]:
+    numbers = text.split(",")
+    if len(numbers) > _MOST_LISTED:
+        raise ValueError
+    return numbers
+
+
+def _quoted(text: str) -> str:
+    return printable(text, _LONGEST_QUOTE)
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:

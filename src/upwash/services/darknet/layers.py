@@ -19,6 +19,7 @@ Size = tuple[float, float]
 
 _ACTIVATIONS = ("linear", "leaky", "relu", "logistic")
 _MOST_STRIDE = 1024
+_MOST_CHANNELS = 1_000_000  # of a layer; YOLOv3 has up to 1,024
 # What only training reads, in Darknet and in its best known fork.
 _TRAINING_OPTIONS = {
     "convolutional": frozenset({"learning_rate", "stopbackward", "dont_update", "burnin_update"}),
@@ -190,7 +191,10 @@ def _route(section: Section, _: Shape, before: list[Layer]) -> tuple[Operator, S
     shapes = [before[source].output for source in sources]
     if len({shape.stride for shape in shapes}) > 1:
         raise section.error(f"layers {_listed(sources)} differ in size and cannot be put together")
-    return Route(sources), Shape(sum(shape.channels for shape in shapes), shapes[0].stride)
+    channels = sum(shape.channels for shape in shapes)
+    if channels > _MOST_CHANNELS:
+        raise section.error(f"its output has {channels} channels: at most {_MOST_CHANNELS} can be computed")
+    return Route(sources), Shape(channels, shapes[0].stride)
 
 
 def _shortcut(section: Section, previous: Shape, before: list[Layer]) -> tuple[Operator, Shape]:
