@@ -103,6 +103,65 @@ def test_a_name_of_elsewhere_is_turned_away(address: str, host: str, path: str) 
     assert b"fact" not in body
 
 
+ELSEWHERE = [
+    {"Sec-Fetch-Site": "cross-site"},
+    {"Sec-Fetch-Site": "same-site"},  # another port of this machine
+    {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "iframe"},
+    {"Origin": "https://elsewhere.example"},
+    {"Origin": "http://127.0.0.1:1"},
+    {"Origin": "null"},
+]
+
+
+@pytest.mark.parametrize("headers", ELSEWHERE, ids=range(len(ELSEWHERE)))
+@pytest.mark.parametrize("path", ["/", "/main.js", "/events", "/photos/0/1/0.jpg"])
+def test_a_page_from_elsewhere_is_answered_nothing(address: str, headers: dict[str, str], path: str) -> None:
+    response, body = ask(address, path, **headers)
+    assert response.status == 403
+    assert response.headers["Connection"] == "close"
+    assert b"fact" not in body
+
+
+def test_the_page_itself_and_a_link_to_it_are_answered(address: str) -> None:
+    own = {"Origin": address.rstrip("/"), "Sec-Fetch-Site": "same-origin"}
+    link = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}
+    assert b"event: page" in ask(address, "/events", **own)[1]
+    for headers in own, link, {"Sec-Fetch-Site": "none"}, {}:
+        assert ask(address, "/", **headers)[0].status == 200
+
+
+def stream(address: str) -> tuple[http.client.HTTPConnection, http.client.HTTPResponse]:
+    """A connection that hears of the flight, and has heard the first of it."""
+    connection = http.client.HTTPConnection(urlsplit(address).netloc, timeout=60)
+    connection.request("GET", "/events")
+    response = connection.getresponse()
+    assert response.status == 200
+    assert response.readline() == b"retry: 1000\n"
+    return connection, response
+
+
+def test_the_oldest_of_many_streams_makes_room(address: str) -> None:
+    streams = [stream(address) for _ in range(70)]
+    try:
+        assert ask(address, "/")[0].status == 200
+        assert "IncompleteRead" in _end_of(streams[0][1])
+        newest = stream(address)
+        streams.append(newest)
+        assert newest[1].readline() == b"event: page\n"
+    finally:
+        for connection, _ in streams:
+            connection.close()
+
+
+def _end_of(response: http.client.HTTPResponse) -> str:
+    """How a stream ended."""
+    try:
+        response.read()
+    except (http.client.HTTPException, OSError) as error:
+        return repr(error).replace("ConnectionResetError", "IncompleteRead")
+    return "whole"
+
+
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS"])
 @pytest.mark.parametrize("path", ["/", "/events", "/main.js", "/photos/0/1/0.jpg"])
 def test_nothing_can_be_written(address: str, method: str, path: str) -> None:

@@ -26,6 +26,7 @@ _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'; img-src 'self'"
 )
+_HANGS_UP = {"Connection": "close"}
 _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cross-Origin-Opener-Policy": "same-origin",
@@ -77,18 +78,32 @@ def application(feed: Feed, photos: PhotoShelf, *, images: Sequence[str] = ()) -
 
 
 class _OwnHost:
-    """Turns away a page from elsewhere whose name was made to mean this machine."""
+    """Refuses what pages from elsewhere ask for, also where their name was made to mean this machine.
+
+    Browsers say with each request which page makes it. A link from elsewhere to the page itself is followed.
+    """
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        hosts = Headers(scope=scope).getlist("host")
+        headers = Headers(scope=scope)
+        hosts = headers.getlist("host")
         reached_at = (scope.get("server") or (_LISTENS_AT,))[0]
-        if len(hosts) == 1 and names_this_machine(hosts[0], listens_at=_LISTENS_AT, reached_at=reached_at):
-            await self._app(scope, receive, send)
-        else:
-            await Response("this page is another machine's", status_code=421)(scope, receive, send)
+        app: ASGIApp = self._app
+        if len(hosts) != 1 or not names_this_machine(hosts[0], listens_at=_LISTENS_AT, reached_at=reached_at):
+            app = Response("this page is another machine's", status_code=421, headers=_HANGS_UP)
+        elif not _is_own(headers, hosts[0]):
+            app = Response("another page may not ask for this", status_code=403, headers=_HANGS_UP)
+        await app(scope, receive, send)
+
+
+def _is_own(headers: Headers, host: str) -> bool:
+    """Whether the page of that host asks, or a person by an address or a link, or no browser."""
+    if any(origin.lower() != f"http://{host}".lower() for origin in headers.getlist("origin")):
+        return False
+    follows_link = headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
+    return follows_link or set(headers.getlist("sec-fetch-site")) <= {"same-origin", "none"}
 
 
 class _Guarded:

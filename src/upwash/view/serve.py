@@ -27,12 +27,23 @@ _REQUEST_S = 5.0
 
 
 class _Impatient(H11Protocol):
-    """Hangs up on who connects and asks nothing: there are no more than so many connections."""
+    """Closes a connection that asks nothing, and the oldest one of more than 64; a page's browser connects again.
+
+    A limit that turned new connections away would let any program on this machine lock the pilot's browser out.
+    """
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Gives it some time from now on."""
         super().connection_made(transport)
+        self._since_s = self.loop.time()
         self.loop.call_later(_REQUEST_S, self._hang_up)
+        opened = [
+            each
+            for each in self.connections
+            if isinstance(each, _Impatient) and not each.transport.is_closing()
+        ]
+        if len(opened) > _CONNECTIONS:
+            min(opened, key=lambda each: each._since_s).transport.abort()
 
     def _hang_up(self) -> None:
         if self.cycle is None:
@@ -71,7 +82,6 @@ async def serve_view(
                 log_level="warning",
                 access_log=False,
                 server_header=False,
-                limit_concurrency=_CONNECTIONS,
                 timeout_graceful_shutdown=_GOODBYE_S,
             )
         )
