@@ -5,7 +5,6 @@ pymavlink packs and parses the message that carries it, `upwash.mavlink.ftp` wha
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import secrets
 from collections.abc import Awaitable, Callable
@@ -22,6 +21,7 @@ from upwash.real.mavlink.vehicle import MavlinkVehicle
 MOST_FILE_BYTES = 65_536  # of a file that is read: what is longer is none of ours
 _ATTEMPTS = 12
 _TRANSFERS = 4
+_LONGEST_S = 600.0  # of a transfer with its repetitions
 _T = TypeVar("_T")
 
 
@@ -67,10 +67,11 @@ class FileClient:
 
     async def _again(self, transfer: Callable[[], Awaitable[_T]]) -> _T:
         """The whole transfer anew where a part of it is refused: a request that came late may have spoilt it."""
-        for _ in range(_TRANSFERS - 1):
-            with contextlib.suppress(FileRefused):
-                return await transfer()
-        return await transfer()
+        async with self._vehicle.limited("files", _LONGEST_S):
+            for _ in range(_TRANSFERS - 1):
+                with contextlib.suppress(FileRefused):
+                    return await transfer()
+            return await transfer()
 
     async def _read(self, path: str) -> bytes | None:
         await self._reset()
@@ -126,16 +127,12 @@ class FileClient:
         """The vehicle's answer; a request that is repeated has the number of the first, and is carried out once."""
         vehicle, self._number = self._vehicle, (self._number + 1) % 2**16
         request = Packet(self._number, session, opcode, offset=offset, data=data, size=size)
-        answers: asyncio.Queue[Packet] = asyncio.Queue()
+        answers: list[Packet] = []
 
         def hear(message: Message) -> None:
             answer = _answer_in(message)
-            if (
-                answer is not None
-                and answer.number == (request.number + 1) % 2**16
-                and answer.asked == opcode
-            ):
-                answers.put_nowait(answer)
+            if answer is not None and _answers(request, answer):
+                answers.append(answer)
 
         with vehicle.listening(hear):
             for _ in range(_ATTEMPTS):
@@ -144,16 +141,22 @@ class FileClient:
                         0, system, component, list(request.payload())
                     )
                 )
-                if await vehicle.happens(
-                    "files", lambda: not answers.empty(), within_s=vehicle.patience.answer_s
-                ):
+                if await vehicle.happens("files", lambda: bool(answers), within_s=vehicle.patience.answer_s):
                     break
             else:
                 raise AutopilotTimeout("files", f"no answer to: {what}", vehicle.said_lately)
-        answer = answers.get_nowait()
+        answer = answers[0]
         if answer.opcode == Opcode.ACK:
             return answer
         raise FileRefused(what, answer.data[0] if answer.data else Trouble.FAIL)
+
+
+def _answers(request: Packet, answer: Packet) -> bool:
+    """Whether it is the answer to the request; a part of a file is at the place that was asked for."""
+    is_part = request.opcode == Opcode.READ_FILE and answer.opcode == Opcode.ACK
+    is_elsewhere = is_part and (answer.session, answer.offset) != (request.session, request.offset)
+    is_next = answer.number == (request.number + 1) % 2**16
+    return is_next and answer.asked == request.opcode and not is_elsewhere
 
 
 def _answer_in(message: Message) -> Packet | None:

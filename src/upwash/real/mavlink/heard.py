@@ -79,9 +79,7 @@ class HeardVehicle:
         self._loop = asyncio.get_running_loop()
         self._troubles = Troubles(self.tell)
         self._at_will = Allowance(_AT_WILL_PER_S, at_once=_AT_WILL_AT_ONCE)
-        self._missed_s: dict[
-            str, float
-        ] = {}  # when a report of the owner could not be taken in, by its kind
+        self._missed_s: dict[str, float] = {}  # when a report of the owner could not be taken in, by its kind
         self.latch = Latch(self._loop.time())
         self._hear_news: Callable[[VehicleNews], None] | None = None
         self._unheard_news: deque[VehicleNews] = deque(maxlen=_NEWS_KEPT)

@@ -46,12 +46,13 @@ _AS_BYTES = {
 class Reading(Mapping[str, float]):
     """The values of a vehicle's parameters, by name.
 
-    `absent` holds the names of parameters that the vehicle does not have. No answer came for a parameter that is in
-    neither.
+    Each value is finite. `absent` holds the names of parameters that the vehicle does not have, `senseless` the
+    values that are no numbers. No answer came for a parameter that is in none of them.
     """
 
     values_by_name: Mapping[str, float]
     absent: frozenset[str]
+    senseless: Mapping[str, float] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> float:
         return self.values_by_name[name]
@@ -64,6 +65,8 @@ class Reading(Mapping[str, float]):
 
     def why_unknown(self, *names: str) -> str:
         """Why nothing is known of a parameter of these names."""
+        if odd := [f"{name} is {self.senseless[name]:g}" for name in names if name in self.senseless]:
+            return f"the vehicle says that its {odd[0]}, which makes no sense"
         if self.absent.issuperset(names):
             return f"the vehicle has no parameter {' or '.join(names)}"
         return f"the vehicle did not answer what its {' or '.join(names)} is: the link loses messages"
@@ -78,7 +81,9 @@ class _Parameter:
 async def read_parameters(vehicle: MavlinkVehicle, wanted: Iterable[str | Names]) -> Reading:
     """Asks for each parameter, by its name or by all its names at once; one answer is enough."""
     told, absent = await _read(vehicle, wanted)
-    return Reading({name: each.value for name, each in told.items()}, absent)
+    values = {name: each.value for name, each in told.items()}
+    senseless = {name: value for name, value in values.items() if not math.isfinite(value)}
+    return Reading({name: values[name] for name in values.keys() - senseless.keys()}, absent, senseless)
 
 
 async def set_parameter(vehicle: MavlinkVehicle, name: str, value: float) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -10,13 +9,15 @@ from upwash.ports import VehicleSetting
 from upwash.real.mavlink.parameters import Reading, read_parameters
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 
+_MOST = {"": 1e3, "%": 100.0, "mAh": 1e7, "s": 3_600.0, "m": 10_000.0, "m/s": 100.0, "m/s²": 100.0}  # by unit
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Quantity:
     """A quantity, with the names of its parameter, the oldest first, and the size of each name's unit in `unit`.
 
     `usual` stands for an unknown value. If `usual` is None, `without` says what follows from an unknown value. A
-    value below `least` makes no sense, and counts as unknown.
+    value below `least`, or above what any vehicle does, makes no sense, and counts as unknown.
     """
 
     what: str
@@ -69,7 +70,7 @@ async def read_quantities(vehicle: MavlinkVehicle, quantities: Sequence[Quantity
         value = _value(each, reading)
         if value is None:
             why_not[each] = reading.why_unknown(*each.names)
-        elif value >= each.least and math.isfinite(value):
+        elif each.least <= value <= _MOST[each.unit]:
             values[each] = value
         else:
             why_not[each] = f"{each.in_words(value)} makes no sense"
