@@ -142,6 +142,19 @@ def test_a_certificate_that_is_outdated_by_both_is_to_be_made_anew(credentials: 
             agreed(later_s, credentials("heron"), clock)
 
 
+@pytest.mark.parametrize("forged_s", [STALE_S, datetime(2099, 1, 1, tzinfo=UTC).timestamp()])
+def test_a_forged_time_sets_no_clock_where_the_certificates_are_not_valid_then(
+    credentials: Holder, forged_s: float
+) -> None:
+    """An expired certificate that somebody stole would be valid again, and the clock wrong for good."""
+    clock = OwnClock(time.time())
+    with pytest.raises(
+        CredentialsError, match=r"the vehicle's GPS says .* this computer's clock .* was not set"
+    ):
+        agreed(forged_s, credentials("heron"), clock)
+    assert clock.was_set == []
+
+
 def test_this_computers_clock_can_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[int, float]] = []
     monkeypatch.setattr(time, "clock_settime", lambda clock, to_s: asked.append((clock, to_s)))

@@ -64,11 +64,12 @@ def agree_on_time(
 ) -> None:
     """Sets the clock where it is wrong by the GPS, and refuses to go on with certificates that are not valid then.
 
-    A clock that something keeps in time, or that may not be set, is left as it is. Raises CredentialsError.
+    A clock that something keeps in time, or that may not be set, is left as it is. It is set to no time at which the
+    certificates are not valid: whoever forges the time gets no other. Raises CredentialsError.
     """
     if gps_unix_s is not None and not _EARLIEST_UNIX_S <= gps_unix_s <= _LATEST_UNIX_S:
         gps_unix_s = None
-    why = _set_if_wrong(gps_unix_s, journal, clock) if gps_unix_s is not None else _silence()
+    why = _set_if_wrong(gps_unix_s, credentials, journal, clock) if gps_unix_s is not None else _silence()
     problem = problem_by(clock, credentials)
     if problem:
         raise CredentialsError(f"{problem}{why}")
@@ -85,7 +86,7 @@ def keep_right_from_services() -> None:
         ctypes.CDLL(None).prctl(_PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL, 0, 0, 0)
 
 
-def _set_if_wrong(gps_unix_s: float, journal: Journal, clock: Clock) -> str:
+def _set_if_wrong(gps_unix_s: float, credentials: Credentials, journal: Journal, clock: Clock) -> str:
     """Returns what is to be said of a certificate that is not valid afterwards."""
     now_s = clock.now_s()
     before, told = at_second(_datetime(now_s)), at_second(_datetime(gps_unix_s))
@@ -93,6 +94,11 @@ def _set_if_wrong(gps_unix_s: float, journal: Journal, clock: Clock) -> str:
         return ", and the vehicle's GPS agrees: make a new certificate"
     if clock.is_kept():
         why_not = "something keeps this computer's clock in time, such as NTP"
+    elif problem := credentials.problem_at(_datetime(gps_unix_s), by="the vehicle's GPS"):
+        raise CredentialsError(
+            f"{problem}; this computer's clock says {before} and was not set: make a new certificate, or wait until "
+            "the GPS is right"
+        )
     else:
         try:
             clock.set(gps_unix_s)

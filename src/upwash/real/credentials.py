@@ -31,14 +31,14 @@ class Lifetime:
     starts: datetime
     ends: datetime
 
-    def problem_at(self, now: datetime) -> str:
-        """Why it is not valid then, with the dates; "" where it is."""
+    def problem_at(self, now: datetime, *, by: str = "this computer's clock") -> str:
+        """Why it is not valid at the time that the clock says, with the dates; "" where it is."""
         if self.starts <= now <= self.ends:
             return ""
         what = "is not valid yet" if now < self.starts else "has expired"
         return (
             f"the certificate of {self.holder} {what}: it is valid from {at_second(self.starts)} to "
-            f"{at_second(self.ends)}, and this computer's clock says {at_second(now)}"
+            f"{at_second(self.ends)}, and {by} says {at_second(now)}"
         )
 
 
@@ -98,9 +98,9 @@ class Credentials:
         """Until when the certificate, by its first name, and its authority are valid."""
         return {each.holder: each.ends for each in self.lifetimes}
 
-    def problem_at(self, now: datetime) -> str:
-        """Which of the certificates is not valid then, with its dates; "" where all are."""
-        return next(filter(None, (each.problem_at(now) for each in self.lifetimes)), "")
+    def problem_at(self, now: datetime, *, by: str = "this computer's clock") -> str:
+        """Which of the certificates is not valid at the time of the clock, with its dates; "" where all are."""
+        return next(filter(None, (each.problem_at(now, by=by) for each in self.lifetimes)), "")
 
 
 def at_second(time: datetime) -> str:
