@@ -189,6 +189,14 @@ class NoSlot(Refused):
         self.ask_again_s = ask_again_s
 
 
+class Paused(Refused):
+    """A server leaves a service alone that keeps failing there; it is not to be had for so long."""
+
+    def __init__(self, why: str, *, pause_s: float) -> None:
+        super().__init__(why)
+        self.pause_s = pause_s
+
+
 class GarbledReply(LinkError):
     """An answer came that cannot be decoded."""
 

@@ -384,6 +384,9 @@ class Instance(Protocol):
     async def drain(self, why: str) -> None:
         """Has every further call refused for that reason; returns when none is under way any more."""
 
+    async def health(self) -> None:
+        """Returns at its next sign of life; raises InstanceError where there will be none."""
+
     async def exited(self) -> str:
         """Returns how the instance ended, when it does."""
 
@@ -391,17 +394,22 @@ class Instance(Protocol):
         """Ends the instance and everything it started; returns when it is gone."""
 
 
+Outcome: TypeAlias = Literal["value", "raised", "dropped"]
+
+
 @dataclass(frozen=True, slots=True)
 class AnsweredCall:
-    """A call that an instance has answered, of a drone known by `Client.key`.
+    """A call that an instance has ended, of a drone known by `Client.key`.
 
-    It was there as a whole for `queued_s` before its turn came, and from then on took `took_s`.
+    It was there as a whole for `queued_s` before its turn came, and from then on took `took_s`. One that was dropped
+    has no answer.
     """
 
     drone: str
     method: str
     queued_s: float
     took_s: float
+    outcome: Outcome = "value"
 
 
 Answered = Callable[[AnsweredCall], None]
@@ -419,6 +427,6 @@ class Runtime(Protocol):
     ) -> Instance:
         """Returns when the instance is ready to serve; raises InstanceError.
 
-        `called(drone)` when a drone that is admitted calls, known by `Client.key`, `answered(call)` at the end of
-        each call of such a drone. Both are the instance's word, which a service may forge.
+        `called(drone)` when a call of a drone begins that is admitted, known by `Client.key`, `answered(call)` at the
+        end of each such call. Both are the instance's word, which a service may forge.
         """

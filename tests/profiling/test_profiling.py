@@ -107,6 +107,9 @@ class Computer:
     async def drain(self, why: str) -> None:
         pass
 
+    async def health(self) -> None:
+        pass
+
     async def exited(self) -> str:
         await asyncio.get_running_loop().create_future()
         return ""

@@ -11,16 +11,19 @@ import pytest
 
 from upwash.core.admission import AdmissionController, AdmissionSettings, ServerOffer
 from upwash.core.clients import Client, Role
+from upwash.core.watchdog import CALL_LIMIT_S, DENIALS
 from upwash.errors import InstanceError, Refused
-from upwash.ports import Answered, InstanceSpec, Program, ignored
+from upwash.ports import Answered, AnsweredCall, InstanceSpec, Program, ignored
 from upwash.rpc.protocol import (
     AVAILABILITY,
+    DENY,
     HOLD,
     LEAVE,
     START,
     STATUS,
     AvailabilityReply,
     AvailabilityRequest,
+    DenyRequest,
     HoldReply,
     HoldRequest,
     LeaveRequest,
@@ -37,6 +40,7 @@ from upwash.sim.world import Wire
 T = TypeVar("T")
 COLD_START_S = 8.0
 DRAIN_S = 10.0
+STOP_S = 30.0
 
 
 class Instance:
@@ -45,6 +49,8 @@ class Instance:
         self.admitted: frozenset[str] = frozenset()
         self.ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         self.deaf = False
+        self.is_frozen = False
+        self.stops_in_s = 1.0  # a real one takes its time as well
         self.refuses = ""  # every further call, for this reason
         self.call_ends_in_s = 0.0
         self.admits_in_s = 0.0
@@ -59,11 +65,15 @@ class Instance:
         self.refuses = why
         await asyncio.sleep(self.call_ends_in_s)
 
+    async def health(self) -> None:
+        if self.is_frozen:
+            await asyncio.get_running_loop().create_future()
+
     async def exited(self) -> str:
         return await asyncio.shield(self.ended)
 
     async def stop(self) -> None:
-        await asyncio.sleep(1.0)  # a real one takes its time as well
+        await asyncio.sleep(self.stops_in_s)
         if not self.ended.done():
             self.ended.set_result("stopped")
 
@@ -127,6 +137,13 @@ class Daemon:
         request = HoldRequest("s1", drone, "", ["detector"], for_s)
         reply = await self.edge.handle(HOLD, msgspec.msgpack.encode(request), Client("s2", role=Role.SERVER))
         return msgspec.msgpack.decode(reply, type=HoldReply)
+
+    async def keep_asking(self, for_s: float) -> None:
+        """Has the drone's lease renewed for so long, and a little longer."""
+        until_s = asyncio.get_running_loop().time() + for_s
+        while asyncio.get_running_loop().time() < until_s:
+            await self.ask()
+            await asyncio.sleep(min(10.0, for_s) + 0.01)
 
     async def leave(self, drone: str = "d1") -> None:
         await self.edge.handle(LEAVE, msgspec.msgpack.encode(LeaveRequest("s1")), Client(drone))
@@ -239,9 +256,26 @@ def test_without_a_free_slot_the_answer_is_no_with_the_reason() -> None:
 def test_a_start_that_fails_is_answered_with_its_reason_and_may_be_tried_again() -> None:
     async def story(daemon: Daemon) -> None:
         daemon.runtime.broken = "no such model"
-        assert (await daemon.start()).reason == "no such model"
+        failed = await daemon.start()
+        assert (failed.reason, failed.pause_s) == ("no such model", 10.0)
         daemon.runtime.broken = ""
+        paused = await daemon.ask()
+        assert (paused.available, paused.pause_s) == (False, 10.0)
+        await asyncio.sleep(10.0)
         assert (await daemon.start()).endpoint
+
+    serve(story)
+
+
+def test_a_start_that_fails_again_and_again_is_tried_in_growing_pauses() -> None:
+    async def story(daemon: Daemon) -> None:
+        daemon.runtime.broken = "no such model"
+        pauses_s = []
+        for _ in range(4):
+            pauses_s.append((await daemon.start()).pause_s)
+            assert (await daemon.start()).pause_s == pauses_s[-1], "nothing was tried meanwhile"
+            await asyncio.sleep(pauses_s[-1])
+        assert pauses_s == [10.0, 20.0, 40.0, 80.0]
 
     serve(story)
 
@@ -263,6 +297,69 @@ def test_a_crashed_instance_is_absent_and_started_again_on_request() -> None:
         assert (await daemon.ask()).endpoints == {}
         second = await daemon.start()
         assert second.endpoint not in ("", first.endpoint)
+
+    serve(story)
+
+
+def test_an_instance_that_a_call_keeps_busy_is_replaced_and_the_next_one_served() -> None:
+    async def story(daemon: Daemon) -> None:
+        first = await daemon.start()
+        daemon.runtime.called[0]("d1")
+        daemon.runtime.instances[0].call_ends_in_s = 1e6
+        await daemon.keep_asking(CALL_LIMIT_S + 5.1)
+        assert daemon.runtime.instances[0].refuses.startswith(
+            "detector of s1 is replaced: a call has kept it"
+        )
+        await daemon.keep_asking(DRAIN_S + 1.0 + COLD_START_S)
+        assert (await daemon.ask()).endpoints["detector"] not in ("", first.endpoint)
+        assert daemon.edge.standing().servers[0].instances[1].replaced == 1
+        await daemon.keep_asking(200.0)
+        assert len(daemon.runtime.instances) == 2, "one that is well stays"
+
+    serve(story)
+
+
+def test_an_instance_without_a_sign_of_life_is_replaced() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start()
+        await daemon.keep_asking(1000.0)
+        daemon.runtime.instances[0].is_frozen = True
+        await daemon.keep_asking(CALL_LIMIT_S - 5.0)
+        assert len(daemon.runtime.living()) == 1, "it may be busy"
+        await daemon.keep_asking(20.0)
+        assert [each.ended.done() for each in daemon.runtime.instances] == [True, False]
+
+    serve(story)
+
+
+def test_an_instance_that_raises_what_drones_deny_is_replaced() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start()
+        request = msgspec.msgpack.encode(DenyRequest("s1", ["detector"]))
+        for _ in range(DENIALS):
+            assert len(daemon.runtime.living()) == 1
+            daemon.runtime.called[0]("d1")
+            daemon.runtime.answered[0](AnsweredCall("d1", "look", 0.0, 0.1, "raised"))
+            await daemon.edge.handle(DENY, request, Client("d1"))
+        await daemon.keep_asking(1.0 + COLD_START_S)
+        assert [each.ended.done() for each in daemon.runtime.instances] == [True, False]
+
+    serve(story)
+
+
+def test_an_instance_that_does_not_end_is_left_behind_and_another_one_started(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start()
+        stuck = daemon.runtime.instances[0]
+        stuck.stops_in_s = 1e6
+        daemon.runtime.called[0]("d1")
+        await daemon.keep_asking(CALL_LIMIT_S + 5.1)
+        await daemon.keep_asking(STOP_S + COLD_START_S)
+        assert daemon.runtime.living()[1:], "another one runs"
+        assert "is left behind" in caplog.text
+        stuck.ended.set_result("at last")
 
     serve(story)
 

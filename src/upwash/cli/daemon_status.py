@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from upwash.core.clients import AccountStatus, RefusalStatus, ServerStatus
+from upwash.core.clients import AccountStatus, InstanceStatus, RefusalStatus, ServerStatus
 from upwash.rpc.protocol import CertificateStatus, StatusReply
 from upwash.support.sentences import say
 
@@ -39,6 +39,9 @@ def _print_server(server: ServerStatus, console: Console) -> None:
         say(Text(f"  {line}"), console)
     if server.instances:
         console.print(_instances(server))
+    for instance in server.instances:
+        if instance.failures:
+            say(Text(f"  {_failed(instance)}", style="yellow"), console)
 
 
 def _slots_and_turns(server: ServerStatus) -> str:
@@ -80,6 +83,14 @@ def _instances(server: ServerStatus) -> Table:
         state = Text(instance.state, style=_STATE_STYLES.get(instance.state, "dim"))
         table.add_row(Text(instance.service), state, Text(instance.endpoint), unused)
     return table
+
+
+def _failed(instance: InstanceStatus) -> str:
+    """What is wrong with a service whose instances failed lately."""
+    times = _counted(instance.failures, "instance", "instances")
+    paused = f"; left alone for another {_duration(instance.paused_s)}" if instance.paused_s else ""
+    replaced = f"; {instance.replaced} replaced so far" if instance.replaced else ""
+    return f"{instance.service}: {times} failed in a row, last: {instance.last_failure}{paused}{replaced}"
 
 
 def _print_refusals(refusals: Sequence[RefusalStatus], console: Console) -> None:

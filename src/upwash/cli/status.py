@@ -7,6 +7,8 @@ import asyncio
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from upwash.cli.arguments import announce
+
 if TYPE_CHECKING:
     from upwash.cli.arguments import Commands
 
@@ -21,11 +23,13 @@ def add(commands: Commands) -> None:
         "--keys", type=Path, metavar="DIR",
         help="where authority.pem, NAME.pem and NAME.key lie; without it none are used, on this machine only",
     )  # fmt: skip
+    status.add_argument("--json", action="store_true", help="print the daemon's answer as JSON, for programs")
     status.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> bool:
     """Prints it."""
+    import msgspec
     from rich.console import Console
 
     from upwash.cli.daemon_status import print_status
@@ -34,5 +38,8 @@ def run(options: argparse.Namespace) -> bool:
     reply = asyncio.run(
         ask_status(options.address, server=options.server, operator=options.operator, keys=options.keys)
     )
-    print_status(reply, Console(markup=False))
+    if options.json:
+        announce(msgspec.json.encode(reply).decode())
+    else:
+        print_status(reply, Console(markup=False))
     return True

@@ -31,6 +31,7 @@ from upwash.core.leases import Admit, Leases
 from upwash.core.peers import Peers
 from upwash.core.slots import MeasuredSlots
 from upwash.core.turns import ASK_AGAIN_S, Turns
+from upwash.core.watchdog import CALL_LIMIT_S, Useless
 
 _ROLES = {Role.OPERATOR: "an operator", Role.SERVER: "a server"}
 _ELSEWHERE = ""  # where a request is counted that is for no server here
@@ -41,13 +42,14 @@ class ServerOffer:
     """What one server offers: the services it can run, how many drones at once, and for how long in turns.
 
     "auto" has as many slots as the server measures to be right. `lanes` says of services how many calls an instance
-    computes at a time, where that is more than one.
+    computes at a time, where that is more than one, and `call_limits_s` how long a call may keep one busy at most.
     """
 
     images: frozenset[str]
     slots: int | Literal["auto"] = 1
     turn_s: float = 30.0
     lanes: Mapping[str, int] = field(default_factory=dict)
+    call_limits_s: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def lanes_of_each(self) -> dict[str, int]:
@@ -80,12 +82,14 @@ class Denied:
     """The server cannot serve the drone, and why.
 
     Where only a slot is wanting it is to ask again in so long; so many wait, with it, and it may have done so before.
+    A service that keeps failing is not to be had for `pause_s`.
     """
 
     why: str
     waiting: int = 0
     ask_again_s: float = 0.0
     is_news: bool = True
+    pause_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,24 +318,98 @@ class AdmissionController:
     def ready(self, server: str, service: str, number: int, endpoint: str, *, now_s: float) -> list[Command]:
         """The instance of that number can be called at the endpoint."""
         state = self._servers[server]
-        is_news = state.instances.ready(service, number, endpoint, now_s=now_s)
+        lanes = state.offer.lanes.get(service, 1)
+        is_news = state.instances.ready(service, number, endpoint, lanes=lanes, now_s=now_s)
         return [state.leases.admitted()] if is_news else []
 
-    def gone(self, server: str, service: str, number: int) -> None:
-        """The instance of that number ended: it did not start, it crashed, or it was stopped."""
-        self._servers[server].instances.gone(service, number)
+    def gone(
+        self, server: str, service: str, number: int, why: str = "", *, now_s: float = 0.0
+    ) -> list[StartInstance]:
+        """The instance of that number ended: it did not start or crashed, for that reason, or it was stopped.
+
+        In the place of one that was of no use another one is started, where a drone that has a slot may have it.
+        """
+        state = self._servers[server]
+        was_useless = state.instances.gone(service, number, why, now_s=now_s)
+        failures = state.instances[service].failures
+        is_wanted = any(not failures.pause_s(key, now_s=now_s) for key in state.leases.keys)
+        if was_useless and is_wanted and not self.closing and service in state.offer.images:
+            return state.instances.begin(service)
+        return []
+
+    def heard(self, server: str, service: str, *, now_s: float) -> None:
+        """The instance that runs has given a sign of life."""
+        self._servers[server].instances[service].watch.heard(now_s)
+
+    def watch(self, server: str, service: str, *, now_s: float) -> list[Command]:
+        """Has the instance replaced that runs, if it is of no use."""
+        state = self._servers[server]
+        instance, at_most_s = state.instances[service], state.offer.call_limits_s.get(service, CALL_LIMIT_S)
+        useless = instance.watch.verdict(
+            instance.limit.seconds(at_most_s), served=state.leases.keys, now_s=now_s
+        )
+        if useless is None or instance.state is not InstanceState.RUNNING:
+            return []
+        instance.limit.cut(at_most_s)
+        return self._condemn(state, service, useless, now_s)
+
+    def silent(self, server: str, service: str, why: str, *, now_s: float) -> list[Command]:
+        """Has the instance replaced that runs, as it cannot be told whom to serve."""
+        state = self._servers[server]
+        useless = Useless(why, state.instances[service].watch.callers)
+        return self._condemn(state, service, useless, now_s)
+
+    def deny(self, server: str, services: Iterable[str], drone: Client, *, now_s: float) -> list[Command]:
+        """The drone says that its own services did not raise in calls in which these did."""
+        state, commands = self._servers.get(server), list[Command]()
+        if state is None or state.leases.by_key(drone.key, now_s=now_s) is None:
+            return []
+        for service in sorted(state.offer.images & frozenset(services)):
+            state.instances[service].watch.denied(drone.key)
+            commands += self.watch(server, service, now_s=now_s)
+        return commands
+
+    def pause_s(self, server: str, services: Iterable[str], drone: Client, *, now_s: float) -> float:
+        """For how long one of the services is not to be had for the drone; 0 where all are."""
+        instances = self._servers[server].instances
+        return max(
+            (instances[service].failures.pause_s(drone.key, now_s=now_s) for service in services), default=0.0
+        )
+
+    def _condemn(self, state: _Server, service: str, useless: Useless, now_s: float) -> list[Command]:
+        commands: list[Command] = [*state.instances.condemn(service, useless, now_s=now_s)]
+        failures = state.instances[service].failures
+        if commands:
+            commands += state.leases.end(
+                lambda lease: failures.pause_s(lease.drone.key, now_s=now_s) > 0, now_s=now_s
+            )
+        return commands
 
     def called(self, server: str, service: str, drone: str, *, now_s: float) -> None:
         """The instance says that the drone, known by `Client.key`, called: with a lease, it uses the service."""
         state = self._servers[server]
+        state.instances[service].watch.began(drone, now_s)
         if state.leases.by_key(drone, now_s=now_s) is not None:
             state.instances[service].used_s = now_s
 
     def answered(
-        self, server: str, service: str, drone: str, *, took_s: float, queued_s: float, now_s: float
+        self,
+        server: str,
+        service: str,
+        drone: str,
+        *,
+        took_s: float,
+        queued_s: float,
+        outcome: str = "value",
+        now_s: float,
     ) -> None:
         """The instance says that a call of the drone, known by `Client.key`, has ended; `MeasuredSlots.answered`."""
         state = self._servers[server]
+        state.instances[service].watch.ended(drone, took_s=took_s, outcome=outcome, now_s=now_s)
+        if outcome == "dropped":
+            return
+        if outcome == "value":
+            state.instances[service].limit.answered(took_s)
         if state.leases.by_key(drone, now_s=now_s) is not None:
             state.measured.answered(service, drone, took_s=took_s, queued_s=queued_s, now_s=now_s)
 
@@ -442,11 +520,23 @@ class AdmissionController:
 
     def _deny(self, name: str, services: Iterable[str], drone: Client, now_s: float) -> Denied | None:
         why = self._mistrust(drone) or self._obstacle(name, services, drone)
-        return self._denied(name, drone.name, why, now_s) if why else None
+        return (
+            self._denied(name, drone.name, why, now_s) if why else self._paused(name, services, drone, now_s)
+        )
 
-    def _denied(self, name: str, client: str, why: str, now_s: float) -> Denied:
+    def _denied(self, name: str, client: str, why: str, now_s: float, *, pause_s: float = 0.0) -> Denied:
         self.refused(name, client, why, now_s=now_s)
-        return Denied(why)
+        return Denied(why, pause_s=pause_s)
+
+    def _paused(self, name: str, services: Iterable[str], drone: Client, now_s: float) -> Denied | None:
+        """A service that keeps failing is not to be had for a while."""
+        for service in services:
+            pause_s = self.pause_s(name, [service], drone, now_s=now_s)
+            if pause_s > 0:
+                failures = self._servers[name].instances[service].failures
+                why = f"{name} leaves {service} alone, which failed {failures.count} times in a row: {failures.why}"
+                return self._denied(name, drone.name, why, now_s, pause_s=pause_s)
+        return None
 
     def _mistrust(self, client: Client) -> str:
         if client.certificate in self._revoked:

@@ -46,12 +46,20 @@ class LeaseStatus:
 
 @dataclass(frozen=True, slots=True)
 class InstanceStatus:
-    """A service of a server and where its instance is in its life; unused for so long if it runs."""
+    """A service of a server and where its instance is in its life; unused for so long if it runs.
+
+    So many instances were `replaced`, as they were of no use. `failures` of them in a row have the service left alone
+    for another `paused_s`. An earlier daemon says nothing of this.
+    """
 
     service: str
     state: str
     endpoint: str
     unused_s: float
+    replaced: int = 0
+    failures: int = 0
+    last_failure: str = ""
+    paused_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,6 +74,16 @@ class Full:
 
 
 @dataclass(frozen=True, slots=True)
+class Paused:
+    """To be logged: the server leaves a service alone that keeps failing, and is left out for as long."""
+
+    server: str
+    check: int
+    pause_s: float
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
 class Foreseen:
     """To be logged: when the mission is expected at each waypoint and over, as it is asked for.
 
@@ -95,4 +105,4 @@ class Mapped:
 
 
 Command = Check | Probe | Start | Prepare | Leave
-Effect = Change | Full | Foreseen | Mapped | Command
+Effect = Change | Full | Paused | Foreseen | Mapped | Command

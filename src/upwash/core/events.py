@@ -75,12 +75,22 @@ class ServicesStarted:
 class CheckFailed:
     """The server could not be joined, did not answer in time, is unavailable or could not start a service.
 
-    The first two leave it `unreached`.
+    The first two leave it `unreached`. Where it leaves a service alone for a pause, it is left out for as long.
     """
 
     check: int
     why: str
     unreached: bool = False
+    pause_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ProbePaused:
+    """The server that is probed leaves a service alone, and is to be left out for as long."""
+
+    check: int
+    why: str
+    pause_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,6 +243,7 @@ Event = (
     | TurnOver
     | ServicesStarted
     | CheckFailed
+    | ProbePaused
     | ProbeAnswered
     | ProbeUnanswered
     | NetworkLost

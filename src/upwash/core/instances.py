@@ -8,10 +8,11 @@ One that is starting may be stopped too, and each may be gone at any time.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from upwash.core.clients import InstanceStatus
+from upwash.core.watchdog import Failures, Limit, Useless, Watch
 
 
 class InstanceState(StrEnum):
@@ -50,6 +51,10 @@ class Instance:
     number: int = 0
     endpoint: str = ""
     used_s: float = 0.0  # when it became ready or was last called
+    watch: Watch = field(default_factory=Watch)
+    limit: Limit = field(default_factory=Limit)
+    failures: Failures = field(default_factory=Failures)
+    replaced: int = 0  # instances that were of no use
 
 
 class Instances:
@@ -86,7 +91,7 @@ class Instances:
         instance.number = next(self._numbers)
         return [StartInstance(self._server, service, instance.number)]
 
-    def ready(self, service: str, number: int, endpoint: str, *, now_s: float) -> bool:
+    def ready(self, service: str, number: int, endpoint: str, *, lanes: int = 1, now_s: float) -> bool:
         """The instance of that number can be called at the endpoint; returns whether that is news."""
         instance = self[service]
         if instance.number != number or instance.state is not InstanceState.STARTING:
@@ -94,14 +99,32 @@ class Instances:
         instance.state = InstanceState.RUNNING
         instance.endpoint = endpoint
         instance.used_s = now_s
+        instance.watch = Watch(lanes=lanes, now_s=now_s)
         return True
 
-    def gone(self, service: str, number: int) -> None:
-        """The instance of that number has ended."""
+    def gone(self, service: str, number: int, why: str = "", *, now_s: float = 0.0) -> bool:
+        """The instance of that number has ended, for that reason if by itself; returns whether it was of no use."""
         instance = self[service]
-        if instance.number == number:
-            instance.state = InstanceState.ABSENT
-            instance.endpoint = ""
+        if instance.number != number or instance.state is InstanceState.ABSENT:
+            return False
+        if why and instance.state is not InstanceState.STOPPING:
+            had_started = instance.state is InstanceState.RUNNING
+            callers = instance.watch.callers if had_started else frozenset()
+            instance.failures.add(why, callers, had_started=had_started, now_s=now_s)
+        was_condemned = instance.state is InstanceState.STOPPING and instance.watch.is_condemned
+        instance.state = InstanceState.ABSENT
+        instance.endpoint = ""
+        return was_condemned
+
+    def condemn(self, service: str, useless: Useless, *, now_s: float) -> list[StopInstance]:
+        """Has the instance stopped, which runs and is of no use."""
+        instance = self[service]
+        if instance.state is not InstanceState.RUNNING:
+            return []
+        instance.watch.is_condemned = True
+        instance.replaced += 1
+        instance.failures.add(useless.why, useless.drones, had_started=True, now_s=now_s)
+        return self.stop(service, f"{service} of {self._server} is replaced: {useless.why}")
 
     def stop(self, service: str, why: str = "") -> list[StopInstance]:
         """Has the instance stopped, if one runs or is starting."""
@@ -138,6 +161,10 @@ class Instances:
                 each.state.value,
                 each.endpoint,
                 now_s - each.used_s if each.state is InstanceState.RUNNING else 0.0,
+                replaced=each.replaced,
+                failures=each.failures.count,
+                last_failure=each.failures.why,
+                paused_s=each.failures.left_s(now_s=now_s),
             )
             for service, each in sorted(self._instances.items())
             if service in offered or each.state is not InstanceState.ABSENT

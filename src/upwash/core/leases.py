@@ -56,6 +56,11 @@ class Leases:
         """The names of the drones that hold a slot."""
         return frozenset(self._leases)
 
+    @property
+    def keys(self) -> frozenset[str]:
+        """The same drones, by `Client.key`."""
+        return frozenset(each.drone.key for each in self._leases.values())
+
     def of(self, drone: str) -> Lease | None:
         """The lease of the drone of that name, if it has one."""
         return self._leases.get(drone)
@@ -116,8 +121,7 @@ class Leases:
 
     def admitted(self) -> Admit:
         """Whom the server's instances answer."""
-        drones = frozenset(each.drone.key for each in self._leases.values())
-        return Admit(self._server, drones, frozenset(self._finishing) - drones)
+        return Admit(self._server, self.keys, frozenset(self._finishing) - self.keys)
 
     def status(self, *, now_s: float) -> list[LeaseStatus]:
         """What there is to see of the leases."""

@@ -110,7 +110,14 @@ class Radios:
         return [server.deselect(now_s=now_s, why=why), Leave(server.name, server.check)]
 
     def fail(
-        self, server: Server, trigger: Trigger, why: str, now_s: float, *, operations: Iterable[Operation]
+        self,
+        server: Server,
+        trigger: Trigger,
+        why: str,
+        now_s: float,
+        *,
+        operations: Iterable[Operation],
+        pause_s: float = 0.0,
     ) -> list[Effect]:
         """Blacklists a server that is in use or in preparation; with probing its radio stays there to probe it.
 
@@ -120,11 +127,20 @@ class Radios:
         change = server.apply(trigger, now_s=now_s, why=why)
         server.left_alone_s = self._blacklist_s
         if self._recovery is None or server.state is not State.BLACKLISTED:
-            return [change, Leave(server.name, server.check)]
+            return [change, *self.leave_out(server, pause_s, now_s)]
         cost_a_call = trigger is not Trigger.NETWORK_LOST  # a lost network shows at once
         self._recovery.failed(server.name, operations, counts=cost_a_call, now_s=now_s)
         server.left_alone_s = max(REST_S, self._recovery.alone_s(server.name, now_s=now_s))
+        if pause_s:
+            return [change, *self.leave_out(server, pause_s, now_s)]
         return [change, self._probe(server, self._recovery, now_s)]
+
+    def leave_out(self, server: Server, pause_s: float, now_s: float) -> list[Effect]:
+        """Leaves a server that is blacklisted, and does not probe it for the pause that it named."""
+        server.leave_out(pause_s, now_s)
+        if server in self.probed:
+            self.probed.remove(server)
+        return [Leave(server.name, server.check)]
 
     def probe(self, now_s: float) -> list[Effect]:
         """Probes the servers that failed and are in range, as far as there are free radios."""
@@ -133,7 +149,7 @@ class Radios:
         failed = [
             each
             for each in self._table.in_range
-            if each.state is State.BLACKLISTED and each not in self.probed
+            if each.state is State.BLACKLISTED and each not in self.probed and each.left_out_until_s <= now_s
         ]
         recovery = self._recovery
         return [self._probe(server, recovery, now_s) for server in failed[: max(0, self._free)]]

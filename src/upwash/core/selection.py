@@ -23,7 +23,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from upwash.core.area_index import AreaIndex
-from upwash.core.commands import Effect, Full, Mapped, Start
+from upwash.core.commands import Effect, Full, Mapped, Paused, Start
 from upwash.core.coverage import MeasuredPlace
 from upwash.core.estimates import Estimates, Operation
 from upwash.core.events import (
@@ -40,6 +40,7 @@ from upwash.core.events import (
     NetworkLost,
     Prepared,
     ProbeAnswered,
+    ProbePaused,
     ProbeUnanswered,
     Reached,
     RemoteCallCut,
@@ -283,9 +284,17 @@ class Selection:
                 server.contended_s = now_s if waiting else -math.inf
             case TurnOver():
                 return self._turn_over(event, now_s)
-            case CheckFailed(check, why, unreached):
+            case CheckFailed(check, why, unreached, pause_s):
                 asked = self._asked(check, position, answered=False) if unreached else []
-                return asked + self._server_failed(check, CHECKING, Trigger.CHECK_FAILED, why, now_s)
+                return asked + self._server_failed(
+                    check, CHECKING, Trigger.CHECK_FAILED, why, now_s, pause_s=pause_s
+                )
+            case ProbePaused(check, why, pause_s):
+                server = self._radios.probed_by(check)
+                if server is not None:
+                    paused = Paused(server.name, check, pause_s, why)
+                    return [paused, *self._radios.leave_out(server, pause_s, now_s)]
+                return []
             case NetworkLost(check, why):
                 asked = self._asked(check, position, answered=False)
                 return asked + self._server_failed(check, SELECTED, Trigger.NETWORK_LOST, why, now_s)
@@ -398,14 +407,24 @@ class Selection:
         return [change]
 
     def _server_failed(
-        self, check: int, states: frozenset[State], trigger: Trigger, why: str, now_s: float
+        self,
+        check: int,
+        states: frozenset[State],
+        trigger: Trigger,
+        why: str,
+        now_s: float,
+        *,
+        pause_s: float = 0.0,
     ) -> list[Effect]:
         server = self._radios.selected_by(check, states)
         if server is None:
             return []
         if not server.in_range:  # the server did nothing wrong
             return self._radios.leave(server, "out of range", now_s)
-        return self._radios.fail(server, trigger, why, now_s, operations=self.estimates.operations)
+        paused = [Paused(server.name, check, pause_s, why)] if pause_s else []
+        return paused + self._radios.fail(
+            server, trigger, why, now_s, operations=self.estimates.operations, pause_s=pause_s
+        )
 
     def _call_failed(self, name: str, check: int, why: str, now_s: float) -> list[Effect]:
         if self._recovery is not None:

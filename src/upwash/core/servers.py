@@ -115,6 +115,7 @@ class Server:
     contended_s: float = -math.inf  # when it last said that others wait for a slot
     turns_lost: int = 0  # in a row, without an answer to a call
     left_alone_s: float = 0.0  # for how long it is blacklisted, where no probe finds it well before
+    left_out_until_s: float = -math.inf  # as it said
     in_range_since_s: float | None = None
     peers: frozenset[str] = frozenset()  # the servers that its daemon can have prepared, as it last said
     history: deque[Change] = field(default_factory=lambda: deque(maxlen=_HISTORY_LENGTH))
@@ -157,6 +158,11 @@ class Server:
             self.checked_since_s = now_s
             self.start_requested = self.refused = False
         return change
+
+    def leave_out(self, pause_s: float, now_s: float) -> None:
+        """It is blacklisted, and stays so for the pause that it named, without being probed."""
+        self.left_out_until_s = now_s + pause_s
+        self.left_alone_s = max(self.left_alone_s, self.left_out_until_s - self.since_s)
 
     def deselect(self, *, now_s: float, why: str) -> Change:
         """Takes the de-selection step of the state that the server is in."""

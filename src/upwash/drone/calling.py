@@ -168,6 +168,7 @@ class Calling:
         attempt.verdict = "confirmed" if confirmed else "denied"
         why = f"it says that {operation} raised {said.raised}, which did not raise on the drone"
         if not confirmed:
+            attempt.session.deny(operation.service)
             self._journal.record(
                 schema.RemoteFailed(server=server, check=attempt.check, why=f"{server}: {why}")
             )

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
-from upwash.core.commands import Command, Effect, Foreseen, Full, Mapped
+from upwash.core.commands import Command, Effect, Foreseen, Full, Mapped, Paused
 from upwash.core.estimates import Estimates, Operation
 from upwash.core.events import Event
 from upwash.core.geo import Position
@@ -167,6 +167,8 @@ class Decisions:
                     self._record_change(effect)
                 case Full(server, check, waiting):
                     self._journal.record(schema.NoSlot(server=server, check=check, waiting=waiting))
+                case Paused(server, check, pause_s, why):
+                    self._journal.record(schema.LeftOut(server=server, check=check, pause_s=pause_s, why=why))
                 case Mapped(server, place):
                     self._journal.record(schema.PlaceMeasured(server=server, place=schema.Measured.of(place)))
                 case Foreseen(reached_s, as_asked_s, lightest_s, finish_by_s):

@@ -16,6 +16,7 @@ from upwash.core.events import (
     NetworkLost,
     Prepared,
     ProbeAnswered,
+    ProbePaused,
     ProbeUnanswered,
     RemoteCallCut,
     ServicesStarted,
@@ -23,7 +24,7 @@ from upwash.core.events import (
     TurnOver,
 )
 from upwash.drone.server_session import ServerEndpoint, ServerSession
-from upwash.errors import UNREACHED, LinkError, NetworkError, NoSlot
+from upwash.errors import UNREACHED, LinkError, NetworkError, NoSlot, Paused
 from upwash.eventlog import schema
 from upwash.ports import Dialer, Journal, Network
 from upwash.support.background import begin, end
@@ -92,6 +93,7 @@ class RadioWorker:
             case Probe(server):
                 await self._pause()
                 session = self._session_at(server)
+                await session.tell_denied()
                 await session.hang_up()
                 self.cut = None  # which teaches nothing, as the server is probed
                 self._errand = self._tasks.create_task(self._probe(session, command))
@@ -128,7 +130,7 @@ class RadioWorker:
             self._watch = self._tasks.create_task(self._notice_loss(session, check))
             answer = await self._with_slot(session.ask, check)
         except (NetworkError, LinkError) as error:
-            self._tell(CheckFailed(check, str(error), isinstance(error, UNREACHED)))
+            self._tell(_failed(check, error))
             return
         self._tell(CheckAnswered(check, answer.running, answer.peers, answer.waiting))
         if answer.running:
@@ -168,7 +170,7 @@ class RadioWorker:
 
     async def _probe(self, session: ServerSession, command: Probe) -> None:
         """Returns at the first sign of life; a question that is not answered yet keeps the next one from nothing."""
-        asking: set[asyncio.Task[ProbeAnswered]] = set()
+        asking: set[asyncio.Task[ProbeAnswered | ProbePaused]] = set()
         asked = False
         try:
             for pause_s in command.probing.pauses_s(alone_s=command.alone_s):
@@ -190,8 +192,11 @@ class RadioWorker:
         finally:
             await end(*asking)
 
-    async def _question(self, session: ServerSession, check: int) -> ProbeAnswered:
-        return ProbeAnswered(check, await session.probe())
+    async def _question(self, session: ServerSession, check: int) -> ProbeAnswered | ProbePaused:
+        try:
+            return ProbeAnswered(check, await session.probe())
+        except Paused as refusal:
+            return ProbePaused(check, str(refusal), refusal.pause_s)
 
     async def _notice_loss(self, session: ServerSession, check: int) -> None:
         self._tell(NetworkLost(check, await session.lost()))
@@ -201,7 +206,7 @@ class RadioWorker:
         try:
             await self._with_slot(start, command.check)
         except LinkError as error:
-            self._tell(CheckFailed(command.check, str(error), isinstance(error, UNREACHED)))
+            self._tell(_failed(command.check, error))
             return
         self._tell(ServicesStarted(command.check))
         await self._keep_lease(session, command.check)
@@ -218,7 +223,12 @@ class RadioWorker:
         self._tell(Prepared(command.peer, command.server))
 
 
-async def _first_success(tasks: set[asyncio.Task[ProbeAnswered]], *, within_s: float) -> ProbeAnswered | None:
+def _failed(check: int, error: NetworkError | LinkError) -> CheckFailed:
+    pause_s = error.pause_s if isinstance(error, Paused) else 0.0
+    return CheckFailed(check, str(error), isinstance(error, UNREACHED), pause_s)
+
+
+async def _first_success(tasks: set[asyncio.Task[T]], *, within_s: float) -> T | None:
     """What the first of them returns, none of which raises more than a LinkError; None after that time."""
     loop = asyncio.get_running_loop()
     until_s, left = loop.time() + within_s, set(tasks)

@@ -15,6 +15,7 @@ from upwash.errors import (
     LinkError,
     NoSlot,
     NotReadyInTime,
+    Paused,
     Refused,
     Unreachable,
     UpwashError,
@@ -22,6 +23,7 @@ from upwash.errors import (
 from upwash.ports import Dialer, Finder, Link, Network
 from upwash.rpc.protocol import (
     AVAILABILITY,
+    DENY,
     HEALTH_CHECK,
     LEAST_LEASE_S,
     LEAVE,
@@ -29,6 +31,7 @@ from upwash.rpc.protocol import (
     START,
     AvailabilityReply,
     AvailabilityRequest,
+    DenyRequest,
     HoldReply,
     LeaveRequest,
     PrepareRequest,
@@ -42,6 +45,7 @@ from upwash.rpc.protocol import (
 _ANSWER_S = 5.0  # a daemon answers at once or is in trouble
 _FAREWELL_S = 0.5
 _LEAST_ASK_S, _LONGEST_ASK_S = 0.5, 30.0  # between two questions for a slot, whatever a server says
+_LONGEST_PAUSE_S = 600.0  # for which a server is left out, whatever it says
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +92,7 @@ class ServerSession:
         self._joined = False
         self._expected = False  # the daemon keeps a slot for the drone, as it answered
         self._lost = ""  # why, once the network is
+        self._denied: set[str] = set()  # services that raised where the drone's own did not: still to be told
         self._calls = 0
         self._quiet = asyncio.Event()
         self._quiet.set()
@@ -160,6 +165,7 @@ class ServerSession:
             )
             if not reply.endpoint:
                 self._raise_if_full(reply)
+                self._raise_if_paused(reply)
                 raise Refused(f"{self._server.name} cannot start {service}: {reply.reason}")
             await self._dial(service, reply.endpoint)
 
@@ -239,6 +245,17 @@ class ServerSession:
             if self._calls == 0:
                 self._quiet.set()
 
+    def deny(self, service: str) -> None:
+        """The service raised in a call, and the drone's own did not: the daemon hears it with the next word to it."""
+        self._denied.add(service)
+
+    async def tell_denied(self) -> None:
+        """Tells the daemon which services the drone denies, if any, and if the daemon can hear it."""
+        denied, self._denied = sorted(self._denied), set()
+        if denied and self._daemon is not None:
+            with contextlib.suppress(LinkError):
+                await self._tell(DENY, DenyRequest(self._server.name, denied), timeout_s=_FAREWELL_S)
+
     async def end(self, *, in_range: bool) -> bool:
         """Leaves: in range, after the calls under way and with a word to the daemon; else at once.
 
@@ -249,6 +266,7 @@ class ServerSession:
             await self._quiet.wait()  # each has its deadline
             if self._daemon is None and self._expected:  # a probe asked, over a connection of its own
                 self._daemon = self._dialer.dial(self._address, server=self._server.name)
+            await self.tell_denied()
             if self._daemon is not None:
                 with contextlib.suppress(LinkError):
                     await self._tell(LEAVE, LeaveRequest(self._server.name), timeout_s=_FAREWELL_S)
@@ -281,6 +299,7 @@ class ServerSession:
         answer = decode_reply(reply, AvailabilityReply, sender=self._server.name)
         if not answer.available:
             self._raise_if_full(answer)
+            self._raise_if_paused(answer)
             raise Refused(f"{self._server.name} is unavailable: {answer.reason}")
         self._lease_s, self._expected = answer.lease_s, True
         return answer
@@ -292,6 +311,12 @@ class ServerSession:
                 waiting=reply.waiting,
                 ask_again_s=min(max(_LEAST_ASK_S, reply.ask_again_s), _LONGEST_ASK_S),
             )
+
+    def _raise_if_paused(self, reply: AvailabilityReply | StartReply) -> None:
+        if reply.pause_s > 0:
+            pause_s = min(reply.pause_s, _LONGEST_PAUSE_S)
+            why = f"{self._server.name} is to be left out for {pause_s:.0f} s: {reply.reason}"
+            raise Paused(why, pause_s=pause_s)
 
     async def _tell(
         self, path: str, message: msgspec.Struct, *, timeout_s: float, daemon: Link | None = None

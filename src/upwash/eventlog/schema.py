@@ -731,6 +731,15 @@ class NoSlot(Event, frozen=True, kw_only=True):
     waiting: Count
 
 
+class LeftOut(Event, frozen=True, kw_only=True):
+    """The server leaves a service alone that keeps failing there: the drone leaves the server out for as long."""
+
+    server: str
+    check: int
+    pause_s: float
+    why: str
+
+
 class ServiceMoved(Event, frozen=True, kw_only=True):
     """The server, which is READY, has the service elsewhere now, as where its daemon was changed: calls go there."""
 

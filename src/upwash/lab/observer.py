@@ -221,6 +221,9 @@ class _Instance:
     async def drain(self, why: str) -> None:
         await self.seen.drain(why)
 
+    async def health(self) -> None:
+        await self.seen.health()
+
     async def exited(self) -> str:
         how = await self.seen.exited()
         self._end()

@@ -15,9 +15,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from upwash.config import DaemonConfig
+from upwash.config.daemon import ImageConfig
 from upwash.core.admission import AdmissionController, AdmissionSettings, ServerOffer
 from upwash.core.clients import Client
 from upwash.core.instances import InstanceState
+from upwash.core.watchdog import CALL_LIMIT_S
 from upwash.errors import Refused, UpwashError, UsageError
 from upwash.launch.daemon_keys import DaemonKeys, watch_expiry
 from upwash.missions.bundled import load_services
@@ -53,6 +55,7 @@ _LAST_ANSWERS_S = 5.0
 _COMING_S = 30.0  # for a daemon to come up, beside its services
 _METRICS_S = 0.5  # between two looks at whether the daemon before still offers its metrics
 _ENDING_S = 30.0  # for all that follows the calls under way
+_PACES = 10.0  # of the slowest operation, for which a call may go on
 _ROOT = (
     "the daemon is root, and so is whatever breaks out of a sandbox that root made: "
     "run it as a user of its own (docs/operators.md), or say runtime.sandbox_as_root = true"
@@ -213,10 +216,15 @@ def _with_lanes(images: Mapping[str, Image], lanes: Mapping[str, int]) -> dict[s
 
 def _offers(config: DaemonConfig, images: Mapping[str, Image]) -> dict[str, ServerOffer]:
     lanes = {name: image.lanes for name, image in images.items()}
+    limits_s = {each.name: each.call_limit_s or _call_limit_s(each) for each in config.images}
     return {
-        each.name: ServerOffer(frozenset(each.images), each.slots, each.turn_s, lanes)
+        each.name: ServerOffer(frozenset(each.images), each.slots, each.turn_s, lanes, limits_s)
         for each in config.identities
     }
+
+
+def _call_limit_s(image: ImageConfig) -> float:
+    return max(CALL_LIMIT_S, _PACES * max(image.pace_s.values(), default=0.0))
 
 
 def _sandbox(config: DaemonConfig) -> tuple[Sandbox | None, str]:

@@ -16,7 +16,7 @@ from upwash.core.instances import InstanceState
 from upwash.errors import InstanceError, Refused
 from upwash.metrics.buckets import CALL_S, START_S
 from upwash.ports import Answered, AnsweredCall, Instance, InstanceSpec, Runtime, ignored
-from upwash.rpc.protocol import AVAILABILITY, HOLD, LEAVE, PREPARE, START, STATUS
+from upwash.rpc.protocol import AVAILABILITY, DENY, HOLD, LEAVE, PREPARE, START, STATUS
 from upwash.server.daemon import EdgeServer, Snapshot
 
 _LOOK_S = 5.0  # longer than a daemon is ever busy at a stretch
@@ -24,6 +24,7 @@ _REQUESTS = {
     AVAILABILITY: "availability",
     START: "start",
     LEAVE: "leave",
+    DENY: "deny",
     PREPARE: "prepare",
     HOLD: "hold",
     STATUS: "status",
@@ -99,7 +100,8 @@ class _Runtime:
         self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
     ) -> Instance:
         def heard(call: AnsweredCall) -> None:
-            self.metrics.calls.labels(spec.server, spec.service, call.method).observe(call.took_s)
+            if call.outcome != "dropped":
+                self.metrics.calls.labels(spec.server, spec.service, call.method).observe(call.took_s)
             answered(call)
 
         began_s = asyncio.get_running_loop().time()
@@ -128,6 +130,9 @@ class _Instance:
 
     async def drain(self, why: str) -> None:
         await self.instance.drain(why)
+
+    async def health(self) -> None:
+        await self.instance.health()
 
     async def exited(self) -> str:
         how = await self.instance.exited()
@@ -160,6 +165,16 @@ class _Standing(Collector):
             "1 for the state that the instance is in",
             labels=["server", "service", "state"],
         )
+        replaced = CounterMetricFamily(
+            "upwash_instances_replaced",
+            "Instances that were of no use, and were stopped",
+            labels=["server", "service"],
+        )
+        paused = GaugeMetricFamily(
+            "upwash_service_paused_seconds",
+            "How much longer a service that keeps failing is left alone",
+            labels=["server", "service"],
+        )
         for server in standing.servers:
             slots.add_metric([server.name], server.slots)
             coming = sum(bool(lease.held_by) for lease in server.leases)
@@ -168,10 +183,13 @@ class _Standing(Collector):
             waiting.add_metric([server.name], sum(each.waits_s is not None for each in server.accounts))
             turns.add_metric([server.name], server.turns_ended)
             for instance in server.instances:
+                replaced.add_metric([server.name, instance.service], instance.replaced)
+                paused.add_metric([server.name, instance.service], instance.paused_s)
                 for state in InstanceState:
                     labels = [server.name, instance.service, state]
                     instances.add_metric(labels, float(instance.state == state))
-        yield from (slots, leases, held, waiting, turns, instances, _refusals(standing), _expiries(standing))
+        yield from (slots, leases, held, waiting, turns, instances, replaced, paused)
+        yield from (_refusals(standing), _expiries(standing))
 
 
 async def _look(edge: EdgeServer) -> Snapshot:

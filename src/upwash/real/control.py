@@ -10,7 +10,7 @@ what can be so, and hangs up on an instance that says more than `MOST_REPORTS_PE
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
@@ -20,7 +20,7 @@ from upwash.support.heat import Surroundings
 if TYPE_CHECKING:  # an instance has no use for it
     from upwash.ports import InstanceSpec, Program
 
-MOST_REPORTS_PER_S = 1000  # one for each call, and one a second for each drone
+MOST_REPORTS_PER_S = 2000  # two for each call
 
 
 class Begin(msgspec.Struct, frozen=True, tag="begin"):
@@ -106,13 +106,13 @@ class Drained(msgspec.Struct, frozen=True, tag="drained"):
 
 
 class Called(msgspec.Struct, frozen=True, tag="called"):
-    """From the instance: this drone, known by `Client.key`, called."""
+    """From the instance: it begins to compute a call of this drone, known by `Client.key`."""
 
     drone: str
 
 
 class Answered(msgspec.Struct, frozen=True, kw_only=True, tag="answered"):
-    """From the instance: this drone's call of this method has an answer.
+    """From the instance: this drone's call of this method has its outcome.
 
     The call waited so long for its turn, and then was so long in the service.
     """
@@ -121,6 +121,7 @@ class Answered(msgspec.Struct, frozen=True, kw_only=True, tag="answered"):
     method: str
     queued_s: float = 0.0
     took_s: float
+    outcome: Literal["value", "raised", "dropped"] = "value"
 
 
 class Said(msgspec.Struct, frozen=True, tag="said"):

@@ -9,7 +9,6 @@ default is one: services need not be safe for threads.
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import signal
 import socket
@@ -50,7 +49,7 @@ from upwash.real.requests import Caller, Requests
 from upwash.real.socket_proxy import SocketProxy
 from upwash.real.streams import listening_socket
 from upwash.rpc.protocol import service_path
-from upwash.rpc.service import Method, load_service, spec_of
+from upwash.rpc.service import Method, carries_fault, load_service, spec_of
 from upwash.rpc.settings import construct
 from upwash.support.heat import Heat
 
@@ -59,7 +58,6 @@ _CONCURRENT_CALLS = (
 )
 _CALLS_PER_DRONE = 4  # one, and others that it has given up
 _LONGEST_REASON = 10_000  # characters
-_REPORT_PERIOD_S = 1.0  # leases last far longer than this
 _LAST_REPLY_S = 1.0  # to get on its way, when the last call has ended
 
 
@@ -94,10 +92,7 @@ class ServiceInstance:
         self._reporting = threading.Lock()
         self._calls = ThreadPoolExecutor(spec.concurrency, "upwash-call")
         self._gate = InstanceGate()
-        self._sharing = (
-            threading.Lock()
-        )  # what the calls have in common: the heat, and what was reported when
-        self._reported_s: dict[str, float] = {}  # when each drone's calls were last reported
+        self._sharing = threading.Lock()  # what the calls have in common: the heat, and the pace of reports
         self._reports = Allowance(MOST_REPORTS_PER_S, at_once=MOST_REPORTS_PER_S)
         self._is_announced = begin.is_announced
         requests = Requests(
@@ -167,14 +162,21 @@ class ServiceInstance:
         if not caller.is_waiting():
             raise Refused("nobody waits for this call any more")
         drone, began_s = caller.client.key, time.monotonic()
-        self._report_caller(drone, began_s)
+        self._report(Called(drone))
         key, reply = self._compute(method, body)
         short_s = self._least_s(key, method.name, began_s) - (time.monotonic() - began_s)
         if short_s > 0:
             time.sleep(short_s)
         took_s = time.monotonic() - began_s
         return _Performed(
-            reply, Answered(drone=drone, method=method.name, queued_s=began_s - whole_s, took_s=took_s)
+            reply,
+            Answered(
+                drone=drone,
+                method=method.name,
+                queued_s=began_s - whole_s,
+                took_s=took_s,
+                outcome="raised" if carries_fault(reply) else "value",
+            ),
         )
 
     def _report_answer(self, call: Future[_Performed]) -> None:
@@ -186,18 +188,10 @@ class ServiceInstance:
             time.sleep(pause_s)
         self._report(call.result().report)
 
-    def _report_caller(self, drone: str, now_s: float) -> None:
-        with self._sharing:
-            is_due = now_s - self._reported_s.get(drone, -math.inf) >= _REPORT_PERIOD_S
-            if is_due:
-                self._reported_s[drone] = now_s
-        if is_due:
-            self._report(Called(drone))
-
     def _pause_s(self, now_s: float) -> float:
-        """How long to wait before the next report, or its program would hang up."""
+        """How long to wait after the two reports of a call, or its program would hang up."""
         with self._sharing:
-            return self._reports.take_anyway_s(1, now_s=now_s)
+            return self._reports.take_anyway_s(2, now_s=now_s)
 
     def _least_s(self, key: str, method: str, began_s: float) -> float:
         """The least time of an operation; a configuration may tell operations apart by key, by method or not."""

@@ -72,6 +72,7 @@ class InstanceControl:
         self.answered = answered
         self._methods = methods  # that the service declares
         self._admitted: frozenset[str] = frozenset()
+        self._told = Admit([])  # last
         self._ready_s = 0.0
         self._messages = Allowance(_MOST_MESSAGES_PER_S, at_once=_MOST_MESSAGES_AT_ONCE)
         self._bytes = Allowance(_MOST_BYTES_PER_S, at_once=_MOST_BYTES_AT_ONCE)
@@ -107,15 +108,19 @@ class InstanceControl:
 
     async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
         """Has only these drones get an answer; raises InstanceError where the instance does not confirm it."""
-        confirmed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._tell(Admit(sorted(drones), sorted(finishing)))
-        self._admitted = drones | finishing
-        self._admissions.append(confirmed)
+        self._told, self._admitted = Admit(sorted(drones), sorted(finishing)), drones | finishing
         try:
             async with asyncio.timeout(_ADMIT_S):
-                await confirmed
+                await self.health()
         except TimeoutError:
             raise InstanceError(f"{self._name} does not answer its runtime") from None
+
+    async def health(self) -> None:
+        """Returns once the instance confirms whom it serves; raises InstanceError where it is gone."""
+        confirmed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._tell(self._told)
+        self._admissions.append(confirmed)
+        await confirmed
 
     async def drain(self, why: str) -> None:
         """Has every further call refused for that reason; returns when none is under way, or nothing is left."""
@@ -186,7 +191,9 @@ class InstanceControl:
             case Answered():
                 if self._can_be_so(message):
                     self.answered(
-                        ports.AnsweredCall(message.drone, message.method, message.queued_s, message.took_s)
+                        ports.AnsweredCall(
+                            message.drone, message.method, message.queued_s, message.took_s, message.outcome
+                        )
                     )
             case Admitted() if self._admissions:
                 confirmed = self._admissions.popleft()

@@ -125,6 +125,10 @@ class LocalInstance:
         """Has every further call refused for that reason; returns when none is under way, or nothing is left."""
         await self.control.drain(why)
 
+    async def health(self) -> None:
+        """Returns at its next sign of life; raises InstanceError where it is gone."""
+        await self.control.health()
+
     async def exited(self) -> str:
         """Returns how it ended, with its last words, when it does."""
         assert self._running is not None and self._listening is not None  # noqa: S101 - it has begun
@@ -141,8 +145,13 @@ class LocalInstance:
         if self._calls is not None:
             _, unused = self.take_calls()
             hang_up(unused.transport)
-        if self._running is not None:
-            await self._running.end()
+        try:
+            if self._running is not None:
+                await self._running.end()
+        finally:  # also where its end is given up
+            await self._hang_up()
+
+    async def _hang_up(self) -> None:
         if self._listening is not None:
             self._listening.cancel()
         if self._control is not None:

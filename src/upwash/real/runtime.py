@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import logging
 import os
 import signal
 import subprocess
@@ -20,6 +21,8 @@ from upwash.real.door import Lead
 from upwash.real.local_instance import STOP_GRACE_S, Handed, LocalInstance
 from upwash.real.sandbox import Sandbox, open_call_filter
 
+_log = logging.getLogger("upwash.instance")
+_KILL_S = 5.0  # for a killed process to be gone, which one in the kernel's hands never is
 SIGNALLED = 128  # how a shell, and bubblewrap, tell by which signal a process was killed
 
 
@@ -120,7 +123,15 @@ class ProcessGroup:
             pass
         finally:
             self._signal(signal.SIGKILL)
-        await self._process.wait()
+        try:
+            async with asyncio.timeout(_KILL_S):
+                await self._process.wait()
+        except TimeoutError:
+            _log.error(
+                "process %d goes on %.0f s after SIGKILL and is left behind: look at its state (D) and its driver",
+                self._process.pid,
+                _KILL_S,
+            )
 
     def _signal(self, number: signal.Signals) -> None:
         with contextlib.suppress(ProcessLookupError, PermissionError):

@@ -28,6 +28,7 @@ from upwash.support.text import LONGEST_TEXT, escaped, printable
 AVAILABILITY = "/upwash.Daemon/Availability"
 START = "/upwash.Daemon/Start"
 LEAVE = "/upwash.Daemon/Leave"
+DENY = "/upwash.Daemon/Deny"
 PREPARE = "/upwash.Daemon/Prepare"
 HOLD = "/upwash.Daemon/Hold"
 STATUS = "/upwash.Daemon/Status"
@@ -68,7 +69,8 @@ class AvailabilityReply(msgspec.Struct, frozen=True):
 
     An endpoint is a port of the host that the daemon was reached at, such as ":40000" (`resolve`). `peers` are the
     servers that it can have prepared. So many drones wait for a slot; one that is refused for want of one waits from
-    then on, if it asks again in `ask_again_s`, which is 0 for any other reason.
+    then on, if it asks again in `ask_again_s`, which is 0 for any other reason. One of the services is not to be had
+    for `pause_s` where it keeps failing there.
     """
 
     available: bool
@@ -78,6 +80,7 @@ class AvailabilityReply(msgspec.Struct, frozen=True):
     peers: Names = []
     waiting: Waiting = 0
     ask_again_s: Seconds = 0.0
+    pause_s: Seconds = 0.0
 
 
 class StartRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -88,12 +91,16 @@ class StartRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class StartReply(msgspec.Struct, frozen=True):
-    """The endpoint to call; or why there is none, and when to ask for a slot where that is all it lacks."""
+    """The endpoint to call; or why there is none, and when to ask for a slot where that is all it lacks.
+
+    A service that keeps failing there is not to be had for `pause_s`.
+    """
 
     endpoint: Endpoint = ""
     reason: Reason = ""
     waiting: Waiting = 0
     ask_again_s: Seconds = 0.0
+    pause_s: Seconds = 0.0
 
 
 class LeaveRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -103,6 +110,17 @@ class LeaveRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LeaveReply(msgspec.Struct, frozen=True):
+    """Noted."""
+
+
+class DenyRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Calls of these services raised there which did not raise on the drone, since the drone last said so."""
+
+    server: NameText
+    services: Names
+
+
+class DenyReply(msgspec.Struct, frozen=True):
     """Noted."""
 
 

@@ -85,13 +85,13 @@ class Method:
         try:
             arguments = self._arguments(request)
         except msgspec.MsgspecError as error:
-            return "", self._encode_fault(TypeError(f"{self.name}(): {error}"))
+            return "", self.fault_reply(TypeError(f"{self.name}(): {error}"))
         key = self._key(arguments)
         try:
             value = getattr(target, self.name)(**arguments)
             return key, self.reply.encode(self.reply_type(value=value))
         except BaseException as error:  # noqa: BLE001 - whatever the service raises, sys.exit() too, is the caller's
-            return key, self._encode_fault(error)
+            return key, self.fault_reply(error)
 
     def key_of(self, request: bytes) -> str:
         """The profile key of a request; raises msgspec.MsgspecError for anything else."""
@@ -135,7 +135,8 @@ class Method:
             raise _rebuild(decoded.fault)
         return decoded.value
 
-    def _encode_fault(self, error: BaseException) -> bytes:
+    def fault_reply(self, error: BaseException) -> bytes:
+        """The reply of a call in which the service raised this."""
         cls = type(error)
         type_path = f"{cls.__module__}:{cls.__qualname__}"
         try:
@@ -356,6 +357,14 @@ def _describe_method(
         once=getattr(function, _ONCE, False),
         key_type=types.get(profile_by or ""),
     )
+
+
+_FAULT = msgspec.msgpack.encode({"fault": None})[:-1]  # how a reply begins that carries one
+
+
+def carries_fault(reply: bytes) -> bool:
+    """Whether the reply of `Method.perform` carries an exception of the service."""
+    return reply.startswith(_FAULT)
 
 
 def _plain_args(error: BaseException) -> list[Any] | None:

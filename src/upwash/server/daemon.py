@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,6 +28,7 @@ from upwash.errors import InstanceError, LinkError, NotReadyInTime, Refused
 from upwash.ports import AnsweredCall, Dialer, Instance, InstanceSpec, Program, Runtime
 from upwash.rpc.protocol import (
     AVAILABILITY,
+    DENY,
     HOLD,
     LEAVE,
     PREPARE,
@@ -35,6 +37,8 @@ from upwash.rpc.protocol import (
     AvailabilityReply,
     AvailabilityRequest,
     CertificateStatus,
+    DenyReply,
+    DenyRequest,
     HoldReply,
     HoldRequest,
     LeaveReply,
@@ -54,6 +58,8 @@ R = TypeVar("R")
 _log = logging.getLogger("upwash.server")
 _LEAST_LOOK_S = 1.0  # between two looks at what has come to its end
 _PEER_S = 3.0  # a peer answers at once, over a wire, or is in trouble
+_WATCH_S = 5.0  # between two looks at whether an instance is of use
+_STOP_S = 30.0  # for an instance to be gone, which a process in the kernel's hands never is
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +130,7 @@ class EdgeServer:
             AVAILABILITY: _route(AvailabilityRequest, self._availability),
             START: _route(StartRequest, self._start),
             LEAVE: _route(LeaveRequest, self._leave),
+            DENY: _route(DenyRequest, self._deny),
             PREPARE: _route(PrepareRequest, self._prepare),
             HOLD: _route(HoldRequest, self._hold),
             STATUS: _route(StatusRequest, self._status),
@@ -218,11 +225,15 @@ class EdgeServer:
                     peers=list(self._host.peers),
                     waiting=waiting,
                 )
-            case Denied(why, waiting, ask_again_s, is_news):
+            case Denied(why, waiting, ask_again_s, is_news, pause_s):
                 if is_news:
                     _log.info("%s: no place for %s: %s", request.server, drone.name, why)
                 return AvailabilityReply(
-                    available=False, reason=printable(why), waiting=waiting, ask_again_s=ask_again_s
+                    available=False,
+                    reason=printable(why),
+                    waiting=waiting,
+                    ask_again_s=ask_again_s,
+                    pause_s=pause_s,
                 )
 
     async def _start(self, request: StartRequest, drone: Client) -> StartReply:
@@ -232,18 +243,26 @@ class EdgeServer:
             match answer:
                 case Running(endpoint):
                     return StartReply(endpoint=endpoint)
-                case Denied(why, waiting, ask_again_s):
-                    return StartReply(reason=printable(why), waiting=waiting, ask_again_s=ask_again_s)
+                case Denied(why, waiting, ask_again_s, _, pause_s):
+                    return StartReply(
+                        reason=printable(why), waiting=waiting, ask_again_s=ask_again_s, pause_s=pause_s
+                    )
                 case Pending(number, stopping):
                     settled = self._settled.get(number)
                     why = await asyncio.shield(settled) if settled else ""
                     if why and not stopping:
-                        self._host.refused(request.server, drone.name, why, now_s=self._now_s())
-                        return StartReply(reason=printable(why))
+                        now_s = self._now_s()
+                        self._host.refused(request.server, drone.name, why, now_s=now_s)
+                        pause_s = self._host.pause_s(request.server, [request.service], drone, now_s=now_s)
+                        return StartReply(reason=printable(why), pause_s=pause_s)
 
     async def _leave(self, request: LeaveRequest, drone: Client) -> LeaveReply:
         await self._perform(self._host.leave(request.server, drone, now_s=self._now_s()))
         return LeaveReply()
+
+    async def _deny(self, request: DenyRequest, drone: Client) -> DenyReply:
+        await self._perform(self._host.deny(request.server, request.services, drone, now_s=self._now_s()))
+        return DenyReply()
 
     async def _prepare(self, request: PrepareRequest, drone: Client) -> HoldReply:
         """Passes the drone's wish on to the peer; says why where it cannot, or the peer will not."""
@@ -319,6 +338,8 @@ class EdgeServer:
     async def _end(self, stop: StopInstance) -> None:
         """Lets an instance end the calls under way, then stops it."""
         instance = self._instances.get(StartInstance(stop.server, stop.service, stop.number))
+        if stop.why and not self._host.closing:
+            _log.warning("stopping %s@%s: %s", stop.service, stop.server, stop.why)
         try:
             if instance is not None and stop.why:
                 async with asyncio.timeout(self._drain_s):
@@ -351,8 +372,14 @@ class EdgeServer:
         try:
             await instance.admit(command.drones, command.finishing)
         except InstanceError as error:
-            _log.warning("stopping an instance that cannot be told whom to serve: %s", error)
-            self._cut(start.number)
+            await self._perform(
+                self._host.silent(
+                    start.server,
+                    start.service,
+                    f"it cannot be told whom to serve: {error}",
+                    now_s=self._now_s(),
+                )
+            )
 
     async def _live(self, start: StartInstance) -> None:
         """The life of one instance, from its start to its end."""
@@ -382,8 +409,12 @@ class EdgeServer:
                 )
             )
             self._settled[start.number].set_result("")
-            why = await instance.exited()
-            self._host.gone(start.server, start.service, start.number)
+            watch = asyncio.create_task(self._watch(start, instance))
+            try:
+                why = await instance.exited()
+            finally:
+                watch.cancel()
+            self._gone(start, why)
             _log.warning("%s is gone: %s", spec.name, why)
         except TimeoutError:
             why = str(NotReadyInTime(spec.name, self._start_timeout_s, whose="the daemon's"))
@@ -394,12 +425,38 @@ class EdgeServer:
         finally:
             self._instances.pop(start, None)
             if instance is not None:
-                await instance.stop()
-            self._host.gone(start.server, start.service, start.number)
+                await self._stop(spec, instance)
+            anew = self._gone(start, why)
             settled = self._settled.pop(start.number)
             if not settled.done():
                 settled.set_result(why)
             del self._lives[start.number]
+            await self._perform(anew)
+
+    async def _stop(self, spec: InstanceSpec, instance: Instance) -> None:
+        try:
+            async with asyncio.timeout(_STOP_S):
+                await instance.stop()
+        except TimeoutError:
+            _log.error(
+                "%s is not gone %.0f s after it was stopped and is left behind: look for a process in state D",
+                spec.name,
+                _STOP_S,
+            )
+
+    def _gone(self, start: StartInstance, why: str) -> list[StartInstance]:
+        return self._host.gone(start.server, start.service, start.number, why, now_s=self._now_s())
+
+    async def _watch(self, start: StartInstance, instance: Instance) -> NoReturn:
+        """Has the instance replaced once it is of no use; until cancelled."""
+        while True:
+            looked_s = self._now_s()
+            with contextlib.suppress(TimeoutError, InstanceError):
+                async with asyncio.timeout(_WATCH_S):
+                    await instance.health()
+                self._host.heard(start.server, start.service, now_s=self._now_s())
+            await asyncio.sleep(looked_s + _WATCH_S - self._now_s())
+            await self._perform(self._host.watch(start.server, start.service, now_s=self._now_s()))
 
     def _called(self, start: StartInstance, drone: str) -> None:
         self._host.called(start.server, start.service, drone, now_s=self._now_s())
@@ -411,6 +468,7 @@ class EdgeServer:
             call.drone,
             took_s=call.took_s,
             queued_s=call.queued_s,
+            outcome=call.outcome,
             now_s=self._now_s(),
         )
 

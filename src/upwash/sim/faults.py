@@ -13,6 +13,8 @@ On a server (what runs there when a fault begins still runs when it is over):
 - `flapping`: off for 5 s, well for 5 s, and so on
 - `full`: strangers hold every slot that is free
 - `crash`: instances die of what they are asked: while they start, in the middle of a call; a check finds them dead
+- `hung`, `poisoned`: an instance that is called then never answers again, or raises in each call, for good
+- `unstartable`: no instance starts
 
 On a link, `link:SERVER`:
 
@@ -73,7 +75,17 @@ _FLAP_S = 5.0
 _LEAST_STEP_S = 1e-6  # so that a flap that rounding puts at this very moment is waited for, too
 _MOVING = ("off", "stuck", "slow", "flapping")  # what can befall links and the autopilot
 _MOST_STRANGERS = 64
-_SERVER = (*_MOVING, "garbage", "wrong", "lying", "full", "crash")
+_SERVER = (
+    *_MOVING,
+    "garbage",
+    "wrong",
+    "lying",
+    "full",
+    "crash",
+    "hung",
+    "poisoned",
+    "unstartable",
+)
 _INCIDENTS = (
     "pilot",
     "fail-safe",

@@ -15,11 +15,12 @@ from upwash.core.clients import Client
 from upwash.core.estimates import Operation
 from upwash.core.instance_gate import InstanceGate
 from upwash.errors import InstanceError, Refused
-from upwash.ports import Answered, AnsweredCall, InstanceSpec, ignored
+from upwash.ports import Answered, AnsweredCall, InstanceSpec, Outcome, ignored
 from upwash.rpc.protocol import HEALTH_CHECK, SERVING, service_path
-from upwash.rpc.service import ServiceSpec
+from upwash.rpc.service import Method, ServiceSpec, carries_fault
 from upwash.sim.faults import Plugboard
 from upwash.sim.replies import reply_to
+from upwash.support.waiting import never
 
 _FIRST_PORT = 40_000
 _NEGLIGIBLE_S = 1e-9  # by which the loop runs its timers early
@@ -32,7 +33,18 @@ class Computer(Protocol):
         """Takes the time that a service needs from its start to being ready."""
 
     async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
-        """Takes the time that a call of the operation occupies its instance; returns when it has an answer."""
+        """Takes the time that a call of the operation occupies its instance; returns when it has an answer.
+
+        Raises InstanceError where the instance crashes, Hangs where it never ends, and Raises.
+        """
+
+
+class Hangs(Exception):
+    """A call never ends."""
+
+
+class Raises(Exception):
+    """A call ends in an exception of the service."""
 
 
 class ModelRuntime:
@@ -115,6 +127,7 @@ class ModelInstance:
         self._switchboard = switchboard
         self._gate = InstanceGate()
         self._lanes = asyncio.Semaphore(lanes)  # which come free to whoever has waited longest
+        self._is_hung = False
         self._under_way = 0
         self._idle = asyncio.Event()
         self._ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
@@ -130,6 +143,10 @@ class ModelInstance:
         while self._under_way:
             self._idle.clear()
             await self._idle.wait()
+
+    async def health(self) -> None:
+        """At once: a call that hangs leaves the rest of the instance as it is."""
+        self._require_life()
 
     async def exited(self) -> str:
         """Returns how the instance ended, when it does."""
@@ -155,28 +172,43 @@ class ModelInstance:
         whole_s = _now_s()
         with self._counted():
             async with self._lanes:
+                if self._is_hung:
+                    await never()
                 self._require_life()
                 self._gate.require_still(drone)  # now that its turn has come
-                self._called(drone.key)
                 try:
                     operation = Operation(self._spec.service, method.name, method.key_of(body))
                 except msgspec.MsgspecError:
                     return method.perform(None, body)[1]  # which says what is wrong with the arguments
-                answered_s = await self._compute(operation, drone, whole_s)
+                answered_s, reply = await self._compute(operation, method, body, drone, whole_s)
             await _until(answered_s)
         self._require_life()
-        return reply_to(method, body) if self._target is None else method.perform(self._target, body)[1]
+        return reply
 
-    async def _compute(self, operation: Operation, drone: Client, whole_s: float) -> float:
-        """Returns the time at which the call has its answer, or its end."""
+    async def _compute(
+        self, operation: Operation, method: Method, body: bytes, drone: Client, whole_s: float
+    ) -> tuple[float, bytes]:
+        """Returns the time at which the call has its answer, and the answer; one that is given up is dropped."""
         began_s = _now_s()
+        outcome: Outcome = "dropped"
+        self._called(drone.key)
         try:
             answered_s = await self._computer.compute(self._spec, operation)
+            reply = reply_to(method, body) if self._target is None else method.perform(self._target, body)[1]
+            outcome = "raised" if carries_fault(reply) else "value"
+        except Raises as error:
+            answered_s, reply, outcome = _now_s(), method.fault_reply(error), "raised"
+        except Hangs:
+            self._is_hung = True
+            await never()
         except InstanceError as error:
             self.crash(str(error))
-            return _now_s()
-        self._answered(AnsweredCall(drone.key, operation.method, began_s - whole_s, _now_s() - began_s))
-        return answered_s
+            return _now_s(), b""
+        finally:
+            if not (self._is_hung or self._ended.done()):
+                took_s = _now_s() - began_s
+                self._answered(AnsweredCall(drone.key, operation.method, began_s - whole_s, took_s, outcome))
+        return answered_s, reply
 
     @contextlib.contextmanager
     def _counted(self) -> Iterator[None]:

@@ -15,7 +15,10 @@ from upwash.sim.energy import EnergyMeter
 from upwash.sim.faults import Faults
 from upwash.sim.joining import Joining
 from upwash.sim.radio import SteadyGoodput, goodput_of
+from upwash.sim.runtime import Hangs, Raises
 from upwash.support.heat import Heat
+
+_BREAKING = ("hung", "poisoned")  # the instance for good, however soon such a fault is over
 
 
 class Wire:
@@ -162,14 +165,18 @@ class ServerComputer:
         self._name = name
         self._truth = truth
         self._cold: set[str] = set()  # services that have not been called since their start
+        self._broken: dict[str, str] = {}  # how, by service, until its instance is replaced
         self._faults = faults
         self._noise = noise
         self._chance = chance
 
     async def start(self, spec: InstanceSpec) -> None:
         """The cold start."""
+        self._broken.pop(spec.service, None)
         start_s = self._truth.start_s * self._chance.factor(f"start/{self._name}", self._noise.start)
         await self._take(start_s, f"{spec.name} crashed while it started")
+        if self._kind() == "unstartable":
+            raise InstanceError(f"{spec.name} did not start: it has no graphics card")
         self._cold.add(spec.service)
 
     async def compute(self, spec: InstanceSpec, operation: Operation) -> float:
@@ -186,15 +193,25 @@ class ServerComputer:
             call_s += self._truth.first_extra_s
             occupied_s += self._truth.first_extra_s
         answered_s = asyncio.get_running_loop().time() + call_s
+        kind = self._kind()
+        if kind in _BREAKING:
+            self._broken[spec.service] = kind
+        if self._broken.get(spec.service) == "hung":
+            raise Hangs
         await self._take(call_s, f"{spec.name} crashed in a call", occupied_s=occupied_s)
+        if self._broken.get(spec.service) == "poisoned":
+            raise Raises(f"{spec.name} cannot compute any more")
         return answered_s
 
     async def _take(self, time_s: float, crash: str, *, occupied_s: float | None = None) -> None:
-        fault = self._faults.now(self._name)
-        if fault is not None and fault.kind == "crash":
+        if self._kind() == "crash":
             await asyncio.sleep(time_s / 2)
             raise InstanceError(crash)
         await asyncio.sleep(time_s if occupied_s is None else occupied_s)
+
+    def _kind(self) -> str:
+        fault = self._faults.now(self._name)
+        return fault.kind if fault is not None else ""
 
 
 def computing_s(operation: Operation, truth: ServerTruth) -> float:

@@ -15,7 +15,7 @@ from tests.doors import led
 from tests.podman import OwnPodman
 
 from upwash.core.estimates import Operation
-from upwash.errors import LinkError, NoLease, UsageError
+from upwash.errors import InstanceError, LinkError, NoLease, UsageError
 from upwash.ports import AnsweredCall, Dialer, InstanceSpec, Program, Runtime
 from upwash.real.credentials import Credentials, fingerprint
 from upwash.real.docker.container import ContainerSettings as DockerSettings
@@ -323,6 +323,24 @@ def test_as_many_calls_as_the_service_declares_are_computed_at_once_and_no_more(
             await instance.stop()
 
     use_duet(visit)
+
+
+def test_an_instance_gives_a_sign_of_life_until_it_is_gone(use: Use) -> None:
+    async def visit(site: Site) -> None:
+        instance = await site.runtime.start(site.spec, called=lambda _: None)
+        try:
+            await instance.admit(site.heron)
+            for _ in range(2):
+                async with asyncio.timeout(10.0):
+                    await instance.health()
+            await site.call(instance.endpoint)
+            await instance.drain("replaced")  # also one that would be kept frozen ends
+        finally:
+            await instance.stop()
+        with pytest.raises(InstanceError):
+            await instance.health()
+
+    use(visit)
 
 
 def test_a_stopped_instance_is_gone_and_stopping_it_again_does_nothing(use: Use) -> None:

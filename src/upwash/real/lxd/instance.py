@@ -114,6 +114,11 @@ class ContainerInstance:
         self._keep = None
         await self._control.drain(why)
 
+    async def health(self) -> None:
+        """Returns at its next sign of life; raises InstanceError where it is gone."""
+        assert self._control is not None  # noqa: S101 - it has begun
+        await self._control.health()
+
     async def exited(self) -> str:
         """Returns how the service ended, with its last words, when it does."""
         assert self._control is not None  # noqa: S101 - it has begun
