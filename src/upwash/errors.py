@@ -190,7 +190,7 @@ class NoSlot(Refused):
 
 
 class Paused(Refused):
-    """A server leaves a service alone that keeps failing there; it is not to be had for so long."""
+    """A server leaves a service alone that keeps failing there, for another `pause_s`."""
 
     def __init__(self, why: str, *, pause_s: float) -> None:
         super().__init__(why)

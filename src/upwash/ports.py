@@ -401,7 +401,7 @@ Outcome: TypeAlias = Literal["value", "raised", "dropped"]
 class AnsweredCall:
     """A call that an instance has ended, of a drone known by `Client.key`.
 
-    It was there as a whole for `queued_s` before its turn came, and from then on took `took_s`. One that was dropped
+    It was there as a whole for `queued_s` before its turn came, and from then on took `took_s`. A dropped call
     has no answer.
     """
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from upwash.core.commands import Check, Effect, Full, Leave, Start
+from upwash.core.commands import Check, Effect, Full, Leave, Paused, Probe, Start
 from upwash.core.estimates import Beliefs, Estimates, Operation
 from upwash.core.events import (
     CheckAnswered,
@@ -15,6 +15,7 @@ from upwash.core.events import (
     MissionEnded,
     NetworkLost,
     Prepared,
+    ProbePaused,
     RemoteCallEnded,
     RemoteCallFailed,
     RemoteCallRaised,
@@ -49,11 +50,18 @@ UNDER_BOTH = Position(100.0, 100.0)
 NOWHERE = Position(0.0, 200.0)
 
 
-def selection(policy: Policy | None = None, *, s1_s: float = 0.75, s2_s: float = 2.0) -> Selection:
+def selection(
+    policy: Policy | None = None,
+    *,
+    s1_s: float = 0.75,
+    s2_s: float = 2.0,
+    probing: Probing | None = None,
+) -> Selection:
     """A heavy call takes 8 s on the drone; a check is believed to take 11.5 s, and 3.5 s with the service running."""
     beliefs = {name: Beliefs(11.5, 3.5, {HEAVY: delay_s}) for name, delay_s in (("s1", s1_s), ("s2", s2_s))}
     estimates = Estimates(local_s={HEAVY: 8.0}, servers=beliefs)
-    return Selection(AREAS, estimates=estimates, policy=policy or LocationAware())
+    settings = SelectionSettings(probing=probing)
+    return Selection(AREAS, estimates=estimates, policy=policy or LocationAware(), settings=settings)
 
 
 def written(commands: list[Effect]) -> list[str]:
@@ -271,6 +279,32 @@ def test_after_a_failed_check_the_next_best_is_selected_in_the_same_step() -> No
         "s2 AVL CHECK",
         "check s2 2",
     ]
+
+
+@pytest.mark.parametrize("probing", [None, Probing()])
+def test_a_server_that_names_a_pause_is_left_and_not_asked_until_the_pause_is_over(
+    probing: Probing | None,
+) -> None:
+    machine = selection(probing=probing)
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
+    told = machine.handle(CheckFailed(1, "no model", pause_s=80.0), now_s=3.0, position=UNDER_S1)
+    assert told[0] == Paused("s1", 1, 80.0, "no model")
+    assert written(told[1:]) == ["s1 CHECK BLACKLISTED", "leave s1"]
+    for now_s in (3.5, 14.0, 64.0, 82.9):
+        assert machine.handle(Tick(), now_s=now_s, position=UNDER_S1) == []
+    assert "check s1" in " ".join(written(machine.handle(Tick(), now_s=83.0, position=UNDER_S1)))
+
+
+def test_a_probe_that_hears_of_a_pause_ends_and_the_server_is_left_out() -> None:
+    machine = selection(probing=Probing())
+    machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
+    probe = machine.handle(CheckFailed(1, "no answer"), now_s=3.0, position=UNDER_S1)[-1]
+    assert isinstance(probe, Probe)
+    told = machine.handle(ProbePaused(probe.check, "no model", 40.0), now_s=5.0, position=UNDER_S1)
+    assert told == [Paused("s1", probe.check, 40.0, "no model"), Leave("s1", probe.check)]
+    for now_s in (5.5, 13.0, 44.9):
+        assert machine.handle(Tick(), now_s=now_s, position=UNDER_S1) == []
+    assert "check s1" in " ".join(written(machine.handle(Tick(), now_s=45.0, position=UNDER_S1)))
 
 
 def test_when_all_servers_are_blacklisted_the_drone_is_on_its_own() -> None:

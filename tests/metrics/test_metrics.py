@@ -502,7 +502,7 @@ def test_each_alert_is_of_what_is_offered_and_says_what_to_do(samples: dict[str,
     yaml = pytest.importorskip("yaml", reason="nothing here reads YAML")
     groups = yaml.safe_load((ROOT / "deploy/prometheus-alerts.yml").read_text())["groups"]
     rules = [rule for group in groups for rule in group["rules"]]
-    assert len({rule["alert"] for rule in rules}) == len(rules) == 6
+    assert len({rule["alert"] for rule in rules}) == len(rules) == 7
     for rule in rules:
         _, known = asked_by(rule["expr"], samples)
         assert rule["labels"]["severity"] in {"warning", "critical"}

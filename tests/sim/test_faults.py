@@ -20,7 +20,7 @@ NEAR = server("s1", 0.0, 0.0, range_m=1000.0)  # always in range
 
 
 def fly(*faults: dict[str, Any], **tables: Any) -> Run:
-    return simulate(scenario(NEAR, faults=faults, columns=3, rows=2, **tables))
+    return simulate(scenario(NEAR, faults=faults, **{"columns": 3, "rows": 2} | tables))
 
 
 def events(run: Run, name: str) -> list[dict[str, Any]]:
@@ -249,3 +249,29 @@ def test_slow_legs_take_so_much_more() -> None:
 def test_a_fault_that_means_nothing_there_is_refused(target: str, kind: str) -> None:
     with pytest.raises(UsageError, match=rf"fault\[1\]\.kind: {target} cannot be {kind}: give one of off, "):
         Faults([FaultConfig(target="s1", kind="off"), FaultConfig(target=target, kind=kind)])  # type: ignore[arg-type]
+
+
+# --- instances of no use ------------------------------------------------------------------------------------
+
+PROBED = {"probe": {"first_s": 0.5, "longest_s": 1.0}, "hedge": False}
+
+
+def test_an_instance_that_raises_is_replaced_once_three_calls_were_denied_and_serves_again() -> None:
+    run = fly(fault("s1", "poisoned", from_s=22.0, to_s=23.0), columns=10, policy=PROBED)
+    raised = [event["t"] for event in events(run, "remote_raised")]
+    assert len(raised) == 3
+    assert events(run, "call")[-1]["place"] == "s1"
+    assert not events(run, "left_out"), "the first failure costs no pause"
+
+
+def test_a_server_whose_service_does_not_start_is_left_out_for_the_pauses_that_it_names() -> None:
+    run = fly(fault("s1", "unstartable"), columns=10, policy=PROBED)
+    pauses = [(event["t"], event["pause_s"]) for event in events(run, "left_out")]
+    assert [pause_s for _, pause_s in pauses] == [
+        min(300.0, 10.0 * 2**number) for number in range(len(pauses))
+    ]
+    assert len(pauses) > 2
+    joins_s = [event["t"] for event in events(run, "joined")]
+    assert len(joins_s) == len(pauses)
+    for (told_s, pause_s), joined_s in zip(pauses, joins_s[1:], strict=False):
+        assert joined_s >= told_s + pause_s

@@ -86,7 +86,7 @@ def _instances(server: ServerStatus) -> Table:
 
 
 def _failed(instance: InstanceStatus) -> str:
-    """What is wrong with a service whose instances failed lately."""
+    """How the last instances of a service failed, and what the daemon makes of that."""
     times = _counted(instance.failures, "instance", "instances")
     paused = f"; left alone for another {_duration(instance.paused_s)}" if instance.paused_s else ""
     replaced = f"; {instance.replaced} replaced so far" if instance.replaced else ""

@@ -70,8 +70,8 @@ class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     start_pace_s: NotNegative = 0.0
     """The least time of a start, in seconds."""
     call_limit_s: Positive | None = None
-    """An instance that one call keeps busy for so long is replaced, in seconds; default: 60, or ten times the longest
-    of `pace_s`. Once calls are answered, five times the longest answer is enough, from 20 s on."""
+    """The daemon replaces an instance that a call keeps busy for longer, in seconds; default: 60, or ten times the
+    longest of `pace_s`. Once calls are answered, five times the longest answer is enough, from 20 s on."""
 
 
 class IdentityConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

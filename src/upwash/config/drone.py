@@ -67,6 +67,7 @@ SafeEnd = Literal["return", "hold", "land"]
 Lie = Literal["elsewhere", "unwanted", "oversized", "lease", "types", "faults", "control"]
 FaultKind = Literal[
     "off", "stuck", "slow", "garbage", "wrong", "lying", "flapping", "full", "crash",
+    "hung", "poisoned", "unstartable",
     "pilot", "fail-safe", "diverted", "home", "jump", "restart", "impostor",
 ]  # fmt: skip
 Corner = Literal["top-left", "top-right", "bottom-left", "bottom-right"]

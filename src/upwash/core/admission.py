@@ -42,7 +42,7 @@ class ServerOffer:
     """What one server offers: the services it can run, how many drones at once, and for how long in turns.
 
     "auto" has as many slots as the server measures to be right. `lanes` says of services how many calls an instance
-    computes at a time, where that is more than one, and `call_limits_s` how long a call may keep one busy at most.
+    computes at a time, unless one. `call_limits_s` bounds the time for which a call may keep an instance busy.
     """
 
     images: frozenset[str]
@@ -82,7 +82,7 @@ class Denied:
     """The server cannot serve the drone, and why.
 
     Where only a slot is wanting it is to ask again in so long; so many wait, with it, and it may have done so before.
-    A service that keeps failing is not to be had for `pause_s`.
+    A service that keeps failing is left alone for another `pause_s`.
     """
 
     why: str
@@ -327,7 +327,7 @@ class AdmissionController:
     ) -> list[StartInstance]:
         """The instance of that number ended: it did not start or crashed, for that reason, or it was stopped.
 
-        In the place of one that was of no use another one is started, where a drone that has a slot may have it.
+        An instance of no use is followed by another, if a drone with a slot may call it.
         """
         state = self._servers[server]
         was_useless = state.instances.gone(service, number, why, now_s=now_s)
@@ -342,7 +342,7 @@ class AdmissionController:
         self._servers[server].instances[service].watch.heard(now_s)
 
     def watch(self, server: str, service: str, *, now_s: float) -> list[Command]:
-        """Has the instance replaced that runs, if it is of no use."""
+        """Stops the running instance if it is of no use."""
         state = self._servers[server]
         instance, at_most_s = state.instances[service], state.offer.call_limits_s.get(service, CALL_LIMIT_S)
         useless = instance.watch.verdict(
@@ -354,13 +354,13 @@ class AdmissionController:
         return self._condemn(state, service, useless, now_s)
 
     def silent(self, server: str, service: str, why: str, *, now_s: float) -> list[Command]:
-        """Has the instance replaced that runs, as it cannot be told whom to serve."""
+        """Stops the running instance, which does not confirm whom it serves."""
         state = self._servers[server]
         useless = Useless(why, state.instances[service].watch.callers)
         return self._condemn(state, service, useless, now_s)
 
     def deny(self, server: str, services: Iterable[str], drone: Client, *, now_s: float) -> list[Command]:
-        """The drone says that its own services did not raise in calls in which these did."""
+        """These services raised in calls of the drone, whose own services did not raise."""
         state, commands = self._servers.get(server), list[Command]()
         if state is None or state.leases.by_key(drone.key, now_s=now_s) is None:
             return []
@@ -370,7 +370,7 @@ class AdmissionController:
         return commands
 
     def pause_s(self, server: str, services: Iterable[str], drone: Client, *, now_s: float) -> float:
-        """For how long one of the services is not to be had for the drone; 0 where all are."""
+        """How long the server still leaves one of the services alone for the drone; 0 where it leaves none."""
         instances = self._servers[server].instances
         return max(
             (instances[service].failures.pause_s(drone.key, now_s=now_s) for service in services), default=0.0
@@ -529,7 +529,7 @@ class AdmissionController:
         return Denied(why, pause_s=pause_s)
 
     def _paused(self, name: str, services: Iterable[str], drone: Client, now_s: float) -> Denied | None:
-        """A service that keeps failing is not to be had for a while."""
+        """Refuses a service that is left alone, as it keeps failing."""
         for service in services:
             pause_s = self.pause_s(name, [service], drone, now_s=now_s)
             if pause_s > 0:

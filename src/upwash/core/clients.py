@@ -48,8 +48,8 @@ class LeaseStatus:
 class InstanceStatus:
     """A service of a server and where its instance is in its life; unused for so long if it runs.
 
-    So many instances were `replaced`, as they were of no use. `failures` of them in a row have the service left alone
-    for another `paused_s`. An earlier daemon says nothing of this.
+    `replaced` counts the instances that were of no use, `failures` those that failed in a row. The service is left
+    alone for another `paused_s`. An earlier daemon says nothing of this.
     """
 
     service: str

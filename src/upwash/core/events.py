@@ -86,7 +86,7 @@ class CheckFailed:
 
 @dataclass(frozen=True, slots=True)
 class ProbePaused:
-    """The server that is probed leaves a service alone, and is to be left out for as long."""
+    """The server that is probed leaves a service alone for a pause, and is left out for as long."""
 
     check: int
     why: str

@@ -289,16 +289,10 @@ class Selection:
                 return asked + self._server_failed(
                     check, CHECKING, Trigger.CHECK_FAILED, why, now_s, pause_s=pause_s
                 )
-            case ProbePaused(check, why, pause_s):
-                server = self._radios.probed_by(check)
-                if server is not None:
-                    paused = Paused(server.name, check, pause_s, why)
-                    return [paused, *self._radios.leave_out(server, pause_s, now_s)]
-                return []
             case NetworkLost(check, why):
                 asked = self._asked(check, position, answered=False)
                 return asked + self._server_failed(check, SELECTED, Trigger.NETWORK_LOST, why, now_s)
-            case ProbeAnswered():
+            case ProbeAnswered() | ProbePaused():
                 return self._probe_answered(event, now_s)
             case ProbeUnanswered(check):
                 return self._probed_in_vain(check, position)
@@ -381,10 +375,15 @@ class Selection:
             return self._call_failed(server.name, event.check, event.why, now_s)
         return self._radios.ask_again(server, event.why, now_s)
 
-    def _probe_answered(self, answer: ProbeAnswered, now_s: float) -> list[Effect]:
-        trigger = Trigger.PROBED_RUNNING if answer.running else Trigger.PROBED
+    def _probe_answered(self, answer: ProbeAnswered | ProbePaused, now_s: float) -> list[Effect]:
         server = self._radios.probed_by(answer.check)
-        return [server.apply(trigger, now_s=now_s, why="it gives a sign of life")] if server else []
+        if server is None:
+            return []
+        if isinstance(answer, ProbePaused):
+            paused = Paused(server.name, answer.check, answer.pause_s, answer.why)
+            return [paused, *self._radios.leave_out(server, answer.pause_s, now_s)]
+        trigger = Trigger.PROBED_RUNNING if answer.running else Trigger.PROBED
+        return [server.apply(trigger, now_s=now_s, why="it gives a sign of life")]
 
     def _ready(self, server: Server, trigger: Trigger, now_s: float) -> Change:
         change = server.apply(trigger, now_s=now_s)

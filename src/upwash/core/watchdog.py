@@ -1,8 +1,8 @@
-"""Whether an instance is of any use, and when one that was of none is started anew.
+"""Whether an instance is of use, and how long a service is left alone whose instances fail.
 
 Laws:
-- an instance is of no use where a call has kept it busy for longer than the limit of a call, where it has shown no
-  sign of life for as long, and where drones deny several exceptions of it in a row: their own services raised none;
+- an instance is of no use in three cases: a call keeps it busy for the limit of a call; it shows no sign of life for
+  as long; it raises in three calls in a row which drones deny, as their own services did not raise;
 - the limit of a call is five times the longest answered call, between 20 s and what the operator allows; before any
   call is answered, and after a replacement, it is what the operator allows;
 - denials of one drone alone stop no instance while another drone has a slot;
@@ -41,7 +41,7 @@ class Limit:
     longest_s: float = math.inf  # of its answered calls; infinite while that is not known
 
     def answered(self, took_s: float) -> None:
-        """A call of it was answered after so long."""
+        """A call was answered `took_s` after it began."""
         self.longest_s = took_s if math.isinf(self.longest_s) else max(self.longest_s, took_s)
 
     def cut(self, at_most_s: float) -> None:
@@ -49,19 +49,19 @@ class Limit:
         self.longest_s = at_most_s
 
     def seconds(self, at_most_s: float) -> float:
-        """The limit, where the operator allows so much."""
+        """The limit, of `at_most_s` by the operator."""
         return min(at_most_s, max(LEAST_LIMIT_S, _LIMIT_FACTOR * self.longest_s))
 
 
 class Watch:
-    """What one instance has done since it was ready; it computes so many calls at a time as it has `lanes`."""
+    """What one instance has done since it was ready; it computes `lanes` calls at a time."""
 
     def __init__(self, *, lanes: int = 1, now_s: float = 0.0) -> None:
         self.is_condemned = False
         self._lanes = lanes
         self._heard_s = now_s
         self._begun: list[tuple[float, str]] = []  # when each call that is computed began, and whose it is
-        self._raised: set[str] = set()  # drones in whose calls it raised since it last returned a value
+        self._raised: set[str] = set()  # drones; it raised in their calls since it last returned a value
         self._denied: list[str] = []  # by these drones, since then
 
     @property
@@ -78,7 +78,7 @@ class Watch:
         self._begun = [*self._begun, (now_s, drone)][-self._lanes :]
 
     def ended(self, drone: str, *, took_s: float, outcome: str, now_s: float) -> None:
-        """The drone's call that began so long ago has its outcome, one of `ports.Outcome`."""
+        """The drone's call that began `took_s` ago has its outcome, one of `ports.Outcome`."""
         own = [call for call in self._begun if call[1] == drone]
         if own:
             self._begun.remove(min(own, key=lambda call: abs(now_s - took_s - call[0])))
@@ -89,7 +89,7 @@ class Watch:
             self._denied.clear()
 
     def denied(self, drone: str) -> None:
-        """The drone says that its own service did not raise in a call in which the instance did."""
+        """The instance raised in a call of the drone, whose own service did not raise."""
         if drone in self._raised:
             self._denied = [*self._denied, drone][-DENIALS:]
 
@@ -108,7 +108,7 @@ class Watch:
 
 @dataclass(slots=True)
 class Failures:
-    """How often in a row instances of one service failed, and for whom it is not to be had until when."""
+    """The failures of a service's instances in a row, and the pause for which it is left alone."""
 
     count: int = 0
     why: str = ""  # of the last failure
@@ -127,9 +127,9 @@ class Failures:
         self._until_s = now_s + pause_s
 
     def pause_s(self, drone: str, *, now_s: float) -> float:
-        """For how long the drone cannot have the service any more; 0 where it can."""
+        """How long the service is still left alone for the drone; 0 where it is not."""
         return self.left_s(now_s=now_s) if not self._drones or drone in self._drones else 0.0
 
     def left_s(self, *, now_s: float) -> float:
-        """How long the pause still lasts, whomever it concerns."""
+        """How long the pause still lasts, for all drones or for some."""
         return max(0.0, self._until_s - now_s)

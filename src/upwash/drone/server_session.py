@@ -45,7 +45,7 @@ from upwash.rpc.protocol import (
 _ANSWER_S = 5.0  # a daemon answers at once or is in trouble
 _FAREWELL_S = 0.5
 _LEAST_ASK_S, _LONGEST_ASK_S = 0.5, 30.0  # between two questions for a slot, whatever a server says
-_LONGEST_PAUSE_S = 600.0  # for which a server is left out, whatever it says
+_LONGEST_PAUSE_S = 600.0  # a server is left out for no longer, whatever the server says
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ class ServerSession:
         self._joined = False
         self._expected = False  # the daemon keeps a slot for the drone, as it answered
         self._lost = ""  # why, once the network is
-        self._denied: set[str] = set()  # services that raised where the drone's own did not: still to be told
+        self._denied: set[str] = set()  # services, of which the daemon does not know yet
         self._calls = 0
         self._quiet = asyncio.Event()
         self._quiet.set()

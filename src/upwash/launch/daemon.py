@@ -55,7 +55,7 @@ _LAST_ANSWERS_S = 5.0
 _COMING_S = 30.0  # for a daemon to come up, beside its services
 _METRICS_S = 0.5  # between two looks at whether the daemon before still offers its metrics
 _ENDING_S = 30.0  # for all that follows the calls under way
-_PACES = 10.0  # of the slowest operation, for which a call may go on
+_PACES = 10.0  # a call may take that many times the slowest pace
 _ROOT = (
     "the daemon is root, and so is whatever breaks out of a sandbox that root made: "
     "run it as a user of its own (docs/operators.md), or say runtime.sandbox_as_root = true"

@@ -69,8 +69,8 @@ class AvailabilityReply(msgspec.Struct, frozen=True):
 
     An endpoint is a port of the host that the daemon was reached at, such as ":40000" (`resolve`). `peers` are the
     servers that it can have prepared. So many drones wait for a slot; one that is refused for want of one waits from
-    then on, if it asks again in `ask_again_s`, which is 0 for any other reason. One of the services is not to be had
-    for `pause_s` where it keeps failing there.
+    then on, if it asks again in `ask_again_s`, which is 0 for any other reason. A service that keeps failing there is
+    left alone for another `pause_s`.
     """
 
     available: bool
@@ -93,7 +93,7 @@ class StartRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class StartReply(msgspec.Struct, frozen=True):
     """The endpoint to call; or why there is none, and when to ask for a slot where that is all it lacks.
 
-    A service that keeps failing there is not to be had for `pause_s`.
+    A service that keeps failing there is left alone for another `pause_s`.
     """
 
     endpoint: Endpoint = ""

@@ -7,7 +7,7 @@ import contextlib
 import itertools
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
-from typing import Protocol
+from typing import Literal, Protocol
 
 import msgspec
 
@@ -190,7 +190,7 @@ class ModelInstance:
     ) -> tuple[float, bytes]:
         """Returns the time at which the call has its answer, and the answer; one that is given up is dropped."""
         began_s = _now_s()
-        outcome: Outcome = "dropped"
+        outcome: Outcome | Literal[""] = "dropped"  # none of one that never ends, or kills the instance
         self._called(drone.key)
         try:
             answered_s = await self._computer.compute(self._spec, operation)
@@ -199,13 +199,14 @@ class ModelInstance:
         except Raises as error:
             answered_s, reply, outcome = _now_s(), method.fault_reply(error), "raised"
         except Hangs:
-            self._is_hung = True
+            self._is_hung, outcome = True, ""
             await never()
         except InstanceError as error:
+            outcome = ""
             self.crash(str(error))
             return _now_s(), b""
         finally:
-            if not (self._is_hung or self._ended.done()):
+            if outcome:
                 took_s = _now_s() - began_s
                 self._answered(AnsweredCall(drone.key, operation.method, began_s - whole_s, took_s, outcome))
         return answered_s, reply
