@@ -313,7 +313,10 @@ def test_a_defect_in_watching_a_service_fails_its_calls_at_once_and_is_logged() 
 
         async def drain(self, why: str) -> None: ...
 
-        async def exited(self) -> str:
+        async def health(self) -> None:
+        pass
+
+    async def exited(self) -> str:
             raise LookupError("a defect")
 
         async def stop(self) -> None: ...
