@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import runpy
 import shutil
 import subprocess
@@ -13,11 +14,13 @@ from typing import Any
 
 import msgspec
 import pytest
+from tests.children import expect_no_child
 
 from upwash.config import read_daemon_config
 from upwash.errors import InstanceError, LinkError, ServiceError, UsageError
 from upwash.missions.bundled import load_services
 from upwash.ports import InstanceSpec, Program
+from upwash.real.foreign import ForeignProgram
 from upwash.real.limits import Limits
 from upwash.real.link import GrpcDialer
 from upwash.real.local_instance import LocalInstance
@@ -82,6 +85,8 @@ while call := read():
             sys.exit(3)
         case _, {"how": "die"}:
             os.kill(os.getpid(), signal.SIGKILL)
+        case _, {"how": "die of a real-time signal"}:
+            os.kill(os.getpid(), 36)
         case _, {"how": "print"}:
             print("hello", flush=True)
         case _, {"how": "flood"}:
@@ -192,6 +197,7 @@ def test_a_fault_is_an_exception_of_its_class_or_the_services_own(tmp_path: Path
     [
         ("crash", "ended with code 3: out of film"),
         ("die", "the program was killed by SIGKILL"),
+        ("die of a real-time signal", "the program was killed by signal 36"),
         ("print", "the program said what is no answer: a frame of 1751477356 bytes, at most 104096 are read"),
         ("flood", "the program said what is no answer: a frame of 2139062143 bytes, at most 104096 are read"),
         ("answer another", "the program answered a call that was not made: 77"),
@@ -223,6 +229,28 @@ def test_a_program_that_does_not_take_its_settings_says_why(tmp_path: Path, fact
 
     with pytest.raises(InstanceError, match=said):
         with_started(tmp_path, use, factor=factor)
+
+
+REFUSES = """
+import sys, time
+import msgspec
+body = msgspec.msgpack.encode({"id": 0, "fault": {"type": "builtins:ValueError", "message": "not today"}})
+sys.stdout.buffer.write(len(body).to_bytes(4) + body)
+sys.stdout.buffer.flush()
+time.sleep(1000.0)
+"""
+
+
+@pytest.mark.parametrize(
+    "program", [REFUSES, "import sys; sys.stdout.write('no answer at all'); sys.exit(3)"]
+)
+def test_a_program_that_does_not_start_leaves_no_process_and_no_pipe(program: str) -> None:
+    expect_no_child()
+    before = os.listdir("/proc/self/fd")  # noqa: PTH208
+    with pytest.raises(UsageError):
+        ForeignProgram((sys.executable, "-c", program), {}, max_message_bytes=MAX_MESSAGE_BYTES)
+    expect_no_child()
+    assert len(os.listdir("/proc/self/fd")) == len(before)  # noqa: PTH208
 
 
 def test_a_program_that_is_not_there_is_named(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from upwash.launch.processes import STOP_S
+from upwash.support.lines import lines_of
 
 INTERRUPTED = 130  # the exit code of a flight that a Ctrl-C has ended
 
@@ -56,7 +57,7 @@ class FlightProgram:
         )
         assert process.stdout is not None  # noqa: S101
         try:
-            async for line in process.stdout:
+            async for line in lines_of(process.stdout):
                 self._say(line.decode(errors="replace").rstrip("\r\n"))
             return await process.wait()
         finally:

@@ -18,6 +18,9 @@ import sys
 from upwash.real.control import Ended, Failed, Said, line
 from upwash.real.control_credentials import CONTROL_PORT, SERVICE_PORT, ControlCredentials, notice_silence
 from upwash.real.output import reading_pace
+from upwash.support.background import start
+from upwash.support.lines import lines_of
+from upwash.support.waiting import first
 
 # In the environment of process 1:
 CREDENTIALS = "UPWASH_LEASH"  # as containers of earlier versions have it
@@ -87,7 +90,7 @@ class Service:
 
     async def ended(self) -> int:
         """Returns its exit code, negative for a signal, when it has ended."""
-        return await self._ended
+        return await asyncio.shield(self._ended)
 
     def _reap(self) -> None:
         with contextlib.suppress(ChildProcessError):
@@ -108,15 +111,13 @@ async def stand() -> None:
         return
     service = Service()
     (reports, orders), (prints, _) = await service.start()
-    hung_up = asyncio.create_task(_pass_on(hear, orders))
-    reporting = asyncio.create_task(_pass_on_lines(reports, tell))
-    printing = asyncio.create_task(_pass_on_output(prints, tell))
-    ended = asyncio.create_task(service.ended())
-    await asyncio.wait([hung_up, ended], return_when=asyncio.FIRST_COMPLETED)
-    if ended.done():
+    reporting = start(_pass_on_lines(reports, tell), name="the service's reports", failed=_end_container)
+    printing = start(_pass_on_output(prints, tell), name="the service's output", failed=_end_container)
+    code = await first(_pass_on(hear, orders), service.ended())
+    if code is not None:
         await asyncio.wait([reporting, printing], timeout=_LAST_OUTPUT_S)
         with contextlib.suppress(OSError):
-            tell.write(line(Ended(ended.result())))
+            tell.write(line(Ended(code)))
             await tell.drain()
             tell.close()
             await tell.wait_closed()
@@ -174,9 +175,9 @@ async def _pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -
 
 
 async def _pass_on_lines(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Line by line, as others write to the same writer."""
-    with contextlib.suppress(OSError, ValueError):
-        while text := await reader.readline():
+    """Line by line, as others write to the same writer; the daemon hangs up on a line that is too long."""
+    with contextlib.suppress(OSError):
+        async for text in lines_of(reader):
             writer.write(text)
             await writer.drain()
 
@@ -188,6 +189,11 @@ async def _pass_on_output(reader: asyncio.StreamReader, writer: asyncio.StreamWr
             writer.write(line(Said(chunk)))
             await writer.drain()
             await asyncio.sleep(pace.take_anyway_s(len(chunk), now_s=now_s()))
+
+
+def _end_container(_: Exception) -> None:
+    """Ends the container, by which the daemon starts the service again where it is asked for."""
+    os._exit(1)
 
 
 def main() -> None:

@@ -5,9 +5,9 @@ The frames are those of `framing`: docs/other-languages.md.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
-import signal
 import subprocess
 import threading
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,8 @@ import msgspec
 from upwash.errors import UsageError
 from upwash.real.framing import BESIDE_BYTES, frame, read_frame
 from upwash.rpc.service import Fault, Method
-from upwash.support.text import printable
+from upwash.support.background import thread
+from upwash.support.text import printable, signal_name
 
 _LONGEST_REASON = 1000
 _ENDS_S = 1.0  # once it has hung up
@@ -76,6 +77,18 @@ class ForeignProgram:
             self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)  # noqa: S603
         except OSError as error:
             raise UsageError(f"{command[0]} cannot be run: {error.strerror}") from error
+        try:
+            self._begin(command[0], settings)
+        except BaseException:
+            self._process.kill()
+            with contextlib.suppress(OSError), self._process:  # which closes its pipes, and waits for it
+                pass
+            raise
+        thread(
+            self._listen, name="foreign program", failed=lambda error: self._end(f"a defect: {error}")
+        ).start()
+
+    def _begin(self, program: str, settings: Mapping[str, object]) -> None:
         assert self._process.stdin is not None and self._process.stdout is not None  # noqa: S101 - they are pipes
         self._input, self._output = self._process.stdin, self._process.stdout
         try:
@@ -83,11 +96,10 @@ class ForeignProgram:
             answer = self._read(self._output)
         except (OSError, EOFError, ValueError) as error:
             raise UsageError(
-                f"{command[0]} did not answer to its settings: {self._how_it_ended() or error}"
+                f"{program} did not answer to its settings: {self._how_it_ended() or error}"
             ) from error
         if answer.fault is not msgspec.UNSET:
-            raise UsageError(f"{command[0]}: {printable(answer.fault.message, _LONGEST_REASON)}")
-        threading.Thread(target=self._listen, name="foreign program", daemon=True).start()
+            raise UsageError(f"{program}: {printable(answer.fault.message, _LONGEST_REASON)}")
 
     def perform(self, method: Method, request: bytes) -> tuple[str, bytes]:
         """Has the call computed; returns its profile key, and its value or fault as a reply."""
@@ -106,7 +118,6 @@ class ForeignProgram:
         try:
             return f"it ended with code {self._process.wait(_ENDS_S)}"
         except subprocess.TimeoutExpired:
-            self._process.kill()
             return ""
 
     def _write(self, text: bytes) -> None:
@@ -143,7 +154,7 @@ class ForeignProgram:
             self._process.kill()
         code = self._process.wait()
         if code < 0 and not why:
-            why = f"the program was killed by {signal.Signals(-code).name}"
+            why = f"the program was killed by {signal_name(-code)}"
         if why:
             print(printable(why, _LONGEST_REASON), flush=True)  # noqa: T201 - for the log of who started this
         os._exit(1 if why else code)

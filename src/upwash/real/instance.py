@@ -51,6 +51,7 @@ from upwash.real.streams import listening_socket
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import Method, carries_fault, load_service, spec_of
 from upwash.rpc.settings import construct
+from upwash.support.background import thread
 from upwash.support.heat import Heat
 
 _CONCURRENT_CALLS = (
@@ -128,7 +129,7 @@ class ServiceInstance:
     def drain(self, why: str) -> None:
         """From now on nobody gets an answer, for that reason; says so when the last call has ended."""
         self._gate.close(why)
-        threading.Thread(target=self._drain, name="drain", daemon=True).start()
+        thread(self._drain, name="drain", failed=_end_all).start()
 
     def _drain(self) -> None:
         self._calls.shutdown(wait=True, cancel_futures=True)
@@ -213,7 +214,7 @@ def main() -> NoReturn:
         raise SystemExit("the first control message must say what to be")
     orders: SimpleQueue[bytes] = SimpleQueue()
     # From now on, as a cold start may take long and its program may die meanwhile.
-    threading.Thread(target=_listen, args=(lines, orders), name="control line", daemon=True).start()
+    thread(lambda: _listen(lines, orders), name="control line", failed=_end_all).start()
     try:
         if begin.limits is not None:
             begin.limits.apply()
@@ -241,7 +242,11 @@ def _listen(lines: BinaryIO, orders: SimpleQueue[bytes]) -> None:
     with contextlib.suppress(OSError):  # the line breaks where the other end leaves reports unread
         for text in lines:
             orders.put(text)
-    # The whole group, as the service may have started processes too; at once, as nobody is left to wait.
+    _end_all()
+
+
+def _end_all(_: Exception | None = None) -> None:
+    """Ends the whole group, as the service may have started processes too; at once, as nobody is left to wait."""
     os.killpg(0, signal.SIGKILL)
 
 

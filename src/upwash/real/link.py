@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import re
-import threading
 from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any
@@ -21,6 +20,7 @@ import msgspec
 from upwash.errors import DeadlineExceeded, LinkError, NoLease, Refused, Unreachable
 from upwash.real.credentials import Credentials, at_second
 from upwash.rpc.protocol import LONGEST_REPLY_BYTES, LONGEST_STATUS_BYTES, STATUS
+from upwash.support.background import only_logged, thread
 from upwash.support.text import printable
 
 DRONE_METADATA = "upwash-drone"  # says who calls where no certificate does: on a unix socket or on loopback
@@ -182,7 +182,7 @@ class GrpcLink:
         self._closed = True
         for settle in self._under_way:
             settle()
-        threading.Thread(target=self._channel.close, name="a link that closes", daemon=True).start()
+        thread(self._channel.close, name="a link that closes", failed=only_logged).start()
 
     def _is_closed(self) -> Unreachable:
         return Unreachable(f"{self._peer}: the link is closed")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import sys
-import threading
 import time
 from datetime import UTC, datetime
 from typing import Any, TextIO
@@ -13,6 +12,7 @@ from typing import Any, TextIO
 import msgspec
 
 from upwash.core.allowance import Allowance
+from upwash.support.background import thread
 from upwash.support.text import escaped_lines, printable
 
 _TEXT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
@@ -40,7 +40,12 @@ def log_json() -> None:
     handler = logging.StreamHandler(lines)
     handler.setFormatter(_JsonFormatter())
     logging.basicConfig(level=logging.INFO, handlers=[handler])
-    threading.Thread(target=_pass_on, args=(os.fdopen(reading, errors="replace"),), daemon=True).start()
+    foreign = os.fdopen(reading, errors="replace")
+
+    def write_past(_: Exception) -> None:  # or a library that writes would wait for ever
+        os.dup2(lines.fileno(), 2)
+
+    thread(lambda: _pass_on(foreign), name="log of libraries", failed=write_past).start()
 
 
 def _pass_on(foreign: TextIO) -> None:

@@ -24,6 +24,7 @@ from upwash.real.networkmanager import (
     connect_networkmanager,
 )
 from upwash.real.profiles import find_device, find_profile, interface_trouble, is_left_over
+from upwash.support.background import end, only_logged, start
 
 _LEAVE_S = 15.0  # scripts of NetworkManager's dispatcher run first; the mission computes on meanwhile
 _ADDRESS_AGAIN_S = 0.02  # a connection may count as activated a moment before its address is there
@@ -101,7 +102,7 @@ class ManagedNetwork:
             if trouble:
                 raise UsageError(f"network.interfaces: {interface}: {trouble}")
         await self._tidy(manager)
-        self._scanning = asyncio.create_task(self._keep_scanning())
+        self._scanning = start(self._keep_scanning(), name="scans for networks", failed=only_logged)
 
     async def join(self, network: str, *, timeout_s: float) -> None:
         """Activates the profile of that name or UUID, and waits for its address; raises NetworkError."""
@@ -144,8 +145,7 @@ class ManagedNetwork:
 
     async def close(self) -> None:
         """Leaves, and gives the interfaces up."""
-        if self._scanning is not None:
-            self._scanning.cancel()
+        await end(self._scanning)
         await self.leave()
         if self._manager is not None:
             if self._is_untidy:

@@ -13,6 +13,7 @@ from dbus_fast.aio import MessageBus
 from dbus_fast.unpack import unpack_variants
 
 from upwash.errors import NetworkError
+from upwash.support.background import start
 from upwash.support.text import printable
 
 NO_OBJECT = "/"
@@ -160,7 +161,7 @@ class NetworkManager:
         self._bus = bus
         self._heard = heard
         bus.add_message_handler(self._receive)
-        self._end = asyncio.create_task(self._await_end())
+        self._end = start(self._await_end(), name="the watch of the bus", failed=self._lose)
 
     @property
     def is_connected(self) -> bool:
@@ -170,7 +171,7 @@ class NetworkManager:
     async def close(self) -> None:
         """Leaves the bus."""
         self._bus.disconnect()
-        await self._end
+        await asyncio.wait([self._end])
 
     async def version(self) -> str:
         """The manager's version."""
@@ -321,6 +322,10 @@ class NetworkManager:
                 self._heard(CarrierChanged(path, bool(flags & _LOWER_UP)))
             case _, "NameOwnerChanged", [str(name), str(before), _] if name == _NAME and before:
                 self._heard(ManagerGone())
+
+    def _lose(self, _: Exception) -> None:
+        self._bus.disconnect()  # so that it is connected anew
+        self._heard(ManagerGone())
 
     async def _await_end(self) -> None:
         try:

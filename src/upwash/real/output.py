@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import logging
 import re
-import signal
 import time
 from collections import deque
 from collections.abc import Callable
 
 from upwash.core.allowance import Allowance
-from upwash.support.text import words_of
+from upwash.support.text import signal_name, words_of
 
 _log = logging.getLogger("upwash.instance")
 
@@ -50,7 +49,7 @@ class Output:
         """How a process ended that left this output and this code, negative for a signal."""
         self.add(b"\n")
         self._tell_left_out()
-        how = f"killed by {_signal(-code)}" if code < 0 else f"ended with code {code}"
+        how = f"killed by {signal_name(-code)}" if code < 0 else f"ended with code {code}"
         return f"{how}: {' / '.join(map(_words, self._last_words))}" if self._last_words else how
 
     def _note(self, lines: list[bytes]) -> None:
@@ -71,10 +70,3 @@ class Output:
 
 def _words(text: bytes) -> str:
     return words_of(text.decode(errors="replace"))
-
-
-def _signal(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:  # a code that a service chose may look like any signal
-        return f"signal {number}"

@@ -127,8 +127,8 @@ def open_call_filter() -> Iterator[int]:
     text = call_filter()
     reading, writing = os.pipe()
     try:
-        os.write(writing, text)  # far less than a pipe holds
-        os.close(writing)
+        with open(writing, "wb", buffering=0) as pipe:  # noqa: PTH123 - a file descriptor
+            pipe.write(text)  # far less than a pipe holds
         yield reading
     finally:
         os.close(reading)

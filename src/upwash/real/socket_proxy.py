@@ -8,14 +8,15 @@ gRPC for each caller that it announces; of all others the bytes are handed on.
 from __future__ import annotations
 
 import asyncio
+import os
 import socket
 import ssl
-import threading
 
 from upwash.core.clients import Client
 from upwash.real.announced import Inside, announced
 from upwash.real.given_sockets import give
 from upwash.real.streams import End, join
+from upwash.support.background import only_logged, start, thread
 
 _MOST_CONNECTIONS = 1024
 
@@ -42,7 +43,7 @@ class SocketProxy:
 
     def open(self) -> None:
         """Begins to accept connections."""
-        threading.Thread(target=asyncio.run, args=(self._serve(),), name="socket proxy", daemon=True).start()
+        thread(lambda: asyncio.run(self._serve()), name="socket proxy", failed=lambda _: os._exit(1)).start()
 
     async def _serve(self) -> None:
         loop = asyncio.get_running_loop()
@@ -54,7 +55,7 @@ class SocketProxy:
         if len(self._callers) >= _MOST_CONNECTIONS:
             caller.hang_up()
             return
-        task = asyncio.get_running_loop().create_task(self._serve_caller(caller))
+        task = start(self._serve_caller(caller), name="a caller's connection", failed=only_logged)
         self._callers.add(task)
         task.add_done_callback(self._callers.discard)
 

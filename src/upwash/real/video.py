@@ -13,6 +13,7 @@ from pathlib import Path
 from upwash.core.geo import Position
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Photo
+from upwash.support.background import thread
 from upwash.support.camera_source import is_pipeline, shown_source
 from upwash.support.loading import extra
 
@@ -47,8 +48,8 @@ class VideoCamera:
         self._trouble = "it has not been opened yet"
         self._wishes: list[_Wish] = []
         self._closed = threading.Event()
-        # A daemon: nothing frees a thread that a driver does not return to.
-        self._thread = threading.Thread(target=self._read, name=f"camera {self._name}", daemon=True)
+        # A thread that a driver does not return to must not hold up the program's end.
+        self._thread = thread(self._read, name=f"camera {self._name}", failed=self._lose)
 
     @classmethod
     async def open(cls, source: int | str, *, latency_s: float = 0.0) -> VideoCamera:
@@ -102,6 +103,9 @@ class VideoCamera:
                 if capture.is_open:
                     self._read_frames(capture)
             self._closed.wait(_REOPEN_S)
+
+    def _lose(self, defect: Exception) -> None:
+        self._trouble = f"a defect has ended the reading: {type(defect).__name__}: {defect}"
 
     def _read_frames(self, capture: _Capture) -> None:
         self._trouble = "it is open, but shows nothing"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 
 LONGEST_TEXT = 1000
 
@@ -32,6 +33,14 @@ def printable(text: str, most: int = LONGEST_TEXT) -> str:
 def words_of(text: str) -> str:
     """The words of the text on one line, with blanks for the rest: of what a service prints, colours say nothing."""
     return "".join(each if each.isprintable() else " " for each in text).strip()
+
+
+def signal_name(number: int) -> str:
+    """The name of a signal, such as SIGKILL; its number where it has none, as most real-time signals."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
 
 
 def json_line(line: bytes) -> bytes:

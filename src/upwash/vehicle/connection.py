@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.mavlink.packets import packed
 from upwash.mavlink.signing import Signing
+from upwash.support.background import only_logged, start
 from upwash.vehicle.clock import Clock
 from upwash.vehicle.faults import FaultKind
 from upwash.vehicle.firmware import Firmware, Message, Reply, asked_by_number
@@ -249,7 +250,7 @@ class _Stream:
 
     def __init__(self, clock: Clock, interval_s: float, report: Callable[[], object]) -> None:
         self.interval_s = interval_s
-        self._task = asyncio.create_task(self._repeat(clock, report))
+        self._task = start(self._repeat(clock, report), name="a report of the stand-in", failed=only_logged)
 
     def end(self) -> None:
         self._task.cancel()

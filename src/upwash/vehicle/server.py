@@ -8,6 +8,7 @@ from typing import Any, Protocol
 from upwash.errors import UsageError
 from upwash.mavlink.packets import PacketReader
 from upwash.mavlink.signing import Refusal, Signing
+from upwash.support.background import end, start
 from upwash.vehicle.ardupilot import ArduCopter
 from upwash.vehicle.clock import Clock
 from upwash.vehicle.connection import Connection, Vehicle
@@ -79,7 +80,7 @@ class VehicleServer:
         self.address = address
         self._vehicle = vehicle
         self._endpoint = endpoint
-        self._life = asyncio.create_task(vehicle.live())
+        self._life = start(vehicle.live(), name="the stand-in", failed=lambda _: self._switch_off())
 
     def fail(self, kind: FaultKind) -> None:
         """Something is wrong with it from now on."""
@@ -91,12 +92,14 @@ class VehicleServer:
 
     async def close(self) -> None:
         """Switches it off, in flight too, and frees the address."""
-        self._life.cancel()
-        await asyncio.gather(self._life, return_exceptions=True)
+        await end(self._life)
+        self._switch_off()
+        await asyncio.sleep(0)  # transports close their sockets in the loop's next turn
+
+    def _switch_off(self) -> None:
         self._endpoint.close()
         for connection in tuple(self._vehicle.connections):
             connection.end()
-        await asyncio.sleep(0)  # transports close their sockets in the loop's next turn
 
 
 class _Datagrams(asyncio.DatagramProtocol):

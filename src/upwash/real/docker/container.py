@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 import msgspec
 
@@ -23,6 +24,8 @@ from upwash.real.docker.inside import COMMAND, HANDOFF
 from upwash.real.local_instance import STOP_GRACE_S, Handed
 from upwash.real.runtime import SIGNALLED
 from upwash.real.service_image import ServiceImage
+from upwash.support.background import begin
+from upwash.support.waiting import first
 
 _log = logging.getLogger("upwash.docker")
 
@@ -110,7 +113,7 @@ class Container:
         self._engine = engine
         self._line = line
         self._is_paused = False
-        self._ended = asyncio.create_task(self._end_of())
+        self._ended = begin(self._end_of())
 
     async def ended(self) -> int:
         """Returns the exit code of its service, negative for a signal, when that has ended."""
@@ -218,23 +221,24 @@ async def _taken_over(
     engine: DockerEngine, name: str, door: socket.socket, spec: InstanceSpec
 ) -> socket.socket:
     """The line to its process 1, once that has called."""
-    called = asyncio.create_task(asyncio.get_running_loop().sock_accept(door))
     try:
         async with asyncio.timeout(_TAKES_OVER_S):
-            while True:
-                await asyncio.wait([called], timeout=_LOOK_S)
-                if called.done():
-                    line, _ = called.result()
-                    return line
-                if not await engine.is_running(name):
-                    raise InstanceError(f"{spec.name} did not start: {last_line(*await engine.said(name))}")
+            line, _ = await first(
+                asyncio.get_running_loop().sock_accept(door), _require_running(engine, name, spec)
+            )
+            return line
     except TimeoutError:
         raise EngineError(
             f"{spec.name} did not start: its container runs, but asked for nothing within {_TAKES_OVER_S:.0f} s; "
             "does the engine run on this machine, and may its containers use a socket that is mounted?"
         ) from None
-    finally:
-        called.cancel()
+
+
+async def _require_running(engine: DockerEngine, name: str, spec: InstanceSpec) -> NoReturn:
+    """Raises InstanceError once the container runs no more."""
+    while await engine.is_running(name):  # noqa: ASYNC110 - an engine tells nobody
+        await asyncio.sleep(_LOOK_S)
+    raise InstanceError(f"{spec.name} did not start: {last_line(*await engine.said(name))}")
 
 
 def _code(status: int) -> int:

@@ -11,6 +11,7 @@ from upwash.ports import Answered, InstanceSpec
 from upwash.real.docker.container import Container
 from upwash.real.door import Lead
 from upwash.real.local_instance import LocalInstance, Run
+from upwash.support.waiting import first
 
 _log = logging.getLogger("upwash.docker")
 
@@ -41,14 +42,7 @@ class ContainerInstance(LocalInstance):
 
     async def exited(self) -> str:
         """Returns how it ended, with its last words, when it does, or that it was stopped."""
-        gone = asyncio.create_task(super().exited())
-        stopped = asyncio.create_task(self._stopped.wait())
-        try:
-            await asyncio.wait([gone, stopped], return_when=asyncio.FIRST_COMPLETED)
-            return gone.result() if gone.done() else "stopped"
-        finally:
-            gone.cancel()
-            stopped.cancel()
+        return await first(super().exited(), self._until_stopped())
 
     async def stop(self) -> None:
         """Freezes it if it is to be kept so, or stops it; returns when that is done."""
@@ -81,6 +75,10 @@ class ContainerInstance(LocalInstance):
         await self.control.admit(frozenset())
         if self._lead is not None:
             await self._open()
+
+    async def _until_stopped(self) -> str:
+        await self._stopped.wait()
+        return "stopped"
 
     @property
     def _container(self) -> Container:

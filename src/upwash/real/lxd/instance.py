@@ -27,6 +27,7 @@ from upwash.real.lxd.container import Container
 from upwash.real.lxd.engine import Engine
 from upwash.real.output import Output
 from upwash.real.streams import End
+from upwash.support.waiting import first
 
 _log = logging.getLogger("upwash.lxd")
 
@@ -122,14 +123,8 @@ class ContainerInstance:
     async def exited(self) -> str:
         """Returns how the service ended, with its last words, when it does."""
         assert self._control is not None  # noqa: S101 - it has begun
-        gone = asyncio.create_task(self._control.ended())
-        stopped = asyncio.create_task(self._stopped.wait())
-        try:
-            await asyncio.wait([gone, stopped], return_when=asyncio.FIRST_COMPLETED)
-            return "stopped" if self._stopped.is_set() else self._how_it_ended()
-        finally:
-            gone.cancel()
-            stopped.cancel()
+        await first(self._control.ended(), self._stopped.wait())
+        return "stopped" if self._stopped.is_set() else self._how_it_ended()
 
     async def stop(self) -> None:
         """Freezes the container if it is to be kept so, or stops it; returns when that is done."""
