@@ -312,11 +312,9 @@ def test_a_defect_in_watching_a_service_fails_its_calls_at_once_and_is_logged() 
         async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None: ...
 
         async def drain(self, why: str) -> None: ...
+        async def health(self) -> None: ...
 
-        async def health(self) -> None:
-        pass
-
-    async def exited(self) -> str:
+        async def exited(self) -> str:
             raise LookupError("a defect")
 
         async def stop(self) -> None: ...
