@@ -103,6 +103,15 @@ def test_its_time_follows_the_clock_the_peer_and_what_was_kept_and_never_goes_ba
     ]
 
 
+def test_a_computers_clock_that_jumps_by_a_day_costs_no_message_of_either_side() -> None:
+    clock = [NOW_S]
+    ours, vehicle = Signing(KEY, unix_s=lambda: clock[0]), at(NOW_S)
+    for jump_s in (0.0, 86_400.0, -2 * 86_400.0, 0.0):
+        clock[0] += jump_s
+        assert refusals(ours, vehicle.pack(beat(), codec())) == [None]
+        assert refusals(vehicle, ours.pack(beat(), codec(7))) == [None]
+
+
 def test_what_was_kept_lies_after_all_that_was_signed_or_believed_and_is_kept_rarely() -> None:
     kept: list[int] = []
     clock = [NOW_S]
