@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import os
 import random
 import re
 import socket
 import ssl
 import threading
+import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
@@ -32,7 +34,7 @@ from upwash.real.link import GrpcDialer
 from upwash.real.listener import Health, Listener, WhoIs
 from upwash.real.requests import Caller, Requests
 from upwash.real.streams import listening_socket
-from upwash.real.trust import Trust
+from upwash.real.trust import Trust, load_secret
 from upwash.sim.loop import run_virtually
 from upwash.support.waiting import never
 
@@ -40,7 +42,12 @@ ReadCredentials = Callable[[str], Credentials]
 PATH = "/upwash.test/name"
 WATCH = "/grpc.health.v1.Health/Watch"
 CHECK = "/grpc.health.v1.Health/Check"
-DATA, HEADERS, RST_STREAM, PING = 0, 1, 3, 6
+DATA, HEADERS, RST_STREAM, PING, WINDOW_UPDATE, SETTINGS = 0, 1, 3, 6, 8, 4
+ALERT = b"\x15"  # of TLS
+_CLIENT_HELLO = b"\x01" + (100_000).to_bytes(3) + b"\x03\x03" + bytes(32) + b"\0" + (2**16 - 2).to_bytes(2)
+ENDLESS_HELLO = b"".join(
+    b"\x16\x03\x01" + len(piece).to_bytes(2) + piece for piece in (_CLIENT_HELLO, *[bytes(16_000)] * 3)
+)
 
 
 def name_of_caller(_path: str, _body: bytes, caller: Caller) -> bytes:
@@ -73,6 +80,25 @@ def ask(address: str, shown: Credentials, path: str = PATH, body: bytes = b"", t
             await link.close()
 
     return asyncio.run(talk())
+
+
+@contextmanager
+def connected(address: str) -> Iterator[socket.socket]:
+    host, _, port = address.partition(":")
+    with socket.create_connection((host, int(port)), timeout=10.0) as connection:
+        yield connection
+
+
+@contextmanager
+def spoken_to(address: str, drone: str, credentials: ReadCredentials) -> Iterator[ssl.SSLSocket]:
+    """A connection that has shown the drone's certificate and begun to speak HTTP/2."""
+    shown = credentials(drone)
+    context = ssl.create_default_context(cadata=shown.authority.decode())
+    load_secret(context, shown.certificate + b"\n" + shown.key)
+    context.set_alpn_protocols(["h2"])
+    with connected(address) as plain, context.wrap_socket(plain, server_hostname="s1") as connection:
+        connection.sendall(PREFACE + frame(SETTINGS))
+        yield connection
 
 
 # --- certificates -------------------------------------------------------------------------------------------
@@ -204,6 +230,77 @@ def test_who_begins_too_much_is_shut_out_and_nobody_else(
     assert re.search("refused 127.0.0.1: heron is shut out for another [0-9]+ s", said)
 
 
+def test_room_for_replies_that_is_made_again_and_again_shuts_out(credentials: ReadCredentials) -> None:
+    strict = DoorLimits(pieces_per_s=1.0, burst_s=100.0)
+    with served(credentials("s1"), strict) as (_, address), spoken_to(address, "heron", credentials) as heron:
+        for _ in range(100):
+            heron.sendall(frame(WINDOW_UPDATE, b"\0\0\0\1"))
+        heron.settimeout(10.0)
+        with contextlib.suppress(OSError):  # it is hung up on
+            while heron.recv(4096):
+                heron.sendall(frame(WINDOW_UPDATE, b"\0\0\0\1"))
+        with pytest.raises(LinkError):
+            ask(address, credentials("heron"))
+        assert ask(address, credentials("stork")) == b"stork"
+
+
+def test_a_handshake_without_end_is_refused(
+    credentials: ReadCredentials, caplog: pytest.LogCaptureFixture
+) -> None:
+    with served(credentials("s1")) as (_, address), connected(address) as stranger:
+        stranger.sendall(ENDLESS_HELLO)
+        assert stranger.recv(1024)[:1] in (b"", ALERT)
+    assert "refused 127.0.0.1: its handshake is longer than any drone's" in caplog.text
+
+
+def test_handshakes_give_way_to_newer_ones(credentials: ReadCredentials) -> None:
+    few = DoorLimits(handshakes_per_address=4, handshake_s=60.0)
+    with served(credentials("s1"), few) as (_, address), contextlib.ExitStack() as stack:
+        begun = [stack.enter_context(connected(address)) for _ in range(10)]
+        for stranger in begun:
+            stranger.sendall(ENDLESS_HELLO[:100])
+        assert ask(address, credentials("heron")) == b"heron"
+        for stranger in begun[:6]:
+            assert stranger.recv(1) == b""
+
+
+def test_a_connection_takes_little_memory(credentials: ReadCredentials) -> None:
+    with served(credentials("s1")) as (_, address), contextlib.ExitStack() as stack:
+        ask(address, credentials("heron"))
+        tracemalloc.start()
+        stack.callback(tracemalloc.stop)
+        for _ in range(20):
+            stack.enter_context(spoken_to(address, "heron", credentials))
+        ask(address, credentials("stork"))
+        assert tracemalloc.get_traced_memory()[0] < 20 * 50_000
+
+
+def test_who_reads_nothing_takes_little_memory_and_gets_all_in_the_end(
+    tmp_path: Path, credentials: ReadCredentials
+) -> None:
+    path, answer = str(tmp_path / "talker"), os.urandom(8_000_000)
+
+    def say_all() -> None:
+        connection, _ = talker.accept()
+        with connection, contextlib.suppress(OSError):
+            connection.sendall(answer)
+            connection.recv(1)
+
+    with served(credentials("s1")) as (door, _), listening_socket(f"unix:{path}") as talker:
+        talking = threading.Thread(target=say_all)
+        talking.start()
+        passage = asyncio.run(door.lead(listening_socket("127.0.0.1:0"), Inside(path).connect))
+        with spoken_to(f"127.0.0.1{passage.endpoint}", "heron", credentials) as heron:
+            tracemalloc.start()
+            heard = bytearray()
+            while len(heard) < len(answer):
+                heard += heron.recv(1000)
+                assert tracemalloc.get_traced_memory()[1] - len(heard) < 1_000_000
+            tracemalloc.stop()
+            assert heard == answer
+        talking.join()
+
+
 def test_a_service_whose_connection_blocks_keeps_nobody_else_waiting(
     tmp_path: Path, keys: Path, credentials: ReadCredentials
 ) -> None:
@@ -295,7 +392,7 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
 
 
 @given(
-    st.lists(st.sampled_from([DATA, HEADERS, RST_STREAM, PING]), max_size=30),
+    st.lists(st.sampled_from([DATA, HEADERS, RST_STREAM, PING, WINDOW_UPDATE]), max_size=30),
     st.integers(1, 40),
     st.binary(max_size=20),
 )
@@ -306,9 +403,10 @@ def test_frames_are_counted_however_they_are_cut(kinds: list[int], size: int, pa
         counted = counter.count(spoken[start : start + size])
         whole.begun += counted.begun
         whole.pieces += counted.pieces
+        whole.room += counted.room
         whole.broken_off += counted.broken_off
         whole.idle += counted.idle
-    assert whole == Counted(*(kinds.count(kind) for kind in (HEADERS, DATA, RST_STREAM, PING)))
+    assert whole == Counted(*(kinds.count(kind) for kind in (HEADERS, DATA, WINDOW_UPDATE, RST_STREAM, PING)))
 
 
 def test_the_oldest_of_a_crowded_group_goes_and_of_the_largest_where_all_are_too_many() -> None:

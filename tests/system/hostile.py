@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import gzip
 import os
 import socket
 import ssl
@@ -31,6 +32,8 @@ from upwash.real.credentials import Credentials, read_credentials
 from upwash.rpc.protocol import AVAILABILITY, service_path
 
 HALF_OPEN = 1000
+STRANGERS, CALLERS = 240, 1024
+FLOCK = [f"starling{number}" for number in range(16)]
 LONGEST = 2**62
 STREAMED_BYTES = 300_000_000
 GARBAGE_BYTES = 1_000_000
@@ -83,6 +86,19 @@ def stream_without_certificate(at: Target) -> Iterator[None]:
         for _ in range(STREAMED_BYTES // GARBAGE_BYTES):
             connection.sendall(bytes(GARBAGE_BYTES))
     yield
+
+
+@contextlib.contextmanager
+def endless_handshakes(at: Target) -> Iterator[None]:
+    """As many as there is room for, of messages that are announced long and never end, from several addresses."""
+    hello = b"\x01" + (130_000).to_bytes(3) + b"\3\3" + bytes(32) + b"\0" + (2**16 - 2).to_bytes(2)
+    with contextlib.ExitStack() as stack:
+        for number in range(STRANGERS):
+            source = (f"127.0.0.{2 + number // 60}", 0)
+            connection = stack.enter_context(connected(at.daemon_port, source=source))
+            with contextlib.suppress(OSError):  # it had to give way
+                connection.sendall(b"\x16\3\1" + len(hello).to_bytes(2) + hello)
+        yield
 
 
 # --- by drones that hold a certificate ----------------------------------------------------------------------
@@ -171,6 +187,66 @@ def stream_with_certificate(at: Target) -> Iterator[None]:
                 call.cancel()
 
 
+@contextlib.contextmanager
+def idle_callers(at: Target) -> Iterator[None]:
+    """As many connections as the door has places, of sixteen drones that ask nothing."""
+    with contextlib.ExitStack() as stack:
+        for drone in FLOCK:
+            for _ in range(CALLERS // len(FLOCK)):
+                stack.enter_context(_spoken_to(at, at.daemon_port, drone))
+        yield
+
+
+@contextlib.contextmanager
+def readers_of_nothing(at: Target) -> Iterator[None]:
+    """As many connections as one drone may have, each of which asks for much and reads none of it."""
+    message = b"\x81\xa4data\xc6" + len(PHOTO).to_bytes(4) + PHOTO
+    body = b"\0" + len(message).to_bytes(4) + message
+    pieces = [body[start : start + 16_000] for start in range(0, len(body), 16_000)]
+    with contextlib.ExitStack() as stack:
+        for _ in range(CALLERS // len(FLOCK)):
+            connection = stack.enter_context(_spoken_to(at, at.instance_port, "heron"))
+            connection.settimeout(1.0)
+            with contextlib.suppress(OSError):
+                connection.sendall(frame(8, 0, (2**30).to_bytes(4), stream=0) + head(ECHO))
+                for piece in pieces:
+                    connection.sendall(frame(0, 1 if piece is pieces[-1] else 0, piece))
+        yield
+
+
+def flood(kind: int, payload: bytes, *, stream: int = 0) -> Attack:
+    """Frames of that kind over eight connections, as fast as they are taken, a million or until it is shut out."""
+
+    @contextlib.contextmanager
+    def attack(at: Target) -> Iterator[None]:
+        many = frame(kind, 0, payload, stream=stream) * max(1, 16_000 // (len(payload) + 9))
+        with contextlib.ExitStack() as stack:
+            for _ in range(8):
+                with contextlib.suppress(OSError):
+                    connection = stack.enter_context(_spoken_to(at, at.daemon_port, "stork"))
+                    connection.settimeout(1.0)
+                    connection.sendall(frame(1, 0, b"\x83") if stream else b"")  # a head that goes on
+                    for _ in range(125_000 * len(frame(kind, 0, payload)) // len(many)):
+                        connection.sendall(many)
+            yield
+
+    return attack
+
+
+@contextlib.contextmanager
+def inflating_request(at: Target) -> Iterator[None]:
+    """512 MB of zeros in 0.5 MB."""
+    small = gzip.compress(bytes(2**29))
+    body = b"\1" + len(small).to_bytes(4) + small
+    with _spoken_to(at, at.daemon_port, "stork") as connection:
+        connection.settimeout(5.0)
+        with contextlib.suppress(OSError):  # it is not received
+            connection.sendall(head(AVAILABILITY, encoding="gzip"))
+            for start in range(0, len(body), 16_000):
+                connection.sendall(frame(0, 0, body[start : start + 16_000]))
+        yield
+
+
 # --- by programs of their own -------------------------------------------------------------------------------
 
 
@@ -206,6 +282,7 @@ def program(name: str, drone: str, *, at_instance: bool = False) -> Attack:
 
 
 ATTACKS: dict[str, Attack] = {
+    "240 handshakes that never end": endless_handshakes,
     "10 x 1 MB of random bytes": random_bytes,
     "1,000 half-open connections": half_open_connections,
     "300 MB streamed without a certificate": stream_without_certificate,
@@ -213,6 +290,13 @@ ATTACKS: dict[str, Attack] = {
     "a drone that reads one byte a second": slow_reader,
     "requests that begin and never end": unfinished_requests,
     "300 MB streamed by a drone": stream_with_certificate,
+    "1,024 connections of 16 drones that ask nothing": idle_callers,
+    "64 connections of a drone that read nothing": readers_of_nothing,
+    "settings, again and again": flood(4, b""),
+    "pings": flood(6, bytes(8)),
+    "room made for replies": flood(8, b"\0\0\0\1"),
+    "headers that go on and on": flood(9, b"\0\6x-head\x7f\x81\x7c" + b"a" * 16_000, stream=1),
+    "512 MB in 0.5 MB": inflating_request,
     "health watches opened and cancelled by a drone": program("health_watches", "stork"),
     "health watches opened and cancelled by a revoked drone": program("health_watches", "vulture"),
     "rapid reset by a drone": program("rapid_reset", "stork"),
@@ -226,7 +310,7 @@ ATTACKS: dict[str, Attack] = {
 def attacked_site(folder: Path) -> tuple[str, Path]:
     """The configuration of a daemon and its keys: heron and stork are its drones, vulture was one."""
     keys = folder / "keys"
-    make_keys(keys, servers=[["s1", "s2"]], drones=["heron", "stork", "vulture"])
+    make_keys(keys, servers=[["s1", "s2"]], drones=["heron", "stork", "vulture", *FLOCK])
     listed = revoke(keys, ["vulture"])
     return config(keys).replace("[keys]", f'[keys]\nrevoked = "{listed}"'), keys
 
@@ -234,8 +318,8 @@ def attacked_site(folder: Path) -> tuple[str, Path]:
 # --- HTTP/2 as nobody sends it ------------------------------------------------------------------------------
 
 
-def connected(port: int) -> socket.socket:
-    return socket.create_connection(("127.0.0.1", port), timeout=10.0)
+def connected(port: int, *, source: tuple[str, int] | None = None) -> socket.socket:
+    return socket.create_connection(("127.0.0.1", port), timeout=10.0, source_address=source)
 
 
 @contextlib.contextmanager
@@ -254,7 +338,7 @@ def frame(kind: int, flags: int, payload: bytes, *, stream: int = 1) -> bytes:
     return len(payload).to_bytes(3) + bytes([kind, flags]) + stream.to_bytes(4) + payload
 
 
-def head(path: str, *, length: int | None = None, stream: int = 1) -> bytes:
+def head(path: str, *, length: int | None = None, encoding: str = "identity", stream: int = 1) -> bytes:
     """The frame of headers that begins a request."""
     headers = {
         ":method": "POST",
@@ -263,6 +347,7 @@ def head(path: str, *, length: int | None = None, stream: int = 1) -> bytes:
         ":authority": "s1",
         "te": "trailers",
         "content-type": "application/grpc",
+        "grpc-encoding": encoding,
     }
     if length is not None:
         headers["content-length"] = str(length)

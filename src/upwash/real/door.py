@@ -30,6 +30,7 @@ from upwash.real.crowd import Crowd, Recent, Turns
 from upwash.real.frames import Counted, FrameCounter
 from upwash.real.log import Sparing
 from upwash.real.streams import End, endpoint_of, join, listening_socket, readable
+from upwash.real.tls import shake_hands
 from upwash.real.trust import Holder, Trust
 from upwash.support.background import beside, end, only_logged, start, thread
 
@@ -52,6 +53,8 @@ class DoorLimits:
 
     strangers: int = 256
     strangers_per_address: int = 64
+    handshakes: int = 64  # under way at once: TLS takes 0.2 MB for a peer that announces a long message
+    handshakes_per_address: int = 16
     handshakes_per_address_per_s: float = 20.0
     silence_s: float = 10.0
     handshake_s: float = 5.0
@@ -60,6 +63,7 @@ class DoorLimits:
     begun_per_s: float = 1000.0
     broken_off_per_s: float = 50.0
     idle_per_s: float = 500.0
+    pieces_per_s: float = 20_000.0  # of bodies, to and fro: some 300 MB/s where they are whole
     burst_s: float = 2.0  # what comes at once may be what is allowed in so long
     shut_out_s: float = 10.0  # a certificate that did more than that
 
@@ -95,13 +99,15 @@ class _Pace:
         self._shut_out_s = limits.shut_out_s
         self._allowances = [
             Allowance(per_s, at_once=per_s * limits.burst_s)
-            for per_s in (limits.begun_per_s, limits.broken_off_per_s, limits.idle_per_s)
+            for per_s in (limits.begun_per_s, limits.broken_off_per_s, limits.idle_per_s, limits.pieces_per_s)
         ]
 
     def take(self, counted: Counted, now_s: float) -> None:
         """Raises ConnectionAbortedError where it is too much."""
         for allowance, number in zip(
-            self._allowances, (counted.begun, counted.broken_off, counted.idle), strict=True
+            self._allowances,
+            (counted.begun, counted.broken_off, counted.idle, counted.pieces + counted.room),
+            strict=True,
         ):
             if number and not allowance.take(number, now_s=now_s):
                 self.shut_out_until_s = now_s + self._shut_out_s
@@ -129,7 +135,10 @@ class Door:
         )
         self._certificates: dict[asyncio.Task[Any], bytes] = {}
         self._paces = Recent(lambda: _Pace(self._limits), most=limits.connections)
-        self._handshakes = Recent(self._new_site, most=_MOST_SITES)
+        self._handshakes: Crowd[asyncio.Task[Any]] = Crowd(
+            limits.handshakes, most_of_group=limits.handshakes_per_address
+        )
+        self._turns = Recent(self._new_site, most=_MOST_SITES)
 
     def open(self) -> None:
         """Begins to work."""
@@ -217,19 +226,18 @@ class Door:
                 leaving = self._strangers.enter(task, address)
                 task.add_done_callback(self._strangers.leave)
                 task.add_done_callback(functools.partial(_close_unseen, connection))
-                if leaving is not None:
-                    leaving.cancel()
+                _make_room(leaving)
 
     async def _welcome(self, connection: socket.socket, address: str, inside: Connect, server: str) -> None:
         """From the first byte of a connection to its last."""
         try:
             async with asyncio.timeout(self._limits.silence_s):
                 await readable(connection)  # who says nothing takes nobody's turn
-            await self._handshakes.of(address).turn()  # nothing that a stranger may do costs more
-            outer = await self._handshake(connection)
+            await self._turns.of(address).turn()  # nothing that a stranger may do costs more
+            outer = await self._shake_hands(connection, address)
         except (OSError, asyncio.CancelledError) as error:
             connection.close()
-            why = _plainly(error) if isinstance(error, OSError) else "it said nothing while others waited"
+            why = _plainly(error) if isinstance(error, OSError) else "it took long while others waited"
             _log.warning("refused %s: %s", address, why)
             return
         certificate = outer.transport.get_extra_info("ssl_object").getpeercert(binary_form=True)
@@ -246,6 +254,14 @@ class Door:
             return
         await self._serve(outer, certificate, holder, inside, server)
 
+    async def _shake_hands(self, connection: socket.socket, address: str) -> End:
+        task = _own_task()
+        _make_room(self._handshakes.enter(task, address))
+        try:
+            return await shake_hands(connection, self._trust.context, within_s=self._limits.handshake_s)
+        finally:
+            self._handshakes.leave(task)
+
     def _new_site(self) -> Turns:
         return Turns(self._limits.handshakes_per_address_per_s)
 
@@ -254,16 +270,6 @@ class Door:
         left_s = pace.shut_out_until_s - asyncio.get_running_loop().time()
         if left_s > 0:
             raise CredentialsError(f"{holder.client.name} is shut out for another {left_s:.0f} s")
-
-    async def _handshake(self, connection: socket.socket) -> End:
-        _, outer = await asyncio.get_running_loop().connect_accepted_socket(
-            End,
-            connection,
-            ssl=self._trust.context,
-            ssl_handshake_timeout=self._limits.handshake_s,
-            ssl_shutdown_timeout=_LAST_WORDS_S,
-        )
-        return outer
 
     def _watch(self, client: Client, server: str) -> Callable[[bytes], None]:
         """Is shown what comes on one connection; raises ConnectionAbortedError where it is too much."""
@@ -281,13 +287,10 @@ class Door:
     async def _serve(
         self, outer: End, certificate: bytes, holder: Holder, inside: Connect, server: str
     ) -> None:
-        client, task = holder.client, asyncio.current_task()
-        assert task is not None  # noqa: S101 - this is one
+        client, task = holder.client, _own_task()
         self._strangers.leave(task)
         self._certificates[task] = certificate
-        leaving = self._callers.enter(task, client.certificate)
-        if leaving is not None:
-            leaving.cancel()
+        _make_room(self._callers.enter(task, client.certificate))
         left_s = (holder.ends - datetime.now(UTC)).total_seconds()
         try:
             async with asyncio.timeout(left_s), inside(client) as inner:
@@ -302,6 +305,17 @@ class Door:
             await _hang_up_on(outer)
             self._callers.leave(task)
             del self._certificates[task]
+
+
+def _own_task() -> asyncio.Task[Any]:
+    task = asyncio.current_task()
+    assert task is not None  # noqa: S101 - each connection has one
+    return task
+
+
+def _make_room(leaving: asyncio.Task[Any] | None) -> None:
+    if leaving is not None:
+        leaving.cancel()
 
 
 async def _hang_up_on(outer: End) -> None:

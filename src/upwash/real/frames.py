@@ -15,10 +15,11 @@ _DATA, _HEADERS, _RST_STREAM, _WINDOW_UPDATE = 0x0, 0x1, 0x3, 0x8
 
 @dataclass(slots=True)
 class Counted:
-    """Requests that were begun, pieces of their bodies, requests that were broken off, and all other frames."""
+    """Requests begun, pieces of their bodies, room made for replies, requests broken off, and all other frames."""
 
     begun: int = 0
     pieces: int = 0
+    room: int = 0
     broken_off: int = 0
     idle: int = 0
 
@@ -56,5 +57,7 @@ def _add(counted: Counted, kind: int) -> None:
         counted.broken_off += 1
     elif kind == _DATA:
         counted.pieces += 1
-    elif kind != _WINDOW_UPDATE:
+    elif kind == _WINDOW_UPDATE:
+        counted.room += 1
+    else:
         counted.idle += 1

@@ -25,6 +25,7 @@ SERVER_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.keepalive_timeout_ms", 3000),
     ("grpc.server_handshake_timeout_ms", 10_000),  # else a connection that says nothing stays for two minutes
     ("grpc.max_concurrent_streams", 64),  # of one connection
+    ("grpc.absolute_max_metadata_size", 2**13),  # a drone sends 200 bytes
     NOT_INFLATED,
 )
 

@@ -5,15 +5,29 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
-_MOST_EARLY_BYTES = 2**16
+WAITING_BYTES = 2**15  # for a peer that does not read, beside what the system holds
+_ROOM_BYTES = 2**16
+_MOST_EARLY_BYTES = 2**15
 _LONGEST_LINE_BYTES = 4096
 _BACKLOG = 512
 
 
-class End(asyncio.Protocol):
+_rooms = threading.local()
+
+
+def room() -> memoryview:
+    """Where this thread's connections read to, one after the other: what has come is handed on at once."""
+    if not hasattr(_rooms, "room"):
+        _rooms.room = memoryview(bytearray(_ROOM_BYTES))
+    found: memoryview = _rooms.room
+    return found
+
+
+class End(asyncio.BufferedProtocol):
     """This end of a connection: what comes is kept until it is joined to another, and then handed on to there.
 
     `made` is told once it is connected, and `lost` is done once it is not any more.
@@ -65,10 +79,19 @@ class End(asyncio.Protocol):
         """It is connected."""
         assert isinstance(transport, asyncio.Transport)  # noqa: S101 - of a stream
         self.transport = transport
+        transport.set_write_buffer_limits(WAITING_BYTES)
         self._made(self)
 
-    def data_received(self, data: bytes) -> None:
+    def get_buffer(self, _sizehint: int) -> memoryview:
+        """Where to read to."""
+        return room()
+
+    def buffer_updated(self, count: int) -> None:
         """Some bytes have come."""
+        self.data_received(bytes(room()[:count]))
+
+    def data_received(self, data: bytes) -> None:
+        """These are the bytes."""
         if self._other is None:
             self._early += data
             if len(self._early) > _MOST_EARLY_BYTES:
