@@ -58,7 +58,24 @@ def routes(sources: int) -> bytes:
     return b"[net]\n[convolutional]\nfilters=1\nactivation=linear\n" + route * 1900
 
 
+def a_drone_with(*, services: int, servers: int) -> bytes:
+    service, server = (
+        b'[[service]]\nname = "p%d"\n',
+        b'[[server]]\nname = "s%d"\nrange_m = 50\neast_m = 0\nnorth_m = 0\n',
+    )
+    return b"".join(
+        (
+            b"[mission]\nwaypoints_m = [[0, 0]]\n",
+            *((service + b"local_call_s = 1.0\n") % number for number in range(services)),
+            *((server + b"remote_call_s = 0.5\n") % number for number in range(servers)),
+        )
+    )
+
+
 FOUND = {
+    "9,000 servers": ("a drone's configuration", a_drone_with(services=1, servers=9000)),
+    "14,000 services": ("a drone's configuration", a_drone_with(services=14_000, servers=1)),
+    "4,000 services and servers": ("a drone's configuration", a_drone_with(services=4000, servers=4000)),
     "an answer nested without end": (
         "frames of a program",
         b"\x82\xa2id\1\xa5value" + b"\x91" * 5000 + b"\1",

@@ -245,10 +245,11 @@ def _server_problems(server: ServerConfig, config: DroneConfig) -> Iterator[Prob
             "truth.turn_s",
             f"{turn_s:g} is shorter than truth.join_s = {join_s:g}: let a turn last longer than it takes to join",
         )
-    others = [each.name for each in config.servers if each.name != server.name]
-    for name in server.truth.peers:
-        if name not in others:
-            yield "truth.peers", unknown("other server", name, others)
+    if server.truth.peers:
+        others = [each.name for each in config.servers if each.name != server.name]
+        for name in server.truth.peers:
+            if name not in others:
+                yield "truth.peers", unknown("other server", name, others)
     if config.services:
         yield from _belief_problems(server, config.services)
 
@@ -336,7 +337,8 @@ def _key_problems(key: str, service: ServiceConfig, by_key: Mapping[str, float])
 
 def _belief_problems(server: ServerConfig, services: tuple[ServiceConfig, ...]) -> Iterator[Problem]:
     """Whether every call that may go to the server has a believed delay and, in simulation, a true one."""
-    offered = [each for each in services if each.name in {*server.processing_s, *server.remote_call_s}]
+    named = {*server.processing_s, *server.remote_call_s}
+    offered = [each for each in services if each.name in named]
     if not offered:
         yield "remote_call_s", "missing: give remote_call_s, or processing_s and bandwidth_bit_s (eq. 3.1)"
     for service in offered:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -11,11 +12,12 @@ from upwash.config.drone import DroneConfig
 from upwash.config.fleet import fleet_of
 from upwash.config.fleet_checks import fleet_problems
 from upwash.config.places import as_planned
-from upwash.config.problems import Document, refuse_first
+from upwash.config.problems import Document, Problem, refuse_first
 from upwash.config.reading import convert, read_document
 from upwash.config.shorthand import written_out
 from upwash.errors import ConfigError
 
+_MOST_PAIRS = 20_000  # of a service and a server
 _OF_A_DAEMON = {"listen", "runtime", "lease_s", "allow_without_certificates"}
 
 
@@ -30,6 +32,7 @@ def drone_config(document: Document, file: Path) -> DroneConfig:
         raise ConfigError(
             str(file), of_a_daemon[0], "this is a daemon's configuration: name the drone's file"
         )
+    refuse_first(file, _size_problems(document))
     tables = written_out(document, file.absolute().parent)
     config = convert(tables, DroneConfig, file=file, as_written=document)
     mission = config.mission
@@ -43,3 +46,14 @@ def drone_config(document: Document, file: Path) -> DroneConfig:
             refuse_first(each.mission.plan.file, plan_problems(each.mission, each.mission.plan.plan))
         refuse_first(file, order_problems(each))
     return config
+
+
+def _size_problems(document: Document) -> Iterator[Problem]:
+    """Too many calls that differ: each service at each server is checked, and planned with."""
+    tables = [document.get(name) for name in ("service", "server")]
+    services, servers = (len(found) if isinstance(found, list) else 0 for found in tables)
+    if services * servers > _MOST_PAIRS:
+        yield (
+            "server",
+            f"{servers} servers of {services} services are {services * servers:,} pairs: at most {_MOST_PAIRS:,}",
+        )

@@ -161,7 +161,8 @@ def is_address(text: str) -> bool:
 
 def repeated(names: list[str]) -> list[tuple[int, str]]:
     """The names that were already there further up, each with its index."""
-    return [(index, name) for index, name in enumerate(names) if name in names[:index]]
+    first: dict[str, int] = {}
+    return [(index, name) for index, name in enumerate(names) if first.setdefault(name, index) < index]
 
 
 def is_on_this_machine(address: str) -> bool:
