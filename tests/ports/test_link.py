@@ -25,7 +25,7 @@ from upwash.real.credentials import Credentials
 from upwash.real.link import DRONE_METADATA, GrpcDialer, GrpcLink
 from upwash.real.listener import Listener, WhoIs
 from upwash.real.requests import Caller, Gate, Handler, Requests
-from upwash.rpc.protocol import AVAILABILITY, LONGEST_REPLY_BYTES, START, STATUS
+from upwash.rpc.protocol import AVAILABILITY, LONGEST_REPLY_BYTES, START, STATUS, service_path
 
 MAX_MESSAGE_BYTES = 100_000
 LARGE = 2**24  # bytes: more than sockets hold
@@ -536,6 +536,25 @@ def test_a_request_that_is_too_large_is_refused_in_the_log_too(caplog: pytest.Lo
         with pytest.raises(Refused, match="more than max_message_bytes"):
             request(address, bytes(MAX_MESSAGE_BYTES + 1))
         wait_for(lambda: f"larger than max_message_bytes = {MAX_MESSAGE_BYTES}" in caplog.text, within_s=5.0)
+
+
+def test_a_services_reply_is_not_received_beyond_what_one_may_be() -> None:
+    def grow(_path: str, body: bytes, _caller: Caller) -> bytes:
+        return bytes(int(body))
+
+    async def ask(address: str) -> None:
+        dialer = GrpcDialer(
+            "heron", None, max_message_bytes=MAX_MESSAGE_BYTES, max_reply_bytes={"small": 1024}
+        )
+        link = dialer.dial(address, server="s1")
+        for service, size in ("small", 1024), ("other", MAX_MESSAGE_BYTES):
+            assert len(await link.request(service_path(service, "look"), b"%d" % size, timeout_s=5.0)) == size
+        with pytest.raises(Refused, match=r"1025 bytes, more than max_reply_bytes = 1024.* of the drone"):
+            await link.request(service_path("small", "look"), b"1025", timeout_s=5.0)
+        await link.close()
+
+    with listening(grow) as address:
+        asyncio.run(ask(address))
 
 
 def test_a_compressed_request_is_not_inflated() -> None:

@@ -305,6 +305,8 @@ class ServiceConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Of a request, on average."""
     reply_bytes: Bytes = 500
     """Of a reply, on average."""
+    max_reply_bytes: MessageBytes = 4_194_304
+    """The largest reply of a server: a larger one is not received, and the drone computes the call."""
     local_call_s: SecondsOfEachKey
     """A call on the drone, in seconds: one number, or one for each profile key or method; `upwash profile`
     measures it."""

@@ -110,7 +110,12 @@ def require_certificates(server: ServerConfig, config: DroneConfig) -> None:
 
 def server_dialer(config: DroneConfig, credentials: Credentials | None) -> GrpcDialer:
     """Dials the drone's servers."""
-    return GrpcDialer(config.name, credentials, max_message_bytes=config.max_message_bytes)
+    return GrpcDialer(
+        config.name,
+        credentials,
+        max_message_bytes=config.max_message_bytes,
+        max_reply_bytes={service.name: service.max_reply_bytes for service in config.services},
+    )
 
 
 def server_finder(config: DroneConfig) -> Finder | None:

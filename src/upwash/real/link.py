@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
@@ -19,7 +19,7 @@ import msgspec
 
 from upwash.errors import DeadlineExceeded, LinkError, NoLease, Refused, Unreachable
 from upwash.real.credentials import Credentials, at_second
-from upwash.rpc.protocol import LONGEST_REPLY_BYTES, LONGEST_STATUS_BYTES, STATUS
+from upwash.rpc.protocol import LONGEST_REPLY_BYTES, LONGEST_STATUS_BYTES, STATUS, service_path
 from upwash.support.background import only_logged, thread
 from upwash.support.text import printable
 
@@ -28,12 +28,6 @@ DRONE_METADATA = "upwash-drone"  # says who calls where no certificate does: on 
 # A compressed message arrives as it is, and cannot be decoded: gRPC 1.70 inflates one before it looks at its size.
 NOT_INFLATED = ("grpc.per_message_decompression", 0)
 _DAEMON, _STATUS = STATUS.strip("/").split("/")
-_LONGEST_REPLIES = {  # by gRPC's own rules of a channel: a longer one is not even received
-    "methodConfig": [
-        {"name": [{"service": _DAEMON}], "maxResponseMessageBytes": LONGEST_REPLY_BYTES},
-        {"name": [{"service": _DAEMON, "method": _STATUS}], "maxResponseMessageBytes": LONGEST_STATUS_BYTES},
-    ]
-}
 CHANNEL_OPTIONS: tuple[tuple[str, int | str], ...] = (
     ("grpc.keepalive_time_ms", 2000),
     ("grpc.keepalive_timeout_ms", 3000),
@@ -45,7 +39,6 @@ CHANNEL_OPTIONS: tuple[tuple[str, int | str], ...] = (
     ("grpc.enable_http_proxy", 0),
     ("grpc.use_local_subchannel_pool", 1),
     NOT_INFLATED,
-    ("grpc.service_config", msgspec.json.encode(_LONGEST_REPLIES).decode()),
     ("grpc.service_config_disable_resolution", 1),  # whoever answers for DNS has no say in it
 )
 _OUTDATED = {  # in what gRPC says of a handshake that failed: what a person reads
@@ -75,11 +68,22 @@ _AROUND = re.compile(r"^failed to connect to all addresses; last error: [A-Z]+: 
 
 
 class GrpcDialer:
-    """Opens links that show `drone`'s certificate and believe only servers of the same authority."""
+    """Opens links that show `drone`'s certificate and believe only servers of the same authority.
 
-    def __init__(self, drone: str, credentials: Credentials | None, *, max_message_bytes: int) -> None:
+    A message has at most `max_message_bytes`, and a reply of a service at most its `max_reply_bytes`.
+    """
+
+    def __init__(
+        self,
+        drone: str,
+        credentials: Credentials | None,
+        *,
+        max_message_bytes: int,
+        max_reply_bytes: Mapping[str, int] | None = None,
+    ) -> None:
         self._drone = drone
         self._max_message_bytes = max_message_bytes
+        self._longest_replies = _longest_replies(max_reply_bytes or {})
         self._own_trouble = _certificate_trouble(credentials)
         self._credentials = (
             grpc.ssl_channel_credentials(
@@ -100,14 +104,20 @@ class GrpcDialer:
             *CHANNEL_OPTIONS,
             ("grpc.max_receive_message_length", self._max_message_bytes),
             ("grpc.max_send_message_length", self._max_message_bytes),
+            ("grpc.service_config", self._longest_replies),
         ]
+        own_trouble = self._own_trouble
         if self._credentials is None or address.startswith("unix:"):
-            channel = grpc.insecure_channel(address, options)
-            return GrpcLink(channel, address=address, server=server, drone=self._drone)
-        options.append(("grpc.ssl_target_name_override", server))
-        channel = grpc.secure_channel(address, self._credentials, options)
+            channel, own_trouble = grpc.insecure_channel(address, options), lambda: ""
+        else:
+            options.append(("grpc.ssl_target_name_override", server))
+            channel = grpc.secure_channel(address, self._credentials, options)
         return GrpcLink(
-            channel, address=address, server=server, drone=self._drone, own_trouble=self._own_trouble
+            channel,
+            peer=f"{server} at {address}",
+            drone=self._drone,
+            max_message_bytes=self._max_message_bytes,
+            own_trouble=own_trouble,
         )
 
 
@@ -124,15 +134,16 @@ class GrpcLink:
         self,
         channel: grpc.Channel,
         *,
-        address: str,
-        server: str,
+        peer: str,
         drone: str,
-        own_trouble: Callable[[], str] = lambda: "",
+        max_message_bytes: int,
+        own_trouble: Callable[[], str],
     ) -> None:
         self._channel = channel
         self._own_trouble = own_trouble
         self._methods: dict[str, Any] = {}
-        self._peer = f"{server} at {address}"
+        self._peer = peer
+        self._max_message_bytes = max_message_bytes
         self._metadata = ((DRONE_METADATA, drone),)
         self._under_way: set[Callable[[], None]] = set()  # what has each request be looked at
         self._closed = False
@@ -200,12 +211,23 @@ class GrpcLink:
             case grpc.StatusCode.PERMISSION_DENIED:
                 return NoLease(f"{self._peer}: {details}")
             case grpc.StatusCode.RESOURCE_EXHAUSTED if not path.startswith(f"/{_DAEMON}/"):
-                return Refused(f"{self._peer}: {_in_words(details)}")
+                return Refused(f"{self._peer}: {_in_words(details, self._max_message_bytes)}")
             case _:
                 return Refused(f"{self._peer}: {code.name}: {details}")
 
 
-def _in_words(details: str) -> str:
+def _longest_replies(max_reply_bytes: Mapping[str, int]) -> str:
+    """gRPC's own rules of a channel: a longer reply is not even received."""
+    rules = [
+        ({"service": _DAEMON}, LONGEST_REPLY_BYTES),
+        ({"service": _DAEMON, "method": _STATUS}, LONGEST_STATUS_BYTES),
+        *(({"service": service_path(name, "").strip("/")}, most) for name, most in max_reply_bytes.items()),
+    ]
+    methods = [{"name": [name], "maxResponseMessageBytes": most} for name, most in rules]
+    return msgspec.json.encode({"methodConfig": methods}).decode()
+
+
+def _in_words(details: str, max_message_bytes: int) -> str:
     """gRPC's words about a size, with what to do; other words stay as they are."""
     found = _LARGER.search(details)
     if found is None:
@@ -217,13 +239,14 @@ def _in_words(details: str) -> str:
         int(size),
         int(most),
         whose="the drone" if end == "CLIENT" else "the computer that runs the service",
+        key="max_reply_bytes" if end == "CLIENT" and int(most) < max_message_bytes else "max_message_bytes",
     )
 
 
-def too_large(what: str, size: int, most: int, *, whose: str) -> str:
+def too_large(what: str, size: int, most: int, *, whose: str, key: str = "max_message_bytes") -> str:
     """Why a request or a result of that size is not carried, and what to do; `whose` configuration limits it."""
     return (
-        f"the {what} has {size} bytes, more than max_message_bytes = {most}: make it smaller, or raise that in the "
+        f"the {what} has {size} bytes, more than {key} = {most}: make it smaller, or raise that in the "
         f"configuration of {whose}"
     )
 
