@@ -1,7 +1,8 @@
 """What a call costs: a 430 KB request with a small reply, over loopback and over an emulated 54 Mbit/s link.
 
 Four ways, in turn: raw TCP, bare gRPC with mutual TLS, a service call of a mission that runs on an edge server, and
-one that runs on the drone: `python -m bench.call`. See docs/performance.md.
+one that runs on the drone: `python -m bench.call`. Before that, what decoding costs over msgspec alone. See
+docs/performance.md.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import timeit
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +23,7 @@ import msgspec
 from bench.program import command_line, machine
 
 from upwash.real.authority import make_keys
+from upwash.rpc.wire import Encoding
 
 ROOT = Path(__file__).resolve().parent.parent
 REQUEST_BYTES = 430_000
@@ -30,6 +33,13 @@ RATE_BIT_S = 54e6
 BITS_OVER_RATE_S = 8 * REQUEST_BYTES / RATE_BIT_S
 MOST_OVER_GRPC = 1.25
 MOST_OVER_RATE = 1.10
+DECODED: dict[str, tuple[type, object]] = {
+    "a photo of 400 kB": (bytes, bytes(400_000)),
+    "a list of 20 numbers": (list[float], [0.5] * 20),
+    "a list of 10,000 numbers": (list[float], [0.5] * 10_000),
+    "a list of 100,000 numbers, which are counted": (list[float], [0.5] * 100_000),
+}
+DECODING_S = 0.02  # of each round
 CLIENT_TIMEOUT_S = 120.0
 STOP_S = 5.0
 
@@ -62,6 +72,10 @@ def main() -> None:
     quick = command_line("call", __doc__).parse_args().quick
     loopback_rounds, link_rounds = (QUICK_ROUNDS,) * 2 if quick else (LOOPBACK_ROUNDS, LINK_ROUNDS)
     print(f"request {REQUEST_BYTES} bytes, reply 100 bytes; {machine()}")
+    print(f"\ndecoding, {link_rounds} rounds")
+    for what, (hint, value) in DECODED.items():
+        own_s, bare_s = decoding_s(hint, value, link_rounds)
+        print(f"{what:46}{own_s * 1e6:>10.1f} µs{own_s / bare_s:>8.2f} of msgspec's")
     print(f"\nloopback, {loopback_rounds} rounds")
     report(measure(Place("127.0.0.1"), loopback_rounds))
     print(f"\nemulated link of {RATE_BIT_S / 1e6:.0f} Mbit/s, {link_rounds} rounds")
@@ -79,6 +93,21 @@ def main() -> None:
             MOST_OVER_RATE,
         )
     )
+
+
+def decoding_s(hint: type, value: object, rounds: int) -> tuple[float, float]:
+    """The median times in which upwash, and msgspec alone, decode the value; they take turns."""
+    encoding: Encoding[object] = Encoding(hint)
+    message = encoding.encode(value)
+    bare: msgspec.msgpack.Decoder[object] = msgspec.msgpack.Decoder(hint)
+    once_s = timeit.timeit(lambda: encoding.decode(message), number=1)
+    number = max(1, round(DECODING_S / once_s))
+    turns = [
+        [timeit.timeit(lambda: each.decode(message), number=number) / number for each in (encoding, bare)]  # noqa: B023
+        for _ in range(rounds)
+    ]
+    own_s, bare_s = (median(times) for times in zip(*turns, strict=True))
+    return own_s, bare_s
 
 
 def report(delays_s: dict[str, list[float]]) -> None:
