@@ -10,10 +10,14 @@ import pytest
 
 from upwash.config import DroneConfig, drone_config
 from upwash.errors import UpwashError
-from upwash.launch.readiness import refusals, require_ready, services_that_do_not_start
+from upwash.launch.readiness import refusals, require_ready
+from upwash.launch.trials import services_in_trouble
 
 SERVICES = """
 from upwash import service
+
+def hover(drone):
+    drone.autopilot.hover(1.0)
 
 @service
 class Sound:
@@ -25,8 +29,24 @@ class Unsound:
         raise FileNotFoundError("no model.onnx")
 
     def call(self) -> None: ...
+
+@service
+class Shortsighted:
+    def look(self, photo: bytes) -> int:
+        raise ValueError("no such layer")
+
+@service
+class Late:
+    def __init__(self) -> None:
+        import time
+        time.sleep(60.0)
+
+    def call(self) -> None: ...
 """
 SERVER = {"name": "s1", "east_m": 0, "north_m": 0, "range_m": 50, "remote_call_s": 1.0}
+
+
+MISSION = {"waypoints_m": [[0, 0]], "home": {"latitude_deg": 39.0, "longitude_deg": 22.0}}
 
 
 def configured(folder: Path, **tables: Any) -> DroneConfig:
@@ -35,7 +55,7 @@ def configured(folder: Path, **tables: Any) -> DroneConfig:
     (folder / "photos").mkdir(exist_ok=True)
     (folder / "photos" / "1.jpg").touch()
     document = {
-        "mission": {"waypoints_m": [[0, 0]], "home": {"latitude_deg": 39.0, "longitude_deg": 22.0}},
+        "mission": MISSION,
         "autopilot": {"connection": "udpout:127.0.0.1:1"},
         "camera": {"folder": "photos"},
         "service": [{"name": "sound", "program": "services.py:Sound", "local_call_s": 10.0}],
@@ -56,6 +76,7 @@ def configured(folder: Path, **tables: Any) -> DroneConfig:
         ({"server": [{**SERVER, "address": "10.0.0.1:1"}]}, ["no-keys"]),
         ({"keys": {"authority": "a", "certificate": "b", "key": "c"}}, ["certificate"]),
         ({"camera": {}}, ["no-camera"]),
+        ({"camera": {}, "mission": {**MISSION, "program": "services.py:hover"}}, []),
         ({"camera": {"folder": "paintings"}}, ["no-camera"]),
         ({"mission": {"waypoints_m": [[0, 0]]}, "camera": {}}, ["no-home", "no-camera"]),
     ],
@@ -72,11 +93,24 @@ def test_every_reason_is_told_and_a_flight_meets_the_first(
         assert str(refused.value) == str(found[0].error)
 
 
+def test_a_service_that_fails_on_a_photo_of_the_camera_is_named(tmp_path: Path) -> None:
+    services = [{"name": "shortsighted", "program": "services.py:Shortsighted", "local_call_s": 1.0}]
+    (error,) = asyncio.run(services_in_trouble(configured(tmp_path, service=services), {"1.jpg": b"photo"}))
+    assert "shortsighted.look failed on 1.jpg" in str(error) and "no such layer" in str(error)
+
+
+def test_a_service_that_starts_too_slowly_is_named_with_the_key_that_says_so(tmp_path: Path) -> None:
+    services = [{"name": "late", "program": "services.py:Late", "local_call_s": 1.0}]
+    config = configured(tmp_path, service=services, start_timeout_s=0.5)
+    (error,) = asyncio.run(services_in_trouble(config, {}))
+    assert "late@drone was not ready within 0.5 s: raise start_timeout_s" in str(error)
+
+
 def test_services_that_do_not_start_on_this_computer_are_named(tmp_path: Path) -> None:
     services = [
         {"name": "sound", "program": "services.py:Sound", "local_call_s": 1.0},
         {"name": "unsound", "program": "services.py:Unsound", "local_call_s": 1.0},
     ]
-    (error,) = asyncio.run(services_that_do_not_start(configured(tmp_path, service=services)))
+    (error,) = asyncio.run(services_in_trouble(configured(tmp_path, service=services), {}))
     assert "unsound" in str(error)
     assert "no model.onnx" in str(error)

@@ -15,6 +15,8 @@ from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 pytestmark = pytest.mark.system
@@ -65,7 +67,7 @@ def complaint(ended: subprocess.CompletedProcess[str], code: int = 2) -> str:
 def drone(tmp_path: Path) -> Path:
     """A drone's configuration that can be flown but for its autopilot, which is not there."""
     (tmp_path / "photos").mkdir()
-    (tmp_path / "photos/0.jpg").write_bytes(b"a photo")
+    cv2.imwrite(str(tmp_path / "photos/0.jpg"), np.full((48, 64, 3), 90, np.uint8))
     file = tmp_path / "drone.toml"
     file.write_text(DRONE)
     return file

@@ -39,7 +39,7 @@ def add(commands: Commands) -> None:
     what.add_argument(
         "--servers",
         action="store_true",
-        help="only have each server start the drone's services, over the network that this computer is in",
+        help="only join each server's network, have it start the drone's services, and call them as a flight does",
     )
     what.add_argument(
         "--vehicle",

@@ -37,6 +37,11 @@ _CHECK_LEAST_S = 10.0
 _CHECK_FACTOR = 3.0  # times the estimate: a check that takes longer has failed
 
 
+def check_limit_s(believed_s: float) -> float:
+    """How long a check, or a part of it, may take that is believed to take so long."""
+    return max(_CHECK_LEAST_S, _CHECK_FACTOR * believed_s)
+
+
 class Radios:
     """Gives servers their roles; each method returns what is to be done for that, in its order."""
 
@@ -192,7 +197,7 @@ class Radios:
 
     def limit_s(self, server: Server, *, running: bool) -> float:
         """How long joining may take, for which it matters nothing whether the services run; or else starting."""
-        return max(_CHECK_LEAST_S, _CHECK_FACTOR * self._estimates.check_s(server.name, running=running))
+        return check_limit_s(self._estimates.check_s(server.name, running=running))
 
     def _next_number(self) -> int:
         self._checks += 1

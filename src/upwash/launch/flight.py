@@ -7,13 +7,15 @@ import contextlib
 from collections.abc import AsyncIterator
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from upwash.config import DroneConfig, altitudes_above_sea, coverage_kept, unsigned_port
 from upwash.drone.altitudes import above_home
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.resumption import order_begun, waypoints_done
 from upwash.errors import AutopilotError, NotWritten
 from upwash.eventlog import schema
-from upwash.launch.cameras import opened_camera
+from upwash.launch.cameras import NoCamera, needs_camera, opened_camera
 from upwash.launch.drone import (
     VehicleLink,
     drone_credentials,
@@ -58,15 +60,17 @@ async def fly(
     any failure does: in what autopilot.on_failure says; a second one ends the program at once. Raises what ended the
     mission early.
     """
+    if program is not None:
+        config = replace(config, mission=replace(config.mission, program=program))
     require_ready(config)
     vehicle = vehicle_link(config)
-    mission = load_mission(program or config.mission.program, mode=config.mission.mode)
+    mission = load_mission(config.mission.program, mode=config.mission.mode)
     services = load_services(config.services)
     done = waypoints_done(read_events(log), config) if resumes else None
     credentials = drone_credentials(config, valid_now=False)  # before the clock is known to be right
     async with contextlib.AsyncExitStack() as stack:
         watchers += await _metrics(config, stack)
-        camera = await opened_camera(config.camera, stack)
+        camera = await opened_camera(config.camera, stack) if needs_camera(config) else NoCamera()
         journal = stack.enter_context(
             contextlib.closing(FileJournal(log, watchers=watchers, resumes=resumes, unwritten=unwritten))
         )

@@ -31,6 +31,15 @@ async def opened_networks(
     return [PositionNetwork(cells, lambda: autopilot.position) for _ in radios]
 
 
+async def network_on_the_ground(
+    config: DroneConfig, journal: Journal, stack: contextlib.AsyncExitStack
+) -> Network:
+    """The network of the first radio, before a flight: where a position stands in for networks, none is joined."""
+    if config.network.kind != "networkmanager":
+        return NoNetwork()
+    return await _managed_network(_per_radio(config)[0], config, journal, stack)
+
+
 def _per_radio(config: DroneConfig) -> list[tuple[str, ...]]:
     """The interfaces of each radio: a single one joins networks on whichever fits, of several each has its own."""
     interfaces = config.network.interfaces

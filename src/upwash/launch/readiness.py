@@ -8,23 +8,23 @@ from __future__ import annotations
 import functools
 import importlib
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
 from upwash.config import DroneConfig
-from upwash.errors import InstanceError, UpwashError
-from upwash.launch.cameras import camera_without_device
+from upwash.errors import UpwashError
+from upwash.launch.cameras import camera_without_device, needs_camera
 from upwash.launch.drone import (
     connection_of,
     drone_credentials,
     home_of,
-    onboard,
     require_address,
     require_certificates,
     signing_of,
 )
-from upwash.missions.bundled import load_services
-from upwash.ports import InstanceSpec
 from upwash.support.loading import extra
+
+_A_DAY = timedelta(days=1)  # longer than any flight
 
 
 class Refusal(NamedTuple):
@@ -60,28 +60,31 @@ def _steps(config: DroneConfig, *, valid_now: bool) -> Iterator[tuple[str, Calla
         yield "no-address", functools.partial(require_address, server)
         yield "no-keys", functools.partial(require_certificates, server, config)
     yield "certificate", functools.partial(drone_credentials, config, valid_now=valid_now)
-    yield "no-camera", functools.partial(camera_without_device, config.camera)
+    if needs_camera(config):
+        yield "no-camera", functools.partial(camera_without_device, config.camera)
     if config.network.kind == "networkmanager":
         yield "extra", functools.partial(_require, "network", "upwash.real.network")
     if config.metrics is not None:
         yield "extra", functools.partial(_require, "metrics", "upwash.metrics.exposition")
 
 
+def expiry_trouble(config: DroneConfig) -> str:
+    """That the drone's certificate, or its authority's, ends within a day; "" where each is valid for longer."""
+    try:
+        credentials = drone_credentials(config)
+    except UpwashError:  # which is a refusal of its own
+        return ""
+    ends = credentials.expiries if credentials is not None else {}
+    soon = [
+        f"{holder} ({at:%Y-%m-%d %H:%M} UTC)"
+        for holder, at in ends.items()
+        if at - datetime.now(UTC) < _A_DAY
+    ]
+    return (
+        f"certificates end within a day: {', '.join(soon)}; make new ones before the flight" if soon else ""
+    )
+
+
 def _require(name: str, module: str) -> None:
     with extra(name):
         importlib.import_module(module)
-
-
-async def services_that_do_not_start(config: DroneConfig) -> list[InstanceError]:
-    """Starts each of the drone's own services as a flight does, and ends it again; why some cannot run."""
-    failed = []
-    runtime = onboard(config.name, max_message_bytes=config.max_message_bytes)
-    for name, service in load_services(config.services).items():
-        spec = InstanceSpec(config.name, name, service.program)
-        try:
-            instance = await runtime.start(spec, called=lambda _: None)
-        except InstanceError as error:
-            failed.append(error)
-        else:
-            await instance.stop()
-    return failed

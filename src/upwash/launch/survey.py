@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from upwash.config import DroneConfig, ServerConfig
-from upwash.drone.networks import NoNetwork
-from upwash.drone.preparation import endpoints, make_estimates
-from upwash.drone.server_session import ServerEndpoint, ServerSession
-from upwash.errors import AutopilotRefused, LinkError, UpwashError
+from upwash.config import DroneConfig
+from upwash.errors import AutopilotRefused
 from upwash.launch.drone import (
-    drone_credentials,
-    require_address,
-    require_certificates,
-    server_dialer,
-    server_finder,
     vehicle_link,
 )
-from upwash.missions.bundled import load_specs
-from upwash.ports import Dialer, VehicleNews, VehicleSetting
+from upwash.ports import VehicleNews, VehicleSetting
 from upwash.real.finding import Finding
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.support.loading import extra
@@ -89,47 +79,3 @@ async def survey_networks(config: DroneConfig) -> list[Finding]:
         {server.name: server.network for server in config.servers},
         radios=config.network.radios,
     )
-
-
-async def survey_servers(config: DroneConfig) -> list[Finding]:
-    """Whether each server, over the networks that this computer is in, starts the drone's services for it.
-
-    Raises CredentialsError where the drone's certificate cannot be shown.
-    """
-    dialer = server_dialer(config, drone_credentials(config))
-    specs = load_specs(config.services)
-    wanted = endpoints(config, make_estimates(config, specs), server_finder(config))
-    return await asyncio.gather(
-        *(_survey_server(server, wanted[server.name], config, dialer) for server in config.servers)
-    )
-
-
-async def _survey_server(
-    server: ServerConfig, endpoint: ServerEndpoint, config: DroneConfig, dialer: Dialer
-) -> Finding:
-    subject = f"{server.name} at {server.address or '?'}"
-    try:
-        require_address(server)
-        require_certificates(server, config)
-    except UpwashError as error:
-        return Finding(subject, "not asked", str(error))
-    session = ServerSession(endpoint, network=NoNetwork(), dialer=dialer)
-    now_s = asyncio.get_running_loop().time
-    began_s, answered = now_s(), False
-    try:
-        running = (await session.ask()).running
-        answered = True
-        if not running:
-            await session.start(timeout_s=_START_S)
-    except LinkError as error:
-        return Finding(
-            subject,
-            "answers" if answered else "does not answer as needed",
-            str(error).removeprefix(f"{subject}: "),
-        )
-    finally:
-        await session.end(in_range=True)
-    believed_s = server.check_running_s if running else server.check_s
-    services = ", ".join(endpoint.services) or "nothing that the drone wants"
-    did, key = ("runs", "check_running_s") if running else ("started", "check_s")
-    return Finding(subject, f"{did} {services} in {now_s() - began_s:.1f} s ({key} = {believed_s:g})")

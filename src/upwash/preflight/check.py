@@ -142,13 +142,26 @@ def beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:
 
 
 def _refusals(config: DroneConfig) -> Iterator[PreflightWarning]:
-    """What `upwash fly` would refuse, and services that would not start."""
+    """What `upwash fly` would refuse, and a camera and services that would fail in flight."""
     if not is_for_flight(config):
         return
     # with all that flies a drone: only where one is to fly
-    from upwash.launch.readiness import refusals, services_that_do_not_start
+    from upwash.launch.photos import Look, look
+    from upwash.launch.readiness import expiry_trouble, refusals
+    from upwash.launch.trials import services_in_trouble
 
-    for refusal in refusals(config):
+    refused = list(refusals(config))
+    for refusal in refused:
         yield PreflightWarning(refusal.kind, str(refusal.error))
-    for error in asyncio.run(services_that_do_not_start(config)):
-        yield PreflightWarning("service", str(error))
+    if trouble := expiry_trouble(config):
+        yield PreflightWarning("certificate-ends", trouble)
+    seen = Look({})
+    if not any(refusal.kind == "no-camera" for refusal in refused):
+        try:
+            seen = asyncio.run(look(config))
+        except UpwashError as error:
+            yield PreflightWarning("camera", str(error))
+    for trouble in seen.troubles:
+        yield PreflightWarning("camera", trouble)
+    for failure in asyncio.run(services_in_trouble(config, seen.photos)):
+        yield PreflightWarning("service", str(failure))

@@ -30,13 +30,13 @@ def check_networks(config: DroneConfig, console: Console) -> bool:
 
 
 def check_servers(config: DroneConfig, console: Console) -> bool:
-    """Has each server start the drone's services; prints which do and why others do not; whether all do.
+    """Has each server start the drone's services, and calls them; prints what works and what not; whether all does.
 
-    Servers are asked over the networks that this computer is in; none is joined.
+    Servers are reached as in a flight: over networks that are joined where `network.kind` is "networkmanager".
     """
     if not config.servers:
         raise UsageError("no server to ask: the configuration has no [[server]] table")
-    from upwash.launch.survey import survey_servers
+    from upwash.launch.server_survey import survey_servers
 
     return _print(asyncio.run(survey_servers(config)), console)
 

@@ -1,0 +1,112 @@
+"""What is found of a camera before a flight, and which missions need one."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from upwash.config import DroneConfig, drone_config
+from upwash.errors import CameraError, UsageError
+from upwash.launch import photos
+from upwash.launch.cameras import NoCamera, needs_camera
+from upwash.launch.photos import Look, look
+
+MISSIONS = """
+import helping
+
+def shoots(drone):
+    drone.camera.take_photo()
+
+def asks_for_help(drone):
+    helping.shoot(drone)
+"""
+SOUNDS = "def sounds(drone):\n    drone.autopilot.arm()\n"
+JPEG = cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
+
+
+def configured(place: Path, *, program: str = "survey", **camera: object) -> DroneConfig:
+    tables = {"mission": {"waypoints_m": [[0, 0]], "program": program}, "camera": camera}
+    return drone_config(tables, place / "drone.toml")
+
+
+def looked_at(folder: Path, **files: bytes) -> Look:
+    (folder / "photos").mkdir()
+    for name, content in files.items():
+        (folder / "photos" / f"{name}.jpg").write_bytes(content)
+    return asyncio.run(look(configured(folder, folder="photos")))
+
+
+def test_the_first_photo_of_a_folder_and_its_largest_one_are_given(tmp_path: Path) -> None:
+    larger = JPEG + b"what a camera adds"
+    seen = looked_at(tmp_path, a=JPEG, b=JPEG + b"it", c=larger, d=JPEG)
+    assert seen == Look({"a.jpg": JPEG, "c.jpg": larger})
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [b"", b"a painting", JPEG[:-20], bytes.fromhex("0005160700020000")],
+    ids=["empty", "other", "cut off", "AppleDouble"],
+)
+def test_each_photo_that_is_no_whole_jpeg_is_named(tmp_path: Path, bad: bytes) -> None:
+    seen = looked_at(tmp_path, a=JPEG, b=bad, c=JPEG)
+    (trouble,) = seen.troubles
+    assert "b.jpg is no whole JPEG" in trouble
+    assert list(seen.photos) == ["a.jpg", "c.jpg"]
+
+
+def test_what_is_named_and_looked_at_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(photos, "_MOST_FILES", 8)
+    seen = looked_at(tmp_path, **{f"p{number}": b"" for number in range(9)})
+    assert len(seen.troubles) == 6
+    assert seen.troubles[-1] == "and 4 more photos like these"
+
+
+def write_video(file: Path, *frames: int) -> str:
+    writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"MJPG"), 20, (64, 48))
+    for brightness in frames:
+        writer.write(np.full((48, 64, 3), brightness, np.uint8))
+    writer.release()
+    return str(file)
+
+
+@pytest.mark.parametrize(
+    ("frames", "said"),
+    [(range(60, 250, 5), ""), (range(0, 12), "is black"), ([90] * 40, "stands still")],
+)
+def test_a_device_whose_picture_is_black_or_stands_still_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: list[int], said: str
+) -> None:
+    monkeypatch.setattr(photos, "_APART_S", 0.05)
+    seen = asyncio.run(look(configured(tmp_path, device=write_video(tmp_path / "flight.avi", *frames))))
+    assert len(seen.photos) == 1
+    assert len(seen.troubles) == bool(said)
+    assert said in "".join(seen.troubles)
+
+
+@pytest.mark.parametrize(
+    ("program", "needs"),
+    [("survey", True), ("m.py:shoots", True), ("m.py:asks_for_help", True), ("sounds.py:sounds", False)],
+)
+def test_a_camera_is_needed_by_missions_that_take_photos(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str, needs: bool
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "helping.py").write_text("def shoot(drone):\n    return drone.camera.take_photo()\n")
+    (tmp_path / "m.py").write_text(MISSIONS)
+    (tmp_path / "sounds.py").write_text(SOUNDS)
+    config = configured(tmp_path, program=program)
+    assert needs_camera(config) == needs
+    if needs:
+        with pytest.raises(UsageError, match=r"no camera: say in \[camera\]"):
+            asyncio.run(look(config))
+    else:
+        assert asyncio.run(look(config)) == Look({})
+
+
+def test_a_photo_without_a_camera_says_what_to_configure() -> None:
+    with pytest.raises(CameraError, match=r"say in \[camera\] where photos come from"):
+        asyncio.run(NoCamera().take_photo(None))  # type: ignore[arg-type]

@@ -1,0 +1,175 @@
+"""`upwash check --servers` makes the calls of a flight, over the way that they take then."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from tests.system.daemons import config, daemon
+
+from upwash.config import DroneConfig, drone_config
+from upwash.launch.server_survey import survey_servers
+from upwash.real.finding import Finding
+
+pytestmark = pytest.mark.system
+
+JPEG = cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
+
+
+@contextlib.asynccontextmanager
+async def forwarded(address: str) -> AsyncIterator[str]:
+    """A port of this computer that leads to the address, as a router's does."""
+    host, _, port = address.rpartition(":")
+    carriers: list[asyncio.Task[None]] = []
+
+    async def carry(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            while data := await reader.read(65536):
+                writer.write(data)
+                await writer.drain()
+        finally:
+            writer.close()
+            with contextlib.suppress(OSError):
+                await writer.wait_closed()
+
+    async def lead(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        inside, inwards = await asyncio.open_connection(host, int(port))
+        carriers.extend(asyncio.create_task(carry(*each)) for each in ((reader, inwards), (inside, writer)))
+
+    async with await asyncio.start_server(lead, "127.0.0.1", 0) as server:
+        yield f"127.0.0.1:{server.sockets[0].getsockname()[1]}"
+        for each in carriers:
+            each.cancel()
+        await asyncio.gather(*carriers, return_exceptions=True)
+
+
+def drone(folder: Path, keys: Path, program: str, address: str, **tables: Any) -> DroneConfig:
+    (folder / "photos").mkdir(exist_ok=True)
+    (folder / "photos" / "1.jpg").write_bytes(JPEG)
+    document = {
+        "name": "heron",
+        "mission": {"waypoints_m": [[0, 0]]},
+        "camera": {"folder": "photos"},
+        "keys": {
+            "authority": f"{keys}/authority.pem",
+            "certificate": f"{keys}/heron.pem",
+            "key": f"{keys}/heron.key",
+        },
+        "service": [{"name": program.rpartition(":")[2].lower(), "program": program, "local_call_s": 10.0}],
+        "server": [
+            {"name": "s1", "range_m": 50, "east_m": 0, "north_m": 0, "address": address, "remote_call_s": 1.0}
+        ],
+        **tables,
+    }
+    return drone_config(document, folder / "drone.toml")
+
+
+@pytest.fixture
+def programs(tmp_path: Path) -> Path:
+    file = tmp_path / "finders.py"
+    file.write_text(FINDERS)
+    return file
+
+
+FINDERS = """
+import time
+from upwash import service
+
+@service
+class Finder:
+    def find(self, photo: bytes) -> int:
+        return len(photo)
+
+@service
+class Failing:
+    def find(self, photo: bytes) -> int:
+        raise ValueError("no such layer")
+
+@service
+class Mute:
+    def say(self, number: int) -> int:
+        return number
+
+@service
+class Late:
+    def __init__(self) -> None:
+        time.sleep(60.0)
+
+    def find(self, photo: bytes) -> int:
+        return 0
+"""
+
+
+def served(keys: Path, programs: str, **settings: Any) -> str:
+    services = "".join(
+        f'[[service]]\nname = "{cls.lower()}"\nprogram = "{programs}:{cls}"\n'
+        for cls in ("Finder", "Failing", "Mute", "Late")
+    )
+    text = config(keys, "127.0.0.2:0", **settings)
+    return text[: text.index("\n[[service]]")] + f'\n{services}[[server]]\nname = "s1"\n'
+
+
+def found(
+    folder: Path,
+    keys: Path,
+    program: str,
+    *,
+    forward: bool = False,
+    daemons_s: float = 60.0,
+    **tables: Any,
+) -> Finding:
+    async def survey(address: str) -> Finding:
+        async with contextlib.AsyncExitStack() as stack:
+            if forward:
+                address = await stack.enter_async_context(forwarded(address))
+            (finding,) = await survey_servers(drone(folder, keys, program, address, **tables))
+            return finding
+
+    with daemon(
+        folder, served(keys, program.rpartition(":")[0], start_timeout_s=daemons_s), names="s1"
+    ) as at:
+        return asyncio.run(survey(at.address))
+
+
+def test_a_service_is_called_with_the_cameras_photo(tmp_path: Path, keys: Path, programs: Path) -> None:
+    finding = found(tmp_path, keys, f"{programs}:Finder")
+    assert finding.trouble == ""
+    assert "started finder" in finding.found and "called finder.find in" in finding.found
+
+
+@pytest.mark.parametrize("cls", ["Finder", "Mute"])
+def test_a_server_of_which_only_the_daemons_port_is_reached_is_not_ready(
+    tmp_path: Path, keys: Path, programs: Path, cls: str
+) -> None:
+    finding = found(tmp_path, keys, f"{programs}:{cls}", forward=True)
+    assert "instance_ports" in finding.trouble
+
+
+def test_a_service_that_fails_on_the_photo_is_not_ready(tmp_path: Path, keys: Path, programs: Path) -> None:
+    assert "failing.find failed on 1.jpg" in found(tmp_path, keys, f"{programs}:Failing").trouble
+
+
+@pytest.mark.parametrize(("daemons_s", "own_s"), [(1.0, 30.0), (60.0, 0.1)])
+def test_a_start_that_takes_too_long_names_the_key(
+    tmp_path: Path, keys: Path, programs: Path, daemons_s: float, own_s: float
+) -> None:
+    late = f"{programs}:Late"
+    trouble = found(tmp_path, keys, late, daemons_s=daemons_s, start_timeout_s=own_s).trouble
+    whose = "daemon" if daemons_s < own_s else "drone"
+    assert f"raise start_timeout_s in the {whose}'s configuration" in trouble
+
+
+def test_a_camera_without_a_photo_is_told_beside_the_servers(
+    tmp_path: Path, keys: Path, programs: Path
+) -> None:
+    camera = {"folder": "paintings"}
+    blind = drone(tmp_path, keys, f"{programs}:Finder", "127.0.0.1:1", camera=camera)
+    told, server = asyncio.run(survey_servers(blind))
+    assert "there is no folder" in told.trouble
+    assert server.subject == "s1 at 127.0.0.1:1" and server.trouble
