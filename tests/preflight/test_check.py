@@ -260,3 +260,31 @@ def test_it_says_what_it_assumes_of_a_vehicle_of_which_the_file_says_nothing(
         main(["check", str(file), "--workers", "1"])
         told[vehicle] = " ".join(capsys.readouterr().out.split())
     assert ["the predictions assume 1 m/s²" in said for said in told.values()] == [True, False]
+
+
+MISSION_FOR_FLIGHT = """
+[mission]
+program = "{program}"
+waypoints_m = [[0, 0]]
+home = {{ latitude_deg = 39.0, longitude_deg = 22.0 }}
+[autopilot]
+connection = "udpout:127.0.0.1:1"
+"""
+
+
+@pytest.mark.parametrize(
+    ("statement", "kinds"),
+    [
+        ('getattr(drone.camera, "take" + "_photo")()', {"no-camera"}),  # which its source does not show
+        ("drone.autopilot.hover(1.0)", set()),
+    ],
+)
+def test_a_missing_camera_is_warned_of_where_the_simulated_mission_takes_a_photo(
+    tmp_path: Path, statement: str, kinds: set[str]
+) -> None:
+    (tmp_path / "mission.py").write_text(
+        f"def fly(drone):\n    drone.autopilot.arm()\n    {statement}\n    drone.autopilot.disarm()\n"
+    )
+    (tmp_path / "drone.toml").write_text(MISSION_FOR_FLIGHT.format(program="mission.py:fly"))
+    found, _ = checked(tmp_path / "drone.toml")
+    assert {each.kind for each in found.warnings} == kinds

@@ -38,7 +38,7 @@ _CHECK_FACTOR = 3.0  # times the estimate: a check that takes longer has failed
 
 
 def check_limit_s(believed_s: float) -> float:
-    """How long a check, or a part of it, may take that is believed to take so long."""
+    """The longest time of a check, or of joining, by the believed time, in seconds."""
     return max(_CHECK_LEAST_S, _CHECK_FACTOR * believed_s)
 
 

@@ -19,7 +19,9 @@ from upwash.real.video import VideoCamera
 from upwash.sim.camera import RenderedCamera
 from upwash.support.loading import extra
 
-_NONE = "no camera: say in [camera] where photos come from: folder, device, or park_seed for rendered ones"
+NO_CAMERA = (
+    "no camera: say in [camera] where photos come from: folder, device, or park_seed for rendered ones"
+)
 _TAKES_ONE = "take_photo"
 
 
@@ -28,7 +30,7 @@ class NoCamera:
 
     async def take_photo(self, at: Position) -> Photo:
         """Raises CameraError."""
-        raise CameraError("of the mission", _NONE)
+        raise CameraError("of the mission", NO_CAMERA)
 
 
 def needs_camera(config: DroneConfig) -> bool:
@@ -43,7 +45,7 @@ def needs_camera(config: DroneConfig) -> bool:
 
 
 def _with_imported(module: ModuleType) -> Iterator[ModuleType]:
-    """The module, and those outside upwash from which it has something."""
+    """The module, and the modules outside upwash whose functions and classes it imports."""
     yield module
     for value in list(vars(module).values()):
         name = value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None)
@@ -54,7 +56,7 @@ def _with_imported(module: ModuleType) -> Iterator[ModuleType]:
 def _source(module: ModuleType) -> str:
     try:
         return inspect.getsource(module)
-    except (OSError, TypeError):  # one that is not written in Python
+    except (OSError, TypeError):  # the module is not written in Python
         return ""
 
 
@@ -68,7 +70,7 @@ def camera_without_device(config: CameraConfig) -> Camera | None:
     if config.park_seed is not None:
         return RenderedCamera(config.park_seed, photo_s=config.photo_s, in_thread=True)
     if config.device is None:
-        raise UsageError(_NONE)
+        raise UsageError(NO_CAMERA)
     with extra("detector"):
         import cv2  # noqa: F401
     return None

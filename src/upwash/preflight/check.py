@@ -24,6 +24,7 @@ from upwash.core.order import Order
 from upwash.drone.order import order_of
 from upwash.drone.preparation import make_estimates
 from upwash.errors import UpwashError
+from upwash.eventlog import schema
 from upwash.lab.campaign import Fly
 from upwash.lab.run import Run, simulate
 from upwash.missions.bundled import load_specs
@@ -108,7 +109,7 @@ def check(plan: CheckInput, *, seeds: int, fly: Fly, flown: Callable[[int], None
         farthest=farthest(plan.config),
         warnings=(
             *warnings(plan.config, covered, list(beliefs(plan.config, alone)), predictions),
-            *_refusals(plan.config),
+            *_refusals(plan.config, alone),
         ),
         notices=tuple(plan_notices(plan.config)),
         demanding_share=UNSET if (share := demanding_share(plan.config)) is None else share,
@@ -141,11 +142,12 @@ def beliefs(config: DroneConfig, run: Run) -> Iterator[Belief]:
         )
 
 
-def _refusals(config: DroneConfig) -> Iterator[PreflightWarning]:
+def _refusals(config: DroneConfig, alone: Run) -> Iterator[PreflightWarning]:
     """What `upwash fly` would refuse, and a camera and services that would fail in flight."""
     if not is_for_flight(config):
         return
     # with all that flies a drone: only where one is to fly
+    from upwash.launch.cameras import NO_CAMERA, needs_camera
     from upwash.launch.photos import Look, look
     from upwash.launch.readiness import expiry_trouble, refusals
     from upwash.launch.trials import services_in_trouble
@@ -155,6 +157,8 @@ def _refusals(config: DroneConfig) -> Iterator[PreflightWarning]:
         yield PreflightWarning(refusal.kind, str(refusal.error))
     if trouble := expiry_trouble(config):
         yield PreflightWarning("certificate-ends", trouble)
+    if not needs_camera(config) and any(isinstance(event, schema.Photo) for event in alone.events):
+        yield PreflightWarning("no-camera", NO_CAMERA)
     seen = Look({})
     if not any(refusal.kind == "no-camera" for refusal in refused):
         try:
