@@ -23,10 +23,10 @@ from upwash.core.places import ON_DRONE
 from upwash.core.policy import Decision, Remote
 from upwash.drone.calling import Attempt, Call, Calling, RemoteFault, has_failed
 from upwash.drone.decisions import Decisions, now_s
-from upwash.drone.radio_worker import end_all
 from upwash.errors import UpwashError
 from upwash.eventlog import schema
 from upwash.ports import Journal
+from upwash.support.background import begin, end
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ class Racing:
 
     async def stop_losers(self) -> None:
         """Ends what still runs of calls that are answered."""
-        await end_all([each.task for each in self._losers])
+        await end(*(each.task for each in self._losers))
 
     # --- hedging --------------------------------------------------------------------------------------------
 
@@ -125,7 +125,7 @@ class Racing:
                 async with asyncio.timeout(hedge.after_s):
                     await asyncio.shield(remote)
         except BaseException:
-            await end_all([remote])
+            await end(remote)
             raise
         if remote.done():
             if (reply := remote.result()) is not None:
@@ -181,13 +181,13 @@ class Racing:
             reply = await asyncio.shield(computing.task)
         except BaseException:
             under_way = [attempt.reply] if attempt is not None and attempt.reply is not None else []
-            await end_all([computing.task, *under_way])
+            await end(computing.task, *under_way)
             raise
         return self._done_onboard(reply, computing, attempt)
 
     def _begin_at_server(self, call: Call, decision: Remote) -> Attempt:
         attempt = self._calling.attempt(call, decision.server, decision.deadline_s)
-        attempt.reply = asyncio.create_task(self._calling.at_server(attempt))
+        attempt.reply = begin(self._calling.at_server(attempt))
         return attempt
 
     def _begin_onboard(self, call: Call) -> _Computing:
@@ -198,7 +198,7 @@ class Racing:
             computing.began_s = now_s()
             return await self._calling.onboard(call)
 
-        computing.task = asyncio.create_task(compute())
+        computing.task = begin(compute())
         return computing
 
     async def _overtaken(self, computing: _Computing) -> Remote | None:
@@ -240,7 +240,7 @@ class Racing:
         if computing.began_s is None:
             computing.task.cancel()  # it was still in line
         else:
-            drop = asyncio.create_task(self._drop(call.operation, computing.task))
+            drop = begin(self._drop(call.operation, computing.task))
             self._keep(_Loser(drop, call.operation.service))
         return Answer(
             attempt.reply.result(), call, attempt, ended_s - began_s, queued_s=began_s - computing.asked_s

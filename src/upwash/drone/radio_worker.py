@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import functools
-from collections.abc import Awaitable, Callable, Collection, Mapping
-from typing import Any, NoReturn, TypeVar
+from collections.abc import Awaitable, Callable, Mapping
+from typing import NoReturn, TypeVar
 
 from upwash.core.commands import Check, Command, Leave, Prepare, Probe, Start
 from upwash.core.events import (
@@ -245,10 +245,3 @@ async def _first_success(tasks: set[asyncio.Task[T]], *, within_s: float) -> T |
 
 async def _until_lost(session: ServerSession) -> None:
     await session.lost()
-
-
-async def end_all(tasks: Collection[asyncio.Task[Any]]) -> None:
-    """Cancels the tasks and waits for their ends, whatever they are."""
-    for task in tasks:
-        task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import os
 import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -20,7 +21,8 @@ from upwash.errors import DeadlineExceeded, LinkError, Refused, Unreachable
 from upwash.real.framing import BESIDE_BYTES, LENGTH_BYTES, frame, length_of, read_frame
 from upwash.real.link import too_large
 from upwash.real.requests import Caller, Requests, words_for_caller
-from upwash.real.streams import hang_up
+from upwash.real.streams import connected_pair, hang_up
+from upwash.support.background import only_logged, start, thread
 from upwash.support.text import printable
 
 _SEND_BYTES = 2**20  # room for a photo, or what the system allows
@@ -65,15 +67,10 @@ Calls = tuple[asyncio.StreamReader, asyncio.StreamWriter]  # the program's end, 
 
 async def direct_pair() -> tuple[Calls, socket.socket]:
     """The program's end and the instance's; raises OSError."""
-    own, theirs = socket.socketpair()
-    try:
-        for end in (own, theirs):
-            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BYTES)
-        return await asyncio.open_connection(sock=own, limit=_SEND_BYTES), theirs
-    except BaseException:
-        own.close()
-        theirs.close()
-        raise
+    calls, theirs = await connected_pair(limit=_SEND_BYTES)
+    for end in (calls[1].get_extra_info("socket"), theirs):
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BYTES)
+    return calls, theirs
 
 
 class DirectListener:
@@ -90,7 +87,7 @@ class DirectListener:
 
     def start(self) -> None:
         """Begins to answer."""
-        threading.Thread(target=self._listen, name="direct calls", daemon=True).start()
+        thread(self._listen, name="direct calls", failed=lambda _: os._exit(1)).start()
 
     def stop(self, *, grace_s: float = 0.0) -> None:
         """Returns when what is under way has ended."""
@@ -138,7 +135,7 @@ class DirectLink:
         self._numbers = itertools.count()
         self._waiting: dict[int, asyncio.Future[Answer | Refuse | LinkError]] = {}
         self._over: LinkError | None = None
-        self._listening = asyncio.create_task(self._listen())
+        self._listening = start(self._listen(), name="the replies of an instance", failed=only_logged)
 
     async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
         """Sends one request and returns its reply; raises LinkError. Cancelling it gives the request up."""

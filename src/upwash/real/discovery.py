@@ -7,8 +7,8 @@ show the certificate of the server that was looked for.
 from __future__ import annotations
 
 import contextlib
-import socket
 from collections.abc import AsyncIterator, Collection
+from ipaddress import IPv4Address, IPv6Address, ip_address
 
 import ifaddr
 from zeroconf import IPVersion
@@ -22,14 +22,16 @@ _KIND = "_upwash._tcp.local."
 @contextlib.asynccontextmanager
 async def announcing(names: Collection[str], host: str, port: int) -> AsyncIterator[None]:
     """Announces the servers of a daemon that listens there, until the end of the block."""
-    everywhere = host in ("0.0.0.0", "[::]")  # noqa: S104 - compared, not listened at
-    addresses = _own_addresses() if everywhere else [host]
-    async with _opened(None if everywhere else host) as network:
+    listens = ip_address(host.strip("[]").partition("%")[0])
+    addresses = _own_addresses(listens.version) if listens.is_unspecified else [listens]
+    at_one = isinstance(listens, IPv4Address) and not listens.is_unspecified
+    # An IPv6 address is announced over IPv4 too: its interface may have several of those.
+    async with _opened(str(listens) if at_one else None) as network:
         for name in names:
             info = AsyncServiceInfo(
                 _KIND,
                 f"{name}.{_KIND}",
-                addresses=[socket.inet_aton(address) for address in addresses],
+                addresses=[address.packed for address in addresses],
                 port=port,
                 server=f"{name}.upwash.local.",
             )
@@ -69,10 +71,18 @@ async def _opened(interface: str | None) -> AsyncIterator[AsyncZeroconf]:
         await network.async_close()
 
 
-def _own_addresses() -> list[str]:
-    return [str(each.ip) for adapter in ifaddr.get_adapters() for each in adapter.ips if each.is_IPv4]
+def _own_addresses(version: int) -> list[IPv4Address | IPv6Address]:
+    """Those of that version of IP that other computers can reach without knowing an interface."""
+    said = [each.ip for adapter in ifaddr.get_adapters() for each in adapter.ips]
+    addresses = [ip_address(each if isinstance(each, str) else each[0]) for each in said]
+    return [
+        each for each in addresses if each.version == version and not (version == 6 and each.is_link_local)
+    ]
 
 
 def _address_of(info: AsyncServiceInfo) -> str | None:
-    addresses = info.parsed_addresses(IPVersion.V4Only)
-    return f"{addresses[0]}:{info.port}" if addresses and info.port else None
+    addresses = info.ip_addresses_by_version(IPVersion.All)
+    if not addresses or not info.port:
+        return None
+    first = addresses[0]
+    return f"[{first}]:{info.port}" if first.version == 6 else f"{first}:{info.port}"

@@ -37,6 +37,7 @@ from upwash.real.control import (
 )
 from upwash.real.output import Output
 from upwash.real.streams import hang_up
+from upwash.support.background import start
 from upwash.support.text import words_of
 
 _log = logging.getLogger("upwash.instance")
@@ -93,7 +94,9 @@ class InstanceControl:
             match await self._hear():
                 case Ready(address):
                     self._ready_s = _now_s()
-                    self._listening = asyncio.create_task(self._listen())
+                    self._listening = start(
+                        self._listen(), name=f"the control line of {self._name}", failed=self._lose
+                    )
                     return address
                 case Failed(why):
                     raise InstanceError(f"{self._name} did not start: {words_of(why[:_LONGEST_REASON])}")
@@ -166,6 +169,9 @@ class InstanceControl:
         if isinstance(message, Ended):
             self.code = message.code
         return message
+
+    def _lose(self, defect: Exception) -> None:
+        self._hang_up(f"a defect in hearing it: {type(defect).__name__}: {defect}")
 
     def _hang_up(self, why: str) -> None:
         self.fault = why

@@ -8,6 +8,7 @@ import itertools
 import socket
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import msgspec
@@ -20,7 +21,9 @@ from upwash.real.direct import Calls, direct_pair
 from upwash.real.door import Lead, Passage
 from upwash.real.instance_control import InstanceControl
 from upwash.real.output import Output, reading_pace
-from upwash.real.streams import endpoint_of, hang_up, listening_socket
+from upwash.real.streams import connected_pair, endpoint_of, hang_up, listening_socket
+from upwash.support.background import end, only_logged, start
+from upwash.support.waiting import first
 
 STOP_GRACE_S = 2.0
 _CHUNK_BYTES = 65536
@@ -75,6 +78,7 @@ class LocalInstance:
         self._passage: Passage | None = None
         self._calls: Calls | None = None
         self._path = ""  # of the socket to which callers are led
+        self._files: list[Path] = []  # that its sockets leave
         self._running: Running | None = None
         self._output = Output(spec.name)
         self._prints: asyncio.StreamWriter | None = None  # kept, or the socket would be closed with it
@@ -89,6 +93,9 @@ class LocalInstance:
         instance is called over a pair: `take_calls`.
         """
         listen, endpoint = begin.listen, ""
+        if listen.startswith("unix:"):
+            path = listen.removeprefix("unix:")
+            self._files = [Path(path), Path(f"{path}-inside")]
         with contextlib.ExitStack() as stack:
             outside: socket.socket | None = None
             if not listen:
@@ -152,8 +159,9 @@ class LocalInstance:
             await self._hang_up()
 
     async def _hang_up(self) -> None:
-        if self._listening is not None:
-            self._listening.cancel()
+        for file in self._files:
+            file.unlink(missing_ok=True)
+        await end(self._listening)
         if self._control is not None:
             await self._control.close()
         if self._prints is not None:
@@ -180,14 +188,7 @@ class LocalInstance:
 
     async def _end_of(self, running: Running) -> int | None:
         """Its code when it has ended; None for one that goes on although its control line is cut."""
-        ended = asyncio.create_task(running.ended())
-        cut = asyncio.create_task(self._cut())
-        try:
-            await asyncio.wait([ended, cut], return_when=asyncio.FIRST_COMPLETED)
-            return ended.result() if ended.done() else None
-        finally:
-            ended.cancel()
-            cut.cancel()
+        return await first(running.ended(), self._cut())
 
     async def _cut(self) -> None:
         """Returns when this end has hung up, or the other end has for longer than it needs to end."""
@@ -209,31 +210,27 @@ class LocalInstance:
             raise InstanceError(f"{self.spec.name} cannot listen at {address}: {error}") from error
 
     async def _start(self, outside: socket.socket | None) -> InstanceControl:
-        control, their_control = socket.socketpair()
-        output, their_output = socket.socketpair()
-        try:
-            reports, orders = await asyncio.open_connection(sock=control)
-            self._control = InstanceControl(
-                self.spec.name,
-                self._called,
-                self._output,
-                answered=self._answered,
-                methods=self.spec.methods,
-                reports=reports,
-                orders=orders,
-            )
-            prints, self._prints = await asyncio.open_connection(sock=output)
-            self._running = await self._run(self.spec, Handed(their_control, their_output, outside))
-        except OSError as error:
-            raise InstanceError(f"{self.spec.name} did not start: {error}") from error
-        finally:
-            their_control.close()
-            their_output.close()
-            if self._control is None:
-                control.close()
-            if self._prints is None:
-                output.close()
-        self._listening = asyncio.create_task(self._listen(prints))
+        with contextlib.ExitStack() as theirs:
+            try:
+                (reports, orders), control = await connected_pair()
+                theirs.enter_context(control)
+                self._control = InstanceControl(
+                    self.spec.name,
+                    self._called,
+                    self._output,
+                    answered=self._answered,
+                    methods=self.spec.methods,
+                    reports=reports,
+                    orders=orders,
+                )
+                (prints, self._prints), output = await connected_pair()
+                theirs.enter_context(output)
+                self._running = await self._run(self.spec, Handed(control, output, outside))
+            except OSError as error:
+                raise InstanceError(f"{self.spec.name} did not start: {error}") from error
+        self._listening = start(
+            self._listen(prints), name=f"the output of {self.spec.name}", failed=only_logged
+        )
         return self._control
 
     async def _listen(self, prints: asyncio.StreamReader) -> None:

@@ -156,6 +156,19 @@ async def readable(connection: socket.socket) -> None:
         loop.remove_reader(connection)
 
 
+async def connected_pair(
+    *, limit: int = _MOST_EARLY_BYTES
+) -> tuple[tuple[asyncio.StreamReader, asyncio.StreamWriter], socket.socket]:
+    """This program's end of a pair of sockets, and the end for another program; raises OSError."""
+    own, theirs = socket.socketpair()
+    try:
+        return await asyncio.open_connection(sock=own, limit=limit), theirs
+    except BaseException:
+        own.close()
+        theirs.close()
+        raise
+
+
 def listening_socket(address: str) -> socket.socket:
     """One that listens at `HOST:PORT` or `unix:PATH`; raises OSError."""
     if address.startswith("unix:"):
