@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 import asyncio
 import threading
+from pathlib import Path
 from typing import NoReturn
 
 import pytest
 
-from upwash.support.background import begin, beside, end, start, thread
+import upwash
+from upwash.sim.loop import run_virtually
+from upwash.support.background import begin, beside, end, kept_up, start, thread
 from upwash.support.waiting import first, never
 
 
@@ -143,6 +147,55 @@ def test_a_thread_that_fails_is_logged_and_has_its_consequence(caplog: pytest.Lo
     runs.join()
     assert failures == [("a defect", "reader")]
     assert "reader failed: LookupError: a defect" in caplog.text
+
+
+def test_work_that_is_kept_up_runs_again_after_a_failure_which_is_told_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    runs: list[int] = []
+    failures: list[Exception] = []
+
+    async def work() -> None:
+        runs.append(len(runs))
+        if len(runs) == 4:
+            await never()
+        raise LookupError("a defect")
+
+    async def main() -> None:
+        kept = start(
+            kept_up(work, name="heartbeats", pause_s=1.0, failed=failures.append),
+            name="heartbeats",
+            failed=failures.append,
+        )
+        await asyncio.sleep(10.0)
+        await end(kept)
+
+    run_virtually(main())
+    assert runs == [0, 1, 2, 3]
+    assert len(failures) == 1 and len(caplog.records) == 1
+
+
+def loops_own_tasks(source: str) -> list[int]:
+    """The lines of a module that make a task outside of an `asyncio.TaskGroup`, which the linter does not see."""
+    return [
+        node.lineno
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Attribute)
+        and node.attr in ("create_task", "ensure_future")
+        and not ast.unparse(node.value).endswith(("tasks", "group"))
+    ]
+
+
+def test_nothing_else_makes_tasks_of_a_loop() -> None:
+    package = Path(upwash.__file__).parent
+    made = {
+        str(file.relative_to(package)): loops_own_tasks(file.read_text()) for file in package.rglob("*.py")
+    }
+    assert [file for file, lines in made.items() if lines] == ["support/background.py"]
+    assert loops_own_tasks("asyncio.get_running_loop().create_task(work())\nself._loop.create_task(a)") == [
+        1,
+        2,
+    ]
 
 
 def test_the_first_to_end_decides_and_the_others_have_ended() -> None:

@@ -61,7 +61,7 @@ class MissionThread:
         self._grace_s = grace_s
         self._loop = asyncio.get_running_loop()
         self._ended: asyncio.Future[Exception | None] = self._loop.create_future()
-        self._thread: threading.Thread | None = None  # once it runs
+        self._thread: threading.Thread | None = None  # noqa: TID251 - once it runs
         self._stopped = ""  # why, once it is
         self._verb: asyncio.Task[Any] | None = None
         self._ended_verbs: SimpleQueue[asyncio.Task[Any]] = SimpleQueue()

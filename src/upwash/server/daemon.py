@@ -51,6 +51,7 @@ from upwash.rpc.protocol import (
     decode_reply,
     decode_request,
 )
+from upwash.support.background import beside, start
 from upwash.support.text import printable
 
 R = TypeVar("R")
@@ -122,6 +123,7 @@ class EdgeServer:
         self._began_s = self._now_s()
         self._held = asyncio.Event()  # a slot, perhaps for less than a lease
         self._used = asyncio.Event()  # by somebody, since nobody had a slot and nothing ran
+        self._defect: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._instances: dict[StartInstance, Instance] = {}
         self._lives: dict[int, asyncio.Task[None]] = {}  # by instance number, from start to end
         self._endings: dict[int, asyncio.Task[None]] = {}  # of those that have to stop
@@ -186,7 +188,19 @@ class EdgeServer:
         await asyncio.gather(*self._endings.values())
 
     async def run(self) -> NoReturn:
-        """Ends leases and idle instances as their time comes, until cancelled."""
+        """Ends leases and idle instances as their time comes, until cancelled.
+
+        Raises the failure of an instance's life or end that is no InstanceError: what it leaves is not known.
+        """
+        async with beside(self._end_in_time(), name="the ends of leases"):
+            await asyncio.shield(self._defect)
+        raise AssertionError("a defect is an exception")
+
+    def _fail(self, defect: Exception) -> None:
+        if not self._defect.done():
+            self._defect.set_exception(defect)
+
+    async def _end_in_time(self) -> NoReturn:
         looked_s = self._now_s()
         while True:
             if self._host.is_idle:
@@ -329,11 +343,13 @@ class EdgeServer:
                     await self._admit(command)
                 case StartInstance(_, _, number):
                     self._settled[number] = asyncio.get_running_loop().create_future()
-                    self._lives[number] = asyncio.create_task(self._live(command))
+                    name = f"the life of {command.service}"
+                    self._lives[number] = start(self._live(command), name=name, failed=self._fail)
                 case StopInstance(_, _, number):
                     if self._settled[number].done():
                         self._settled[number] = asyncio.get_running_loop().create_future()
-                    self._endings[number] = asyncio.create_task(self._end(command))
+                    name = f"the end of {command.service}"
+                    self._endings[number] = start(self._end(command), name=name, failed=self._fail)
 
     async def _end(self, stop: StopInstance) -> None:
         """Lets an instance end the calls under way, then stops it."""
@@ -409,11 +425,8 @@ class EdgeServer:
                 )
             )
             self._settled[start.number].set_result("")
-            watch = asyncio.create_task(self._watch(start, instance))
-            try:
+            async with beside(self._watch(start, instance), name=f"the watch of {spec.name}"):
                 why = await instance.exited()
-            finally:
-                watch.cancel()
             self._gone(start, why)
             _log.warning("%s is gone: %s", spec.name, why)
         except TimeoutError:

@@ -3,6 +3,7 @@
     beside(work)               for a block: work that fails cancels the block, which raises the failure
     start(work, failed=...)    for an object: a failure is logged with its trace, then passed to `failed`
     thread(work, failed=...)   the same in a thread
+    kept_up(work)              for work that must not end: it is run again after a failure
     begin(work)                for a result: whoever awaits the task gets its failure
 
 An owner ends its tasks with `end`. Nothing else in upwash makes a thread, or a task outside an `asyncio.TaskGroup`.
@@ -15,7 +16,7 @@ import contextlib
 import logging
 import threading
 from collections.abc import AsyncIterator, Callable, Coroutine
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 T = TypeVar("T")
 Failed = Callable[[Exception], object]  # what a failure leads to
@@ -57,6 +58,29 @@ def start(work: Coroutine[Any, Any, T], *, name: str, failed: Failed) -> asyncio
     return task
 
 
+async def kept_up(
+    work: Callable[[], Coroutine[Any, Any, object]],
+    *,
+    name: str,
+    pause_s: float,
+    failed: Failed = only_logged,
+) -> NoReturn:
+    """Run work that must not end: again, after a pause, whenever it has failed or ended.
+
+    A failure is logged and passed to `failed` where it differs from the one before.
+    """
+    last = ""
+    while True:
+        try:
+            await work()
+        except Exception as failure:  # noqa: BLE001 - every one has the same consequence
+            if (said := repr(failure)) != last:
+                last = said
+                _report(name, failure)
+                failed(failure)
+        await asyncio.sleep(pause_s)
+
+
 def begin(work: Coroutine[Any, Any, T], *, name: str | None = None) -> asyncio.Task[T]:
     """A task whose owner awaits its result, and gets its failure there; asyncio logs a failure that nobody gets."""
     return asyncio.get_running_loop().create_task(work, name=name)
@@ -71,7 +95,7 @@ async def end(*tasks: asyncio.Task[Any] | None) -> None:
         await asyncio.wait(running)
 
 
-def thread(work: Callable[[], object], *, name: str, failed: Failed) -> threading.Thread:
+def thread(work: Callable[[], object], *, name: str, failed: Failed) -> threading.Thread:  # noqa: TID251 - here alone
     """A thread that does not hold up the program's end; its failure is logged, and passed to `failed`, there."""
 
     def run() -> None:
@@ -81,7 +105,7 @@ def thread(work: Callable[[], object], *, name: str, failed: Failed) -> threadin
             _report(name, failure)
             failed(failure)
 
-    return threading.Thread(target=run, name=name, daemon=True)
+    return threading.Thread(target=run, name=name, daemon=True)  # noqa: TID251 - here alone
 
 
 def _report(name: str, failure: BaseException) -> None:

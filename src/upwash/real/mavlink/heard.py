@@ -9,7 +9,8 @@ import asyncio
 import contextlib
 import math
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
+from typing import Any
 from functools import partial
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -32,6 +33,7 @@ from upwash.real.mavlink.settings import Patience
 from upwash.real.mavlink.streams import Streams
 from upwash.real.mavlink.telemetry import Telemetry
 from upwash.real.mavlink.troubles import Troubles
+from upwash.support.background import end, kept_up, only_logged, start
 
 _HEARTBEAT_S = 1.0
 _TELL_THE_MODE = ("HEARTBEAT", "CURRENT_MODE", "FENCE_STATUS")
@@ -107,8 +109,7 @@ class HeardVehicle:
         self.heartbeat_word: Callable[[], int] = lambda: 0  # what else each of our heartbeats says
         self.hindrance: Callable[[], str] = lambda: ""  # what is known of why it takes long
         self.missed_after_s = math.inf  # after so long a silence of the link its dead man may have acted
-        self._accompanying = asyncio.create_task(self._accompany())
-        self._watching = asyncio.create_task(self._watch_link())
+        self._tasks = [self._keep_up(self._accompany), self._keep_up(self._watch_link)]
 
     async def found(
         self, *, within_s: float, waiting: Callable[[str, float], None] = lambda *_: None
@@ -244,11 +245,17 @@ class HeardVehicle:
 
     async def close(self) -> None:
         """Gives up the connection."""
-        tasks = self._accompanying, self._watching
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await end(*self._tasks)
         await self._link.close()
+
+    def _keep_up(self, work: Callable[[], Coroutine[Any, Any, None]]) -> asyncio.Task[None]:
+        """Has the work go on after a defect, which is told: a vehicle that hears nothing may end the flight."""
+
+        def tell(defect: Exception) -> None:
+            self.tell(LinkTrouble("defect", f"a defect of upwash: {type(defect).__name__}: {defect}"))
+
+        kept = kept_up(work, name="the vehicle's link", pause_s=_HEARTBEAT_S, failed=tell)
+        return start(kept, name="the vehicle's link", failed=only_logged)
 
     async def until(self, step: str, condition: Callable[[], bool]) -> None:
         """Returns when the condition, looked at with each message, is true; raises AutopilotLost on silence."""

@@ -23,6 +23,7 @@ from upwash.mavlink.packets import packed
 from upwash.mavlink.signing import Refusal, Signing
 from upwash.real.mavlink.hearing import Hearing, Message, from_autopilot
 from upwash.real.mavlink.peer import Address, Peer
+from upwash.support.background import end, kept_up, only_logged, start
 
 COMPANION = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 
@@ -71,7 +72,8 @@ class MavlinkLink:
         self._signing = signing
         self._line: _Line | None = None
         self._codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=COMPANION)
-        self._task = asyncio.create_task(self._stay_open())
+        kept = kept_up(self._stay_open, name="the link", pause_s=_REOPEN_AFTER_S)
+        self._task = start(kept, name="the link", failed=only_logged)
 
     @property
     def why_silent(self) -> str:
@@ -111,8 +113,7 @@ class MavlinkLink:
 
     async def close(self) -> None:
         """Closes the connection for good."""
-        self._task.cancel()
-        await asyncio.gather(self._task, return_exceptions=True)
+        await end(self._task)
 
     async def _stay_open(self) -> None:
         while True:

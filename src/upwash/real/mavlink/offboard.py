@@ -10,7 +10,6 @@ origin of its estimator (it flew 11.9 m high for 10 m).
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -20,6 +19,7 @@ from upwash.real.mavlink.course import Abilities, Course
 from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 from upwash.real.mavlink.whereabouts import Whereabouts
+from upwash.support.background import end, start
 
 _PERIOD_S = 0.05
 _SILENT_AFTER_S = 0.6  # its position comes ten times a second; below COM_OF_LOSS_T, which is 1 s by default
@@ -44,7 +44,8 @@ class SetpointStream:
         """Streams from now on where the vehicle is, and where the course then goes."""
         self.course = self._course_from_here()
         if self._task is None:
-            self._task = asyncio.create_task(self._run())
+            # Without setpoints PX4 leaves OFFBOARD, as COM_OBL_RC_ACT says, and the flight ends.
+            self._task = start(self._run(), name="setpoints", failed=lambda _: self.end())
         return self.course
 
     def end(self) -> None:
@@ -54,10 +55,7 @@ class SetpointStream:
     async def close(self) -> None:
         """Ends it for good."""
         self.end()
-        if self._task is not None:
-            self._task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._task
+        await end(self._task)
 
     async def _run(self) -> None:
         vehicle = self._vehicle
