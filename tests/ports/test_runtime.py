@@ -195,10 +195,17 @@ def test_an_instance_is_made_with_its_settings_and_those_of_what_it_uses(
 def test_a_service_that_cannot_start_says_why_and_leaves_nothing(
     services: Path, tmp_path: Path, cls: str, said: str
 ) -> None:
+    def left() -> tuple[int, list[Path]]:
+        return len(os.listdir("/proc/self/fd")), list(tmp_path.glob("*.sock*"))  # noqa: PTH208
+
     async def use() -> None:
         with pytest.raises(InstanceError, match=said):
             await runtime(tmp_path).start(spec(services, cls), called=lambda _: None)
+        before = left()  # the loop has opened what it needs
+        with pytest.raises(InstanceError, match=said):
+            await runtime(tmp_path).start(spec(services, cls), called=lambda _: None)
         expect_no_child()
+        assert left() == before == (before[0], [])
 
     asyncio.run(use())
 

@@ -513,3 +513,31 @@ def test_its_status_is_for_operators() -> None:
         ]
 
     serve(story)
+
+
+@pytest.mark.parametrize("defective", ["start", "exited", "drain"])
+def test_a_defect_in_an_instances_life_ends_the_daemon_with_that_failure(
+    monkeypatch: pytest.MonkeyPatch, defective: str
+) -> None:
+    async def fail(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("a defect")
+
+    async def story() -> None:
+        daemon = Daemon()
+        if defective == "start":
+            monkeypatch.setattr(daemon.runtime, "start", fail)
+        else:
+            monkeypatch.setattr(Instance, defective, fail)
+        running = asyncio.create_task(daemon.edge.run())
+        await daemon.ask()
+        asking = asyncio.create_task(daemon.start())
+        if defective == "drain":
+            await asking
+            await daemon.edge.reload({"s1": ServerOffer(frozenset(), 1)}, images={}, revoked=frozenset())
+        async with asyncio.timeout(60.0):
+            with pytest.raises(ZeroDivisionError, match="a defect"):
+                await running
+        asking.cancel()
+        await daemon.edge.close()
+
+    run_virtually(story())

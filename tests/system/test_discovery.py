@@ -53,6 +53,14 @@ def test_what_is_announced_is_found_until_it_is_announced_no_more() -> None:
     asyncio.run(use())
 
 
+def test_a_server_at_an_ipv6_address_is_announced_and_found() -> None:
+    async def use() -> None:
+        async with announcing(["s6"], "[::1]", 7070):
+            assert await find("s6", within_s=5.0) == "[::1]:7070"
+
+    asyncio.run(use())
+
+
 def test_a_drone_finds_a_daemon_and_its_services_by_the_servers_name(tmp_path: Path, keys: Path) -> None:
     async def use() -> bytes:
         async with session_of(keys, "workbench") as session:

@@ -10,8 +10,8 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
-from typing import Any
 from functools import partial
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
