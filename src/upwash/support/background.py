@@ -82,7 +82,7 @@ async def kept_up(
 
 
 def begin(work: Coroutine[Any, Any, T], *, name: str | None = None) -> asyncio.Task[T]:
-    """A task whose owner awaits its result, and gets its failure there; asyncio logs a failure that nobody gets."""
+    """A task whose owner awaits its result, and gets its failure there; asyncio logs a failure of a dropped task."""
     return asyncio.get_running_loop().create_task(work, name=name)
 
 

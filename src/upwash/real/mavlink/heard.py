@@ -249,7 +249,7 @@ class HeardVehicle:
         await self._link.close()
 
     def _keep_up(self, work: Callable[[], Coroutine[Any, Any, None]]) -> asyncio.Task[None]:
-        """Has the work go on after a defect, which is told: a vehicle that hears nothing may end the flight."""
+        """Has the work go on after a defect, with a warning: a vehicle that hears nothing may end the flight."""
 
         def tell(defect: Exception) -> None:
             self.tell(LinkTrouble("defect", f"a defect of upwash: {type(defect).__name__}: {defect}"))
