@@ -14,9 +14,10 @@ import pytest
 from upwash.config import read_daemon_config
 from upwash.errors import UsageError
 from upwash.missions.bundled import load_service_alone
+from upwash.packaging import sources
 from upwash.packaging.archive import write_packed
 from upwash.packaging.base import lay_base, lay_init
-from upwash.packaging.contents import copy_distributions, copy_program, extra_of
+from upwash.packaging.contents import copy_distributions, copy_program, copy_setting, extra_of
 from upwash.packaging.image import Recipe, package
 from upwash.packaging.shipping import find_service
 from upwash.real.lxd.engine import EngineImage
@@ -102,6 +103,59 @@ def test_what_cannot_be_packaged_is_named(services: Path, tmp_path: Path) -> Non
         copy_program("no_such_module:Service", tmp_path)
     with pytest.raises(UsageError, match="models: no such file"):
         copy_program(f"{services}:Workbench", tmp_path, beside=[tmp_path / "models"])
+
+
+def refused(folder: Path) -> str:
+    with pytest.raises(UsageError) as refusal:
+        copy_setting(folder, folder.parent / "root")
+    return str(refusal.value)
+
+
+def test_a_folder_is_packed_only_if_nothing_in_it_leads_elsewhere(tmp_path: Path) -> None:
+    folder, secret = tmp_path / "models", tmp_path / "secret"
+    folder.mkdir()
+    secret.write_text("a key")
+    (folder / "weights").write_text("1 2 3")
+    (folder / "latest").symlink_to("weights")
+    copied = tmp_path / "root" / copy_setting(folder, tmp_path / "root").relative_to("/")
+    assert sorted(path.read_text() for path in copied.iterdir()) == ["1 2 3"] * 2
+
+    odd = folder / "odd"
+    for target in (secret, tmp_path, Path("/etc"), Path(), Path("/dev/zero"), Path("missing")):
+        odd.symlink_to(target)
+        assert str(odd) in refused(folder)
+        odd.unlink()
+    os.mkfifo(odd)
+    assert refused(folder) == f"{odd} is neither a file nor a folder: remove it"
+    odd.unlink()
+    (folder / "\x1b[2J").touch()
+    assert "cannot be shown" in refused(folder)
+
+
+def test_a_folder_that_is_too_large_is_refused_before_it_is_copied(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "models"
+    folder.mkdir()
+    with (folder / "sparse").open("wb") as sparse:
+        sparse.truncate(2**40)
+    assert "more than 100000 files or 32 GiB" in refused(folder)
+    (folder / "sparse").unlink()
+    monkeypatch.setattr(sources, "_MOST_FILES", 10)
+    for number in range(11):
+        (folder / str(number)).touch()
+    assert "more than 10 files" in refused(folder)
+    assert not (tmp_path / "root").exists()
+
+
+def test_two_files_of_one_name_beside_a_program_are_refused(services: Path, tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "table").touch()
+    with pytest.raises(UsageError, match="another file beside the program has that name"):
+        copy_program(
+            f"{services}:Workbench", tmp_path / "root", beside=[tmp_path / "a/table", tmp_path / "b/table"]
+        )
 
 
 def test_links_and_rights_survive_the_archive_and_times_do_not(tmp_path: Path) -> None:

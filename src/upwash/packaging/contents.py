@@ -11,6 +11,7 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 from upwash.errors import UsageError
+from upwash.packaging.sources import is_left_out, require_packable
 from upwash.support.loading import extra
 
 if TYPE_CHECKING:
@@ -22,13 +23,15 @@ SETTINGS = "opt/upwash/settings"
 
 # Of upwash's own requirements those that a service instance and its container's init import.
 _OF_EVERY_INSTANCE = ("grpcio", "msgspec")
-_LEFT_OUT = {"__pycache__", "tests"}
+_PIECE_BYTES = 2**20
 
 
 def copy_program(program: str, root: Path, *, beside: Iterable[Path] = ()) -> str:
     """Copies a service's module or file, and what lies `beside` it; returns its import path in the image."""
     module, _, name = program.rpartition(":")
     for path in beside:
+        if (root / PROGRAM / path.name).exists():
+            raise UsageError(f"{path}: another file beside the program has that name: rename one of the two")
         _copy(path, root / PROGRAM / path.name)
     if module.endswith(".py"):
         file = Path(module)
@@ -42,6 +45,7 @@ def copy_program(program: str, root: Path, *, beside: Iterable[Path] = ()) -> st
 
 def copy_setting(file: Path, root: Path) -> Path:
     """Copies a file or folder that a setting names; returns its path in the image, the same for the same contents."""
+    require_packable(file)
     target = Path(SETTINGS, _hash(file), file.name)
     _copy(file, root / target)
     return Path("/") / target
@@ -67,7 +71,8 @@ def copy_distributions(requirements: Iterable[str], root: Path) -> list[str]:
     for each in found.values():
         for file in each.files or ():
             source = Path(str(each.locate_file(file)))
-            if ".." not in file.parts and source.is_file() and not _is_left_out(file):
+            is_inside = ".." not in file.parts and not file.is_absolute()
+            if is_inside and source.is_file() and not is_left_out(file):
                 target = library / file
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(source, target)
@@ -122,7 +127,9 @@ def _hash(path: Path) -> str:
     found = hashlib.sha256()
     for file in files:
         if file.is_file():
-            found.update(file.read_bytes())
+            with file.open("rb") as content:
+                while piece := content.read(_PIECE_BYTES):
+                    found.update(piece)
     return found.hexdigest()[:12]
 
 
@@ -137,8 +144,7 @@ def _source(module: str) -> Path:
 
 
 def _copy(source: Path, target: Path) -> None:
-    if not source.exists():
-        raise UsageError(f"{source}: no such file: check the path")
+    require_packable(source)
     target.parent.mkdir(parents=True, exist_ok=True)
     if source.is_dir():
         shutil.copytree(source, target, ignore=_left_out, dirs_exist_ok=True)
@@ -147,8 +153,4 @@ def _copy(source: Path, target: Path) -> None:
 
 
 def _left_out(_: str, names: list[str]) -> Iterator[str]:
-    return (name for name in names if _is_left_out(PurePath(name)))
-
-
-def _is_left_out(path: PurePath) -> bool:
-    return path.suffix == ".pyc" or not _LEFT_OUT.isdisjoint(path.parts)
+    return (name for name in names if is_left_out(PurePath(name)))
