@@ -252,6 +252,9 @@ class Racing:
         self._journal.record(schema.Dropped(operation=str(operation), place=ON_DRONE))
 
     def _keep(self, loser: _Loser) -> None:
+        for each in self._losers:
+            if each.task.done() and not each.task.cancelled():
+                each.task.result()  # which raises a defect, and so ends offloading
         self._losers = [each for each in (*self._losers, loser) if not each.task.done()]
 
 
