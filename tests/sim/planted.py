@@ -39,6 +39,8 @@ from upwash.core.server_table import ServerTable
 from upwash.core.servers import Server, State, Trigger
 from upwash.core.stay_or_go import Outlook, StayOrGo, Verdict
 from upwash.core.turns import Turns
+from upwash.core.watchdog import Failures as DaemonFailures
+from upwash.core.watchdog import Limit, Watch
 from upwash.drone.api import position_of
 from upwash.drone.background import Background
 from upwash.drone.calling import Calling
@@ -593,6 +595,30 @@ def trusted_without_trial() -> contextlib.AbstractContextManager[object]:
     return patch.object(Recovery, "in_doubt", lambda *_: False)
 
 
+def useless_for_ever() -> contextlib.AbstractContextManager[object]:
+    """An instance is never replaced, as it once was not."""
+    return patch.object(Watch, "verdict", lambda *_, **__: None)
+
+
+def replaced_too_early() -> contextlib.AbstractContextManager[object]:
+    """A call that takes longer than a second has its instance replaced."""
+    return patch.object(Limit, "seconds", lambda *_: 1.0)
+
+
+def tried_without_pause() -> contextlib.AbstractContextManager[object]:
+    """A service that does not start is tried again at each request."""
+    return patch.object(DaemonFailures, "pause_s", lambda *_, **__: 0.0)
+
+
+def pause_ignored() -> contextlib.AbstractContextManager[object]:
+    """A drone asks a server during the pause that the server named."""
+
+    def forget(self: Server, pause_s: float, now_s: float) -> None:
+        pass
+
+    return patch.object(Server, "leave_out", forget)
+
+
 DEFECTS = (
     Defect("the wait for a server has no bound", wait_without_bound),
     Defect("the program waits longer than was decided", wait_not_watched),
@@ -655,6 +681,10 @@ DEFECTS = (
     Defect("a failed server is probed only once", probed_once),
     Defect("a server that keeps failing is not left alone for longer", trusted_however_often_it_fails),
     Defect("a server that failed gets a call without a trial", trusted_without_trial),
+    Defect("an instance of no use is never replaced", useless_for_ever),
+    Defect("an instance is replaced too early", replaced_too_early),
+    Defect("a service that does not start is tried without pause", tried_without_pause),
+    Defect("a drone ignores the pause that a server names", pause_ignored),
     Defect("a decision depends on something besides the seed", chance_from_outside),
 )
 

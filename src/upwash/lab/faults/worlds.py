@@ -23,6 +23,7 @@ from upwash.lab.observer import Seen
 
 _NOT_AIMED_AT = ("reached",)  # seen since worlds were first drawn: each seed keeps its faults
 _SERVER_KINDS = ("off", "stuck", "slow", "garbage", "wrong", "flapping", "full", "crash")
+_USELESS_KINDS = ("hung", "poisoned", "unstartable")
 _MOVING_KINDS = ("off", "stuck", "slow", "flapping")
 _LIES = get_args(Lie)
 _LONGEST_FAULT_S = 10_000.0  # longer than any of these missions
@@ -94,6 +95,7 @@ class World:
         faults += _takeovers(seed, events)
         faults += _incidents(seed, events)
         faults += _lies(seed, names, moments)
+        faults += _useless_instances(seed, names, moments)
         return [{**document, "fault": faults} for document in self._documents]
 
 
@@ -421,6 +423,18 @@ def _lies(seed: int, servers: Sequence[str], moments: Sequence[Moment]) -> list[
     aimed = (_fault(chance, servers, moments) for _ in range(chance.randint(1, 3)))
     return [
         {**each, "target": each["target"].removeprefix("link:"), "kind": "lying", "lie": chance.choice(_LIES)}
+        for each in aimed
+    ]
+
+
+def _useless_instances(seed: int, servers: Sequence[str], moments: Sequence[Moment]) -> list[dict[str, Any]]:
+    """In every eighth world instances hang, raise for good, or do not start."""
+    chance = random.Random(f"useless instances/{seed}")  # noqa: S311 - not for secrets
+    if chance.random() > 1 / 8:
+        return []
+    aimed = (_fault(chance, servers, moments) for _ in range(chance.randint(1, 2)))
+    return [
+        {**each, "target": each["target"].removeprefix("link:"), "kind": chance.choice(_USELESS_KINDS)}
         for each in aimed
     ]
 

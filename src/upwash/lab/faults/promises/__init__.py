@@ -20,6 +20,7 @@ from upwash.lab.faults.promises.history import Breach, History
 from upwash.lab.faults.promises.liars import unswayed
 from upwash.lab.faults.promises.missions import autonomy, no_harm
 from upwash.lab.faults.promises.recovery import recovered
+from upwash.lab.faults.promises.replacement import replaced
 from upwash.lab.faults.promises.servers import in_range, one_selection, respect
 from upwash.lab.faults.promises.turns import turns
 from upwash.lab.faults.promises.vehicle import arrived_truly, named_truly, pilot_wins, vehicle_first
@@ -48,6 +49,7 @@ class Promise(IntEnum):
     ANSWERS = 19
     ARRIVALS = 20
     WHO_ACTED = 21
+    REPLACED = 22
 
     def __str__(self) -> str:
         return f"promise {self.value} ({self.name.lower().replace('_', ' ')})"
@@ -84,6 +86,7 @@ CHECKS: Mapping[Promise, Callable[[History], Iterator[Breach]]] = {
     Promise.ANSWERS: answers,
     Promise.ARRIVALS: arrived_truly,
     Promise.WHO_ACTED: named_truly,
+    Promise.REPLACED: replaced,
 }
 
 

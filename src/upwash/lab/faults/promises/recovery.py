@@ -106,6 +106,13 @@ def _left_unused(history: History) -> Iterator[Breach]:
             since_s = max(
                 spell.probed_s,
                 *(t for t in outside_s if t < spell.until_s),
+                *(
+                    each.t + each.pause_s
+                    for each in events
+                    if isinstance(each, schema.LeftOut)
+                    and each.server == server.name
+                    and each.t <= spell.until_s
+                ),
                 *(each.to_s for each in _faults_of(history, server.name) if each.from_s < spell.until_s),
                 0.0,
             )

@@ -11,7 +11,7 @@ from upwash.eventlog import schema
 from upwash.lab.faults.promises.history import ROUNDING_S, Breach, History
 from upwash.lab.faults.promises.recovery import spells_of
 from upwash.lab.observer import Seen
-from upwash.rpc.protocol import AVAILABILITY, HEALTH_CHECK, LEAVE
+from upwash.rpc.protocol import AVAILABILITY, DENY, HEALTH_CHECK, LEAVE
 
 _SERVICE_PATH = "/upwash.service."
 
@@ -95,7 +95,7 @@ def _contacted_too_soon(history: History) -> Iterator[Breach]:
                 yield event, f"{event.server} is blacklisted until {spells[-1][1]:.3f} s"
     for fact in history.own("sent"):
         for from_s, until_s in blacklisted.get(fact.server, []):
-            if fact.path != LEAVE and from_s + ROUNDING_S < fact.t < until_s - ROUNDING_S:
+            if fact.path not in (LEAVE, DENY) and from_s + ROUNDING_S < fact.t < until_s - ROUNDING_S:
                 yield fact, f"{fact.server} is blacklisted until {until_s:.3f} s"
 
 
@@ -109,7 +109,7 @@ def _probed_too_much(history: History) -> Iterator[Breach]:
             (each for each in spells.get(server, []) if each.from_s + ROUNDING_S < now_s < each.until_s),
             None,
         )
-        if spell is None or fact.path == LEAVE:
+        if spell is None or fact.path in (LEAVE, DENY):
             continue
         if fact.path not in (AVAILABILITY, HEALTH_CHECK):
             yield fact, f"{server} is blacklisted until {spell.until_s:.3f} s"
