@@ -70,7 +70,7 @@ def _started_too_soon(facts: Sequence[Seen]) -> Iterator[Breach]:
                 if fact.t - ended_s - pause_s > FORGOTTEN_S - SLACK_S:
                     failed = 0
                 is_ready = False
-            case "admitted":  # which only one that is ready hears
+            case "admitted":  # an instance hears of drones once it is ready
                 is_ready, failed = True, 0
             case "instance_ended" if not is_ready:
                 failed, ended_s = failed + 1, fact.t
@@ -87,5 +87,5 @@ def _asked_in_a_pause(history: History) -> Iterator[Breach]:
 
 
 def _kind(faults: Sequence[FaultConfig], now_s: float) -> str:
-    """The kind of fault from which a server suffers, where several are on the first."""
+    """The kind of the first fault that is on."""
     return next((each.kind for each in faults if each.from_s <= now_s < each.to_s), "")
