@@ -91,6 +91,11 @@ def test_an_instance_without_a_sign_of_life_is_of_no_use() -> None:
     assert useless is not None and useless.drones == {"d1"} and "sign of life" in useless.why
 
 
+def test_a_limit_shorter_than_the_pause_between_two_looks_costs_no_instance_its_life() -> None:
+    watch = Watch(now_s=0.0)
+    assert watch.verdict(1.0, served=BOTH, now_s=LEAST_LIMIT_S - 0.1) is None
+
+
 def raising(watch: Watch, *drones: str) -> Watch:
     for drone in drones:
         watch.began(drone, 0.0)

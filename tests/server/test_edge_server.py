@@ -326,7 +326,7 @@ def test_an_instance_without_a_sign_of_life_is_replaced() -> None:
         daemon.runtime.instances[0].is_frozen = True
         await daemon.keep_asking(CALL_LIMIT_S - 5.0)
         assert len(daemon.runtime.living()) == 1, "it may be busy"
-        await daemon.keep_asking(20.0)
+        await daemon.keep_asking(30.0)
         assert [each.ended.done() for each in daemon.runtime.instances] == [True, False]
 
     serve(story)

@@ -2,7 +2,7 @@
 
 Laws:
 - an instance is of no use in three cases: a call keeps it busy for the limit of a call; it shows no sign of life for
-  as long; it raises in three calls in a row which drones deny, as their own services did not raise;
+  as long, 20 s at least; it raises in three calls in a row which drones deny, as their own services did not raise;
 - the limit of a call is five times the longest answered call, between 20 s and what the operator allows; before any
   call is answered, and after a replacement, it is what the operator allows;
 - denials of one drone alone stop no instance while another drone has a slot;
@@ -98,8 +98,9 @@ class Watch:
         overdue = frozenset(drone for began_s, drone in self._begun if now_s - began_s >= limit_s)
         if overdue:
             return Useless(f"a call has kept it busy for {limit_s:.0f} s", overdue)
-        if now_s - self._heard_s >= limit_s:
-            return Useless(f"it has given no sign of life for {limit_s:.0f} s", self.callers)
+        silent_s = max(limit_s, LEAST_LIMIT_S)
+        if now_s - self._heard_s >= silent_s:
+            return Useless(f"it has given no sign of life for {silent_s:.0f} s", self.callers)
         deniers = frozenset(self._denied)
         if len(self._denied) >= DENIALS and (len(deniers) > 1 or served <= deniers):
             return Useless(f"it raised in {DENIALS} calls in a row, which did not raise on drones", deniers)

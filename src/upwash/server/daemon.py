@@ -463,12 +463,12 @@ class EdgeServer:
     async def _watch(self, start: StartInstance, instance: Instance) -> NoReturn:
         """Has the instance replaced once it is of no use; until cancelled."""
         while True:
-            looked_s = self._now_s()
+            await asyncio.sleep(_WATCH_S)
+            # First a sign of life, behind which all earlier reports come: this program may have stood still itself.
             with contextlib.suppress(TimeoutError, InstanceError):
                 async with asyncio.timeout(_WATCH_S):
                     await instance.health()
                 self._host.heard(start.server, start.service, now_s=self._now_s())
-            await asyncio.sleep(looked_s + _WATCH_S - self._now_s())
             await self._perform(self._host.watch(start.server, start.service, now_s=self._now_s()))
 
     def _called(self, start: StartInstance, drone: str) -> None:
