@@ -21,7 +21,8 @@ from upwash.rpc.protocol import AVAILABILITY
 
 pytestmark = [pytest.mark.system, pytest.mark.long]
 
-MOST_GROWN_BYTES = 50_000_000
+MOST_GROWN_BYTES = 30_000_000  # by strangers, and by one drone: docs/servers.md
+MOST_GROWN_BY_ALL_BYTES = 80_000_000  # connections that the door has places for
 CALLS = 10
 REFUSALS = {  # what the daemon's log says of an attack that it can tell from an honest drone's doing
     "10 x 1 MB of random bytes": "refused 127.0.0.1: [A-Z_]+",
@@ -37,7 +38,8 @@ def test_an_honest_drone_is_served_during(name: str, tmp_path: Path, services: P
     text, keys = attacked_site(tmp_path)
     with daemon(tmp_path, text) as at:
         outcome = asyncio.run(attacked(at, keys, services, ATTACKS[name], calls=CALLS))
-        assert outcome.grown_bytes <= MOST_GROWN_BYTES
+        most_bytes = MOST_GROWN_BY_ALL_BYTES if "16 drones" in name else MOST_GROWN_BYTES
+        assert outcome.grown_bytes <= most_bytes
         if name in REFUSALS:
             wait_for(lambda: re.search(REFUSALS[name], said(tmp_path)) is not None)
 
