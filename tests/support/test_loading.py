@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 from upwash.errors import UsageError
-from upwash.support.loading import load
+from upwash.support.loading import load, look_here, module_command
 
 
 @pytest.fixture
@@ -58,6 +59,10 @@ def test_a_path_without_both_parts_is_refused_with_the_form_to_use(path: str) ->
     ("path", "said"),
     [
         ("no_such_package.at_all:Name", "cannot be loaded from no_such_package.at_all: ModuleNotFoundError"),
+        (
+            "no_such_package.at_all:Name",
+            "set PYTHONPATH to the folder that has it, or write path/to/file.py:Name",
+        ),
         ("/no/such/file.py:Name", "cannot be loaded from /no/such/file.py: FileNotFoundError"),
         (".relative:Name", "cannot be loaded from .relative"),
         ("upwash.errors:NoSuchError", "there is no NoSuchError in upwash.errors"),
@@ -85,3 +90,51 @@ def test_a_file_that_cannot_be_run_says_why_and_leaves_nothing(program: Path, te
         load(f"{program.with_name('broken_for_tests.py')}:survey")
     assert said in str(refusal.value)
     assert not [name for name in sys.modules if "broken_for_tests" in name]
+
+
+def test_a_files_name_may_have_dots(tmp_path: Path) -> None:
+    file = tmp_path / "my.service.for.tests.py"
+    file.write_text("import dataclasses\n@dataclasses.dataclass\nclass Found:\n    at: 'int'\n")
+    assert load(f"{file}:Found") is load(f"{file}:Found")
+
+
+@pytest.mark.parametrize(
+    "text", ["from queue import jobs", "import queue\nqueue.jobs", "import time\ntime.jobs"]
+)
+def test_a_file_beside_that_python_does_not_find_first_is_named(tmp_path: Path, text: str) -> None:
+    for name in ("queue.py", "time.py"):
+        (tmp_path / name).write_text("jobs = []\n")
+    file = tmp_path / "shadowed_for_tests.py"
+    file.write_text(text)
+    with pytest.raises(UsageError) as refusal:
+        load(f"{file}:Found")
+    assert f"{tmp_path / text.split()[1]}.py has the name of a module" in str(refusal.value)
+    assert "rename the file" in str(refusal.value)
+
+
+def test_a_file_of_a_package_is_refused_with_the_names_to_use(tmp_path: Path) -> None:
+    folder = tmp_path / "package_for_tests"
+    folder.mkdir()
+    (folder / "__init__.py").touch()
+    (folder / "service.py").write_text("from . import helper")
+    with pytest.raises(UsageError) as refusal:
+        load(f"{folder / 'service.py'}:Found")
+    assert f"write package_for_tests.service:Name, and set PYTHONPATH={tmp_path}" in str(refusal.value)
+
+
+@pytest.mark.parametrize("shadow", ["queue.py", "signal.py", "types.py", "logging.py", "upwash.py"])
+def test_a_program_finds_no_modules_in_the_folder_where_it_is_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shadow: str
+) -> None:
+    (tmp_path / shadow).write_text("raise SystemExit('found first')")
+    monkeypatch.chdir(tmp_path)
+    subprocess.run(module_command("upwash.support.text"), check=True)
+
+
+def test_the_folder_where_a_program_is_started_comes_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", ["/usr"])
+    look_here()
+    assert sys.path == ["/usr", str(tmp_path)]

@@ -10,7 +10,6 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
-from pathlib import Path
 
 from upwash.cli import (
     campaign,
@@ -46,6 +45,7 @@ from upwash.errors import (
     UpwashError,
     UsageError,
 )
+from upwash.support.loading import look_here
 from upwash.support.standard_streams import forgiving_streams, give_up_output, open_closed_streams
 from upwash.support.text import escaped_lines
 
@@ -107,7 +107,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     if "run" not in options:
         parser.print_help(sys.stderr)
         return ExitCode.USAGE
-    sys.path.append(str(Path.cwd()))  # so that `my_mission:fly` is found, as `python -m` would find it
+    look_here()
     complain = functools.partial(_complain, with_trace=options.verbose)
     try:
         return ExitCode.DONE if options.run(options) else ExitCode.FAILURE

@@ -13,6 +13,7 @@ from upwash.emulation.native import native_program, wifi_of
 from upwash.emulation.outcome import POSITION_LAG_LIMIT_S, RADIO_LAG_LIMIT_S, Outcome, read_outcome
 from upwash.emulation.request import EmulationRequest, left_out
 from upwash.errors import MissionStopped, UpwashError, UsageError
+from upwash.support.loading import module_command
 
 
 def run_emulation(request: EmulationRequest) -> bool:
@@ -47,11 +48,12 @@ def run_emulation(request: EmulationRequest) -> bool:
 
 
 def _run(request: EmulationRequest) -> int:
+    _, *program = module_command("upwash.emulation")
     if not request.autopilots:
-        return run_enclosed("-m", "upwash.emulation", request.encoded())
+        return run_enclosed(*program, request.encoded())
     with Path("/proc/self/ns/net").open("rb") as own:  # only then is there any way out
         request = msgspec.structs.replace(request, outside=own.fileno())
-        return run_enclosed("-m", "upwash.emulation", request.encoded(), handles=(own.fileno(),))
+        return run_enclosed(*program, request.encoded(), handles=(own.fileno(),))
 
 
 def _print(outcome: Outcome, console: Console) -> None:

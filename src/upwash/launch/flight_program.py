@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import signal
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from upwash.launch.processes import STOP_S
 from upwash.support.lines import lines_of
+from upwash.support.loading import module_command
 
 INTERRUPTED = 130  # the exit code of a flight that a Ctrl-C has ended
 
@@ -30,12 +30,8 @@ class FlightProgram:
         options: Sequence[str] = (),
         through: Sequence[str] = (),
     ) -> None:
-        self._command = (
-            *through,
-            *(sys.executable, "-u", "-m", "upwash"),  # unbuffered, as someone may be watching
-            *("fly", "--config", str(config), "--log", str(log)),
-            *options,
-        )
+        python, *fly = module_command("upwash", "fly", "--config", str(config), "--log", str(log))
+        self._command = (*through, python, "-u", *fly, *options)  # unbuffered, as someone may be watching
         self._say = say
         self._process: asyncio.subprocess.Process | None = None
         self._stopped = asyncio.Event()

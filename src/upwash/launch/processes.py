@@ -7,13 +7,13 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from upwash.config import DroneConfig, pace_in_numbers
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.errors import UpwashError, UsageError
+from upwash.support.loading import module_command
 
 STOP_S = 5.0  # that a program has to end by itself
 _HOME = Position(0.0, 0.0)
@@ -33,7 +33,7 @@ def ready_program(name: str, folder: Path, *arguments: str, through: Sequence[st
     """
     with (folder / f"{name}.log").open("wb") as log:
         process = subprocess.Popen(  # noqa: S603 - this very program
-            [*through, *ends_with_us(), sys.executable, "-m", "upwash", *arguments],
+            [*through, *ends_with_us(), *module_command("upwash", *arguments)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=log,

@@ -13,13 +13,13 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 
 from upwash.real.control import Ended, Failed, Said, line
 from upwash.real.control_credentials import CONTROL_PORT, SERVICE_PORT, ControlCredentials, notice_silence
 from upwash.real.output import reading_pace
 from upwash.support.background import start
 from upwash.support.lines import lines_of
+from upwash.support.loading import module_command
 from upwash.support.waiting import first
 
 # In the environment of process 1:
@@ -78,7 +78,7 @@ class Service:
         asyncio.get_running_loop().add_signal_handler(signal.SIGCHLD, self._reap)
         with their_control, their_output:
             process = subprocess.Popen(  # noqa: ASYNC220, S603 - nothing else runs here yet
-                (*_WITHOUT_RIGHTS, sys.executable, "-m", "upwash.real.instance", str(their_control.fileno())),
+                (*_WITHOUT_RIGHTS, *module_command("upwash.real.instance", str(their_control.fileno()))),
                 stdin=subprocess.DEVNULL,
                 stdout=their_output.fileno(),
                 stderr=their_output.fileno(),

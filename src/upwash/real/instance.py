@@ -53,6 +53,7 @@ from upwash.rpc.service import Method, carries_fault, load_service, spec_of
 from upwash.rpc.settings import construct
 from upwash.support.background import thread
 from upwash.support.heat import Heat
+from upwash.support.loading import look_here
 
 _CONCURRENT_CALLS = (
     256  # a few run, the others arrive or queue until their deadlines: of drones with a lease alone
@@ -215,6 +216,7 @@ def main() -> NoReturn:
     orders: SimpleQueue[bytes] = SimpleQueue()
     # From now on, as a cold start may take long and its program may die meanwhile.
     thread(lambda: _listen(lines, orders), name="control line", failed=_end_all).start()
+    look_here()
     try:
         if begin.limits is not None:
             begin.limits.apply()

@@ -9,7 +9,6 @@ import logging
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from weakref import WeakValueDictionary
@@ -20,6 +19,7 @@ from upwash.real.direct import DirectLink
 from upwash.real.door import Lead
 from upwash.real.local_instance import STOP_GRACE_S, Handed, LocalInstance
 from upwash.real.sandbox import Sandbox, open_call_filter
+from upwash.support.loading import module_command
 
 _log = logging.getLogger("upwash.instance")
 _KILL_S = 5.0  # for a killed process to be gone, which one in the kernel's hands never is
@@ -83,7 +83,7 @@ class ProcessRuntime:
 
     async def _run(self, spec: InstanceSpec, handed: Handed) -> ProcessGroup:
         inherited = [each.fileno() for each in (handed.control, handed.outside) if each is not None]
-        command = [sys.executable, "-m", "upwash.real.instance", *map(str, inherited)]
+        command = module_command("upwash.real.instance", *map(str, inherited))
         with contextlib.ExitStack() as stack:
             if self._sandbox is not None:
                 inherited.append(stack.enter_context(open_call_filter()))

@@ -28,6 +28,7 @@ from msgspec import UNSET, UnsetType
 
 from upwash.errors import DeclarationError, UsageError
 from upwash.rpc.wire import require_plain
+from upwash.support.loading import import_remedy
 
 T = TypeVar("T")
 PlainSettings = Mapping[str, object]
@@ -110,17 +111,20 @@ def _made(cls: type[T], settings: msgspec.Struct) -> T:
     except Exception as error:
         raise UsageError(
             f"{cls.__name__} cannot be made: {type(error).__name__}: {error} ({_place(error, cls)})"
+            f"{import_remedy(error, _file_of(cls))}"
         ) from error
 
 
 def _place(error: Exception, cls: type) -> str:
     """The last line of the class's own file that the error came through, or of any file."""
     frames = traceback.extract_tb(error.__traceback__)
-    own = [
-        each for each in frames if each.filename == getattr(sys.modules.get(cls.__module__), "__file__", None)
-    ]
+    own = [each for each in frames if each.filename == _file_of(cls)]
     last = (own or frames)[-1]
     return f"{last.filename}, line {last.lineno}"
+
+
+def _file_of(cls: type) -> str:
+    return getattr(sys.modules.get(cls.__module__), "__file__", None) or ""
 
 
 def _parameters(cls: type) -> Iterator[tuple[inspect.Parameter, Any]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import importlib.util
+import shlex
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,10 +25,48 @@ def load(program: str) -> object:
     except (Exception, SystemExit) as error:
         raise UsageError(
             f"{program!r} cannot be loaded from {module_path}: {type(error).__name__}: {error}"
+            f"{import_remedy(error, module_path)}"
         ) from error
     if not hasattr(module, name):
         raise UsageError(f"{program!r}: there is no {name} in {module_path}")
     return getattr(module, name)
+
+
+def import_remedy(error: BaseException, place: str) -> str:
+    """What to do about an import that failed in the module or file at that place, after a semicolon; else nothing."""
+    if isinstance(error, AttributeError):
+        wanted = getattr(error.obj, "__name__", "") if isinstance(error.obj, ModuleType) else ""
+    else:
+        wanted = (error.name or "") if isinstance(error, ImportError) else ""
+    if not place.endswith(".py"):
+        is_missing = isinstance(error, ModuleNotFoundError) and wanted == place.partition(".")[0]
+        return (
+            "; set PYTHONPATH to the folder that has it, or write path/to/file.py:Name" if is_missing else ""
+        )
+    file = Path(place).resolve()
+    if "relative import" in str(error) and file.with_name("__init__.py").exists():
+        return (
+            f"; it belongs to a package: write {file.parent.name}.{file.stem}:Name, and set "
+            f"PYTHONPATH={shlex.quote(str(file.parents[1]))}"
+        )
+    beside, found = file.with_name(f"{wanted}.py"), getattr(sys.modules.get(wanted), "__file__", None)
+    if not wanted or not beside.exists() or found == str(beside):
+        return ""
+    return f"; {beside} has the name of a module that Python finds first ({found or 'built in'}): rename the file"
+
+
+def module_command(module: str, *arguments: str) -> list[str]:
+    """The command that runs a module in this program's Python.
+
+    `python -m` alone looks first in the folder where it is started, and a `queue.py` there hides Python's own.
+    """
+    return [sys.executable, "-P", "-m", module, *arguments]
+
+
+def look_here() -> None:
+    """Has modules found in the folder where this program is started too, after all others."""
+    with contextlib.suppress(OSError):  # the folder is gone
+        sys.path.append(str(Path.cwd()))
 
 
 @contextlib.contextmanager
@@ -52,12 +91,13 @@ def _load_file(path: Path) -> ModuleType:
     path = path.resolve()
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))  # the file may import its neighbours
-    found = importlib.util.find_spec(path.stem)
+    found = None if "." in path.stem else importlib.util.find_spec(path.stem)
     if found is not None and found.origin == str(path):
         return importlib.import_module(
             path.stem
         )  # one module, however it is named, or its exceptions would be two
-    name = f"upwash_program_{path.stem}"  # it has the name of another module; the same in every process
+    # It has the name of another module, or none that can be imported. In every process the same.
+    name = f"upwash_program_{path.stem.replace('.', '_')}"
     loaded = sys.modules.get(name)
     if loaded is not None and loaded.__file__ == str(path):
         return loaded  # a mission and its service may share a file

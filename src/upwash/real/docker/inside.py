@@ -18,9 +18,10 @@ import subprocess
 import sys
 
 from upwash.real.limits import limit_files
+from upwash.support.loading import look_here, module_command
 
 HANDOFF = "/run/upwash/handoff.sock"
-COMMAND = ("python3", "-m", "upwash.real.docker.inside")
+COMMAND = ("python3", "-P", "-m", "upwash.real.docker.inside")
 _SOCKETS = 3  # the control line, what the service prints to, where callers come
 
 
@@ -34,7 +35,7 @@ def take_over() -> None:
     control, output, outside = inherited
     limit_files()
     service = subprocess.Popen(  # noqa: S603 - the service itself
-        (sys.executable, "-m", "upwash.real.instance", str(control), str(outside)),
+        module_command("upwash.real.instance", str(control), str(outside)),
         stdin=subprocess.DEVNULL,
         stdout=output,
         stderr=output,
@@ -72,6 +73,7 @@ def describe(program: str) -> None:
     from upwash.errors import UsageError
     from upwash.rpc.service import load_service, spec_of
 
+    look_here()
     try:
         spec = spec_of(load_service(program))
     except UsageError as error:
