@@ -310,7 +310,7 @@ def test_an_instance_that_a_call_keeps_busy_is_replaced_and_the_next_one_served(
         assert daemon.runtime.instances[0].refuses.startswith(
             "detector of s1 is replaced: a call has kept it"
         )
-        await daemon.keep_asking(DRAIN_S + 1.0 + COLD_START_S)
+        await daemon.keep_asking(2.0 + 1.0 + COLD_START_S)
         assert (await daemon.ask()).endpoints["detector"] not in ("", first.endpoint)
         assert daemon.edge.standing().servers[0].instances[1].replaced == 1
         await daemon.keep_asking(200.0)

@@ -35,12 +35,16 @@ class StartInstance:
 
 @dataclass(frozen=True, slots=True)
 class StopInstance:
-    """Stop that instance; if there is a reason let the calls under way end first, and refuse every other for it."""
+    """Stop that instance; if there is a reason let the calls under way end first, and refuse every other for it.
+
+    The calls of an instance that is of no use get little time.
+    """
 
     server: str
     service: str
     number: int
     why: str = ""
+    is_useless: bool = False
 
 
 @dataclass(slots=True)
@@ -124,16 +128,16 @@ class Instances:
         instance.watch.is_condemned = True
         instance.replaced += 1
         instance.failures.add(useless.why, useless.drones, had_started=True, now_s=now_s)
-        return self.stop(service, f"{service} of {self._server} is replaced: {useless.why}")
+        return self.stop(service, f"{service} of {self._server} is replaced: {useless.why}", is_useless=True)
 
-    def stop(self, service: str, why: str = "") -> list[StopInstance]:
+    def stop(self, service: str, why: str = "", *, is_useless: bool = False) -> list[StopInstance]:
         """Has the instance stopped, if one runs or is starting."""
         instance = self[service]
         if instance.state not in (InstanceState.STARTING, InstanceState.RUNNING):
             return []
         instance.state = InstanceState.STOPPING
         instance.endpoint = ""
-        return [StopInstance(self._server, service, instance.number, why)]
+        return [StopInstance(self._server, service, instance.number, why, is_useless)]
 
     def stop_all(self, why: str) -> list[StopInstance]:
         """Has every instance stopped."""

@@ -60,6 +60,7 @@ _log = logging.getLogger("upwash.server")
 _LEAST_LOOK_S = 1.0  # between two looks at what has come to its end
 _PEER_S = 3.0  # a peer answers at once, over a wire, or is in trouble
 _WATCH_S = 5.0  # between two looks at whether an instance is of use
+_LAST_CALLS_S = 2.0  # for what an instance of no use computes beside
 _STOP_S = 30.0  # for an instance to be gone, which a process in the kernel's hands never is
 
 
@@ -345,7 +346,7 @@ class EdgeServer:
                     self._settled[number] = asyncio.get_running_loop().create_future()
                     name = f"the life of {command.service}"
                     self._lives[number] = start(self._live(command), name=name, failed=self._fail)
-                case StopInstance(_, _, number):
+                case StopInstance(number=number):
                     if self._settled[number].done():
                         self._settled[number] = asyncio.get_running_loop().create_future()
                     name = f"the end of {command.service}"
@@ -358,7 +359,7 @@ class EdgeServer:
             _log.warning("stopping %s@%s: %s", stop.service, stop.server, stop.why)
         try:
             if instance is not None and stop.why:
-                async with asyncio.timeout(self._drain_s):
+                async with asyncio.timeout(_LAST_CALLS_S if stop.is_useless else self._drain_s):
                     await instance.drain(stop.why)
         except TimeoutError:
             _log.warning("%s@%s was stopped in a call: %s", stop.service, stop.server, stop.why)

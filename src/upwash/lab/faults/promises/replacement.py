@@ -12,7 +12,7 @@ from upwash.lab.faults.promises.history import ROUNDING_S, SLACK_S, Breach, Hist
 from upwash.lab.observer import Seen
 from upwash.rpc.protocol import LEAVE
 
-_LOOK_S, _DRAIN_S = 5.0, 10.0  # of a daemon
+_LOOK_S, _DRAIN_S = 5.0, 2.0  # of a daemon
 _FATAL = ("crash", "hung", "poisoned", "unstartable")  # for instances
 _IDLE_S = AdmissionSettings().idle_stop_s
 
