@@ -68,7 +68,9 @@ def test_without_certificates_it_may_listen_where_only_this_machine_can_call(
     assert (config.listen, config.keys) == (address, None)
 
 
-@pytest.mark.parametrize("address", ["0.0.0.0:7070", "[::]:7070", "10.0.0.1:7070", "edge.example:7070"])
+@pytest.mark.parametrize(
+    "address", ["0.0.0.0:7070", "[::]:7070", "*:7070", ":7070", "10.0.0.1:7070", "edge.example:7070"]
+)
 def test_without_certificates_it_may_not_listen_to_others(tmp_path: Path, address: str) -> None:
     with pytest.raises(ConfigError, match=r"127\.0\.0\.1:7070") as refusal:
         read(tmp_path, f'listen = "{address}"\nallow_without_certificates = true\n{REST}')
@@ -88,6 +90,20 @@ def test_without_certificates_it_may_not_listen_to_others(tmp_path: Path, addres
         ("lease_s = 30.0", "instance_ports = [7070, 7079]", "instance_ports", "the daemon's own port"),
         ("lease_s = 30.0", 'metrics = "9100"', "metrics", '"127.0.0.1:9100"'),
         ("lease_s = 30.0", 'metrics = "unix:here"', "metrics", "host:port"),
+        ("lease_s = 30.0", 'metrics_hosts = ["edge"]', "metrics_hosts", "needs metrics"),
+        (
+            "lease_s = 30.0",
+            'metrics = ":9100"\nmetrics_hosts = ["a:1"]',
+            "metrics_hosts[0]",
+            "without a port",
+        ),
+        ("lease_s = 30.0", "outside_ports = [17100, 17102]", "outside_ports", "needs instance_ports"),
+        (
+            "lease_s = 30.0",
+            "instance_ports = [7100, 7102]\noutside_ports = [17100, 17101]",
+            "outside_ports",
+            "expected 3 ports",
+        ),
         ("0.0.0.0:7070", "unix:", "listen", "unix:path"),
         ("16_777_216", "0", "max_message_bytes", "from 1024 to 2147483647"),
         ("lease_s = 30.0", "lease_s = 1.9", "lease_s", "at least 2"),

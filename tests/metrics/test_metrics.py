@@ -8,7 +8,7 @@ import itertools
 import json
 import re
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -308,7 +308,7 @@ def test_they_are_offered_until_the_end_and_no_longer(drone: DroneMetrics) -> No
         fetch(asyncio.run(story()))
 
 
-def asked(request: bytes) -> bytes:
+def asked(request: bytes, hosts: Collection[str] = ()) -> bytes:
     """What is answered to these bytes, to the end of the connection."""
 
     def ask(address: str) -> bytes:
@@ -319,7 +319,7 @@ def asked(request: bytes) -> bytes:
                 return answer.read()
 
     async def story() -> bytes:
-        async with exposed(CollectorRegistry(), "127.0.0.1:0") as address:
+        async with exposed(CollectorRegistry(), "127.0.0.1:0", hosts) as address:
             return await asyncio.to_thread(ask, address)
 
     return asyncio.run(story())
@@ -343,6 +343,17 @@ def asked(request: bytes) -> bytes:
 )
 def test_only_who_means_this_machine_is_answered(request_: bytes, status: int) -> None:
     assert asked(request_).startswith(f"HTTP/1.1 {status} ".encode())
+
+
+def test_a_prometheus_by_another_name_learns_how_the_name_is_added(caplog: pytest.LogCaptureFixture) -> None:
+    refused = asked(b"GET /metrics HTTP/1.1\r\nHost: host.docker.internal:9100\r\n\r\n").decode()
+    for said in (refused, caplog.text):
+        assert re.search(r'Host is "host\.docker\.internal:9100".*`metrics_hosts`.*: add the name', said)
+
+
+def test_a_prometheus_by_a_name_that_was_added_is_answered() -> None:
+    request = b"GET /metrics HTTP/1.1\r\nHost: host.docker.internal:9100\r\n\r\n"
+    assert asked(request, hosts=["host.docker.internal"]).startswith(b"HTTP/1.1 200 ")
 
 
 def test_an_address_in_use_is_named() -> None:

@@ -361,7 +361,7 @@ def test_instances_are_reached_at_the_ports_that_are_given_and_at_no_others(
 
     async def lead_three() -> list[str]:
         async with opened_door(Trust(credentials("s1"))) as door:
-            lead = leading(door, "127.0.0.1", (taken.getsockname()[1], *free))
+            lead = leading(door, "127.0.0.1", dict.fromkeys((taken.getsockname()[1], *free), 0))
             first, second = await lead("s1", nowhere), await lead("s1", nowhere)
             with pytest.raises(InstanceError, match=r"cannot listen on 127.0.0.1, ports \d+ to \d+"):
                 await lead("s1", nowhere)
@@ -372,6 +372,16 @@ def test_instances_are_reached_at_the_ports_that_are_given_and_at_no_others(
     with socket.create_server(("127.0.0.1", 0)) as taken:
         free = list(itertools.islice(unused_ports(), 2))
         assert asyncio.run(lead_three()) == [f":{free[0]}", f":{free[1]}", f":{free[0]}"]
+
+
+def test_drones_are_told_the_port_that_they_see(credentials: ReadCredentials) -> None:
+    async def lead_one() -> tuple[str, str]:
+        async with opened_door(Trust(credentials("s1"))) as door:
+            passage = await leading(door, "127.0.0.1", {port: 17_100})("s1", Inside("/nowhere").connect)
+            return passage.endpoint, passage.address
+
+    port = next(unused_ports())
+    assert asyncio.run(lead_one()) == (":17100", f"127.0.0.1:{port}")
 
 
 def test_a_door_that_closes_leaves_no_thread_and_no_connection(credentials: ReadCredentials) -> None:

@@ -7,6 +7,8 @@ import logging
 import re
 import socket
 import socketserver
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
@@ -171,6 +173,31 @@ def test_the_handler_learns_how_much_time_is_left() -> None:
         request(address, timeout_s=4.0)
     assert left_s[0] is not None
     assert 2.0 < left_s[0] <= 4.1
+
+
+ASK_BY_NAME = """
+import asyncio, sys
+from upwash.real.link import GrpcDialer
+async def ask(address):
+    link = GrpcDialer("heron", None, max_message_bytes=100_000).dial(address, server="s1")
+    print((await link.request("/upwash.test/echo", b"photo", timeout_s=4.0)).decode())
+    await link.close()
+asyncio.run(ask(sys.argv[1]))
+"""
+FIELD = 'mount --bind hosts /etc/hosts && mount --bind resolv.conf /etc/resolv.conf && exec "$@"'
+
+
+def test_a_name_of_the_hosts_file_needs_no_dns_server(tmp_path: Path) -> None:
+    (tmp_path / "hosts").write_text("127.0.0.1 edge.example.org\n")
+    (tmp_path / "resolv.conf").write_text("nameserver 192.0.2.53\n")  # where nobody answers
+    inside = ["unshare", "--map-root-user", "--mount", "sh", "-c", FIELD, "sh"]
+    if subprocess.run([*inside, "true"], check=False, cwd=tmp_path, capture_output=True).returncode != 0:
+        pytest.skip("needs namespaces of users and mounts")
+    with listening(echo) as address:
+        port = address.rpartition(":")[2]
+        ask = [sys.executable, "-c", ASK_BY_NAME, f"edge.example.org:{port}"]
+        said = subprocess.run([*inside, *ask], check=False, cwd=tmp_path, capture_output=True, text=True)
+    assert said.stdout == "photo\n", said.stderr
 
 
 # --- no answer ----------------------------------------------------------------------------------------------

@@ -17,13 +17,14 @@ from upwash.support.http_host import names_this_machine
         ("10.10.1.1:9100", "0.0.0.0", "10.10.1.1"),
         ("10.10.1.1:9100", "::", "::ffff:10.10.1.1"),
         ("Heron.field.example:9100", "heron.field.example", "10.10.1.1"),
+        ("host.docker.internal:9100", "Host.Docker.Internal", "172.17.0.1"),
         ("[::1]:9100", "::1", "::1"),
         ("[fd00::7]", "::", "fd00::7"),
         ("[fe80::1]:9100", "::", "fe80::1%eth0"),
     ],
 )
 def test_an_address_of_this_machine_is_its_own(host: str, listens_at: str, reached_at: str) -> None:
-    assert names_this_machine(host, listens_at=listens_at, reached_at=reached_at)
+    assert names_this_machine(host, known_as=[listens_at], reached_at=reached_at)
 
 
 @pytest.mark.parametrize(
@@ -35,4 +36,4 @@ def test_an_address_of_this_machine_is_its_own(host: str, listens_at: str, reach
     ],
 )  # fmt: skip
 def test_any_other_name_is_another_machines(host: str) -> None:
-    assert not names_this_machine(host, listens_at="127.0.0.1", reached_at="127.0.0.1")
+    assert not names_this_machine(host, known_as=["127.0.0.1"], reached_at="127.0.0.1")

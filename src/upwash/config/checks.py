@@ -37,7 +37,7 @@ _HOME = Position(0.0, 0.0)
 
 def problems(config: DroneConfig) -> Iterator[Problem]:
     """Everything about the configuration that cannot be, though each value by itself could."""
-    yield from metrics_problems(config.metrics)
+    yield from metrics_problems(config.metrics, config.metrics_hosts)
     if not config.drones:
         yield from way_problems("mission", config.mission)
     yield from _mission_problems(config.mission, config.services)

@@ -30,6 +30,7 @@ from upwash.config.values import (
     Text,
     TurnSeconds,
     is_address,
+    is_listening_address,
     is_on_this_machine,
     repeated,
 )
@@ -112,10 +113,12 @@ class DaemonConfig(
     """One edge daemon."""
 
     listen: Text = "0.0.0.0:7070"
-    """`host:port`, or `unix:path`; port 0 takes any free one."""
+    """`host:port`, or `unix:path`; no host, or `*`, is every address of the computer; port 0 takes any free one."""
     instance_ports: PortRange | None = None
     """The first and the last port at which drones reach services, at least one for each service of each server;
     default: any free ones."""
+    outside_ports: PortRange | None = None
+    """The numbers that drones see in place of `instance_ports` where a router or a container maps ports."""
     max_message_bytes: MessageBytes = 16_777_216
     """The largest request and result of a call."""
     lease_s: LeaseSeconds = 30.0
@@ -134,6 +137,8 @@ class DaemonConfig(
     """For trying things out, on loopback or a unix socket only."""
     metrics: Text | None = None
     """Where Prometheus finds the daemon's numbers, `host:port`: [metrics](metrics.md)."""
+    metrics_hosts: Names = ()
+    """Further names of this computer that a Prometheus may use, such as `host.docker.internal`."""
     keys: DaemonKeysConfig | None = None
     runtime: RuntimeConfig = RuntimeConfig()
     images: Annotated[
@@ -191,7 +196,7 @@ def _has_name(table: dict[str, Any]) -> bool:
 
 def _problems(config: DaemonConfig) -> Iterator[Problem]:
     yield from _access_problems(config)
-    yield from metrics_problems(config.metrics)
+    yield from metrics_problems(config.metrics, config.metrics_hosts)
     yield from runtime_problems(config.runtime)
     if config.runtime.kind == "lxd" and (config.keys is None or config.listen.startswith("unix:")):
         yield (
@@ -219,6 +224,8 @@ def _problems(config: DaemonConfig) -> Iterator[Problem]:
 
 def _port_problems(config: DaemonConfig) -> Iterator[Problem]:
     if config.instance_ports is None:
+        if config.outside_ports is not None:
+            yield "outside_ports", "needs instance_ports, which those ports lead to"
         return
     first, last = config.instance_ports
     instances = sum(len(identity.images) for identity in config.identities)
@@ -237,6 +244,10 @@ def _port_problems(config: DaemonConfig) -> Iterator[Problem]:
         )
     elif first <= int(config.listen.rpartition(":")[2] or 0) <= last:
         yield "instance_ports", f'has the daemon\'s own port of listen = "{config.listen}" in it: give others'
+    elif (
+        config.outside_ports is not None and config.outside_ports[1] - config.outside_ports[0] != last - first
+    ):
+        yield "outside_ports", f"expected {last - first + 1} ports, as many as instance_ports has"
 
 
 def _peer_problems(config: DaemonConfig) -> Iterator[Problem]:
@@ -258,7 +269,7 @@ def _peer_problems(config: DaemonConfig) -> Iterator[Problem]:
 def _access_problems(config: DaemonConfig) -> Iterator[Problem]:
     if config.announce and (config.keys is None or config.listen.startswith("unix:")):
         yield "announce", 'needs [keys], by which drones know the server, and a "host:port" to listen on'
-    if not is_address(config.listen):
+    if not is_listening_address(config.listen):
         yield "listen", f'expected "host:port" or "unix:path", found "{config.listen}"'
     elif config.keys is None and not config.allow_without_certificates:
         yield (

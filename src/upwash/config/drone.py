@@ -512,6 +512,8 @@ class DroneConfig(
     """Simulation: all chance comes from here."""
     metrics: Text | None = None
     """Where Prometheus finds a flight's numbers, `host:port`: [metrics](metrics.md)."""
+    metrics_hosts: Names = ()
+    """Further names of this computer that a Prometheus may use, such as `host.docker.internal`."""
     max_message_bytes: MessageBytes = 16_777_216
     """The largest request and result of a call on the drone's side."""
     start_timeout_s: Positive = START_TIMEOUT_S

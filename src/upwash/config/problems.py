@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from upwash.config.values import is_address
+from upwash.config.values import is_listening_address
 from upwash.errors import ConfigError
+
+_HOST_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?")
 
 Document = dict[str, Any]
 Problem = tuple[str, str]  # the key, and what is wrong with it
@@ -34,7 +37,15 @@ def unknown(what: str, name: str, allowed: Iterable[str]) -> str:
     return f'unknown {what} "{name}"; {hint}allowed: {listed(choices)}'
 
 
-def metrics_problems(metrics: str | None) -> Iterator[Problem]:
-    """What is wrong with the address that metrics are to be offered at."""
-    if metrics is not None and (metrics.startswith("unix:") or not is_address(metrics)):
+def metrics_problems(metrics: str | None, hosts: Collection[str]) -> Iterator[Problem]:
+    """What is wrong with the address of the metrics, and with the names of `metrics_hosts`."""
+    if metrics is not None and (metrics.startswith("unix:") or not is_listening_address(metrics)):
         yield "metrics", f'expected "host:port" such as "127.0.0.1:9100", found "{metrics}"'
+    if hosts and metrics is None:
+        yield "metrics_hosts", 'needs metrics, such as "0.0.0.0:9100"'
+    for index, host in enumerate(hosts):
+        if not _HOST_NAME.fullmatch(host):
+            yield (
+                f"metrics_hosts[{index}]",
+                f'expected a name such as "host.docker.internal", without a port, found "{host}"',
+            )

@@ -146,6 +146,7 @@ class KeysConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The private key of that certificate."""
 
 
+_EVERYWHERE = ("", "*")  # in place of a host: every address of this computer
 MDNS = "mdns"  # in place of an address: it is found by multicast DNS
 
 
@@ -156,7 +157,13 @@ def is_address(text: str) -> bool:
         return len(text) > len("unix:")
     is_ipv6 = host.startswith("[") and host.endswith("]")
     is_port = port.isascii() and port.isdecimal() and len(port) <= 5 and int(port) <= 65535
-    return is_port and bool(host) and (is_ipv6 or ":" not in host)
+    return is_port and host not in _EVERYWHERE and (is_ipv6 or ":" not in host)
+
+
+def is_listening_address(text: str) -> bool:
+    """Whether a socket can listen there: at an address, or for no host, or `*`, at every one of this computer."""
+    host, colon, port = text.rpartition(":")
+    return is_address(f"any:{port}" if colon and host in _EVERYWHERE else text)
 
 
 def repeated(names: list[str]) -> list[tuple[int, str]]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import logging
 import os
 import signal
 import socket
 import tempfile
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -109,10 +110,8 @@ async def serve(
         )
         if before is not None:
             before.ready()
-        if metrics and config.metrics:
-            await answering.enter_async_context(
-                _exposed(metrics, edge, config.metrics, patient=before is not None)
-            )
+        if metrics:
+            await answering.enter_async_context(_exposed(metrics, edge, config, patient=before is not None))
         if config.announce:
             await answering.enter_async_context(_announcing(config, address))
         if weakness:
@@ -287,12 +286,13 @@ async def _runtime(
         yield processes, {}
 
 
-def _instance_ports(config: DaemonConfig) -> Sequence[int]:
-    """Where drones reach instances; 0 is a port of the system's choice."""
+def _instance_ports(config: DaemonConfig) -> Mapping[int, int]:
+    """Where instances are reached, each with the port that drones see; 0 is a port of the system's choice."""
     if config.instance_ports is None:
-        return (0,)
+        return {0: 0}
     first, last = config.instance_ports
-    return range(first, last + 1)
+    seen_first, _ = config.outside_ports or config.instance_ports
+    return {port: port - first + seen_first for port in range(first, last + 1)}
 
 
 def _folder_for_sockets(config: DaemonConfig) -> tempfile.TemporaryDirectory[str]:
@@ -419,22 +419,23 @@ def _metrics(config: DaemonConfig) -> DaemonMetrics | None:
 
 @contextlib.asynccontextmanager
 async def _exposed(
-    metrics: DaemonMetrics, edge: EdgeServer, listen: str, *, patient: bool
+    metrics: DaemonMetrics, edge: EdgeServer, config: DaemonConfig, *, patient: bool
 ) -> AsyncIterator[None]:
     """Offers the metrics until the end of the block; with `patient` once the daemon before does so no more."""
     from upwash.metrics.exposition import exposed
 
     metrics.look_at(edge)
+    offered = functools.partial(exposed, metrics.registry, config.metrics or "", config.metrics_hosts)
 
     async def offer() -> None:
         while True:
             with contextlib.suppress(UsageError):
-                async with exposed(metrics.registry, listen):
+                async with offered():
                     await never()
             await asyncio.sleep(_METRICS_S)
 
     if not patient:
-        async with exposed(metrics.registry, listen):
+        async with offered():
             yield
         return
     async with beside(offer(), name="the metrics"):

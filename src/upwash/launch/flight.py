@@ -187,7 +187,7 @@ async def _metrics(config: DroneConfig, stack: contextlib.AsyncExitStack) -> tup
         from upwash.metrics.drone import DroneMetrics
         from upwash.metrics.exposition import exposed
     metrics = DroneMetrics([server.name for server in config.servers])
-    await stack.enter_async_context(exposed(metrics.registry, config.metrics))
+    await stack.enter_async_context(exposed(metrics.registry, config.metrics, config.metrics_hosts))
     return (metrics.follow,)
 
 

@@ -35,7 +35,7 @@ from upwash.support.commands import command
 
 _OTHER_PORTS = (
     "the daemon answers, and the port of this service does not: calls go to the ports of instance_ports in the "
-    "daemon's file, which have to lead to that computer under the same numbers"
+    "daemon's file, which have to lead to that computer under the same numbers, or under those of outside_ports"
 )
 
 

@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import logging
 import socket
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Collection
 from email.parser import BytesParser
 from http import HTTPStatus
 
@@ -18,9 +18,12 @@ from prometheus_client import CollectorRegistry
 from prometheus_client.exposition import choose_encoder
 
 from upwash.config import is_on_this_machine
+from upwash.core.allowance import Allowance
 from upwash.errors import UsageError
 from upwash.support.background import only_logged, thread
 from upwash.support.http_host import names_this_machine
+from upwash.support.listening import listening_at
+from upwash.support.text import printable
 
 _PATHS = ("/metrics", "/")
 _LARGEST_REQUEST_BYTES = 2**14
@@ -28,28 +31,37 @@ _REQUEST_S = 5.0  # for a request to be whole
 _READING_S = 10.0  # for its answer to be read
 _CONNECTIONS = 64
 
+_LONGEST_NAME = 255
+_WARNINGS_PER_S = 1 / 60
+_OTHER_HOST = (
+    'the request\'s Host is "{host}"; answered are localhost, the address at which this computer was reached, the '
+    "host of `metrics` and the names of `metrics_hosts` in the configuration: add the name there"
+)
+
 _log = logging.getLogger("upwash.metrics")
 
 
 @contextlib.asynccontextmanager
-async def exposed(registry: CollectorRegistry, listen: str) -> AsyncIterator[str]:
+async def exposed(
+    registry: CollectorRegistry, listen: str, hosts: Collection[str] = ()
+) -> AsyncIterator[str]:
     """Offers the registry's metrics at `host:port`, from a thread of its own; yields the address that came of it.
 
-    Raises UsageError where nothing can listen there.
+    A request may name this machine by any of these further `hosts`. Raises UsageError where nothing can listen there.
     """
     if not is_on_this_machine(listen):
         _log.warning(
             "whoever reaches %s can read the metrics: nobody is asked for a certificate there", listen
         )
-    host, _, port = listen.rpartition(":")
     try:
-        listener = await asyncio.to_thread(_listener, host.strip("[]"), int(port))
+        listener = await asyncio.to_thread(listening_at, listen)
     except OSError as error:
         raise UsageError(
             f"metrics cannot be offered at {listen}: {error.strerror}; choose another address, or end who uses it"
         ) from error
+    host = listen.rpartition(":")[0]
     address = f"{host}:{listener.getsockname()[1]}"
-    server = _Server(registry, listener, host)
+    server = _Server(registry, listener, (host, *hosts))
     serving = thread(server.run, name="metrics", failed=only_logged)
     serving.start()
     _log.info("metrics at http://%s/metrics", address)
@@ -60,20 +72,14 @@ async def exposed(registry: CollectorRegistry, listen: str) -> AsyncIterator[str
         await asyncio.to_thread(serving.join)
 
 
-def _listener(host: str, port: int) -> socket.socket:
-    family, *_, address = socket.getaddrinfo(
-        host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-    )[0]
-    return socket.create_server((address[0], port), family=family)
-
-
 class _Server:
     """Answers each connection once, and closes it."""
 
-    def __init__(self, registry: CollectorRegistry, listener: socket.socket, host: str) -> None:
+    def __init__(self, registry: CollectorRegistry, listener: socket.socket, hosts: Collection[str]) -> None:
         self._registry = registry
         self._listener = listener
-        self._host = host
+        self._hosts = hosts
+        self._warnings = Allowance(_WARNINGS_PER_S, at_once=1)
         self._loop = asyncio.new_event_loop()
         self._stopped = asyncio.Event()
         self._connections: dict[
@@ -136,8 +142,12 @@ class _Server:
         hosts = headers.get_all("Host", [])
         if len(hosts) != 1:
             return _response(HTTPStatus.BAD_REQUEST)
-        if not names_this_machine(str(hosts[0]), listens_at=self._host, reached_at=reached_at):
-            return _response(HTTPStatus.MISDIRECTED_REQUEST)
+        host = printable(str(hosts[0]), _LONGEST_NAME)
+        if not names_this_machine(host, known_as=self._hosts, reached_at=reached_at):
+            why = _OTHER_HOST.format(host=host)
+            if self._warnings.take(1, now_s=self._loop.time()):
+                _log.warning("refused a request: %s", why)
+            return _response(HTTPStatus.MISDIRECTED_REQUEST, f"{why}\n".encode())
         if method not in ("GET", "HEAD"):
             return _response(HTTPStatus.METHOD_NOT_ALLOWED)
         if target.partition("?")[0] not in _PATHS:

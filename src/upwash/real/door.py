@@ -15,11 +15,12 @@ import logging
 import resource
 import socket
 import ssl
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from ipaddress import IPv6Address, ip_address
+from types import MappingProxyType
 from typing import Any, NoReturn
 
 from upwash.core.allowance import Allowance
@@ -362,24 +363,27 @@ async def opened_door(
 Lead = Callable[[str, Connect], Awaitable[Passage]]  # to an instance of the server of that name
 
 
-def leading(door: Door, host: str, ports: Sequence[int] = (0,)) -> Lead:
-    """Leads callers in at the first free one of the ports on that interface; 0 is any, of the system's choice.
+def leading(door: Door, host: str, ports: Mapping[int, int] = MappingProxyType({0: 0})) -> Lead:
+    """Leads callers in at the first free one of the ports on that interface, each with the port that they see.
 
-    Raises InstanceError where it cannot.
+    Port 0 is any, of the system's choice, and seen as it is. Raises InstanceError where it cannot.
     """
 
     async def lead(server: str, inside: Connect) -> Passage:
-        return await door.lead(_first_free(host, ports), inside, server=server)
+        listening, seen = _first_free(host, ports)
+        passage = await door.lead(listening, inside, server=server)
+        passage.endpoint = f":{seen}" if seen else passage.endpoint
+        return passage
 
     return lead
 
 
-def _first_free(host: str, ports: Sequence[int]) -> socket.socket:
+def _first_free(host: str, ports: Mapping[int, int]) -> tuple[socket.socket, int]:
     why = OSError("no port is left")
-    for port in ports:
+    for port, seen in ports.items():
         try:
-            return listening_socket(f"{host}:{port}")
+            return listening_socket(f"{host}:{port}"), seen
         except OSError as error:
             why = error
-    where = f"{host}, ports {ports[0]} to {ports[-1]}" if len(ports) > 1 else host
+    where = f"{host or '*'}, ports {min(ports)} to {max(ports)}" if len(ports) > 1 else host
     raise InstanceError(f"no way to an instance: cannot listen on {where}: {why}") from why

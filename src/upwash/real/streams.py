@@ -9,6 +9,8 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
+from upwash.support.listening import listening_at
+
 WAITING_BYTES = 2**15  # for a peer that does not read, beside what the system holds
 _ROOM_BYTES = 2**16
 _MOST_EARLY_BYTES = 2**15
@@ -178,10 +180,7 @@ def listening_socket(address: str) -> socket.socket:
         listening.bind(str(path))
         listening.listen(_BACKLOG)
         return listening
-    host, _, port = address.rpartition(":")
-    family, _, _, _, place = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
-    is_any = family == socket.AF_INET6 and place[0] == "::"
-    listening = socket.create_server(place[:2], family=family, backlog=_BACKLOG, dualstack_ipv6=is_any)
+    listening = listening_at(address)
     # Inherited by each connection: asyncio does not set it on those of a socket that it did not make, and then a
     # server's second small write waits 40 ms for the acknowledgement of its first.
     listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

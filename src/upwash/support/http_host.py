@@ -7,15 +7,16 @@ but the browser says that name.
 from __future__ import annotations
 
 import ipaddress
+from collections.abc import Collection
 
 
-def names_this_machine(host: str, *, listens_at: str, reached_at: str) -> bool:
-    """Whether a request's Host is the host that was told to be listened at, localhost, or where it was reached.
+def names_this_machine(host: str, *, known_as: Collection[str], reached_at: str) -> bool:
+    """Whether a request's Host is a name that this machine is known as, localhost, or where it was reached.
 
     `reached_at` is this machine's end of the connection, an IP address; each host may have a port.
     """
     name = _without_port(host)
-    if name in ("localhost", _without_port(listens_at)):
+    if name == "localhost" or name in map(_without_port, known_as):
         return True
     try:
         meant, reached = ipaddress.ip_address(name), ipaddress.ip_address(reached_at.partition("%")[0])

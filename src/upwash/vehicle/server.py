@@ -64,9 +64,9 @@ async def serve_vehicle(
 def _parse(listen: str) -> tuple[str, str, int]:
     kind, _, place = listen.partition(":")
     host, _, port = place.rpartition(":")
-    if kind not in ("udp", "tcp") or not host or not port.isdecimal() or int(port) > 65_535:
+    if kind not in ("udp", "tcp") or ":" not in place or not port.isdecimal() or int(port) > 65_535:
         raise UsageError(f'the vehicle cannot listen on "{listen}"; write udp:HOST:PORT or tcp:HOST:PORT')
-    return kind, host, int(port)
+    return kind, "0.0.0.0" if host in ("", "*") else host, int(port)  # noqa: S104 - as the user says
 
 
 class _Endpoint(Protocol):

@@ -91,7 +91,9 @@ class _OwnHost:
         hosts = headers.getlist("host")
         reached_at = (scope.get("server") or (_LISTENS_AT,))[0]
         app: ASGIApp = self._app
-        if len(hosts) != 1 or not names_this_machine(hosts[0], listens_at=_LISTENS_AT, reached_at=reached_at):
+        if len(hosts) != 1 or not names_this_machine(
+            hosts[0], known_as=(_LISTENS_AT,), reached_at=reached_at
+        ):
             app = Response("this page is another machine's", status_code=421, headers=_HANGS_UP)
         elif not _is_own(headers, hosts[0]):
             app = Response("another page may not ask for this", status_code=403, headers=_HANGS_UP)
