@@ -55,6 +55,22 @@ def test_a_slot_that_is_held_names_the_peer_that_asked_and_turns_may_have_no_end
     ]
 
 
+def test_it_says_how_often_another_version_took_over_and_why_the_last_one_did_not() -> None:
+    host = AdmissionController({"s1": ServerOffer(frozenset({"scale"}), slots=1)})
+    drone, outdated = Client("heron"), frozenset({("s1", "scale")})
+    host.start("s1", "scale", drone, now_s=0.0)
+    host.ready("s1", "scale", 1, ":1", now_s=1.0)
+    offers = {"s1": ServerOffer(frozenset({"scale"}), slots=1)}
+    host.offer(offers, outdated=outdated)
+    host.ready("s1", "scale", 2, ":2", now_s=2.0)
+    host.offer(offers, outdated=outdated)
+    host.gone("s1", "scale", 3, "no such model", now_s=3.0)
+    assert printed(host.servers(now_s=3.0))[-2:] == [
+        "  scale: another version took over 1 time",
+        "  scale: the former version serves on, as the new one did not start: no such model",
+    ]
+
+
 def test_a_daemon_that_knows_no_turns_is_shown_without_them() -> None:
     lease = {"drone": "heron", "certificate": "0a", "ends_in_s": 12.0, "held_by": ""}
     instance = {"service": "detector", "state": "running", "endpoint": ":40000", "unused_s": 3.0}

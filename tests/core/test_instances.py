@@ -340,19 +340,19 @@ def test_drones_without_certificates_are_not_touched_by_revocation() -> None:
 # ---- another configuration
 
 
-def test_an_image_that_is_withdrawn_or_replaced_is_stopped_and_one_that_is_new_can_be_started() -> None:
+def test_a_service_that_is_withdrawn_is_stopped_and_one_of_another_version_started_beside() -> None:
     machine = with_detector_running()
     same = ServerOffer(frozenset({"detector"}), 1)
     offers = {"s1": ServerOffer(frozenset({"mapper"}), 1), "s2": same}
     why = "s1 has no image of detector any more"
-    assert machine.offer(offers, replaced=frozenset()) == [StopInstance("s1", "detector", 1, why)]
+    assert machine.offer(offers, outdated=frozenset()) == [StopInstance("s1", "detector", 1, why)]
     answer, _ = machine.availability("s1", ["detector"], Client("d1"), now_s=9.0)
     assert answer == Denied("s1 has no image of detector")
     _, commands = machine.start("s1", "mapper", Client("d1"), now_s=9.0)
     assert commands == [StartInstance("s1", "mapper", 2)]
     machine.ready("s1", "mapper", 2, ":9001", now_s=10.0)
-    why = "s1 has another image of mapper now"
-    assert machine.offer(offers, replaced=frozenset({"mapper"})) == [StopInstance("s1", "mapper", 2, why)]
+    outdated = frozenset({("s1", "mapper")})
+    assert machine.offer(offers, outdated=outdated) == [StartInstance("s1", "mapper", 3)]
 
 
 def test_fewer_slots_end_no_lease_but_give_none_either() -> None:
@@ -360,7 +360,7 @@ def test_fewer_slots_end_no_lease_but_give_none_either() -> None:
     for drone in ("d1", "d2"):
         machine.availability("s1", [], Client(drone), now_s=0.0)
     only = ServerOffer(frozenset({"detector"}), 1)
-    assert machine.offer({"s1": only, "s2": only}, replaced=frozenset()) == []
+    assert machine.offer({"s1": only, "s2": only}, outdated=frozenset()) == []
     assert isinstance(machine.availability("s1", [], Client("d1"), now_s=1.0)[0], Available)
     machine.leave("s1", Client("d2"), now_s=1.0)
     answer, _ = machine.availability("s1", [], Client("d2"), now_s=2.0)

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from upwash.core.admission import AdmissionController, AdmissionSettings, ServerOffer
-from upwash.core.clients import Client, Role
+from upwash.core.clients import Client, InstanceStatus, Role
 from upwash.core.watchdog import CALL_LIMIT_S, DENIALS
 from upwash.errors import InstanceError, Refused
 from upwash.ports import Answered, AnsweredCall, InstanceSpec, Program, ignored
@@ -39,6 +39,7 @@ from upwash.sim.world import Wire
 
 T = TypeVar("T")
 COLD_START_S = 8.0
+LEASE_S = 30.0
 DRAIN_S = 10.0
 STOP_S = 30.0
 
@@ -86,6 +87,7 @@ class Runtime:
         self.called: list[Callable[[str], None]] = []
         self.answered: list[Answered] = []
         self.broken = ""
+        self.admits_in_s = 0.0
 
     async def start(
         self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
@@ -94,6 +96,7 @@ class Runtime:
         if self.broken:
             raise InstanceError(self.broken)
         self.instances.append(Instance(f"{spec.name}#{len(self.instances)}"))
+        self.instances[-1].admits_in_s = self.admits_in_s
         self.called.append(called)
         self.answered.append(answered)
         return self.instances[-1]
@@ -110,7 +113,7 @@ class Daemon:
         self.edge = EdgeServer(
             AdmissionController(
                 {"s1": ServerOffer(frozenset({"detector", "counter"}), slots)},
-                AdmissionSettings(lease_s=30, idle_stop_s=100),
+                AdmissionSettings(lease_s=LEASE_S, idle_stop_s=100),
                 peers=["s2"],
             ),
             images={
@@ -468,17 +471,127 @@ def test_a_daemon_that_is_closed_while_a_drone_waits_starts_nothing_more() -> No
     serve(story)
 
 
-def test_another_program_of_a_service_is_used_from_the_next_start_on() -> None:
+async def reload(daemon: Daemon, version: str, services: tuple[str, ...] = ("detector",)) -> None:
+    offers = {"s1": ServerOffer(frozenset(services), 1)}
+    images = {each: Image(Program("somewhere:Detector"), version=version) for each in services}
+    await daemon.edge.reload(offers, images=images, revoked=frozenset())
+
+
+def detector_of(daemon: Daemon) -> InstanceStatus:
+    (status,) = [each for each in daemon.edge.standing().servers[0].instances if each.service == "detector"]
+    return status
+
+
+def test_another_version_takes_over_once_it_is_ready_and_the_former_ends_when_drones_know_its_address() -> (
+    None
+):
     async def story(daemon: Daemon) -> None:
-        first = await daemon.start()
-        offers = {"s1": ServerOffer(frozenset({"detector"}), 1)}
-        images = {"detector": Image(Program("elsewhere:Detector"))}
-        await daemon.edge.reload(offers, images=images, revoked=frozenset())
-        second = await daemon.start()
-        assert second.endpoint not in ("", first.endpoint)
-        assert len(daemon.runtime.living()) == 1
-        await daemon.edge.reload(offers, images=images, revoked=frozenset())
-        assert (await daemon.start()).endpoint == second.endpoint, "nothing has changed"
+        running = (await daemon.start()).endpoint
+        (former,) = daemon.runtime.instances
+        await reload(daemon, "2")
+        await daemon.keep_asking(COLD_START_S - 1.0)
+        assert (await daemon.ask()).endpoints == {"detector": running}
+        await asyncio.sleep(2.0)
+        (_, latter) = daemon.runtime.instances
+        assert (await daemon.ask()).endpoints == {"detector": latter.endpoint}
+        assert latter.admitted == former.admitted == {"d1"}
+        await daemon.keep_asking(LEASE_S / 2)
+        assert not former.refuses, "a drone may not have asked yet"
+        await daemon.keep_asking(LEASE_S)
+        assert "another version of detector" in former.refuses
+        assert daemon.runtime.living() == [latter]
+        assert detector_of(daemon).renewed == 1
+        await reload(daemon, "2")
+        await daemon.keep_asking(COLD_START_S + 1.0)
+        assert daemon.runtime.living() == [latter], "nothing has changed"
+
+    serve(story)
+
+
+def test_a_drone_meets_no_instance_of_another_version_that_does_not_know_it_yet() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start()
+        daemon.runtime.admits_in_s = 3.0
+        await reload(daemon, "2")
+        for _ in range(100):
+            await asyncio.sleep(0.5)
+            (endpoint,) = (await daemon.ask()).endpoints.values()
+            (instance,) = [each for each in daemon.runtime.instances if each.endpoint == endpoint]
+            assert instance.admitted == {"d1"}
+        assert len(daemon.runtime.instances) == 2
+
+    serve(story)
+
+
+def test_a_version_that_does_not_start_leaves_the_former_and_is_tried_again_at_the_next_reload() -> None:
+    async def story(daemon: Daemon) -> None:
+        running = (await daemon.start()).endpoint
+        daemon.runtime.broken = "detector@s1 did not start: a typing error"
+        await reload(daemon, "2")
+        await daemon.keep_asking(2 * LEASE_S)
+        assert (await daemon.ask()).endpoints == {"detector": running}
+        status = detector_of(daemon)
+        assert (status.renewed, status.not_renewed) == (0, daemon.runtime.broken)
+        assert (status.failures, status.paused_s) == (0, 0.0), "what serves did not fail"
+        daemon.runtime.broken = ""
+        await reload(daemon, "2")
+        await daemon.keep_asking(COLD_START_S + 1.0)
+        assert (await daemon.ask()).endpoints["detector"] != running
+        status = detector_of(daemon)
+        assert (status.renewed, status.not_renewed) == (1, "")
+
+    serve(story)
+
+
+def test_of_several_versions_in_a_row_the_last_one_takes_over() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start()
+        for version in ("2", "3", "4"):
+            await reload(daemon, version)
+            await asyncio.sleep(COLD_START_S / 2)
+        await daemon.keep_asking(2 * LEASE_S)
+        assert len(daemon.runtime.instances) == 2
+        assert detector_of(daemon).renewed == 1
+
+    serve(story)
+
+
+def test_where_the_former_crashes_its_drone_waits_for_the_version_that_starts() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start()
+        (former,) = daemon.runtime.instances
+        await reload(daemon, "2")
+        await asyncio.sleep(COLD_START_S / 2)
+        former.ended.set_result("it was killed")
+        await asyncio.sleep(0.1)
+        reply = await daemon.start()
+        assert reply.endpoint == daemon.runtime.instances[1].endpoint
+        assert len(daemon.runtime.instances) == 2
+
+    serve(story)
+
+
+def test_a_service_that_is_withdrawn_ends_in_every_version() -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start()
+        await reload(daemon, "2")
+        await asyncio.sleep(COLD_START_S + 1.0)
+        await reload(daemon, "3")
+        assert len(daemon.runtime.living()) == 2
+        await reload(daemon, "3", ("counter",))
+        await asyncio.sleep(COLD_START_S + 1.0)
+        assert daemon.runtime.living() == []
+
+    serve(story)
+
+
+def test_an_instance_that_starts_is_stopped_for_another_version_and_its_drone_waits_for_that() -> None:
+    async def story(daemon: Daemon) -> None:
+        waiting = asyncio.create_task(daemon.start())
+        await asyncio.sleep(COLD_START_S / 2)
+        await reload(daemon, "2")
+        reply = await waiting
+        assert [each.endpoint for each in daemon.runtime.living()] == [reply.endpoint]
 
     serve(story)
 

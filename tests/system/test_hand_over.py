@@ -11,15 +11,11 @@ from pathlib import Path
 
 import pytest
 from tests.children import is_alive
-from tests.system.daemons import MAX_MESSAGE_BYTES, Daemon, config, daemon
+from tests.system.daemons import Daemon, config, daemon
+from tests.system.flying import Flying
 from tests.waiting import wait_for
 
-from upwash.drone.networks import NoNetwork
-from upwash.drone.server_session import ServerEndpoint, ServerSession
 from upwash.real.authority import make_keys
-from upwash.real.credentials import read_credentials
-from upwash.real.link import GrpcDialer
-from upwash.rpc.service import load_service, spec_of
 
 pytestmark = [pytest.mark.system, pytest.mark.xdist_group("hand-over")]
 
@@ -34,50 +30,6 @@ def own_keys(tmp_path: Path) -> Path:
     return folder
 
 
-class Flying:
-    """A drone that calls its server all the time, as its own session has it."""
-
-    def __init__(self, name: str, at: Daemon, keys: Path, services: Path) -> None:
-        shown = read_credentials(keys / "authority.pem", keys / f"{name}.pem", keys / f"{name}.key")
-        self.answered: list[int] = []  # the processes that answered, one after the other
-        self._called = asyncio.Event()  # is set, and replaced, at each answer
-        self._method = spec_of(load_service(f"{services}:Workbench")).methods["process_id"]
-        self._session = ServerSession(
-            ServerEndpoint(name="s1", network="", address=at.address, services=("workbench",)),
-            network=NoNetwork(),
-            dialer=GrpcDialer(name, shown, max_message_bytes=MAX_MESSAGE_BYTES),
-        )
-
-    async def called(self) -> None:
-        """Returns when the next call is answered."""
-        await self._called.wait()
-
-    async def answered_by(self, processes: int) -> None:
-        """Returns when so many processes have answered, one after the other."""
-        while len(set(self.answered)) < processes:
-            await self.called()
-
-    async def fly(self, until: asyncio.Event, arrived: Callable[[], None]) -> None:
-        session = self._session
-        await session.join(timeout_s=5.0)
-        if not (await session.ask()).running:
-            await session.start(timeout_s=60.0)
-        keeping = asyncio.create_task(session.keep_lease())
-        arrived()
-        try:
-            while not until.is_set():
-                _, request = self._method.encode((), {})
-                reply = await session.call("workbench", "process_id", request, deadline_s=10.0)
-                self.answered.append(int(str(self._method.result(self._method.decode(reply)))))
-                self._called.set()
-                self._called = asyncio.Event()
-                await asyncio.sleep(0.02)
-            assert not keeping.done(), keeping.exception()
-        finally:
-            keeping.cancel()
-            await session.end(in_range=True)
-
-
 def main_process(said: Path) -> int | None:
     """Which process has taken the daemon's place, as it has logged."""
     found = re.search(r"process (\d+) has taken this daemon's place", said.read_text())
@@ -90,7 +42,7 @@ def test_twenty_drones_call_on_while_the_daemon_is_changed_for_another(
     text = config(own_keys, lease_s=LEASE_S).replace("slots = 1", "slots = 20")
 
     async def visit(at: Daemon) -> list[Flying]:
-        drones = [Flying(name, at, own_keys, services) for name in DRONES]
+        drones = [Flying(name, at.address, own_keys, f"{services}:Workbench") for name in DRONES]
         enough, here = asyncio.Event(), asyncio.Semaphore(0)
         async with asyncio.TaskGroup() as flights:
             for drone in drones:
@@ -125,7 +77,7 @@ def test_a_program_that_does_not_come_up_leaves_the_daemon_as_it_is(
     tmp_path: Path, services: Path, own_keys: Path
 ) -> None:
     async def visit(at: Daemon, spoil: Callable[[], object]) -> Mapping[int, int]:
-        drone = Flying(DRONES[0], at, own_keys, services)
+        drone = Flying(DRONES[0], at.address, own_keys, f"{services}:Workbench")
         enough, here = asyncio.Event(), asyncio.Event()
         async with asyncio.TaskGroup() as flights:
             flights.create_task(drone.fly(enough, here.set))

@@ -42,6 +42,11 @@ def _print_server(server: ServerStatus, console: Console) -> None:
     for instance in server.instances:
         if instance.failures:
             say(Text(f"  {_failed(instance)}", style="yellow"), console)
+        if instance.renewed:
+            times = _counted(instance.renewed, "time", "times")
+            say(Text(f"  {instance.service}: another version took over {times}"), console)
+        if instance.not_renewed:
+            say(Text(f"  {_not_renewed(instance)}", style="yellow"), console)
 
 
 def _slots_and_turns(server: ServerStatus) -> str:
@@ -91,6 +96,11 @@ def _failed(instance: InstanceStatus) -> str:
     paused = f"; left alone for another {_duration(instance.paused_s)}" if instance.paused_s else ""
     replaced = f"; {instance.replaced} replaced so far" if instance.replaced else ""
     return f"{instance.service}: {times} failed in a row, last: {instance.last_failure}{paused}{replaced}"
+
+
+def _not_renewed(instance: InstanceStatus) -> str:
+    """Which version serves, and why."""
+    return f"{instance.service}: the former version serves on, as the new one did not start: {instance.not_renewed}"
 
 
 def _print_refusals(refusals: Sequence[RefusalStatus], console: Console) -> None:

@@ -14,6 +14,8 @@ Laws:
 - a drone may have peers hold one slot at a time, and only while it has a lease here;
 - an instance goes absent, starting, running, stopping, absent; it may fall back to absent at any time;
 - an instance is known by its number, and what arrives for another number changes nothing;
+- one of another version takes a place when it is ready, and the former serves for another lease, as drones ask for
+  addresses within that time;
 - commands are to be carried out in their order.
 """
 
@@ -318,9 +320,23 @@ class AdmissionController:
     def ready(self, server: str, service: str, number: int, endpoint: str, *, now_s: float) -> list[Command]:
         """The instance of that number can be called at the endpoint."""
         state = self._servers[server]
-        lanes = state.offer.lanes.get(service, 1)
-        is_news = state.instances.ready(service, number, endpoint, lanes=lanes, now_s=now_s)
+        is_news = state.instances.ready(
+            service,
+            number,
+            endpoint,
+            lanes=state.offer.lanes.get(service, 1),
+            former_until_s=now_s + self.settings.lease_s,
+            now_s=now_s,
+        )
         return [state.leases.admitted()] if is_news else []
+
+    def admitted(self, server: str) -> Admit:
+        """Whom instances of the server answer now."""
+        return self._servers[server].leases.admitted()
+
+    def has_place(self, server: str, service: str, number: int) -> bool:
+        """Whether it is the instance of that number that drones are sent to; others end soon, or are starting."""
+        return self._servers[server].instances[service].number == number
 
     def gone(
         self, server: str, service: str, number: int, why: str = "", *, now_s: float = 0.0
@@ -421,9 +437,12 @@ class AdmissionController:
 
     # --- what the operator changes --------------------------------------------------------------------------
 
-    def offer(self, offers: Mapping[str, ServerOffer], *, replaced: frozenset[str]) -> list[Command]:
-        """From now on the same servers offer this; what runs of an image that is withdrawn or replaced is stopped.
+    def offer(
+        self, offers: Mapping[str, ServerOffer], *, outdated: frozenset[tuple[str, str]]
+    ) -> list[Command]:
+        """From now on the same servers offer this; what runs of a service that is withdrawn is stopped.
 
+        `outdated` instances, by server and service, are replaced by others, which start first.
         A drone that holds one slot too many keeps it until its lease ends.
         """
         commands: list[Command] = []
@@ -433,8 +452,10 @@ class AdmissionController:
                 if service not in offer.images:
                     why = f"{name} has no image of {service} any more"
                     commands += server.instances.stop(service, why)
-                elif service in replaced:
-                    commands += server.instances.stop(service, f"{name} has another image of {service} now")
+                elif (name, service) in outdated:
+                    commands += server.instances.renew(
+                        service, f"{name} has another version of {service} now"
+                    )
             server.change(offer)
         return commands
 
@@ -462,6 +483,7 @@ class AdmissionController:
         """Ends the leases whose time is over, and stops the instances that nobody uses."""
         commands = self._end_leases(now_s)
         for server in self._servers.values():
+            commands += server.instances.stop_former(now_s=now_s)
             if not server.leases:
                 commands += server.instances.stop_idle(self.settings.idle_stop_s, now_s=now_s)
         return commands
@@ -476,7 +498,7 @@ class AdmissionController:
         settings = self.settings
         ends_s = [now_s + settings.lease_s, now_s + settings.idle_stop_s]
         for server in self._servers.values():
-            ends_s += server.leases.until_s()
+            ends_s += [*server.leases.until_s(), *server.instances.former_until_s()]
             ends_s += [used_s + settings.idle_stop_s for used_s in server.instances.used_s()]
         return min(ends_s)
 

@@ -49,7 +49,8 @@ class InstanceStatus:
     """A service of a server and where its instance is in its life; unused for so long if it runs.
 
     `replaced` counts the instances that were of no use, `failures` those that failed in a row. The service is left
-    alone for another `paused_s`. An earlier daemon says nothing of this.
+    alone for another `paused_s`. `renewed` counts the instances that took over in another version of the service;
+    `not_renewed` says why the last one did not. An earlier daemon says nothing of this.
     """
 
     service: str
@@ -60,6 +61,8 @@ class InstanceStatus:
     failures: int = 0
     last_failure: str = ""
     paused_s: float = 0.0
+    renewed: int = 0
+    not_renewed: str = ""
 
 
 @dataclass(frozen=True, slots=True)

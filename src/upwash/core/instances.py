@@ -2,7 +2,8 @@
 
     ABSENT ─ begin ─► STARTING ─ ready ─► RUNNING ─ stop ─► STOPPING ─ gone ─► ABSENT
 
-One that is starting may be stopped too, and each may be gone at any time.
+An instance that is starting may be stopped too, and each may be gone at any time. An instance of another version
+starts beside a running one. Once ready it has the place, and the former serves until drones know the new address.
 """
 
 from __future__ import annotations
@@ -59,6 +60,12 @@ class Instance:
     limit: Limit = field(default_factory=Limit)
     failures: Failures = field(default_factory=Failures)
     replaced: int = 0  # instances that were of no use
+    successor: int = 0  # an instance of another version that is starting; 0: none
+    former_s: dict[int, float] = field(
+        default_factory=dict
+    )  # instances that had the place, and until when they serve
+    renewed: int = 0  # instances that took over in another version
+    not_renewed: str = ""  # why the other version did not start last time
 
 
 class Instances:
@@ -93,12 +100,45 @@ class Instances:
             return []
         instance.state = InstanceState.STARTING
         instance.number = next(self._numbers)
+        instance.not_renewed = ""
         return [StartInstance(self._server, service, instance.number)]
 
-    def ready(self, service: str, number: int, endpoint: str, *, lanes: int = 1, now_s: float) -> bool:
-        """The instance of that number can be called at the endpoint; returns whether that is news."""
+    def renew(self, service: str, why: str) -> list[StartInstance | StopInstance]:
+        """Has an instance of another version take the place of a running one, once it is ready.
+
+        An instance that is starting is stopped for that reason; drones that wait for it wait for the next.
+        """
         instance = self[service]
-        if instance.number != number or instance.state is not InstanceState.STARTING:
+        if instance.state is not InstanceState.RUNNING:
+            return [*self.stop(service, why)]
+        outdated = (
+            [StopInstance(self._server, service, instance.successor, why)] if instance.successor else []
+        )
+        instance.successor = next(self._numbers)
+        return [*outdated, StartInstance(self._server, service, instance.successor)]
+
+    def ready(
+        self,
+        service: str,
+        number: int,
+        endpoint: str,
+        *,
+        lanes: int = 1,
+        former_until_s: float = 0.0,
+        now_s: float,
+    ) -> bool:
+        """The instance of that number can be called at the endpoint; returns whether that is news.
+
+        An instance whose place it takes serves until `former_until_s`.
+        """
+        instance = self[service]
+        if number == instance.successor:
+            if instance.state is InstanceState.RUNNING:
+                instance.former_s[instance.number] = former_until_s
+            instance.number, instance.successor = number, 0
+            instance.renewed += 1
+            instance.not_renewed = ""
+        elif instance.number != number or instance.state is not InstanceState.STARTING:
             return False
         instance.state = InstanceState.RUNNING
         instance.endpoint = endpoint
@@ -109,6 +149,9 @@ class Instances:
     def gone(self, service: str, number: int, why: str = "", *, now_s: float = 0.0) -> bool:
         """The instance of that number has ended, for that reason if by itself; returns whether it was of no use."""
         instance = self[service]
+        instance.former_s.pop(number, None)
+        if number == instance.successor:
+            instance.successor, instance.not_renewed = 0, why
         if instance.number != number or instance.state is InstanceState.ABSENT:
             return False
         if why and instance.state is not InstanceState.STOPPING:
@@ -116,7 +159,8 @@ class Instances:
             callers = instance.watch.callers if had_started else frozenset()
             instance.failures.add(why, callers, had_started=had_started, now_s=now_s)
         was_condemned = instance.state is InstanceState.STOPPING and instance.watch.is_condemned
-        instance.state = InstanceState.ABSENT
+        instance.state = InstanceState.STARTING if instance.successor else InstanceState.ABSENT
+        instance.number, instance.successor = instance.successor or number, 0
         instance.endpoint = ""
         return was_condemned
 
@@ -131,13 +175,33 @@ class Instances:
         return self.stop(service, f"{service} of {self._server} is replaced: {useless.why}", is_useless=True)
 
     def stop(self, service: str, why: str = "", *, is_useless: bool = False) -> list[StopInstance]:
-        """Has the instance stopped, if one runs or is starting."""
+        """Has the instance stopped, if one runs or is starting, with those of other versions."""
         instance = self[service]
-        if instance.state not in (InstanceState.STARTING, InstanceState.RUNNING):
-            return []
-        instance.state = InstanceState.STOPPING
-        instance.endpoint = ""
-        return [StopInstance(self._server, service, instance.number, why, is_useless)]
+        numbers = [*instance.former_s, *filter(None, [instance.successor])]
+        instance.former_s, instance.successor = {}, 0
+        if instance.state in (InstanceState.STARTING, InstanceState.RUNNING):
+            instance.state = InstanceState.STOPPING
+            instance.endpoint = ""
+            numbers.append(instance.number)
+        return [
+            StopInstance(self._server, service, number, why, is_useless and number == instance.number)
+            for number in numbers
+        ]
+
+    def stop_former(self, *, now_s: float) -> list[StopInstance]:
+        """Has those stopped that had the place, and whose time is over."""
+        over = [
+            (service, number)
+            for service, each in self._instances.items()
+            for number, until_s in each.former_s.items()
+            if until_s <= now_s
+        ]
+        for service, number in over:
+            del self[service].former_s[number]
+        why = f"{self._server} has another version of"
+        return [
+            StopInstance(self._server, service, number, f"{why} {service} now") for service, number in over
+        ]
 
     def stop_all(self, why: str) -> list[StopInstance]:
         """Has every instance stopped."""
@@ -151,7 +215,11 @@ class Instances:
     @property
     def any_running(self) -> bool:
         """Whether there is an instance that runs."""
-        return bool(self._running())
+        return bool(self._running()) or bool(self.former_until_s())
+
+    def former_until_s(self) -> list[float]:
+        """Until when each instance serves that had a place."""
+        return [until_s for each in self._instances.values() for until_s in each.former_s.values()]
 
     def used_s(self) -> list[float]:
         """When each instance that runs became ready or was last called."""
@@ -169,6 +237,8 @@ class Instances:
                 failures=each.failures.count,
                 last_failure=each.failures.why,
                 paused_s=each.failures.left_s(now_s=now_s),
+                renewed=each.renewed,
+                not_renewed=each.not_renewed,
             )
             for service, each in sorted(self._instances.items())
             if service in offered or each.state is not InstanceState.ABSENT

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NoReturn
@@ -46,6 +47,7 @@ _ANSWER_S = 5.0  # a daemon answers at once or is in trouble
 _FAREWELL_S = 0.5
 _LEAST_ASK_S, _LONGEST_ASK_S = 0.5, 30.0  # between two questions for a slot, whatever a server says
 _LONGEST_PAUSE_S = 600.0  # a server is left out for no longer, whatever the server says
+_MOST_MOVES = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +87,7 @@ class ServerSession:
         self._daemon: Link | None = None
         self._instances: dict[str, Link] = {}
         self._addresses: dict[str, str] = {}  # that they lead to
-        self._moved: set[str] = set()  # services, since the server was asked
+        self._moves: Counter[str] = Counter()  # of each service, since the server was asked
         self._former: list[Link] = []  # to instances in whose place there are others
         self._lease_s = LEAST_LEASE_S
         self.round_trip_s: float | None = None  # of the last question to the daemon
@@ -124,7 +126,7 @@ class ServerSession:
         if self._daemon is None:
             self._daemon = await self._dial_daemon()
         answer = await self._availability()
-        self._moved.clear()
+        self._moves.clear()
         for service in self._server.services:
             if service in answer.endpoints:
                 await self._dial(service, answer.endpoints[service])
@@ -211,17 +213,18 @@ class ServerSession:
     async def _follow(self, endpoints: Mapping[str, str], moved: Callable[[str], None]) -> None:
         """Calls go to where the services are now; the links to where they were stay for the calls under way there.
 
-        A service moves once until the server is asked anew, so that no server leads the drone from port to port.
+        A service moves 16 times at most until the server is asked anew, so that no server leads the drone from port
+        to port.
         Raises GarbledReply for endpoints that are not the server's own.
         """
         if self._quiet.is_set():
             for link in self._former:
                 await link.close()
             self._former.clear()
-        for service in sorted((self._instances.keys() & endpoints.keys()) - self._moved):
+        for service in sorted(self._instances.keys() & endpoints.keys()):
             address = resolve(endpoints[service], self._address)
-            if address != self._addresses[service]:
-                self._moved.add(service)
+            if address != self._addresses[service] and self._moves[service] < _MOST_MOVES:
+                self._moves[service] += 1
                 moved(service)
                 self._former.append(self._instances[service])
                 self._instances[service] = self._dialer.dial(address, server=self._server.name)

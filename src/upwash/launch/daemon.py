@@ -11,7 +11,6 @@ import signal
 import socket
 import tempfile
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -23,8 +22,8 @@ from upwash.core.instances import InstanceState
 from upwash.core.watchdog import CALL_LIMIT_S
 from upwash.errors import Refused, UpwashError, UsageError
 from upwash.launch.daemon_keys import DaemonKeys, watch_expiry
-from upwash.missions.bundled import load_services
-from upwash.ports import InstanceSpec, Program, Runtime
+from upwash.launch.daemon_services import DaemonServices
+from upwash.ports import InstanceSpec, Runtime
 from upwash.real.announced import Inside
 from upwash.real.door import Door, Seen, door_limits, leading, opened_door, raise_limit_of_files
 from upwash.real.hand_over import HandedOver, Served, hand_over
@@ -36,7 +35,6 @@ from upwash.real.sandbox import Sandbox, find_sandbox
 from upwash.real.service_manager import ServiceManager
 from upwash.real.signals import ending_in_time, on_signal, stopping_politely
 from upwash.real.streams import listening_socket
-from upwash.rpc.service import spec_of
 from upwash.server.daemon import EdgeServer, Image
 from upwash.support.background import beside
 from upwash.support.loading import extra
@@ -80,7 +78,7 @@ async def serve(
     if config.announce:
         with extra("discovery"):
             import upwash.real.discovery  # noqa: F401 - before anything is begun
-    images = _images(config)
+    services = DaemonServices(config)
     keys = DaemonKeys(config)
     sandbox, weakness = await asyncio.to_thread(_sandbox, config)
     loop = asyncio.get_running_loop()
@@ -94,9 +92,11 @@ async def serve(
         sockets = Path(stack.enter_context(_folder_for_sockets(config)))
         door = await stack.enter_async_context(_door(keys, seen))
         runtime, lanes = await stack.enter_async_context(_runtime(config, door, sockets, sandbox))
-        images = _with_lanes(images, lanes)
+        services.know_lanes(lanes)
         metrics = _metrics(config)
-        edge = await _edge_server(config, images, metrics.runtime(runtime) if metrics else runtime, keys)
+        edge = await _edge_server(
+            config, services.images, metrics.runtime(runtime) if metrics else runtime, keys
+        )
         handle = metrics.daemon(edge.handle) if metrics else edge.handle
         hung_up, asked_to_go, stopped = asyncio.Event(), asyncio.Event(), asyncio.Event()
         stack.enter_context(stopping_politely(lambda _: stopped.set()))
@@ -123,7 +123,7 @@ async def serve(
             config,
             read_again=read_again,
             edge=edge,
-            lanes=lanes,
+            services=services,
             keys=keys,
             door=door,
             manager=manager,
@@ -187,30 +187,6 @@ async def _answering(
             yield listener.address
     finally:
         await asyncio.to_thread(listener.stop, grace_s=_LAST_ANSWERS_S)
-
-
-def _images(config: DaemonConfig) -> dict[str, Image]:
-    """What each service is; in a container its program is the image's, and checks its settings there."""
-    if config.runtime.kind != "process":
-        known = {
-            each.name: Image(Program("", each.settings.values if each.settings else {}))
-            for each in config.images
-        }
-    else:
-        known = {
-            name: Image(service.program, methods=frozenset(spec.methods), lanes=spec.concurrency)
-            for name, service in load_services(config.images).items()
-            for spec in [spec_of(service.cls)]
-        }
-    return {
-        each.name: replace(known[each.name], pace_s=each.pace_s, start_pace_s=each.start_pace_s)
-        for each in config.images
-    }
-
-
-def _with_lanes(images: Mapping[str, Image], lanes: Mapping[str, int]) -> dict[str, Image]:
-    """The same with the lanes of those services whose programs only their runtime knows."""
-    return {name: replace(image, lanes=lanes.get(name, image.lanes)) for name, image in images.items()}
 
 
 def _offers(config: DaemonConfig, images: Mapping[str, Image]) -> dict[str, ServerOffer]:
@@ -467,7 +443,7 @@ async def _reload_at(
     *,
     read_again: Callable[[], DaemonConfig],
     edge: EdgeServer,
-    lanes: Mapping[str, int],
+    services: DaemonServices,
     keys: DaemonKeys,
     door: Door | None,
     manager: ServiceManager,
@@ -480,17 +456,23 @@ async def _reload_at(
         try:
             new = await asyncio.to_thread(read_again)
             _refuse_restart(config, new)
-            images = _with_lanes(await asyncio.to_thread(_images, new), lanes)
+            images = await services.anew(new)
             keys.renew(new)
         except UpwashError as error:
             _log.error("the old configuration stays: %s", error)
         else:
             if door:
                 await door.trust(keys.trust())
+            changed = [name for name, image in images.items() if services.images.get(name) != image]
+            services.images = images
             await edge.reload(
                 _offers(new, images), images=images, revoked=keys.revoked, certificates=keys.certificates
             )
-            _log.info("the configuration was read again; %d certificates are revoked", len(keys.revoked))
+            _log.info(
+                "the configuration was read again; %d certificates are revoked; services that changed: %s",
+                len(keys.revoked),
+                ", ".join(changed) or "none",
+            )
         manager.ready()
 
 

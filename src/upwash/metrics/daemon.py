@@ -170,6 +170,11 @@ class _Standing(Collector):
             "Instances that were of no use, and were stopped",
             labels=["server", "service"],
         )
+        renewed = CounterMetricFamily(
+            "upwash_instances_renewed",
+            "Instances that took over in another version of the service",
+            labels=["server", "service"],
+        )
         paused = GaugeMetricFamily(
             "upwash_service_paused_seconds",
             "How much longer a service that keeps failing is left alone",
@@ -184,11 +189,12 @@ class _Standing(Collector):
             turns.add_metric([server.name], server.turns_ended)
             for instance in server.instances:
                 replaced.add_metric([server.name, instance.service], instance.replaced)
+                renewed.add_metric([server.name, instance.service], instance.renewed)
                 paused.add_metric([server.name, instance.service], instance.paused_s)
                 for state in InstanceState:
                     labels = [server.name, instance.service, state]
                     instances.add_metric(labels, float(instance.state == state))
-        yield from (slots, leases, held, waiting, turns, instances, replaced, paused)
+        yield from (slots, leases, held, waiting, turns, instances, replaced, renewed, paused)
         yield from (_refusals(standing), _expiries(standing))
 
 

@@ -76,7 +76,7 @@ class LoadedService:
 
 def load_services(configured: Sequence[ConfiguredService]) -> dict[str, LoadedService]:
     """The services of a configuration, by name; raises UsageError for one that does not fit its class."""
-    return {each.name: _load_service(each, f"service[{index}]") for index, each in enumerate(configured)}
+    return {each.name: load_configured(each, f"service[{index}]") for index, each in enumerate(configured)}
 
 
 def load_specs(configured: Sequence[ConfiguredService]) -> dict[str, ServiceSpec]:
@@ -90,7 +90,8 @@ def load_service_alone(name: str) -> LoadedService:
     return LoadedService(load_service(path), Program(path))
 
 
-def _load_service(configured: ConfiguredService, key: str) -> LoadedService:
+def load_configured(configured: ConfiguredService, key: str) -> LoadedService:
+    """The service that stands at that key of a configuration; raises UsageError where it does not fit its class."""
     path = configured.program or bundled_service(configured.name)
     cls = load_service(path)
     spec = spec_of(cls)

@@ -68,7 +68,7 @@ _STOP_S = 30.0  # for an instance to be gone, which a process in the kernel's ha
 class Image:
     """A service that can be started: its program, the least times of its calls and its start, and its methods.
 
-    An instance computes calls in so many `lanes` at a time.
+    An instance computes calls in so many `lanes` at a time. Another `version` is other code, or other files of it.
     """
 
     program: Program
@@ -76,6 +76,7 @@ class Image:
     start_pace_s: float = 0.0
     methods: frozenset[str] = frozenset()
     lanes: int = 1
+    version: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +127,7 @@ class EdgeServer:
         self._used = asyncio.Event()  # by somebody, since nobody had a slot and nothing ran
         self._defect: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._instances: dict[StartInstance, Instance] = {}
+        self._begun: dict[StartInstance, Image] = {}  # what each that starts, runs or stops was started from
         self._lives: dict[int, asyncio.Task[None]] = {}  # by instance number, from start to end
         self._endings: dict[int, asyncio.Task[None]] = {}  # of those that have to stop
         self._settled: dict[int, asyncio.Future[str]] = {}  # why it is not ready; "" when it is
@@ -158,10 +160,14 @@ class EdgeServer:
     ) -> None:
         """From now on the same servers offer this, with these images, to all but the revoked certificates."""
         self._certificates = certificates
-        replaced = frozenset(name for name, image in images.items() if self._images.get(name, image) != image)
         self._images = images
+        outdated = frozenset(
+            (start.server, start.service)
+            for start, image in self._begun.items()
+            if self._has_place(start) and images.get(start.service) != image
+        )
         await self._perform(self._host.revoke(revoked, now_s=self._now_s()))
-        await self._perform(self._host.offer(offers, replaced=replaced))
+        await self._perform(self._host.offer(offers, outdated=outdated))
 
     async def take_up(self, server: str, drones: Sequence[Client], services: Sequence[str]) -> None:
         """Serves whom another daemon served before; returns when the services run that ran there, or cannot."""
@@ -389,18 +395,18 @@ class EdgeServer:
         try:
             await instance.admit(command.drones, command.finishing)
         except InstanceError as error:
-            await self._perform(
-                self._host.silent(
-                    start.server,
-                    start.service,
-                    f"it cannot be told whom to serve: {error}",
-                    now_s=self._now_s(),
-                )
-            )
+            why = f"it cannot be told whom to serve: {error}"
+            if self._has_place(start):
+                await self._perform(self._host.silent(start.server, start.service, why, now_s=self._now_s()))
+            else:
+                _log.warning("stopping %s@%s of a former version: %s", start.service, start.server, why)
+                self._cut(start.number)
 
     async def _live(self, start: StartInstance) -> None:
         """The life of one instance, from its start to its end."""
-        image = self._images[start.service]
+        self._begun[start] = image = self._images[start.service]
+        if not self._has_place(start):
+            _log.info("%s@%s: another version starts beside the one that serves", start.service, start.server)
         spec = InstanceSpec(
             start.server,
             start.service,
@@ -419,6 +425,9 @@ class EdgeServer:
                     answered=lambda call: self._answered(start, call),
                 )
             self._instances[start] = instance
+            await self._tell_whom(
+                start, instance, self._host.admitted(start.server)
+            )  # who hears of it may call
             _log.info("%s is ready at %s", spec.name, instance.endpoint)
             await self._perform(
                 self._host.ready(
@@ -440,8 +449,13 @@ class EdgeServer:
             self._instances.pop(start, None)
             if instance is not None:
                 await self._stop(spec, instance)
-            anew = self._gone(start, why)
             settled = self._settled.pop(start.number)
+            if why and not settled.done() and not self._has_place(start):
+                _log.error(
+                    "%s serves on in its former version: correct the new one, and reload again", spec.name
+                )
+            anew = self._gone(start, why)
+            del self._begun[start]
             if not settled.done():
                 settled.set_result(why)
             del self._lives[start.number]
@@ -458,6 +472,9 @@ class EdgeServer:
                 _STOP_S,
             )
 
+    def _has_place(self, start: StartInstance) -> bool:
+        return self._host.has_place(start.server, start.service, start.number)
+
     def _gone(self, start: StartInstance, why: str) -> list[StartInstance]:
         return self._host.gone(start.server, start.service, start.number, why, now_s=self._now_s())
 
@@ -469,22 +486,26 @@ class EdgeServer:
             with contextlib.suppress(TimeoutError, InstanceError):
                 async with asyncio.timeout(_WATCH_S):
                     await instance.health()
-                self._host.heard(start.server, start.service, now_s=self._now_s())
-            await self._perform(self._host.watch(start.server, start.service, now_s=self._now_s()))
+                if self._has_place(start):
+                    self._host.heard(start.server, start.service, now_s=self._now_s())
+            if self._has_place(start):
+                await self._perform(self._host.watch(start.server, start.service, now_s=self._now_s()))
 
     def _called(self, start: StartInstance, drone: str) -> None:
-        self._host.called(start.server, start.service, drone, now_s=self._now_s())
+        if self._has_place(start):
+            self._host.called(start.server, start.service, drone, now_s=self._now_s())
 
     def _answered(self, start: StartInstance, call: AnsweredCall) -> None:
-        self._host.answered(
-            start.server,
-            start.service,
-            call.drone,
-            took_s=call.took_s,
-            queued_s=call.queued_s,
-            outcome=call.outcome,
-            now_s=self._now_s(),
-        )
+        if self._has_place(start):
+            self._host.answered(
+                start.server,
+                start.service,
+                call.drone,
+                took_s=call.took_s,
+                queued_s=call.queued_s,
+                outcome=call.outcome,
+                now_s=self._now_s(),
+            )
 
     def _now_s(self) -> float:
         return asyncio.get_running_loop().time()

@@ -1,0 +1,145 @@
+"""The services that an edge daemon can start, as they lie on the disk, looked at again at each reload.
+
+A Python process keeps the modules that it has imported. So a new version is loaded by a process of its own:
+`python -m upwash.launch.daemon_services`. It also ends with whatever the code does as it is imported.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+
+import msgspec
+
+from upwash.config import DaemonConfig
+from upwash.config.daemon import ImageConfig
+from upwash.errors import UpwashError, UsageError
+from upwash.missions.bundled import load_configured
+from upwash.ports import Program
+from upwash.real.versions import version_of, version_of_upwash
+from upwash.rpc.service import spec_of
+from upwash.server.daemon import Image
+from upwash.support.loading import look_here, module_command
+
+_log = logging.getLogger("upwash.serving")
+_UPGRADED = (
+    "upwash itself has changed on the disk, so services stay as they are: have the new program take this daemon's "
+    "place by SIGUSR2, or restart it"
+)
+Looked = dict[str, Image | str]  # a service, or why it cannot be loaded
+
+
+class DaemonServices:
+    """What the daemon can start now."""
+
+    def __init__(self, config: DaemonConfig) -> None:
+        self._upwash = version_of_upwash()
+        self._lanes: Mapping[str, int] = {}
+        looked = _look(config)
+        for fault in looked.values():
+            if isinstance(fault, str):
+                raise UsageError(fault)
+        self.images = {name: image for name, image in looked.items() if isinstance(image, Image)}
+
+    def know_lanes(self, lanes: Mapping[str, int]) -> None:
+        """Takes in the lanes of those services whose programs only their runtime knows."""
+        self._lanes = lanes
+        self.images = self._with_lanes(self.images)
+
+    async def anew(self, config: DaemonConfig) -> dict[str, Image]:
+        """The services of another configuration, and of what lies on the disk now.
+
+        A version that cannot be loaded is logged, and the former stays; UsageError is raised where there is none.
+        """
+        if config.runtime.kind == "process" and await asyncio.to_thread(version_of_upwash) != self._upwash:
+            _log.error(_UPGRADED)
+            looked: Looked = {each.name: _UPGRADED for each in config.images}
+        else:
+            looked = await _looked_at_elsewhere(config)
+        images = {}
+        for name, found in looked.items():
+            if isinstance(found, Image):
+                images[name] = found
+                continue
+            if name not in self.images:
+                raise UsageError(found)
+            images[name] = self.images[name]
+            if found != _UPGRADED:
+                _log.error("%s stays in its former version: %s", name, found)
+        return self._with_lanes(images)
+
+    def _with_lanes(self, images: Mapping[str, Image]) -> dict[str, Image]:
+        return {
+            name: replace(image, lanes=self._lanes.get(name, image.lanes)) for name, image in images.items()
+        }
+
+
+async def _looked_at_elsewhere(config: DaemonConfig) -> Looked:
+    if config.runtime.kind != "process":
+        return _look(config)  # which loads nothing
+    process = await asyncio.create_subprocess_exec(
+        *module_command(__spec__.name),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    )
+    try:
+        async with asyncio.timeout(config.start_timeout_s):
+            said, _ = await process.communicate(pickle.dumps(config))
+        return msgspec.msgpack.decode(said, type=Looked)
+    except TimeoutError:
+        why = f"it is not loaded within {config.start_timeout_s:g} s"
+    except msgspec.MsgspecError:
+        why = f"the process that loads it ended with code {await process.wait()}"
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
+        await process.wait()
+    return dict.fromkeys((each.name for each in config.images), why)
+
+
+def _look(config: DaemonConfig) -> Looked:
+    looked: Looked = {}
+    for index, each in enumerate(config.images):
+        try:
+            looked[each.name] = _image(config, each, f"service[{index}]")
+        except UpwashError as error:
+            looked[each.name] = str(error)
+    return looked
+
+
+def _image(config: DaemonConfig, each: ImageConfig, key: str) -> Image:
+    """What the service is; in a container its program is the image's, and checks its settings there."""
+    if config.runtime.kind != "process":
+        known = Image(Program("", each.settings.values if each.settings else {}))
+    else:
+        service = load_configured(each, key)
+        spec = spec_of(service.cls)
+        known = Image(
+            service.program,
+            methods=frozenset(spec.methods),
+            lanes=spec.concurrency,
+            version=version_of(service.program, config.runtime.readable),
+        )
+    return replace(known, pace_s=each.pace_s, start_pace_s=each.start_pace_s)
+
+
+def main() -> None:
+    """Looks at the services of a configuration that comes over standard input, and says what there is."""
+    answer = os.dup(1)
+    os.dup2(2, 1)  # for what the services print
+    look_here()
+    looked = _look(pickle.load(sys.stdin.buffer))  # noqa: S301 - from the daemon itself
+    with os.fdopen(answer, "wb") as opened:
+        opened.write(msgspec.msgpack.encode(looked))
+
+
+if __name__ == "__main__":
+    main()
