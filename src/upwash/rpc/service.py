@@ -29,6 +29,7 @@ from msgspec import UNSET, UnsetType
 
 from upwash.core.estimates import Operation
 from upwash.errors import DeclarationError, GarbledReply, ServiceError, UpwashError, UsageError
+from upwash.rpc.operations import operations_of
 from upwash.rpc.settings import describe_settings
 from upwash.rpc.wire import Encoding, require_sendable
 from upwash.support.loading import load
@@ -195,7 +196,8 @@ def service(
 
     Its public methods are its operations; `profile_by` names the parameter by whose value estimates are kept
     apart. An instance computes `concurrency` calls at a time, each in a thread: with more than 1 its methods must be
-    safe for threads. Raises DeclarationError where a parameter or a result cannot be sent.
+    safe for threads. Raises DeclarationError where a parameter, its default or a result cannot be
+    sent, and for public attributes that are no plain methods and no data.
     """
 
     if declared is not None and not isinstance(declared, type):
@@ -215,6 +217,10 @@ def once(method: Callable[P, R], /) -> Callable[P, R]:
 
     For what acts on the world: neither a server nor a repetition after a failure ever sees such a call.
     """
+    if not inspect.isfunction(method):
+        raise DeclarationError(
+            f"@once: write it directly above the method, not above {printable(repr(method))}"
+        )
     setattr(method, _ONCE, True)
     return method
 
@@ -277,12 +283,9 @@ def _describe(cls: type, name: str, profile_by: str | None, concurrency: int) ->
             f"service {cls.__name__}: concurrency is {concurrency!r}: give how many calls an instance computes at a "
             f"time, an integer from 1 to {_MOST_CONCURRENCY}"
         )
-    functions = {name: function for name in dir(cls) if (function := _public_method(cls, name))}
-    if not functions:
-        raise DeclarationError(f"service {cls.__name__} has no public method to call")
     methods = {
-        function_name: _describe_method(cls, name, function, profile_by)
-        for function_name, function in functions.items()
+        method_name: _describe_method(cls, name, method_name, function, profile_by)
+        for method_name, function in operations_of(cls).items()
     }
     if profile_by is not None and all(method.profile_by is None for method in methods.values()):
         raise DeclarationError(
@@ -306,26 +309,13 @@ def _used_by(cls: type, hint: Any) -> type[msgspec.Struct] | None:
     return spec.settings
 
 
-def _public_method(cls: type, name: str) -> Callable[..., object] | None:
-    attribute = inspect.getattr_static(cls, name)
-    if name.startswith("_"):
-        return None
-    if isinstance(attribute, (staticmethod, classmethod)):
-        raise DeclarationError(
-            f"service {cls.__name__}, method {name}: declare it as a plain method, with self"
-        )
-    return attribute if inspect.isfunction(attribute) else None
-
-
 def _describe_method(
-    cls: type, service_name: str, function: Callable[..., object], profile_by: str | None
+    cls: type, service_name: str, name: str, function: Callable[..., object], profile_by: str | None
 ) -> Method:
-    where = f"service {cls.__name__}, method {function.__name__}"
-    if inspect.iscoroutinefunction(function):
-        raise DeclarationError(f"{where}: declare it as a plain blocking method, not async")
+    where = f"service {cls.__name__}, method {name}"
     try:
         hints = typing.get_type_hints(function, include_extras=True)
-    except NameError as error:
+    except Exception as error:  # a hint in quotes is any expression
         raise DeclarationError(f"{where}: a type hint cannot be resolved: {error}") from error
     signature = inspect.signature(function)
     parameters = list(signature.parameters.values())[1:]
@@ -336,27 +326,42 @@ def _describe_method(
         if parameter.name not in hints:
             raise DeclarationError(f"{where}: parameter {parameter.name!r} has no type hint")
         require_sendable(hints[parameter.name], f"{where}: parameter {parameter.name!r}")
+        _require_default(parameter, hints[parameter.name], where)
         fields.append((parameter.name, hints[parameter.name]))
     if "return" not in hints:
         raise DeclarationError(f"{where}: the result has no type hint; write -> None where there is none")
     require_sendable(hints["return"], f"{where}: the result")
     reply_type = msgspec.defstruct(
-        f"{cls.__name__}_{function.__name__}_reply",
+        f"{cls.__name__}_{name}_reply",
         [("value", hints["return"] | UnsetType, UNSET), ("fault", Fault | UnsetType, UNSET)],
     )
-    request_type = msgspec.defstruct(f"{cls.__name__}_{function.__name__}_request", fields)
+    request_type = msgspec.defstruct(f"{cls.__name__}_{name}_request", fields)
     types = dict(fields)
     return Method(
         service=service_name,
-        name=function.__name__,
+        name=name,
         signature=signature.replace(parameters=parameters),
         profile_by=profile_by if profile_by in types else None,
         request=Encoding(request_type),
         reply_type=reply_type,
         reply=Encoding(reply_type),
-        once=getattr(function, _ONCE, False),
+        once=any(hasattr(vars(base).get(name), _ONCE) for base in cls.__mro__),  # also where it is overridden
         key_type=types.get(profile_by or ""),
     )
+
+
+def _require_default(parameter: inspect.Parameter, hint: Any, where: str) -> None:
+    """Raises DeclarationError for a default that no instance would take."""
+    if parameter.default is parameter.empty:
+        return
+    encoding: Encoding[Any] = Encoding(hint)
+    try:
+        encoding.decode(encoding.encode(parameter.default))
+    except Exception as error:  # a class may have code that encodes it, or a union no encoding
+        raise DeclarationError(
+            f"{where}: parameter {parameter.name!r}: its default {printable(repr(parameter.default))} cannot be "
+            f"sent: {error}: change the default, or the type hint"
+        ) from error
 
 
 _FAULT = msgspec.msgpack.encode({"fault": None})[:-1]  # how a reply begins that carries one
