@@ -11,15 +11,15 @@ from rich.console import Console
 
 from upwash.cli.daemon_status import print_status
 from upwash.core.admission import AdmissionController, ServerOffer
-from upwash.core.clients import Client, Role
+from upwash.core.clients import Client, DoorStatus, Role
 from upwash.rpc.protocol import StatusReply, decode_reply
 
 ALICE = Client("alice", "0c", role=Role.OPERATOR)
 
 
-def printed(servers: Any) -> list[str]:
+def printed(servers: Any, **more: Any) -> list[str]:
     """The lines for the servers, as they arrive over the wire."""
-    reply = {"up_s": 1.0, "servers": servers, "refusals": [], "certificates": []}
+    reply = {"up_s": 1.0, "servers": servers, "refusals": [], "certificates": [], **more}
     sent = msgspec.msgpack.encode(msgspec.to_builtins(reply))
     console = Console(file=io.StringIO(), width=60, markup=False)
     print_status(decode_reply(sent, StatusReply, sender="s1"), console)
@@ -68,6 +68,14 @@ def test_it_says_how_often_another_version_took_over_and_why_the_last_one_did_no
     assert printed(host.servers(now_s=3.0))[-2:] == [
         "  scale: another version took over 1 time",
         "  scale: the former version serves on, as the new one did not start: no such model",
+    ]
+
+
+def test_connections_that_were_refused_are_counted_by_their_reason() -> None:
+    at_door = [DoorStatus("revoked", 12, "heron", 3.0), DoorStatus("no_certificate", 1, "10.0.0.9", 60.0)]
+    assert printed([], at_door=at_door)[-2:] == [
+        "at the door 12 connections refused, revoked: last heron, 3 s ago",
+        "at the door 1 connection refused, no certificate: last 10.0.0.9, 1 min 0 s ago",
     ]
 
 

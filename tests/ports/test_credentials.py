@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -30,7 +31,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from upwash.core.clients import Role
 from upwash.errors import CredentialsError, NotWritten, Unreachable, UsageError
 from upwash.real import authority as module
-from upwash.real.authority import drop_former_authorities, make_keys, renew_authority, revoke
+from upwash.real.authority import drop_former_authorities, made_in, make_keys, renew_authority, revoke
 from upwash.real.credentials import Credentials, read_credentials, read_revoked, role_of
 from upwash.real.link import GrpcDialer
 from upwash.real.secrets import exposure
@@ -420,6 +421,39 @@ def test_what_is_revoked_is_listed_once_by_its_fingerprint(tmp_path: Path) -> No
     assert len(read_revoked(tmp_path / "revoked.txt")) == 2
     with pytest.raises(UsageError, match=r"egret.pem: no such certificate"):
         revoke(tmp_path, ["egret"])
+
+
+def test_a_certificate_whose_files_are_gone_is_revoked_by_its_fingerprint(tmp_path: Path) -> None:
+    make_keys(tmp_path, drones=["heron", "stork"])
+    (heron, _) = made_in(tmp_path)
+    (tmp_path / "heron.pem").unlink()
+    (tmp_path / "heron.key").unlink()
+    colons = ":".join(re.findall("..", heron.fingerprint.upper()))
+    assert read_revoked(revoke(tmp_path, [colons])) == {heron.fingerprint}
+    assert read_revoked(revoke(tmp_path, [heron.fingerprint])) == {heron.fingerprint}
+    for name in ("heron", heron.fingerprint[:16], "", f"{heron.fingerprint}0"):
+        with pytest.raises(UsageError, match="64 digits of its SHA-256 fingerprint"):
+            revoke(tmp_path, [name])
+
+
+def test_what_was_made_is_shown_with_its_role_its_end_and_whether_it_is_revoked(tmp_path: Path) -> None:
+    make_keys(tmp_path, servers=[["s1", "s2"]], operators=["alice"])
+    make_keys(tmp_path, drones=["heron"], lasts=timedelta(days=90))
+    revoke(tmp_path, ["alice"])
+    now = datetime.now(UTC)
+    assert [
+        (each.holder, each.role, (each.ends - now).days, each.is_revoked) for each in made_in(tmp_path)
+    ] == [
+        ("alice", "operator", 729, True),
+        ("heron", "drone", 89, False),
+        ("s1", "server", 729, False),
+    ]
+
+
+def test_no_certificate_outlives_its_authority(tmp_path: Path) -> None:
+    make_keys(tmp_path, drones=["heron"], lasts=timedelta(days=5000))
+    lifetimes = read(tmp_path, "heron").lifetimes
+    assert lifetimes[0].ends == lifetimes[1].ends
 
 
 def test_a_list_without_room_for_another_stays_as_it_was(

@@ -21,6 +21,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.doors import behind_door
+from tests.waiting import wait_for
 
 from upwash.errors import CredentialsError, InstanceError, LinkError, Unreachable
 from upwash.real import authority as module
@@ -142,6 +143,60 @@ def test_two_authorities_are_believed_side_by_side_and_then_only_the_new_one(
         with pytest.raises(Unreachable):
             ask(address, heron)
         assert ask(address, from_new) == b"heron"
+
+
+def test_who_is_refused_is_counted_by_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, credentials: ReadCredentials
+) -> None:
+    make_keys(tmp_path, servers=[["s1"]], drones=["heron"])
+    monkeypatch.setattr(module, "_CLOCKS_MAY_DIFFER", timedelta(days=10))
+    make_keys(tmp_path, drones=["mayfly"], lasts=timedelta(days=-3))
+    monkeypatch.setattr(module, "_CLOCKS_MAY_DIFFER", timedelta(days=-3))
+    make_keys(tmp_path, drones=["chick"])
+
+    def read(holder: str) -> Credentials:
+        files = keys_in(tmp_path, holder)
+        return read_credentials(files.authority, files.certificate, files.key, valid_now=False)
+
+    own = read("s1")
+    nobody = ssl.create_default_context(cadata=own.authority.decode())
+    stranger = credentials("other/heron")
+    foreign = Credentials(own.authority, stranger.certificate, stranger.key)
+
+    def knock(address: str, context: ssl.SSLContext) -> None:
+        with (
+            contextlib.suppress(OSError),
+            connected(address) as plain,
+            context.wrap_socket(plain, server_hostname="s1") as connection,
+        ):
+            connection.recv(1)
+
+    def with_certificate(shown: Credentials) -> ssl.SSLContext:
+        context = ssl.create_default_context(cadata=shown.authority.decode())
+        load_secret(context, shown.certificate + b"\n" + shown.key)
+        return context
+
+    def counted(door: Door) -> dict[str, tuple[int, str]]:
+        return {each.reason: (each.times, each.last) for each in door.refused}
+
+    with served(own) as (door, address):
+        assert counted(door) == {}
+        asyncio.run(door.trust(Trust(own, revoked=frozenset({fingerprint(read("heron").certificate)}))))
+        knock(address, nobody)
+        for shown in (foreign, read("mayfly"), read("chick"), read("heron"), read("heron")):
+            knock(address, with_certificate(shown))
+        with connected(address) as plain:
+            plain.sendall(b"GET / HTTP/1.1\r\n\r\n")
+            plain.recv(1)
+        expected = {
+            "no_certificate": (1, "127.0.0.1"),
+            "other_authority": (1, "127.0.0.1"),
+            "expired": (1, "127.0.0.1"),
+            "not_yet_valid": (1, "127.0.0.1"),
+            "revoked": (2, "heron"),
+            "no_handshake": (1, "127.0.0.1"),
+        }
+        wait_for(lambda: counted(door) == expected, seen=lambda: counted(door))
 
 
 def test_trust_tells_holders_apart(keys: Path, credentials: ReadCredentials) -> None:

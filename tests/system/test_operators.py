@@ -144,7 +144,7 @@ def test_the_commands_of_the_page_lead_to_a_server_that_serves_and_can_be_looked
         if command.startswith(NOT_HERE):
             continue
         printed[command] = machine.run(command)
-        if command.startswith("install -d"):
+        if command.startswith("install -d -m 750"):
             (machine.folder / "etc/upwash/server.toml").write_text(settings)
     (status,) = [said for command, said in printed.items() if " status " in command]
     assert re.search(r"^s1: 0 of \d+ slots in use$", status, re.MULTILINE)

@@ -25,6 +25,13 @@ def print_status(status: StatusReply, console: Console) -> None:
     for server in status.servers:
         _print_server(server, console)
     _print_refusals(status.refusals, console)
+    for each in status.at_door:
+        times = _counted(each.times, "connection", "connections")
+        reason = each.reason.replace("_", " ")
+        say(
+            Text(f"at the door {times} refused, {reason}: last {each.last}, {_duration(each.ago_s)} ago"),
+            console,
+        )
     _print_certificates(status.certificates, console)
 
 

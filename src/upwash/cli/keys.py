@@ -1,10 +1,11 @@
-"""upwash keys: makes an authority and certificates, and revokes them."""
+"""upwash keys: makes an authority and certificates, revokes them, and shows what there is."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ from upwash.errors import UsageError
 if TYPE_CHECKING:
     from upwash.cli.arguments import Commands
 
+_MOST_DAYS = 3652
 
 _REVOKED = (
     "no daemon knows of it yet: copy revoked.txt to each, beside its authority.pem or where its keys.revoked says, "
@@ -26,9 +28,18 @@ _NEW_AUTHORITY = (
 _DROPPED = "copy authority.pem to every drone and server, and restart the daemons: as yet they believe the former too"
 
 
+def days(text: str) -> timedelta:
+    """A time in whole days, from 1 to 3652."""
+    if not text.isascii() or not text.isdecimal() or not 1 <= int(text[:5]) <= _MOST_DAYS:
+        raise argparse.ArgumentTypeError(f"expected a number of days from 1 to {_MOST_DAYS}, found {text!r}")
+    return timedelta(days=int(text))
+
+
 def add(commands: Commands) -> None:
     """Adds the command."""
-    keys = commands.add_parser("keys", help="make an authority and certificates for servers and drones")
+    keys = commands.add_parser(
+        "keys", help="make an authority and certificates for servers and drones, or show them"
+    )
     keys.add_argument(
         "folder", type=Path, nargs="?", help="where they go; an authority that is there is used again"
     )
@@ -45,7 +56,11 @@ def add(commands: Commands) -> None:
     )  # fmt: skip
     keys.add_argument(
         "--revoke", action="append", default=[], metavar="NAME",
-        help="put the certificate of that name on the list of those that daemons refuse",
+        help="put the certificate of that name or SHA-256 fingerprint on the list of those that daemons refuse",
+    )  # fmt: skip
+    keys.add_argument(
+        "--days", type=days, metavar="DAYS",
+        help="for how long new certificates are valid (default: 730; at most until the authority's own ends)",
     )  # fmt: skip
     keys.add_argument(
         "--signing", type=Path, metavar="FILE",
@@ -71,22 +86,39 @@ def run(options: argparse.Namespace) -> bool:
     changes = options.revoke or options.new_authority or options.drop_former_authorities
     if options.signing is not None:
         _make_signing_key(options.signing)
-    elif not wanted and not changes:
-        raise UsageError(
-            "nothing to make: name at least one --server, --drone or --operator, or --revoke one"
-        )
-    if (wanted or changes) and options.folder is None:
-        raise UsageError("where certificates go is missing: name a folder")
+        if not wanted and not changes:
+            return True
+    if folder is None:
+        raise UsageError("where certificates go, or lie, is missing: name a folder")
+    if not wanted and not changes:
+        _show(folder)
     if options.revoke:
         _tell([revoke(folder, options.revoke)], _REVOKED)
     if options.new_authority:
         _tell(renew_authority(folder), _NEW_AUTHORITY)
     if wanted:
         servers = [names.split(",") for names in options.server]
-        _tell(make_keys(folder, servers=servers, drones=options.drone, operators=options.operator))
+        _tell(
+            make_keys(
+                folder, servers=servers, drones=options.drone, operators=options.operator, lasts=options.days
+            )
+        )
     if options.drop_former_authorities:
         _tell([drop_former_authorities(folder)], _DROPPED)
     return True
+
+
+def _show(folder: Path) -> None:
+    from upwash.real.authority import made_in
+
+    if not (folder / "authority.pem").exists():
+        raise UsageError(
+            f"{folder}: no certificates here: name at least one --server, --drone or --operator to make"
+        )
+    now = datetime.now(UTC)
+    for each in made_in(folder):
+        left = "revoked" if each.is_revoked else f"{(each.ends - now).days} days"
+        announce(f"{each.holder}  {each.role}  until {each.ends:%Y-%m-%d}  {left}  {each.fingerprint}")
 
 
 def _make_signing_key(file: Path) -> None:

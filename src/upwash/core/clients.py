@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Literal, TypeAlias
 
 _MOST_REFUSALS = 20
 
@@ -101,6 +102,24 @@ class RefusalStatus:
     client: str
     why: str
     times: int
+    ago_s: float
+
+
+DoorReason: TypeAlias = Literal[
+    "no_certificate", "other_authority", "expired", "not_yet_valid", "revoked", "shut_out", "no_handshake"
+]
+
+
+@dataclass(frozen=True, slots=True)
+class DoorStatus:
+    """How often connections were refused for a reason before any request, who was last, and how long ago.
+
+    `last` is a name where a certificate of the authority was shown, otherwise an address.
+    """
+
+    reason: DoorReason
+    times: int
+    last: str
     ago_s: float
 
 

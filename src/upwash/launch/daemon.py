@@ -95,7 +95,7 @@ async def serve(
         services.know_lanes(lanes)
         metrics = _metrics(config)
         edge = await _edge_server(
-            config, services.images, metrics.runtime(runtime) if metrics else runtime, keys
+            config, services.images, metrics.runtime(runtime) if metrics else runtime, keys, door
         )
         handle = metrics.daemon(edge.handle) if metrics else edge.handle
         hung_up, asked_to_go, stopped = asyncio.Event(), asyncio.Event(), asyncio.Event()
@@ -144,7 +144,7 @@ async def serve(
 
 
 async def _edge_server(
-    config: DaemonConfig, images: Mapping[str, Image], runtime: Runtime, keys: DaemonKeys
+    config: DaemonConfig, images: Mapping[str, Image], runtime: Runtime, keys: DaemonKeys, door: Door | None
 ) -> EdgeServer:
     settings = AdmissionSettings(lease_s=config.lease_s, idle_stop_s=config.idle_stop_s, hold_s=config.hold_s)
     peers = {peer.name: peer.address for peer in config.peers}
@@ -158,6 +158,7 @@ async def _edge_server(
         start_timeout_s=config.start_timeout_s,
         drain_s=config.drain_s,
         certificates=keys.certificates,
+        at_door=lambda: door.refused if door else [],
     )
     await edge.reload(offers, images=images, revoked=keys.revoked, certificates=keys.certificates)
     return edge

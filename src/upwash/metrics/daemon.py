@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from upwash.core.clients import Client
+from upwash.core.clients import Client, DoorReason
 from upwash.core.instances import InstanceState
 from upwash.errors import InstanceError, Refused
 from upwash.metrics.buckets import CALL_S, START_S
@@ -195,7 +195,7 @@ class _Standing(Collector):
                     labels = [server.name, instance.service, state]
                     instances.add_metric(labels, float(instance.state == state))
         yield from (slots, leases, held, waiting, turns, instances, replaced, renewed, paused)
-        yield from (_refusals(standing), _expiries(standing))
+        yield from (_refusals(standing), _refusals_at_door(standing), _expiries(standing))
 
 
 async def _look(edge: EdgeServer) -> Snapshot:
@@ -206,6 +206,16 @@ def _refusals(standing: Snapshot) -> Metric:
     refusals = CounterMetricFamily("upwash_refusals", "Clients refused, with a reason", labels=["server"])
     for server, times in standing.refused.items():
         refusals.add_metric([server], times)
+    return refusals
+
+
+def _refusals_at_door(standing: Snapshot) -> Metric:
+    refusals = CounterMetricFamily(
+        "upwash_door_refusals", "Connections refused before any request", labels=["reason"]
+    )
+    known = {each.reason: each.times for each in standing.at_door}
+    for reason in get_args(DoorReason):
+        refusals.add_metric([reason], known.get(reason, 0))
     return refusals
 
 

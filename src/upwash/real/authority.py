@@ -26,6 +26,7 @@ from upwash.real.credentials import (
     parsed_key,
     read_revoked,
     refuse_outdated,
+    role_of,
 )
 from upwash.real.secrets import read_public, read_secret
 from upwash.support.output_files import flush_to_disk, write_file
@@ -75,9 +76,11 @@ def make_keys(
     servers: Sequence[Sequence[str]] = (),
     drones: Sequence[str] = (),
     operators: Sequence[str] = (),
+    lasts: timedelta | None = None,
 ) -> list[Path]:
     """Makes a key and a certificate for each entry and returns the files written, the authority's if new.
 
+    Certificates last two years unless said otherwise, and no longer than their authority's own.
     An entry of `servers` holds the names of all servers that one daemon acts as; its files are called after
     the first. The folder's authority signs, and is made if there is none. Raises UsageError, with nothing
     written, for a name that cannot be used or a file that is already there.
@@ -91,10 +94,10 @@ def make_keys(
             raise _already_there(file)
     authority, files = _authority(folder)
     for names in servers:
-        files += _issue(folder, authority, names, Role.SERVER)
+        files += _issue(folder, authority, names, Role.SERVER, lasts)
     for role, names in ((Role.DRONE, drones), (Role.OPERATOR, operators)):
         for name in names:
-            files += _issue(folder, authority, [name], role)
+            files += _issue(folder, authority, [name], role, lasts)
     _write_together(folder, files)
     return [each.file for each in files]
 
@@ -133,25 +136,62 @@ def drop_former_authorities(folder: Path) -> Path:
 
 
 def revoke(folder: Path, names: Sequence[str]) -> Path:
-    """Adds the certificates of these holders to the folder's list of revoked ones and returns its file.
+    """Adds certificates to the folder's list of revoked ones and returns its file.
 
-    Raises UsageError, with nothing written, where a name has no certificate in the folder.
+    A certificate is named by its holder, and is in the folder then, or by its SHA-256 fingerprint. Raises UsageError,
+    with nothing written, for another name.
     """
     file = folder / _REVOKED_FILE
     known = read_revoked(file) if file.exists() else frozenset()
     before = (read_public(file) if file.exists() else _REVOKED_HEAD).rstrip(b"\n")
     lines = [*before.decode(errors="surrogateescape").splitlines(keepends=True), "\n"]
     for name in names:
-        certificate = folder / f"{name}.pem"
-        if not certificate.exists():
-            raise UsageError(f"{certificate}: no such certificate: name one that was made in {folder}")
-        pem = read_public(certificate)
-        parsed_certificate(certificate, pem)
-        revoked = fingerprint(pem)
+        revoked = _fingerprint_of(folder, name)
         if revoked not in known:
             lines.append(f"{revoked}  {name}, revoked {datetime.now(UTC):%Y-%m-%d}\n")
     write_file(file, "".join(lines).encode(errors="surrogateescape"))
     return file
+
+
+def _fingerprint_of(folder: Path, name: str) -> str:
+    certificate = folder / f"{name}.pem"
+    if certificate.exists():
+        pem = read_public(certificate)
+        parsed_certificate(certificate, pem)
+        return fingerprint(pem)
+    if (digits := name.replace(":", "").lower()) and re.fullmatch(r"[0-9a-f]{64}", digits):
+        return digits
+    raise UsageError(
+        f"{certificate}: no such certificate: give the name of a certificate in {folder}, or the 64 digits of a "
+        "SHA-256 fingerprint: `upwash keys DIR` shows them"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """A certificate in a folder: its file, its holder, and until when it is valid."""
+
+    file: Path
+    holder: str
+    role: str
+    ends: datetime
+    fingerprint: str
+    is_revoked: bool
+
+
+def made_in(folder: Path) -> list[Made]:
+    """The certificates of a folder without the authority's, by name; raises CredentialsError for a broken file."""
+    list_file = folder / _REVOKED_FILE
+    revoked = read_revoked(list_file) if list_file.exists() else frozenset()
+    made = []
+    for file in sorted(folder.glob("*.pem")):
+        if file.name == "authority.pem":
+            continue
+        pem = read_public(file)
+        parsed = parsed_certificate(file, pem)
+        role, digits = role_of(parsed.subject.rfc4514_string()), fingerprint(pem)
+        made.append(Made(file, file.stem, role, parsed.not_valid_after_utc, digits, digits in revoked))
+    return made
 
 
 def _refuse_names(names: list[str]) -> None:
@@ -222,7 +262,9 @@ def _self_signed() -> tuple[Certificate, EllipticCurvePrivateKey]:
     return certificate, key
 
 
-def _issue(folder: Path, authority: _Authority, names: Sequence[str], role: Role) -> list[_NewFile]:
+def _issue(
+    folder: Path, authority: _Authority, names: Sequence[str], role: Role, lasts: timedelta | None
+) -> list[_NewFile]:
     from cryptography import x509
     from cryptography.x509.oid import ExtendedKeyUsageOID
 
@@ -239,7 +281,7 @@ def _issue(folder: Path, authority: _Authority, names: Sequence[str], role: Role
             (x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.key.public_key()), False),
         ],
         issuer=authority,
-        lasts=_CERTIFICATE_LASTS,
+        lasts=lasts or _CERTIFICATE_LASTS,
         unit=UNITS.get(role, ""),
     )
     return _pair(folder, names[0], certificate, key)
@@ -262,6 +304,7 @@ def _signed(
     units = [x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, unit)] if unit else []
     subject = x509.Name([*units, x509.NameAttribute(NameOID.COMMON_NAME, name)])
     now = datetime.now(UTC)
+    ends = min(now + lasts, issuer.certificate.not_valid_after_utc) if issuer else now + lasts
     builder = (
         x509.CertificateBuilder()
         .subject_name(subject)
@@ -269,7 +312,7 @@ def _signed(
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - _CLOCKS_MAY_DIFFER)
-        .not_valid_after(now + lasts)
+        .not_valid_after(ends)
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
     )
     for extension, is_critical in extensions:

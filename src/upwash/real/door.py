@@ -15,24 +15,25 @@ import logging
 import resource
 import socket
 import ssl
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from ipaddress import IPv6Address, ip_address
 from types import MappingProxyType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, get_args
 
 from upwash.core.allowance import Allowance
-from upwash.core.clients import Client
-from upwash.errors import CredentialsError, InstanceError
+from upwash.core.clients import Client, DoorReason, DoorStatus
+from upwash.errors import InstanceError
 from upwash.real.announced import Connect
 from upwash.real.crowd import Crowd, Recent, Turns
 from upwash.real.frames import Counted, FrameCounter
 from upwash.real.log import Sparing
 from upwash.real.streams import End, endpoint_of, join, listening_socket, readable
 from upwash.real.tls import shake_hands
-from upwash.real.trust import Holder, Trust
+from upwash.real.trust import Distrusted, Holder, Trust, holder_of
 from upwash.support.background import beside, end, only_logged, start, thread
 
 _log = logging.getLogger("upwash.door")
@@ -45,6 +46,10 @@ _LAST_WORDS_S = 1.0
 _MOST_FILES = 65_536
 _MOST_SITES = 4096
 _TOLD_PER_S = 1.0
+_VERIFIED: Mapping[int, DoorReason] = {
+    9: "not_yet_valid",
+    10: "expired",
+}  # by X509_V_ERR_...; else the authority
 _IPV6_SITE_BITS = 64  # one network's, all of which one machine may use
 
 
@@ -140,6 +145,17 @@ class Door:
             limits.handshakes, most_of_group=limits.handshakes_per_address
         )
         self._turns = Recent(self._new_site, most=_MOST_SITES)
+        # Of every reason from the start, so that another thread can go through them.
+        self._refused = dict.fromkeys(get_args(DoorReason), (0, "", 0.0))
+
+    @property
+    def refused(self) -> list[DoorStatus]:
+        """Who was refused, by reason; from any thread."""
+        return [
+            DoorStatus(reason, times, last, time.monotonic() - last_s)
+            for reason, (times, last, last_s) in self._refused.items()
+            if times
+        ]
 
     def open(self) -> None:
         """Begins to work."""
@@ -203,7 +219,8 @@ class Door:
         for task, certificate in list(self._certificates.items()):
             try:
                 trust.holder(certificate)
-            except CredentialsError as error:
+            except Distrusted as error:
+                self._count(error.reason, holder_of(certificate).client.name)
                 _log.warning("hanging up: %s", error)
                 task.cancel()
 
@@ -239,6 +256,7 @@ class Door:
         except (OSError, asyncio.CancelledError) as error:
             connection.close()
             why = _plainly(error) if isinstance(error, OSError) else "it took long while others waited"
+            self._count(_reason(error), address)
             _log.warning("refused %s: %s", address, why)
             return
         certificate = outer.transport.get_extra_info("ssl_object").getpeercert(binary_form=True)
@@ -248,8 +266,9 @@ class Door:
         except Exception as error:
             # Without a word: gRPC's clients would take any for the beginning of a connection, and try again at once.
             outer.hang_up()
-            if not isinstance(error, CredentialsError):
+            if not isinstance(error, Distrusted):
                 raise
+            self._count(error.reason, holder_of(certificate).client.name)
             _log.warning("refused %s: %s", address, error)
             await asyncio.wait([outer.lost])
             return
@@ -270,7 +289,11 @@ class Door:
         pace = self._paces.of(holder.client.certificate)
         left_s = pace.shut_out_until_s - asyncio.get_running_loop().time()
         if left_s > 0:
-            raise CredentialsError(f"{holder.client.name} is shut out for another {left_s:.0f} s")
+            raise Distrusted("shut_out", f"{holder.client.name} is shut out for another {left_s:.0f} s")
+
+    def _count(self, reason: DoorReason, who: str) -> None:
+        times, _, _ = self._refused[reason]
+        self._refused[reason] = (times + 1, who, time.monotonic())
 
     def _watch(self, client: Client, server: str) -> Callable[[bytes], None]:
         """Is shown what comes on one connection; raises ConnectionAbortedError where it is too much."""
@@ -297,6 +320,7 @@ class Door:
             async with asyncio.timeout(left_s), inside(client) as inner:
                 await join(outer, inner, seen=self._watch(client, server))
         except TimeoutError:
+            self._count("expired", client.name)
             _log.warning("hanging up: the certificate of %s has expired", client.name)
         except OSError as error:
             _log.warning("hanging up on %s: %s", client.name, error)
@@ -336,6 +360,14 @@ def _site(address: str) -> str:
     if isinstance(parsed, IPv6Address) and parsed.ipv4_mapped is None:
         return str(IPv6Address(int(parsed) >> _IPV6_SITE_BITS << _IPV6_SITE_BITS))
     return str(getattr(parsed, "ipv4_mapped", None) or parsed)
+
+
+def _reason(error: BaseException) -> DoorReason:
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return _VERIFIED.get(error.verify_code, "other_authority")
+    if isinstance(error, ssl.SSLError) and error.reason == "PEER_DID_NOT_RETURN_A_CERTIFICATE":
+        return "no_certificate"
+    return "no_handshake"
 
 
 def _plainly(error: OSError) -> str:

@@ -9,7 +9,7 @@ import ssl
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from upwash.core.clients import Client
+from upwash.core.clients import Client, DoorReason
 from upwash.errors import CredentialsError
 from upwash.real.credentials import Credentials, role_of
 from upwash.support.text import printable
@@ -25,6 +25,14 @@ class Holder:
     ends: datetime
 
 
+class Distrusted(CredentialsError):
+    """A certificate that is not believed, and why in short."""
+
+    def __init__(self, reason: DoorReason, message: str) -> None:
+        super().__init__(message)
+        self.reason: DoorReason = reason
+
+
 class Trust:
     """The authority's certificates and the operator's list of revoked ones, as they are now."""
 
@@ -34,14 +42,16 @@ class Trust:
         self._revoked = revoked
 
     def holder(self, certificate: bytes) -> Holder:
-        """Whose the DER certificate is; raises CredentialsError where it is revoked or of no authority of these."""
+        """Whose the DER certificate is; raises Distrusted where it is revoked or of no authority of these."""
         holder = holder_of(certificate)
         if holder.client.certificate in self._revoked:
-            raise CredentialsError(f"the certificate of {holder.client.name} is revoked")
+            raise Distrusted("revoked", f"the certificate of {holder.client.name} is revoked")
         if not _issued_by(certificate, self._authority):
-            raise CredentialsError(f"the certificate of {holder.client.name} is of another authority")
+            raise Distrusted(
+                "other_authority", f"the certificate of {holder.client.name} is of another authority"
+            )
         if holder.ends < datetime.now(UTC):
-            raise CredentialsError(f"the certificate of {holder.client.name} has expired")
+            raise Distrusted("expired", f"the certificate of {holder.client.name} has expired")
         return holder
 
 

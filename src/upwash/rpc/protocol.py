@@ -20,7 +20,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta
 
-from upwash.core.clients import RefusalStatus, ServerStatus
+from upwash.core.clients import DoorStatus, RefusalStatus, ServerStatus
 from upwash.errors import GarbledReply, Refused
 from upwash.rpc.wire import Encoding
 from upwash.support.text import LONGEST_TEXT, escaped, printable
@@ -163,13 +163,17 @@ class CertificateStatus(msgspec.Struct, frozen=True):
 
 
 class StatusReply(msgspec.Struct, frozen=True):
-    """The daemon's servers, its last refusals and its certificates; and for how long it has run."""
+    """The daemon's servers, its last refusals and its certificates; and for how long it has run.
+
+    `at_door` are connections that were refused before any request; an earlier daemon says nothing of them.
+    """
 
     up_s: Annotated[float, Meta(ge=0, le=_LONGEST_UP_S)]
     servers: list[ServerStatus]
     refusals: list[RefusalStatus]
     certificates: list[CertificateStatus]
     closing: Reason = ""
+    at_door: list[DoorStatus] = []
 
 
 def service_path(service: str, method: str) -> str:

@@ -21,7 +21,7 @@ from upwash.core.admission import (
     Running,
     ServerOffer,
 )
-from upwash.core.clients import Client, ServerStatus
+from upwash.core.clients import Client, DoorStatus, ServerStatus
 from upwash.core.instances import StartInstance, StopInstance
 from upwash.core.leases import Admit
 from upwash.errors import InstanceError, LinkError, NotReadyInTime, Refused
@@ -81,11 +81,15 @@ class Image:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """How a daemon stands: its servers, how often each has refused somebody, and the certificates it relies on."""
+    """How a daemon stands: its servers, how often each has refused somebody, and the certificates it relies on.
+
+    `at_door` are connections that were refused before any request.
+    """
 
     servers: Sequence[ServerStatus]
     refused: Mapping[str, int]
     certificates: Sequence[CertificateStatus]
+    at_door: Sequence[DoorStatus]
 
 
 def _route(
@@ -113,8 +117,10 @@ class EdgeServer:
         drain_s: float,
         peers: Mapping[str, str] = MappingProxyType({}),
         certificates: Sequence[CertificateStatus] = (),
+        at_door: Callable[[], Sequence[DoorStatus]] = tuple,
     ) -> None:
         self._host = host
+        self._at_door = at_door
         self._images = images
         self._runtime = runtime
         self._dialer = dialer
@@ -182,7 +188,10 @@ class EdgeServer:
     def standing(self) -> Snapshot:
         """How it stands now."""
         return Snapshot(
-            self._host.servers(now_s=self._now_s()), dict(self._host.refused_times), self._certificates
+            self._host.servers(now_s=self._now_s()),
+            dict(self._host.refused_times),
+            self._certificates,
+            self._at_door(),
         )
 
     def seen(self, server: str, drone: str) -> None:
@@ -340,6 +349,7 @@ class EdgeServer:
             refusals=refusals,
             certificates=list(self._certificates),
             closing=self._host.closing,
+            at_door=list(self._at_door()),
         )
 
     async def _perform(self, commands: Sequence[Command]) -> None:
