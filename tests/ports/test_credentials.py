@@ -432,7 +432,7 @@ def test_a_certificate_whose_files_are_gone_is_revoked_by_its_fingerprint(tmp_pa
     assert read_revoked(revoke(tmp_path, [colons])) == {heron.fingerprint}
     assert read_revoked(revoke(tmp_path, [heron.fingerprint])) == {heron.fingerprint}
     for name in ("heron", heron.fingerprint[:16], "", f"{heron.fingerprint}0"):
-        with pytest.raises(UsageError, match="64 digits of its SHA-256 fingerprint"):
+        with pytest.raises(UsageError, match="64 digits of a SHA-256 fingerprint"):
             revoke(tmp_path, [name])
 
 
