@@ -101,6 +101,19 @@ def test_why_a_network_cannot_be_joined(reason: int, why: str) -> None:
     play(scene)
 
 
+def test_a_secret_that_was_right_is_not_blamed_when_the_access_point_goes() -> None:
+    async def scene() -> None:
+        gone = profile("s1-net")
+        async with stage(gone) as on:
+            await on.network.join("s1-net", timeout_s=LOOK_S)
+            await on.network.leave()
+            gone.fails = 7
+            with pytest.raises(NetworkError, match="the access point did not answer; its secret was right"):
+                await on.network.join("s1-net", timeout_s=LOOK_S)
+
+    play(scene)
+
+
 @pytest.mark.parametrize(
     ("trouble", "stage_reached"),
     [({"is_stuck": True}, "it had no address yet"), ({"lacks_address": True}, "it had no address yet")],

@@ -50,6 +50,7 @@ _DEVICE_REASONS = {
     60: "another network was activated on the interface",
     64: "its address is someone else's, too",
 }
+_NO_SECRETS = 7  # NetworkManager suspects the secret whenever an access point goes during the handshake
 _NO_ADDRESS = (5, 15, 16, 17)
 _CONNECTION_REASONS = {
     2: "someone disconnected it",
@@ -84,6 +85,7 @@ class ManagedNetwork:
         self._manager: NetworkManager | None = None
         self._activation: _Activation | None = None
         self._is_untidy = True  # something may be active that no leave() knows of
+        self._joined: set[str] = set()  # the networks joined so far, whose secrets are right
         self._scanning: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
@@ -108,10 +110,11 @@ class ManagedNetwork:
         """Activates the profile of that name or UUID, and waits for its address; raises NetworkError."""
         if self._activation is not None:
             raise NetworkError(f"cannot join {network} while {self._activation.network} is joined")
-        self._activation = activation = _Activation(network)
+        self._activation = activation = _Activation(network, had_secret=network in self._joined)
         try:
             async with asyncio.timeout(timeout_s):
                 await self._activate(activation)
+            self._joined.add(network)
         except TimeoutError:
             why = f"{network} was not joined within {timeout_s:.1f} s: {activation.stage}"
             await self.leave()
@@ -217,8 +220,9 @@ class ManagedNetwork:
 class _Activation:
     """One network on its way, joined, and lost: what the manager's signals say of it."""
 
-    def __init__(self, network: str) -> None:
+    def __init__(self, network: str, *, had_secret: bool) -> None:
         self.network = network
+        self._had_secret = had_secret  # the profile's secret was right before
         self.connection = ""  # its path, once the manager has named it
         self.settled = asyncio.Event()  # joined, or cannot be
         self.ended = asyncio.Event()  # cannot be used, or no longer: `why` says it
@@ -276,6 +280,8 @@ class _Activation:
     def _explanation(self, reason: int) -> str:
         if not self._has_carrier and self._reason in (0, *_NO_ADDRESS):
             return "no carrier"
+        if self._reason == _NO_SECRETS and self._had_secret:
+            return "the access point did not answer; its secret was right before"
         if self._reason in _DEVICE_REASONS:
             return _DEVICE_REASONS[self._reason]
         known = _CONNECTION_REASONS.get(reason)

@@ -1,0 +1,1 @@
+"""Flights over a real WiFi stack, in a virtual machine: `python -m tests.system.wifi`."""
