@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import re
@@ -15,11 +16,16 @@ from pathlib import Path
 
 import pytest
 from tests.children import is_alive
+from tests.system.flying import Flying
 from tests.waiting import wait_for
 
 from upwash.cli.exit_codes import ExitCode
 from upwash.config import read_daemon_config
+from upwash.errors import Unreachable
 from upwash.real.authority import make_keys
+from upwash.real.credentials import read_credentials
+from upwash.real.link import GrpcDialer
+from upwash.rpc.protocol import AVAILABILITY
 
 pytestmark = pytest.mark.system
 
@@ -35,6 +41,16 @@ NOT_HERE = (
     "journalctl",
     "podman",
 )
+
+
+SERVICE = """
+from upwash import service
+
+@service
+class Level:
+    def version(self) -> int:
+        return {version}
+"""
 
 
 class Machine:
@@ -129,27 +145,127 @@ def machine(tmp_path: Path) -> Iterator[Machine]:
             made.daemon.communicate()
 
 
-@pytest.mark.sandbox
-def test_the_commands_of_the_page_lead_to_a_server_that_serves_and_can_be_looked_after(
-    machine: Machine,
-) -> None:
-    (settings,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
-    settings = settings.replace("0.0.0.0:7070", "127.0.0.1:0")
+class Day:
+    """The page from its first command to its last, while a drone of each of two teams calls on."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        self.etc = machine.folder / "etc" / "upwash"
+        self.drones: list[Flying] = []
+        self.enough = asyncio.Event()
+
+    async def run(self) -> None:
+        """Runs all commands; no call of the drones may fail."""
+        async with asyncio.timeout(180.0), asyncio.TaskGroup() as flights:
+            for title, commands in sections():
+                for command in commands:
+                    self.prepare(command)
+                    printed = await asyncio.to_thread(self.machine.run, command)
+                    if "--drone alpha-1" in command:
+                        await self.begin(flights)
+                    self.look(command, printed)
+                await self.ended(title)
+            self.enough.set()
+
+    def prepare(self, command: str) -> None:
+        """Does what the page has an operator do in an editor, or what befalls the machine."""
+        settings = self.etc / "server.toml"
+        if command == "systemctl reload upwash" and "slots" not in settings.read_text():
+            settings.write_text(settings.read_text() + "slots = 4\n")
+        elif command.startswith("install -m 644 my_services.py"):
+            (self.machine.folder / "my_services.py").write_text(SERVICE.format(version=2))
+        elif command.startswith("tar -x"):
+            shutil.rmtree(self.etc)
+
+    def look(self, command: str, printed: str) -> None:
+        """What a command must have brought about at once."""
+        if command.startswith("install -d -m 750"):
+            (self.etc / "my_services.py").write_text(SERVICE.format(version=1))
+            (self.etc / "server.toml").write_text(settings_of_the_page())
+        elif " status " in command:
+            used = r"2 of 4" if self.drones else r"0 of \d+"
+            assert re.search(rf"^s1: {used} slots in use$", printed, re.MULTILINE)
+            assert "level" in printed
+        elif command == "systemctl reload upwash":
+            self.said = printed
+
+    async def begin(self, flights: asyncio.TaskGroup) -> None:
+        """A drone of each team takes off."""
+        program = f"{self.etc}/my_services.py:Level"
+        for name in ("alpha-1", "beta-1"):
+            drone = Flying(name, self.machine.address, self.machine.folder / "keys", program, "version")
+            here = asyncio.Event()
+            flights.create_task(drone.fly(self.enough, here.set))
+            await here.wait()
+            self.drones.append(drone)
+            await drone.hears(1)
+
+    async def ended(self, title: str) -> None:
+        """What a section must have brought about."""
+        match title:
+            case "Change a service":
+                assert "services that changed: level" in self.said
+                for drone in self.drones:
+                    await drone.hears(2)
+            case "A drone was lost or stolen":
+                assert "1 certificates are revoked" in self.said
+                assert await self.is_refused("d1")
+                assert "revoked: last d1" in await self.status()
+            case "New keys for the server":
+                assert re.search(r"certificate of s1: valid until .*, 36[45] days", await self.status())
+            case "Back up and restore":
+                assert "1 certificates are revoked; services that changed: none" in self.said
+            case "Another version of upwash":
+                assert await self.is_refused("d1")
+        for drone in self.drones:
+            await drone.called()
+
+    async def is_refused(self, name: str) -> bool:
+        """Whether the drone gets no answer at all."""
+        keys = self.machine.folder / "keys"
+        shown = read_credentials(keys / "authority.pem", keys / f"{name}.pem", keys / f"{name}.key")
+        link = GrpcDialer(name, shown, max_message_bytes=10_000).dial(self.machine.address, server="s1")
+        try:
+            await link.request(AVAILABILITY, b"", timeout_s=10.0)
+        except Unreachable:
+            return True
+        finally:
+            await link.close()
+        return False
+
+    async def status(self) -> str:
+        (command,) = {each for _, commands in sections() for each in commands if " status " in each}
+        printed: str = await asyncio.to_thread(self.machine.run, command)
+        return printed
+
+
+def sections() -> list[tuple[str, list[str]]]:
+    """The titles of the page, each with the commands below it that can be run here."""
+    found = []
+    for part in re.split(r"^##+ ", PAGE, flags=re.MULTILINE)[1:]:
+        lines = "".join(re.findall(r"```sh\n(.*?)```", part, re.DOTALL)).splitlines()
+        found.append((part.partition("\n")[0], [each for each in lines if not each.startswith(NOT_HERE)]))
+    return found
+
+
+def settings_of_the_page() -> str:
+    """The page's configuration, with a service of the operator's own and short leases."""
+    settings = "".join(re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)[:1])
+    settings = settings.replace('listen = "0.0.0.0:7070"', 'listen = "127.0.0.1:0"\nlease_s = 3')
+    settings = settings.replace('name = "detector"', 'name = "level"\nprogram = "my_services.py:Level"')
     if not can_sandbox():
         settings = settings.replace('"required"', '"auto"')
     if os.geteuid() == 0:  # as whom the unit does not run it
         settings = settings.replace("sandbox = ", "sandbox_as_root = true\nsandbox = ")
-    printed = {}
-    for command in "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)).splitlines():
-        if command.startswith(NOT_HERE):
-            continue
-        printed[command] = machine.run(command)
-        if command.startswith("install -d -m 750"):
-            (machine.folder / "etc/upwash/server.toml").write_text(settings)
-    (status,) = [said for command, said in printed.items() if " status " in command]
-    assert re.search(r"^s1: 0 of \d+ slots in use$", status, re.MULTILINE)
-    assert "detector" in status
-    assert "1 certificates are revoked" in printed["systemctl reload upwash"]
+    return settings
+
+
+@pytest.mark.sandbox
+def test_an_operators_day_with_the_commands_of_the_page_costs_no_drone_a_call(machine: Machine) -> None:
+    day = Day(machine)
+    asyncio.run(day.run())
+    for drone in day.drones:
+        assert list(dict.fromkeys(drone.answered)) == [1, 2]
     machine.stop()
 
 
