@@ -22,6 +22,7 @@ from statistics import median
 from bench.echo import Echo
 from bench.program import command_line, machine
 
+from upwash.core.limits import DEFAULT_LIMITS
 from upwash.errors import UsageError
 from upwash.missions.bundled import load_service_alone
 from upwash.packaging.image import Recipe, package
@@ -32,7 +33,6 @@ from upwash.real.docker.container import ContainerSettings as DockerSettings
 from upwash.real.docker.engine import DockerEngine
 from upwash.real.docker.runtime import ContainerRuntime as DockerRuntime
 from upwash.real.door import Lead, leading, opened_door
-from upwash.real.limits import Limits
 from upwash.real.link import GrpcDialer, GrpcLink
 from upwash.real.lxd.container import ContainerSettings as LxdSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
@@ -51,8 +51,7 @@ STARTS, QUICK_STARTS = 5, 1
 WARM_UP_CALLS = 20
 CALLS, QUICK_CALLS = 200, 2
 MAX_MESSAGE_BYTES = 2**24
-LIMITS = Limits(2**31, 256, 2**28)
-SPEC = InstanceSpec(SERVER, "echo", Program(PROGRAM))
+SPEC = InstanceSpec(SERVER, "echo", Program(PROGRAM), limits=DEFAULT_LIMITS)
 MEASURE = spec_of(Echo).methods["measure"]
 
 
@@ -170,7 +169,7 @@ def processes(folder: Path, lead: Lead) -> dict[str, ProcessRuntime]:
         "process": ProcessRuntime(sockets_in(folder), lead=lead, max_message_bytes=MAX_MESSAGE_BYTES),
     }
     try:
-        sandbox = find_sandbox(LIMITS, readable=(Path(__file__).parents[1],))
+        sandbox = find_sandbox(readable=(Path(__file__).parents[1],))
     except UsageError as error:
         print(f"no sandbox here: {error}")
     else:

@@ -14,11 +14,11 @@ from statistics import median
 import msgspec
 from bench.program import command_line, machine
 
+from upwash.core.limits import DEFAULT_LIMITS
 from upwash.ports import InstanceSpec, Program
 from upwash.real.authority import make_keys
 from upwash.real.credentials import Credentials, fingerprint, read_credentials
 from upwash.real.door import leading, opened_door
-from upwash.real.limits import Limits
 from upwash.real.link import GrpcDialer, GrpcLink
 from upwash.real.local_instance import LocalInstance
 from upwash.real.runtime import ProcessRuntime, sockets_in
@@ -30,14 +30,14 @@ REQUEST_BYTES = 430_000
 MAX_MESSAGE_BYTES = 2**20
 WARM_UP, ROUNDS, STARTS = 20, 200, 5
 QUICK_ROUNDS, QUICK_STARTS = 2, 1
-SPEC = InstanceSpec("s1", "echo", Program("bench.echo:Echo"))
+SPEC = InstanceSpec("s1", "echo", Program("bench.echo:Echo"), limits=DEFAULT_LIMITS)
 BODY = msgspec.msgpack.encode({"photo": bytes(REQUEST_BYTES)})
 
 
 async def main(rounds: int, starts: int) -> None:
     """Measures and prints."""
     print(f"request {REQUEST_BYTES} bytes, mutual TLS, loopback; {machine()}")
-    sandbox = find_sandbox(Limits(2**31, 256, 2**28), readable=())
+    sandbox = find_sandbox(readable=())
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         make_keys(folder, servers=[["s1"]], drones=["d1"])

@@ -15,6 +15,7 @@ from upwash.core.control import Control
 from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Circle, EarthPosition, Position, Velocity
 from upwash.core.geofence import Fence
+from upwash.core.limits import NO_LIMITS, Limits
 from upwash.core.pace import Pace
 from upwash.core.telemetry import Telemetry
 from upwash.eventlog.schema import Event, LinkTroubleName
@@ -361,6 +362,7 @@ class InstanceSpec:
     methods: frozenset[str] = (
         frozenset()
     )  # that it declares, as far as known: answers of others are not believed
+    limits: Limits = NO_LIMITS
 
     @property
     def name(self) -> str:

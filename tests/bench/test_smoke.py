@@ -12,7 +12,6 @@ from tests.programs import ROOT, printed
 from tests.system.browser import why_not
 
 from upwash.errors import UsageError
-from upwash.real.limits import Limits
 from upwash.real.sandbox import find_sandbox
 
 QUICK = {  # what each prints, among others
@@ -104,7 +103,7 @@ def test_a_page_is_watched() -> None:
 @pytest.mark.system
 def test_calls_into_a_sandbox_stand_beside_others() -> None:
     try:
-        find_sandbox(Limits(2**31, 256, 2**24), readable=())
+        find_sandbox(readable=())
     except UsageError as error:
         pytest.skip(str(error))
     assert re.search(r"\nin bubblewrap [-+][\d.]+ ms, [\d.]+ times", printed("bench.sandbox", "--quick"))

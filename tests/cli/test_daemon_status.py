@@ -12,6 +12,7 @@ from rich.console import Console
 from upwash.cli.daemon_status import print_status
 from upwash.core.admission import AdmissionController, ServerOffer
 from upwash.core.clients import Client, DoorStatus, Role
+from upwash.core.limits import Limits
 from upwash.rpc.protocol import StatusReply, decode_reply
 
 ALICE = Client("alice", "0c", role=Role.OPERATOR)
@@ -87,4 +88,16 @@ def test_a_daemon_that_knows_no_turns_is_shown_without_them() -> None:
         "  heron: lease ends in 12 s, certificate 0a",
         "  instance    state      at        unused for",
         "  detector    running    :40000    3 s",
+    ]
+
+
+def test_the_limits_that_hold_are_shown_for_each_service() -> None:
+    limits = {
+        "detector": Limits(memory_bytes=3 * 2**29, processes=256, disk_bytes=2**28, cpus=1),
+        "counter": Limits(),
+    }
+    assert printed([], limits=limits)[2:] == [
+        "limits of each instance",
+        "  counter: none",
+        "  detector: 1.5 GiB of memory, 1 processor, 256 processes, 256 MiB of files",
     ]

@@ -11,6 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from upwash.config import DaemonConfig, ImageConfig, PeerConfig, read_daemon_config, read_drone_config
+from upwash.core.limits import DEFAULT_LIMITS
 from upwash.errors import ConfigError
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -57,7 +58,10 @@ def test_what_a_file_leaves_out_has_the_printed_defaults(tmp_path: Path) -> None
     brief, full = read(tmp_path, KEYS + REST), read(tmp_path, FULL)
     assert brief.runtime.engine_addresses == full.runtime.engine_addresses
     engine = replace(full.runtime.engine, addresses=None)
-    assert brief == replace(full, runtime=replace(full.runtime, engine=engine))
+    limits = {"memory_bytes": DEFAULT_LIMITS.memory_bytes, "processes": DEFAULT_LIMITS.processes}
+    assert replace(brief, runtime=replace(brief.runtime, **limits)) == replace(
+        full, runtime=replace(full.runtime, engine=engine)
+    )
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:0", "[::1]:7070", "localhost:7070", "unix:/run/upwash.sock"])
@@ -122,6 +126,9 @@ def test_without_certificates_it_may_not_listen_to_others(tmp_path: Path, addres
         ('name = "counter"', 'name = "count er"', "service[1].name", "letters, digits"),
         ('kind = "process"', 'kind = "podman"', "runtime.kind", 'one of "docker", "lxd", "process"'),
         ("memory_bytes = 2_147_483_648", "memory_bytes = 2_147", "runtime.memory_bytes", "64 MiB"),
+        ('name = "counter"', 'name = "counter"\nmemory_bytes = 5', "service[1].memory_bytes", "64 MiB"),
+        ('name = "counter"', 'name = "counter"\ncpus = 0', "service[1].cpus", "from 1 to 4096"),
+        ('name = "counter"', 'name = "counter"\nmemory = 5', "service[1].memory", "memory_bytes"),
         ("unix:/var/lib", "ssh:/var/lib", "runtime.engine.addresses[0]", "https://host:port"),
         ("unix:/var/lib", "https://10.0.0.2", "runtime.engine.certificate", "missing"),
         ("10.147.70.0/24", "10.147.70.1/24", "runtime.network.subnet", "host bits set"),

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from upwash.core.limits import Limits
 from upwash.errors import EngineError, UsageError
 from upwash.ports import Program
 from upwash.real.control_credentials import ControlCredentials, new_control_credentials
@@ -38,7 +39,7 @@ def held(container: Container, settings: ContainerSettings = SETTINGS) -> Engine
 
 
 def made(server: str = "s1", *others: EngineInstance, member: str = "m1") -> Container:
-    return new_container(server, DETECTOR, member=member, taken=addresses(others), subnet=SUBNET)
+    return new_container(server, DETECTOR, SETTINGS, member=member, taken=addresses(others))
 
 
 def test_a_container_is_known_again_by_what_the_engine_keeps() -> None:
@@ -51,8 +52,13 @@ def test_other_peoples_instances_are_left_alone() -> None:
 
 
 def test_containers_are_unprivileged_limited_and_have_one_address_and_no_other_network() -> None:
-    settings = replace(SETTINGS, memory_bytes=2**28, processes=64, cpus=2, interface="wlan0")
-    instance = held(made(), settings)
+    limits = Limits(memory_bytes=2**28, processes=64, cpus=2)
+    settings = replace(SETTINGS, interface="wlan0", limits={"detector": limits})
+    container = new_container("s1", DETECTOR, settings, member="m1", taken=())
+    instance = held(container, settings)
+    assert known_container(instance) == container, (
+        "its limits are known again, to be compared with wanted ones"
+    )
     assert instance.config["security.privileged"] == instance.config["security.nesting"] == "false"
     assert (instance.config["limits.memory"], instance.config["limits.processes"]) == (str(2**28), "64")
     assert instance.config["limits.cpu"] == "2"

@@ -21,7 +21,6 @@ from upwash.errors import InstanceError, LinkError, ServiceError, UsageError
 from upwash.missions.bundled import load_services
 from upwash.ports import InstanceSpec, Program
 from upwash.real.foreign import ForeignProgram
-from upwash.real.limits import Limits
 from upwash.real.link import GrpcDialer
 from upwash.real.local_instance import LocalInstance
 from upwash.real.runtime import ProcessRuntime
@@ -122,7 +121,7 @@ def run_service(
     sandboxed: bool = False,
 ) -> None:
     try:
-        sandbox = find_sandbox(Limits(2**31, 256, 2**24), readable=()) if sandboxed else None
+        sandbox = find_sandbox(readable=()) if sandboxed else None
     except UsageError as why:
         pytest.skip(str(why))
     spec = spec_of(load_service(program.path))

@@ -20,9 +20,9 @@ from typing import Any
 import pytest
 from tests.children import expect_no_child
 
+from upwash.core.limits import Limits
 from upwash.errors import InstanceError, LinkError, UsageError
 from upwash.ports import InstanceSpec, Program
-from upwash.real.limits import Limits
 from upwash.real.link import GrpcDialer
 from upwash.real.local_instance import LocalInstance
 from upwash.real.runtime import ProcessRuntime
@@ -34,8 +34,8 @@ from upwash.rpc.service import load_service, spec_of
 pytestmark = pytest.mark.sandbox
 
 PROGRAM = f"{Path(__file__).parents[1] / 'mischief.py'}:Mischief"
-SPEC = InstanceSpec("s1", "mischief", Program(PROGRAM))
 LIMITS = Limits(memory_bytes=2**28, processes=96, disk_bytes=2**22)
+SPEC = InstanceSpec("s1", "mischief", Program(PROGRAM), limits=LIMITS)
 MAX_MESSAGE_BYTES = 2**20
 CALL_S = 8.0
 NOBODY = ("setpriv", "--reuid=65534", "--regid=65534", "--clear-groups")
@@ -46,7 +46,7 @@ Call = Callable[..., Awaitable[Any]]
 @pytest.fixture(scope="module")
 def sandbox() -> Sandbox:
     try:
-        return find_sandbox(LIMITS, readable=())
+        return find_sandbox(readable=())
     except UsageError as error:
         pytest.skip(str(error))
 
@@ -168,7 +168,7 @@ def test_it_reads_its_own_code_and_what_it_is_given_and_no_other_file_of_the_use
 ) -> None:
     model = tmp_path / "model.bin"
     model.write_text("weights")
-    given = Sandbox(sandbox.bubblewrap, sandbox.limits, readable=(model,))
+    given = Sandbox(sandbox.bubblewrap, readable=(model,))
 
     async def read(call: Call, _: LocalInstance) -> None:
         assert "class Mischief" in await call("read", PROGRAM.rpartition(":")[0])
@@ -343,7 +343,7 @@ def test_a_crash_in_it_is_explained_as_outside(sandbox: Sandbox, services: Path,
 def test_without_bubblewrap_the_remedy_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(UsageError, match="apt install bubblewrap"):
-        find_sandbox(LIMITS, readable=())
+        find_sandbox(readable=())
 
 
 def test_a_bubblewrap_that_is_not_permitted_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -352,7 +352,7 @@ def test_a_bubblewrap_that_is_not_permitted_says_so(tmp_path: Path, monkeypatch:
     refusing.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
     with pytest.raises(UsageError, match=r"No permissions to create new namespace.*user.max_user_namespaces"):
-        find_sandbox(LIMITS, readable=())
+        find_sandbox(readable=())
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from tests.system.container_site import (
     Site,
 )
 
+from upwash.core.limits import Limits
 from upwash.missions.bundled import load_service_alone
 from upwash.packaging.image import Recipe, package
 from upwash.real.credentials import Credentials, fingerprint
@@ -34,6 +35,7 @@ from upwash.real.runtime import sockets_in
 from upwash.real.service_image import reference_of
 
 SERVICES = ("workbench", "vandal")
+LIMITS = Limits(memory_bytes=MEMORY_BYTES, processes=PROCESSES, disk_bytes=DISK_BYTES)
 SUBNET = "10.147.71.0/24"
 ReadCredentials = Callable[[str], Credentials]
 
@@ -68,9 +70,7 @@ def docker_host(
                 engine,
                 DockerSettings(
                     tmp_path,
-                    memory_bytes=MEMORY_BYTES,
-                    processes=PROCESSES,
-                    disk_bytes=DISK_BYTES,
+                    limits=dict.fromkeys(SERVICES, LIMITS),
                     devices=devices,
                 ),
                 images or {service: reference_of(service) for service in SERVICES},
@@ -114,9 +114,7 @@ def lxd_host(
                 engine,
                 LxdSettings(
                     IPv4Network(SUBNET),
-                    memory_bytes=MEMORY_BYTES,
-                    processes=PROCESSES,
-                    disk_bytes=DISK_BYTES,
+                    limits=dict.fromkeys(SERVICES, LIMITS),
                 ),
                 freezes=freezes,
                 lead=lead,

@@ -94,6 +94,8 @@ class Host:
             [runtime]
             {self.runtime}
             memory_bytes = {MEMORY_BYTES}
+            processes = {PROCESSES}
+            disk_bytes = {DISK_BYTES}
             {runtime}
             """
         )

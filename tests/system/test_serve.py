@@ -20,7 +20,9 @@ import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from tests.children import is_alive
 from tests.system.daemons import (
+    MAX_MESSAGE_BYTES,
     Daemon,
+    Guest,
     children,
     config,
     daemon,
@@ -31,9 +33,10 @@ from tests.system.daemons import (
 from tests.waiting import wait_for
 
 from upwash.errors import LinkError, Refused, Unreachable, UsageError
+from upwash.launch.status import ask_status
 from upwash.real.authority import drop_former_authorities, make_keys, renew_authority, revoke
 from upwash.real.credentials import Credentials, read_credentials
-from upwash.real.limits import Limits
+from upwash.real.link import GrpcDialer
 from upwash.real.sandbox import find_sandbox
 from upwash.rpc.protocol import (
     AVAILABILITY,
@@ -645,7 +648,7 @@ def test_its_log_can_be_json_lines_and_tells_of_a_refused_certificate(
 @pytest.fixture(scope="module")
 def _sandbox() -> None:
     try:
-        find_sandbox(Limits(2**31, 256, 2**24), readable=())
+        find_sandbox(readable=())
     except UsageError as error:
         pytest.skip(str(error))
 
@@ -675,6 +678,84 @@ def test_a_drone_calls_into_a_sandbox_which_ends_with_the_daemon(
         inside = asyncio.run(visit(at))
         at.end(number)
         wait_for(lambda: not any(map(is_alive, inside)))
+
+
+EATERS = """
+import os
+from upwash.rpc.service import service
+
+
+class Eater:
+    def eat(self, size_bytes: int) -> str:
+        try:
+            return str(len(bytes(size_bytes)))
+        except MemoryError:
+            return "no memory"
+
+    def processors(self) -> int:
+        return len(os.sched_getaffinity(0))
+
+    def take_all_processors(self) -> str:
+        try:
+            os.sched_setaffinity(0, range(os.cpu_count()))
+        except OSError as error:
+            return type(error).__name__
+        return "taken"
+
+
+@service
+class Modest(Eater):
+    pass
+
+
+@service
+class Greedy(Eater):
+    pass
+"""
+
+
+@pytest.mark.sandbox
+@pytest.mark.usefixtures("_sandbox")
+def test_limits_of_one_service_hold_and_are_not_anothers(tmp_path: Path, own_keys: Path) -> None:
+    program = tmp_path / "eaters.py"
+    program.write_text(EATERS)
+    of_services = f"""
+[[service]]
+name = "modest"
+program = "{program}:Modest"
+memory_bytes = {2**28}
+cpus = 1
+
+[[service]]
+name = "greedy"
+program = "{program}:Greedy"
+"""
+    text = config(own_keys, sandbox="required").replace("[[server]]", f"{of_services}\n[[server]]", 1)
+
+    async def visit(at: Daemon) -> None:
+        dialer = GrpcDialer("heron", read_own(own_keys, "heron"), max_message_bytes=MAX_MESSAGE_BYTES)
+        said = []
+        for name in ("Modest", "Greedy"):
+            guest = Guest(dialer, "s1", at.address, f"{program}:{name}")
+            endpoint = (await guest.start(name.lower())).endpoint
+            said.append([await guest.call(endpoint, "eat", 2**29), await guest.call(endpoint, "processors")])
+            if name == "Modest":
+                assert await guest.call(endpoint, "take_all_processors") == "PermissionError"
+            await guest.close()
+        assert said == [["no memory", 1], [str(2**29), len(os.sched_getaffinity(0))]]
+        reply = await ask_status(at.address, server="s1", operator="alice", keys=own_keys)
+        assert (reply.limits["modest"].memory_bytes, reply.limits["modest"].cpus) == (2**28, 1)
+        assert (reply.limits["greedy"].memory_bytes, reply.limits["greedy"].cpus) == (2**31, None)
+
+    with daemon(tmp_path, text) as at:
+        asyncio.run(visit(at))
+
+
+def test_a_limit_that_would_not_hold_ends_the_start_with_its_name(tmp_path: Path, keys: Path) -> None:
+    text = config(keys).replace('name = "workbench"', f'name = "workbench"\nmemory_bytes = {2**28}')
+    said = refused(tmp_path, text)
+    assert 'memory_bytes of service "workbench" would have no effect' in said
+    assert 'runtime.sandbox is "off"' in said
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="of root alone")

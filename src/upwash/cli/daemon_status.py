@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 
 from rich.console import Console
@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.core.clients import AccountStatus, InstanceStatus, RefusalStatus, ServerStatus
+from upwash.core.limits import Limits
 from upwash.rpc.protocol import CertificateStatus, StatusReply
 from upwash.support.sentences import say
 
@@ -18,12 +19,13 @@ _STATE_STYLES = {"running": "green", "starting": "yellow", "stopping": "yellow"}
 
 
 def print_status(status: StatusReply, console: Console) -> None:
-    """Prints the servers with their drones and instances, the last refusals, and the certificates' ends."""
+    """Prints the servers with drones and instances, the limits, the last refusals, and the certificates' ends."""
     say(f"up for {_duration(status.up_s)}", console)
     if status.closing:
         say(Text(status.closing, style="bold red"), console)
     for server in status.servers:
         _print_server(server, console)
+    _print_limits(status.limits, console)
     _print_refusals(status.refusals, console)
     for each in status.at_door:
         times = _counted(each.times, "connection", "connections")
@@ -110,6 +112,24 @@ def _not_renewed(instance: InstanceStatus) -> str:
     return f"{instance.service}: the former version serves on, as the new one did not start: {instance.not_renewed}"
 
 
+def _print_limits(limits: Mapping[str, Limits], console: Console) -> None:
+    if limits:
+        say("\nlimits of each instance", console)
+    for service, most in sorted(limits.items()):
+        say(Text(f"  {service}: {', '.join(_held(most)) or 'none'}"), console)
+
+
+def _held(most: Limits) -> Iterator[str]:
+    if most.memory_bytes is not None:
+        yield f"{_size(most.memory_bytes)} of memory"
+    if most.cpus is not None:
+        yield _counted(most.cpus, "processor", "processors")
+    if most.processes is not None:
+        yield f"{most.processes} processes"
+    if most.disk_bytes is not None:
+        yield f"{_size(most.disk_bytes)} of files"
+
+
 def _print_refusals(refusals: Sequence[RefusalStatus], console: Console) -> None:
     if not refusals:
         return
@@ -139,6 +159,12 @@ def _table(*columns: str, title: str | None = None) -> Table:
 
 def _counted(number: int, one: str, several: str) -> str:
     return f"{number} {one if number == 1 else several}"
+
+
+def _size(size_bytes: int) -> str:
+    """In the larger of MiB and GiB that makes it at least 1, to three digits."""
+    size, unit = (size_bytes / 2**30, "GiB") if size_bytes >= 2**30 else (size_bytes / 2**20, "MiB")
+    return f"{size:.3g} {unit}" if size < 1000 else f"{size:.0f} {unit}"
 
 
 def _duration(seconds: float) -> str:

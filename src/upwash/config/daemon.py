@@ -11,7 +11,14 @@ from msgspec.structs import replace
 
 from upwash.config.problems import Document, Problem, metrics_problems, refuse_first, unknown
 from upwash.config.reading import convert, read_document
-from upwash.config.runtime import RuntimeConfig, runtime_problems
+from upwash.config.runtime import (
+    Cpus,
+    DiskBytes,
+    MemoryBytes,
+    Processes,
+    RuntimeConfig,
+    runtime_problems,
+)
 from upwash.config.shorthand import image_written_out
 from upwash.config.values import (
     START_TIMEOUT_S,
@@ -73,6 +80,14 @@ class ImageConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     call_limit_s: Positive | None = None
     """The daemon replaces an instance that a call keeps busy for longer, in seconds; default: 60, or ten times the
     longest of `pace_s`. Once calls are answered, five times the longest answer is enough, from 20 s on."""
+    memory_bytes: MemoryBytes | None = None
+    """Memory of an instance; default: `runtime.memory_bytes`."""
+    processes: Processes | None = None
+    """Processes and threads of an instance; default: `runtime.processes`."""
+    disk_bytes: DiskBytes | None = None
+    """Files of an instance; default: `runtime.disk_bytes`."""
+    cpus: Cpus | None = None
+    """Processors of an instance; default: `runtime.cpus`."""
 
 
 class IdentityConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

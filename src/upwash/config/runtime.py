@@ -8,11 +8,12 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from upwash.config.problems import Problem
-from upwash.config.values import Count, FilePath, Name, Names, Text
+from upwash.config.values import FilePath, Name, Names, Text
 
 # Less than a Python interpreter with gRPC needs helps nobody.
 MemoryBytes = Annotated[int, Meta(ge=2**26, description="an integer of at least 67108864 (64 MiB), in bytes")]
 Processes = Annotated[int, Meta(ge=32, description="an integer of at least 32, threads included")]
+Cpus = Annotated[int, Meta(ge=1, le=4096, description="an integer from 1 to 4096")]
 DiskBytes = Annotated[int, Meta(ge=2**20, description="an integer of at least 1048576 (1 MiB), in bytes")]
 Files = Annotated[tuple[FilePath, ...], Meta(description="an array of files and folders")]
 EngineAddresses = Annotated[
@@ -65,14 +66,14 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Whether root may make sandboxes, which are weaker."""
     readable: Files = ()
     """Files and folders, such as models, that services may read beside their own code."""
-    memory_bytes: MemoryBytes = 2**31
-    """Of an instance."""
-    processes: Processes = 256
-    """Processes and threads of an instance."""
-    disk_bytes: DiskBytes = 2**28
-    """Files of an instance."""
-    cpus: Count | None = None
-    """Of an instance in a container; default: all."""
+    memory_bytes: MemoryBytes | None = None
+    """Memory of an instance, whose service names no limit of its own; default: 2_147_483_648."""
+    processes: Processes | None = None
+    """Processes and threads of an instance; default: 256."""
+    disk_bytes: DiskBytes | None = None
+    """Files of an instance; default: 268_435_456."""
+    cpus: Cpus | None = None
+    """Processors of an instance; default: all."""
     idle: Literal["stop", "freeze"] = "freeze"
     """What an instance in a container does that nobody uses."""
     devices: Devices = ()

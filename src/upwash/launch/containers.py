@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from ipaddress import IPv4Network
 from pathlib import Path
 
 from upwash.config import DaemonConfig, RuntimeConfig
+from upwash.core.limits import Limits
 from upwash.ports import InstanceSpec
 from upwash.real.docker.container import ContainerSettings as DockerSettings
 from upwash.real.docker.engine import DockerEngine
@@ -20,7 +21,9 @@ from upwash.real.service_image import reference_of
 
 
 @contextlib.asynccontextmanager
-async def lxd_containers(config: DaemonConfig, lead: Lead) -> AsyncIterator[LxdRuntime]:
+async def lxd_containers(
+    config: DaemonConfig, limits: Mapping[str, Limits], lead: Lead
+) -> AsyncIterator[LxdRuntime]:
     """The containers of the daemon's services, made if they are not there; none runs after the block."""
     runtime = LxdRuntime(
         lxd_engine(config.runtime),
@@ -29,10 +32,7 @@ async def lxd_containers(config: DaemonConfig, lead: Lead) -> AsyncIterator[LxdR
             interface=config.runtime.network.interface or "",
             pool=config.runtime.engine.pool,
             profiles=config.runtime.engine.profiles,
-            memory_bytes=config.runtime.memory_bytes,
-            processes=config.runtime.processes,
-            disk_bytes=config.runtime.disk_bytes,
-            cpus=config.runtime.cpus,
+            limits=limits,
         ),
         freezes=config.runtime.idle == "freeze",
         lead=lead,
@@ -50,17 +50,18 @@ async def lxd_containers(config: DaemonConfig, lead: Lead) -> AsyncIterator[LxdR
 
 @contextlib.asynccontextmanager
 async def docker_containers(
-    config: DaemonConfig, lead: Lead | None, sockets: Path, listen: Callable[[InstanceSpec], str]
+    config: DaemonConfig,
+    limits: Mapping[str, Limits],
+    lead: Lead | None,
+    sockets: Path,
+    listen: Callable[[InstanceSpec], str],
 ) -> AsyncIterator[DockerRuntime]:
     """What makes the containers of the daemon's services, of images that are there; none runs after the block."""
     runtime = DockerRuntime(
         docker_engine(config.runtime),
         DockerSettings(
             folder=sockets,
-            memory_bytes=config.runtime.memory_bytes,
-            processes=config.runtime.processes,
-            disk_bytes=config.runtime.disk_bytes,
-            cpus=config.runtime.cpus,
+            limits=limits,
             devices=config.runtime.devices,
         ),
         docker_images(config),

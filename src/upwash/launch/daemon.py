@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import functools
 import logging
-import os
 import signal
 import socket
 import tempfile
@@ -21,17 +20,16 @@ from upwash.core.clients import Client
 from upwash.core.instances import InstanceState
 from upwash.core.watchdog import CALL_LIMIT_S
 from upwash.errors import Refused, UpwashError, UsageError
+from upwash.launch.confinement import Confinement, find_confinement
 from upwash.launch.daemon_keys import DaemonKeys, watch_expiry
 from upwash.launch.daemon_services import DaemonServices
 from upwash.ports import InstanceSpec, Runtime
 from upwash.real.announced import Inside
 from upwash.real.door import Door, Seen, door_limits, leading, opened_door, raise_limit_of_files
 from upwash.real.hand_over import HandedOver, Served, hand_over
-from upwash.real.limits import Limits
 from upwash.real.listener import Health, Listener, cannot_listen
 from upwash.real.requests import Caller, Requests
 from upwash.real.runtime import ProcessRuntime, sockets_in
-from upwash.real.sandbox import Sandbox, find_sandbox
 from upwash.real.service_manager import ServiceManager
 from upwash.real.signals import ending_in_time, on_signal, stopping_politely
 from upwash.real.streams import listening_socket
@@ -55,10 +53,6 @@ _COMING_S = 30.0  # for a daemon to come up, beside its services
 _METRICS_S = 0.5  # between two looks at whether the daemon before still offers its metrics
 _ENDING_S = 30.0  # for all that follows the calls under way
 _PACES = 10.0  # a call may take that many times the slowest pace
-_ROOT = (
-    "the daemon is root, and so is whatever breaks out of a sandbox that root made: "
-    "run it as a user of its own (docs/operators.md), or say runtime.sandbox_as_root = true"
-)
 _CLOSING = "this edge server is shutting down"
 
 
@@ -78,9 +72,9 @@ async def serve(
     if config.announce:
         with extra("discovery"):
             import upwash.real.discovery  # noqa: F401 - before anything is begun
-    services = DaemonServices(config)
+    confinement = await find_confinement(config)
+    services = DaemonServices(config, confinement)
     keys = DaemonKeys(config)
-    sandbox, weakness = await asyncio.to_thread(_sandbox, config)
     loop = asyncio.get_running_loop()
 
     def seen(server: str, drone: str) -> None:  # by the door, in its own thread
@@ -91,7 +85,7 @@ async def serve(
         outside = stack.enter_context(_listening(config, before)) if keys.credentials else None
         sockets = Path(stack.enter_context(_folder_for_sockets(config)))
         door = await stack.enter_async_context(_door(keys, seen))
-        runtime, lanes = await stack.enter_async_context(_runtime(config, door, sockets, sandbox))
+        runtime, lanes = await stack.enter_async_context(_runtime(config, door, sockets, confinement))
         services.know_lanes(lanes)
         metrics = _metrics(config)
         edge = await _edge_server(
@@ -114,8 +108,8 @@ async def serve(
             await answering.enter_async_context(_exposed(metrics, edge, config, patient=before is not None))
         if config.announce:
             await answering.enter_async_context(_announcing(config, address))
-        if weakness:
-            _log.warning("%s", weakness)
+        if confinement.weakness:
+            _log.warning("%s", confinement.weakness)
         ready(address)
         manager.ready()
         reloading = _reload_at(
@@ -203,28 +197,6 @@ def _call_limit_s(image: ImageConfig) -> float:
     return max(CALL_LIMIT_S, _PACES * max(image.pace_s.values(), default=0.0))
 
 
-def _sandbox(config: DaemonConfig) -> tuple[Sandbox | None, str]:
-    """The sandbox for services, and its weakness if any; raises UsageError where a required one is not to be had."""
-    runtime = config.runtime
-    if runtime.kind != "process":
-        return None, ""
-    if runtime.sandbox == "off":
-        return None, "services run without a sandbox, as runtime.sandbox says"
-    is_root = os.geteuid() == 0
-    if is_root and not runtime.sandbox_as_root:
-        raise UsageError(_ROOT)
-    limits = Limits(runtime.memory_bytes, runtime.processes, runtime.disk_bytes)
-    try:
-        sandbox = find_sandbox(limits, readable=runtime.readable)
-    except UsageError as error:
-        if runtime.sandbox == "required":
-            raise
-        return None, f"services run without a sandbox: {error}"
-    if is_root:
-        return sandbox, "the daemon is root: services in their sandbox may start processes without limit"
-    return sandbox, ""
-
-
 @contextlib.asynccontextmanager
 async def _door(keys: DaemonKeys, seen: Seen) -> AsyncIterator[Door | None]:
     """Where certificates are looked at, if there are any."""
@@ -237,7 +209,7 @@ async def _door(keys: DaemonKeys, seen: Seen) -> AsyncIterator[Door | None]:
 
 @contextlib.asynccontextmanager
 async def _runtime(
-    config: DaemonConfig, door: Door | None, sockets: Path, sandbox: Sandbox | None
+    config: DaemonConfig, door: Door | None, sockets: Path, confinement: Confinement
 ) -> AsyncIterator[tuple[Runtime, Mapping[str, int]]]:
     """What runs instances, and the lanes of services by their images, where it runs them from images."""
     lead = leading(door, config.listen.rpartition(":")[0], _instance_ports(config)) if door else None
@@ -246,19 +218,19 @@ async def _runtime(
         from upwash.launch.containers import lxd_containers
 
         assert lead is not None  # noqa: S101 - the configuration was checked for certificates
-        async with lxd_containers(config, lead) as in_lxd:
+        async with lxd_containers(config, confinement.limits(config), lead) as in_lxd:
             yield in_lxd, in_lxd.concurrency
     elif config.runtime.kind == "docker":
         from upwash.launch.containers import docker_containers
 
-        async with docker_containers(config, lead, sockets, listen) as in_docker:
+        async with docker_containers(config, confinement.limits(config), lead, sockets, listen) as in_docker:
             yield in_docker, in_docker.concurrency
     else:
         processes = ProcessRuntime(
             listen,
             lead=lead,
             max_message_bytes=config.max_message_bytes,
-            sandbox=sandbox,
+            sandbox=confinement.sandbox,
         )
         yield processes, {}
 

@@ -21,6 +21,7 @@ import msgspec
 from upwash.config import DaemonConfig
 from upwash.config.daemon import ImageConfig
 from upwash.errors import UpwashError, UsageError
+from upwash.launch.confinement import Confinement
 from upwash.missions.bundled import load_configured
 from upwash.ports import Program
 from upwash.real.versions import version_of, version_of_upwash
@@ -39,14 +40,20 @@ Looked = dict[str, Image | str]  # a service, or why it cannot be loaded
 class DaemonServices:
     """What the daemon can start now."""
 
-    def __init__(self, config: DaemonConfig) -> None:
+    def __init__(self, config: DaemonConfig, confinement: Confinement) -> None:
         self._upwash = version_of_upwash()
+        self._confinement = confinement
+        limits = confinement.limits(config)
         self._lanes: Mapping[str, int] = {}
         looked = _look(config)
         for fault in looked.values():
             if isinstance(fault, str):
                 raise UsageError(fault)
-        self.images = {name: image for name, image in looked.items() if isinstance(image, Image)}
+        self.images = {
+            name: replace(image, limits=limits[name])
+            for name, image in looked.items()
+            if isinstance(image, Image)
+        }
 
     def know_lanes(self, lanes: Mapping[str, int]) -> None:
         """Takes in the lanes of those services whose programs only their runtime knows."""
@@ -56,8 +63,10 @@ class DaemonServices:
     async def anew(self, config: DaemonConfig) -> dict[str, Image]:
         """The services of another configuration, and of what lies on the disk now.
 
-        A version that cannot be loaded is logged, and the former stays; UsageError is raised where there is none.
+        A version that cannot be loaded is logged, and the former stays; UsageError is raised where there is none, and
+        for a limit that would not hold.
         """
+        limits = self._confinement.limits(config)
         if config.runtime.kind == "process" and await asyncio.to_thread(version_of_upwash) != self._upwash:
             _log.error(_UPGRADED)
             looked: Looked = {each.name: _UPGRADED for each in config.images}
@@ -66,7 +75,7 @@ class DaemonServices:
         images = {}
         for name, found in looked.items():
             if isinstance(found, Image):
-                images[name] = found
+                images[name] = replace(found, limits=limits[name])
                 continue
             if name not in self.images:
                 raise UsageError(found)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
-from upwash.real.limits import Limits
+from upwash.core.limits import Limits
 from upwash.support.heat import Surroundings
 
 if TYPE_CHECKING:  # an instance has no use for it

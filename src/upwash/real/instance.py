@@ -44,6 +44,7 @@ from upwash.real.control import (
 from upwash.real.control_credentials import ControlCredentials
 from upwash.real.direct import DirectListener
 from upwash.real.foreign import ForeignProgram
+from upwash.real.limits import apply_limits
 from upwash.real.listener import Health, Listener
 from upwash.real.requests import Caller, Requests
 from upwash.real.socket_proxy import SocketProxy
@@ -219,7 +220,7 @@ def main() -> NoReturn:
     look_here()
     try:
         if begin.limits is not None:
-            begin.limits.apply()
+            apply_limits(begin.limits)
         instance = ServiceInstance(begin, control, outside)
     except UsageError as error:
         if error.__cause__ is not None:

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import resource
 
-import msgspec
+from upwash.core.limits import Limits
 
 _MOST_FILES = 4096  # open at once: of 1024 connections, two ends of each and what gRPC adds
 _NO_CORE = 1  # 0 would still have the kernel pipe one to whoever collects them
 
 
-class Limits(msgspec.Struct, frozen=True):
-    """What an instance may use: memory for each of its processes, so many of them and their threads, files."""
+def apply_limits(limits: Limits) -> None:
+    """Puts them on this process and all that it will start; nothing can lift them again.
 
-    memory_bytes: int
-    processes: int
-    disk_bytes: int
-
-    def apply(self) -> None:
-        """Puts them on this process and all that it will start; nothing can lift them again."""
-        resource.setrlimit(resource.RLIMIT_DATA, (self.memory_bytes, self.memory_bytes))
-        resource.setrlimit(resource.RLIMIT_NPROC, (self.processes, self.processes))
-        resource.setrlimit(resource.RLIMIT_FSIZE, (self.disk_bytes, self.disk_bytes))
-        limit_files()
+    Processors are not among them: a process may choose others, unless it began with a filter of system calls.
+    """
+    for number, most in (
+        (resource.RLIMIT_DATA, limits.memory_bytes),
+        (resource.RLIMIT_NPROC, limits.processes),
+        (resource.RLIMIT_FSIZE, limits.disk_bytes),
+    ):
+        if most is not None:
+            resource.setrlimit(number, (most, most))
+    limit_files()
 
 
 def limit_files() -> None:

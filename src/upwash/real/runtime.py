@@ -9,9 +9,10 @@ import logging
 import os
 import signal
 import subprocess
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from weakref import WeakValueDictionary
+from weakref import WeakSet, WeakValueDictionary
 
 from upwash.ports import Answered, InstanceSpec, ignored
 from upwash.real.control import Begin, begin_of
@@ -55,6 +56,7 @@ class ProcessRuntime:
         self._lead = lead
         self._max_message_bytes = max_message_bytes
         self._sandbox = sandbox
+        self._groups: WeakSet[ProcessGroup] = WeakSet()
 
     async def start(
         self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
@@ -78,16 +80,23 @@ class ProcessRuntime:
             listen=self._listen(spec),
             max_message_bytes=self._max_message_bytes,
             is_announced=self._lead is not None,
-            limits=self._sandbox.limits if self._sandbox else None,
+            limits=spec.limits if self._sandbox else None,
         )
 
     async def _run(self, spec: InstanceSpec, handed: Handed) -> ProcessGroup:
         inherited = [each.fileno() for each in (handed.control, handed.outside) if each is not None]
         command = module_command("upwash.real.instance", *map(str, inherited))
+        processors = self._least_used(spec.limits.cpus)
         with contextlib.ExitStack() as stack:
             if self._sandbox is not None:
-                inherited.append(stack.enter_context(open_call_filter()))
-                command = self._sandbox.wrap(command, call_filter=inherited[-1], program=spec.program)
+                inherited.append(stack.enter_context(open_call_filter(pins=bool(processors))))
+                command = self._sandbox.wrap(
+                    command,
+                    call_filter=inherited[-1],
+                    program=spec.program,
+                    disk_bytes=spec.limits.disk_bytes,
+                    processors=processors,
+                )
             process = await asyncio.create_subprocess_exec(
                 *command,
                 stdin=subprocess.DEVNULL,
@@ -96,15 +105,32 @@ class ProcessRuntime:
                 pass_fds=inherited,
                 start_new_session=True,
             )
-        return ProcessGroup(process, is_in_sandbox=self._sandbox is not None)
+        group = ProcessGroup(process, is_in_sandbox=self._sandbox is not None, processors=processors)
+        self._groups.add(group)
+        return group
+
+    def _least_used(self, count: int | None) -> Sequence[int]:
+        """The `count` processors with the fewest instances that are kept on them; none without a limit."""
+        if count is None:
+            return ()
+        used = Counter(each for group in self._groups if group.is_alive for each in group.processors)
+        return sorted(os.sched_getaffinity(0), key=lambda each: (used[each], each))[:count]
 
 
 class ProcessGroup:
-    """A process and whatever it started in its session."""
+    """A process and whatever it started in its session; `processors` are those on which it was started."""
 
-    def __init__(self, process: asyncio.subprocess.Process, *, is_in_sandbox: bool) -> None:
+    def __init__(
+        self, process: asyncio.subprocess.Process, *, is_in_sandbox: bool, processors: Sequence[int] = ()
+    ) -> None:
+        self.processors = processors
         self._process = process
         self._is_in_sandbox = is_in_sandbox
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it has not ended yet."""
+        return self._process.returncode is None
 
     async def ended(self) -> int:
         """Returns its exit code, negative for a signal, when it has ended."""

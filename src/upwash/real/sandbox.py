@@ -9,20 +9,30 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import json
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from upwash.errors import UsageError
 from upwash.ports import Program
-from upwash.real.limits import Limits
 from upwash.real.syscalls import call_filter
+from upwash.support.loading import module_command
 
 _PROBE_S = 10.0
+_TASKSET = "taskset"
+# Of a limit that was tried in the sandbox and does not hold there.
+_KERNEL = 'the kernel does not enforce it: use another kernel, or runtime.kind = "docker" or "lxd"'
+_REMEDIES = {
+    "memory_bytes": _KERNEL,
+    "processes": "Linux does not limit the processes of root: run the daemon as a user of its own",
+    "disk_bytes": _KERNEL,
+    "cpus": f"{_TASKSET} is not installed: `apt install util-linux`",
+}
 _SYSTEM = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/libx32")
 _SETTINGS = (
     "/etc/alternatives",
@@ -63,29 +73,41 @@ _ENVIRONMENT = ("LANG", "LC_ALL", "TZ", "GRPC_VERBOSITY", "OMP_NUM_THREADS")
 
 @dataclass(frozen=True, slots=True)
 class Sandbox:
-    """Wraps commands so that they run by bubblewrap, where these files and folders can be read."""
+    """Wraps commands so that they run by bubblewrap, where these files and folders can be read.
+
+    `unenforced` says why a limit of that name does not hold in it.
+    """
 
     bubblewrap: str
-    limits: Limits
     readable: tuple[Path, ...] = ()
+    unenforced: Mapping[str, str] = field(default_factory=dict)
 
-    def wrap(self, command: Iterable[str], *, call_filter: int, program: Program | None = None) -> list[str]:
+    def wrap(
+        self,
+        command: Iterable[str],
+        *,
+        call_filter: int,
+        program: Program | None = None,
+        disk_bytes: int | None = None,
+        processors: Collection[int] = (),
+    ) -> list[str]:
         """The command in a sandbox where Python, upwash, the program's code and its settings' files can be read.
 
-        `call_filter` is a file descriptor of `open_call_filter` that it inherits.
+        `call_filter` is a file descriptor of `open_call_filter` that it inherits. Each folder for files that it
+        writes holds `disk_bytes`. It runs on these `processors`, all if none are given.
         """
         own = _files_of(program) if program else []
         shown = [Path(sys.prefix), Path(sys.base_prefix), Path(__file__).parents[1], *self.readable, *own]
-        size = str(self.limits.disk_bytes)
+        size = () if disk_bytes is None else ("--size", str(disk_bytes))
         return [
-            *(*_LAUNCHER, self.bubblewrap, "--seccomp", str(call_filter)),
+            *(*_LAUNCHER, *_on(processors), self.bubblewrap, "--seccomp", str(call_filter)),
             *("--unshare-all", "--unshare-user", "--die-with-parent", "--new-session", "--cap-drop", "ALL"),
             *(word for name in _SYSTEM for word in _as_it_is(name)),
             *(word for name in _SETTINGS for word in ("--ro-bind-try", name, name)),
             *("--proc", "/proc", *_hidden_in_proc(), "--remount-ro", "/proc", "--dev", "/dev"),
             *("--dev-bind", "/dev/full", "/dev/zero"),  # which reads the same, but cannot be mapped
-            *("--size", size, "--tmpfs", "/dev/shm"),  # noqa: S108 - its own
-            *("--remount-ro", "/dev", "--size", size, "--tmpfs", "/tmp"),  # noqa: S108 - its own
+            *(*size, "--tmpfs", "/dev/shm"),  # noqa: S108 - its own
+            *("--remount-ro", "/dev", *size, "--tmpfs", "/tmp"),  # noqa: S108 - its own
             *(word for path in _outermost(shown) for word in ("--ro-bind", str(path), str(path))),
             *("--remount-ro", "/", "--chdir", "/tmp"),  # noqa: S108 - its own
             *(word for name, value in _environment().items() for word in ("--setenv", name, value)),
@@ -94,16 +116,22 @@ class Sandbox:
         ]
 
 
-def find_sandbox(limits: Limits, *, readable: tuple[Path, ...]) -> Sandbox:
-    """A sandbox that was tried; raises UsageError with the remedy where this machine has none to offer."""
+def find_sandbox(*, readable: tuple[Path, ...]) -> Sandbox:
+    """A sandbox that was tried, and its limits too; raises UsageError with the remedy where this machine has none."""
     bubblewrap = shutil.which("bwrap")
     if bubblewrap is None:
         raise UsageError("bubblewrap is not installed: `apt install bubblewrap`")
-    sandbox = Sandbox(bubblewrap, limits, readable)
+    sandbox = Sandbox(bubblewrap, readable)
+    can_pin = shutil.which(_TASKSET) is not None
+    processors = sorted(os.sched_getaffinity(0))[:1] if can_pin else []
     try:
-        with open_call_filter() as inherited:
+        with open_call_filter(pins=can_pin) as inherited:
             tried = subprocess.run(  # noqa: S603 - bubblewrap itself
-                sandbox.wrap([sys.executable, "-c", ""], call_filter=inherited),
+                sandbox.wrap(
+                    module_command("upwash.real.limits_trial"),
+                    call_filter=inherited,
+                    processors=processors,
+                ),
                 capture_output=True,
                 timeout=_PROBE_S,
                 check=False,
@@ -118,13 +146,14 @@ def find_sandbox(limits: Limits, *, readable: tuple[Path, ...]) -> Sandbox:
             "(sysctl user.max_user_namespaces, kernel.unprivileged_userns_clone, "
             "kernel.apparmor_restrict_unprivileged_userns), and hide nothing of /proc"
         )
-    return sandbox
+    unenforced = {name: _REMEDIES[name] for name in json.loads(tried.stdout)}
+    return replace(sandbox, unenforced=unenforced)
 
 
 @contextlib.contextmanager
-def open_call_filter() -> Iterator[int]:
+def open_call_filter(*, pins: bool = False) -> Iterator[int]:
     """A file descriptor from which one bubblewrap can read what to refuse; raises UsageError."""
-    text = call_filter()
+    text = call_filter(pins=pins)
     reading, writing = os.pipe()
     try:
         with open(writing, "wb", buffering=0) as pipe:  # noqa: PTH123 - a file descriptor
@@ -132,6 +161,11 @@ def open_call_filter() -> Iterator[int]:
         yield reading
     finally:
         os.close(reading)
+
+
+def _on(processors: Collection[int]) -> Iterator[str]:
+    if processors:
+        yield from (shutil.which(_TASKSET) or _TASKSET, "--cpu-list", ",".join(map(str, sorted(processors))))
 
 
 def _files_of(program: Program) -> list[Path]:

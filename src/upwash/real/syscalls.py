@@ -34,6 +34,7 @@ _CALLS: Mapping[str, tuple[int, int]] = {
     "socket": (41, 198),
     "socketpair": (53, 199),
     "clone": (56, 220),
+    "sched_setaffinity": (203, 122),
 }
 _REFUSED: Mapping[int, Mapping[str, tuple[int, int]]] = {
     errno.EPERM: {
@@ -77,15 +78,18 @@ class _Machine:
 _MACHINES = {"x86_64": _Machine(0xC000003E, 0, 0x40000000), "aarch64": _Machine(0xC00000B7, 1, 0x40000000)}
 
 
-def call_filter(machine: str = "") -> bytes:
-    """The filter for this machine's processor, or that one; raises UsageError where its calls are not known."""
+def call_filter(machine: str = "", *, pins: bool = False) -> bytes:
+    """The filter for this machine's processor, or that one; raises UsageError where its calls are not known.
+
+    With `pins` a process cannot choose other processors.
+    """
     machine = machine or platform.machine()
     if machine not in _MACHINES:
         raise UsageError(f"no filter of system calls is known for a processor of the kind {machine}")
-    return b"".join(_instructions(_MACHINES[machine]))
+    return b"".join(_instructions(_MACHINES[machine], pins=pins))
 
 
-def _instructions(machine: _Machine) -> Iterable[bytes]:
+def _instructions(machine: _Machine, *, pins: bool) -> Iterable[bytes]:
     yield _load(_ARCHITECTURE)
     yield from _unless(_EQUAL, machine.architecture, [_answer(_KILL)])
     yield _load(_NUMBER)
@@ -93,6 +97,8 @@ def _instructions(machine: _Machine) -> Iterable[bytes]:
     for error, calls in _REFUSED.items():
         for numbers in calls.values():
             yield from _where(_EQUAL, numbers[machine.column], [_refuse(error)])
+    if pins:
+        yield from _where(_EQUAL, _CALLS["sched_setaffinity"][machine.column], [_refuse(errno.EPERM)])
     for name, rules in {
         "clone": _rules_of_clone(),
         "mmap": _rules_of_mmap(),

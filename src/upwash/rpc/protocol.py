@@ -21,6 +21,7 @@ import msgspec
 from msgspec import Meta
 
 from upwash.core.clients import DoorStatus, RefusalStatus, ServerStatus
+from upwash.core.limits import Limits
 from upwash.errors import GarbledReply, Refused
 from upwash.rpc.wire import Encoding
 from upwash.support.text import LONGEST_TEXT, escaped, printable
@@ -165,7 +166,8 @@ class CertificateStatus(msgspec.Struct, frozen=True):
 class StatusReply(msgspec.Struct, frozen=True):
     """The daemon's servers, its last refusals and its certificates; and for how long it has run.
 
-    `at_door` are connections that were refused before any request; an earlier daemon says nothing of them.
+    `at_door` are connections that were refused before any request; `limits` hold for each instance of a
+    service. An earlier daemon says nothing of both.
     """
 
     up_s: Annotated[float, Meta(ge=0, le=_LONGEST_UP_S)]
@@ -174,6 +176,7 @@ class StatusReply(msgspec.Struct, frozen=True):
     certificates: list[CertificateStatus]
     closing: Reason = ""
     at_door: list[DoorStatus] = []
+    limits: dict[NameText, Limits] = {}
 
 
 def service_path(service: str, method: str) -> str:

@@ -24,6 +24,7 @@ from upwash.core.admission import (
 from upwash.core.clients import Client, DoorStatus, ServerStatus
 from upwash.core.instances import StartInstance, StopInstance
 from upwash.core.leases import Admit
+from upwash.core.limits import NO_LIMITS, Limits
 from upwash.errors import InstanceError, LinkError, NotReadyInTime, Refused
 from upwash.ports import AnsweredCall, Dialer, Instance, InstanceSpec, Program, Runtime
 from upwash.rpc.protocol import (
@@ -77,6 +78,7 @@ class Image:
     methods: frozenset[str] = frozenset()
     lanes: int = 1
     version: str = ""
+    limits: Limits = NO_LIMITS
 
 
 @dataclass(frozen=True, slots=True)
@@ -350,6 +352,7 @@ class EdgeServer:
             certificates=list(self._certificates),
             closing=self._host.closing,
             at_door=list(self._at_door()),
+            limits={service: image.limits for service, image in self._images.items()},
         )
 
     async def _perform(self, commands: Sequence[Command]) -> None:
@@ -424,6 +427,7 @@ class EdgeServer:
             pace_s=image.pace_s,
             start_pace_s=image.start_pace_s,
             methods=image.methods,
+            limits=image.limits,
         )
         instance: Instance | None = None
         why = ""  # of its end; none where it was stopped, and whoever waits for it should ask again

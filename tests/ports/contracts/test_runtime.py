@@ -21,7 +21,6 @@ from upwash.real.credentials import Credentials, fingerprint
 from upwash.real.docker.container import ContainerSettings as DockerSettings
 from upwash.real.docker.engine import DockerEngine
 from upwash.real.docker.runtime import ContainerRuntime as DockerRuntime
-from upwash.real.limits import Limits
 from upwash.real.link import GrpcDialer
 from upwash.real.lxd.container import ContainerSettings
 from upwash.real.lxd.engine import Engine, EngineAddress
@@ -205,7 +204,7 @@ async def processes(
 
 def found_sandbox() -> Sandbox:
     try:
-        return find_sandbox(Limits(2**31, 256, 2**24), readable=())
+        return find_sandbox(readable=())
     except UsageError as error:
         pytest.skip(str(error))
 

@@ -10,12 +10,13 @@ import signal
 import socket
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NoReturn
 
 import msgspec
 
+from upwash.core.limits import DEFAULT_LIMITS, Limits
 from upwash.errors import EngineError, InstanceError
 from upwash.ports import InstanceSpec
 from upwash.real.containers import container_name
@@ -49,10 +50,7 @@ class ContainerSettings:
     """
 
     folder: Path
-    memory_bytes: int = 2**31
-    processes: int = 256
-    disk_bytes: int = 2**28
-    cpus: int | None = None
+    limits: Mapping[str, Limits] = field(default_factory=dict)  # by service
     devices: Sequence[str] = ()  # paths such as /dev/dri, or names of the Container Device Interface
 
 
@@ -72,7 +70,8 @@ def definition(
     binds = [f"{folder}:{Path(HANDOFF).parent}:ro"] if folder else []
     if image.base == "host":
         binds.append("/usr:/usr:ro")
-    scratch = f"size={settings.disk_bytes},mode=1777,nosuid,nodev"
+    limits = settings.limits.get(image.service, DEFAULT_LIMITS)
+    scratch = f"size={limits.disk_bytes},mode=1777,nosuid,nodev"
     paths = [device for device in settings.devices if device.startswith("/")]
     named = [device for device in settings.devices if not device.startswith("/")]
     return {
@@ -90,15 +89,15 @@ def definition(
             "cap_drop": ["ALL"],
             "security_opt": ["no-new-privileges"],
             "ipc_mode": "private",
-            "mem_limit": settings.memory_bytes,
-            "memswap_limit": settings.memory_bytes,  # no swap besides
-            "pids_limit": settings.processes,
-            "nano_cpus": settings.cpus * _NANO if settings.cpus else None,
+            "mem_limit": limits.memory_bytes,
+            "memswap_limit": limits.memory_bytes,  # no swap besides
+            "pids_limit": limits.processes,
+            "nano_cpus": limits.cpus * _NANO if limits.cpus else None,
             "oom_score_adj": _FIRST_KILLED,
             "log_config": {"Type": "json-file", "Config": {"max-size": _LOG_SIZE}},
             "binds": binds,
             "tmpfs": {"/tmp": scratch, "/var/tmp": scratch},  # noqa: S108 - its own
-            "shm_size": settings.disk_bytes,
+            "shm_size": limits.disk_bytes,
             "devices": [f"{path}:{path}:rw" for path in paths],
             "device_requests": [{"Driver": "cdi", "DeviceIDs": named}] if named else None,
         },

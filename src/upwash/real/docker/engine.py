@@ -26,6 +26,7 @@ _REMOVALS = 3
 _AGAIN_S = 0.3
 _THREADS = 8
 _LAST_WORDS = 20  # lines
+_SAYS_OF_LIMITS = {"memory_bytes": "MemoryLimit", "processes": "PidsLimit", "cpus": "CpuCfsQuota"}
 T = TypeVar("T")
 
 REMEDY = (
@@ -59,14 +60,18 @@ class DockerEngine:
 
     async def connect(self) -> None:
         """Returns when the engine answers; raises UsageError with the remedy."""
-        with extra("docker"):
-            import docker  # noqa: F401 - asked here once, for a clear answer
-        try:
-            version = await self._ask(lambda api: api.version())
-        except EngineError as error:
-            raise UsageError(f"{error}: {REMEDY}") from error
+        version = await self._ask_first(lambda api: api.version())
         names = [each["Name"] for each in version.get("Components") or ()]
         _log.info("%s %s answers", names[0] if names else "Docker", version["Version"])
+
+    async def unenforced_limits(self) -> dict[str, str]:
+        """Why limits of these names cannot hold for its containers; raises UsageError with the remedy."""
+        info = await self._ask_first(lambda api: api.info())
+        why = (
+            f"the engine at {self.address} has no control group for it: give this machine or user the controllers "
+            "cpu, memory and pids"
+        )
+        return {name: why for name, says in _SAYS_OF_LIMITS.items() if info.get(says) is False}
 
     async def image(self, reference: str) -> HeldImage | None:
         """The image of that name, if the engine holds it."""
@@ -175,6 +180,14 @@ class DockerEngine:
         self._threads.shutdown(wait=False, cancel_futures=True)
         if self._client is not None:
             self._client.close()
+
+    async def _ask_first(self, ask: Callable[[Any], T]) -> T:
+        with extra("docker"):
+            import docker  # noqa: F401 - for a clear answer where it is missing
+        try:
+            return await self._ask(ask)
+        except EngineError as error:
+            raise UsageError(f"{error}: {REMEDY}") from error
 
     async def _ask(self, ask: Callable[[Any], T], *, wait_s: float = _ANSWER_S) -> T:
         loop = asyncio.get_running_loop()

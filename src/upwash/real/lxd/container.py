@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from ipaddress import IPv4Network
 
+from upwash.core.limits import DEFAULT_LIMITS, Limits
 from upwash.errors import EngineError
 from upwash.real.container_init import CREDENTIALS, SCRATCH_BYTES
 from upwash.real.containers import container_name
@@ -16,6 +17,12 @@ from upwash.real.service_image import ServiceImage
 
 _SERVER, _SERVICE, _IMAGE = "user.upwash.server", "user.upwash.service", "user.upwash.image"
 _NIC = "eth0"
+_LIMIT_KEYS = {
+    "memory_bytes": "limits.memory",
+    "processes": "limits.processes",
+    "cpus": "limits.cpu",
+    "disk_bytes": f"environment.{SCRATCH_BYTES}",
+}
 _GUEST_INTERFACE = {
     "lxd": "security.devlxd",
     "incus": "security.guestapi",
@@ -33,10 +40,11 @@ class ContainerSettings:
     interface: str = ""
     pool: str = "default"
     profiles: Sequence[str] = ()
-    memory_bytes: int = 2**31
-    processes: int = 256
-    disk_bytes: int = 2**28
-    cpus: int | None = None
+    limits: Mapping[str, Limits] = field(default_factory=dict)  # by service
+
+    def limits_of(self, service: str) -> Limits:
+        """What the containers of the service may use."""
+        return self.limits.get(service, DEFAULT_LIMITS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +59,11 @@ class Container:
     status: str
     address: str
     credentials: ControlCredentials
+    limits: Limits
 
 
 def new_container(
-    server: str, image: ServiceImage, *, member: str, taken: Collection[str], subnet: IPv4Network
+    server: str, image: ServiceImage, settings: ContainerSettings, *, member: str, taken: Collection[str]
 ) -> Container:
     """A container that is not there yet, with an address that is not taken; raises EngineError."""
     return Container(
@@ -64,8 +73,9 @@ def new_container(
         image=image.fingerprint,
         member=member,
         status="Stopped",
-        address=_free_address(subnet, taken),
+        address=_free_address(settings.subnet, taken),
         credentials=new_control_credentials(),
+        limits=settings.limits_of(image.service),
     )
 
 
@@ -83,6 +93,7 @@ def known_container(instance: EngineInstance) -> Container | None:
         status=instance.status,
         address=nic.get("ipv4.address", ""),
         credentials=ControlCredentials.from_text(config[f"environment.{CREDENTIALS}"]),
+        limits=Limits(**{name: _number(config.get(key)) for name, key in _LIMIT_KEYS.items()}),
     )
 
 
@@ -108,16 +119,15 @@ def definition(
         "security.nesting": "false",
         _GUEST_INTERFACE[engine]: "false",
         "boot.autostart": "false",
-        "limits.memory": str(settings.memory_bytes),
-        "limits.processes": str(settings.processes),
         f"environment.{CREDENTIALS}": container.credentials.text(),
-        f"environment.{SCRATCH_BYTES}": str(settings.disk_bytes),
         _SERVER: container.server,
         _SERVICE: container.service,
         _IMAGE: container.image,
     }
-    if settings.cpus is not None:
-        config["limits.cpu"] = str(settings.cpus)
+    for name, key in _LIMIT_KEYS.items():
+        most = getattr(container.limits, name)
+        if most is not None:
+            config[key] = str(most)
     return {
         "name": container.name,
         "type": "container",
@@ -141,6 +151,11 @@ def addresses(instances: Collection[EngineInstance]) -> set[str]:
     """The addresses that instances have, whoever made them."""
     devices = [device for instance in instances for device in instance.devices.values()]
     return {device["ipv4.address"] for device in devices if "ipv4.address" in device}
+
+
+def _number(text: str | None) -> int | None:
+    """None also for another unit, which upwash does not write."""
+    return int(text) if text is not None and text.isdecimal() else None
 
 
 def _free_address(subnet: IPv4Network, taken: Collection[str]) -> str:

@@ -66,7 +66,10 @@ class ContainerRuntime:
         await self._engine.connect()
         images = {service: await self._image(service) for _, service in wanted}
         self.concurrency = {service: image.concurrency for service, image in images.items()}
-        current = {(server, service): images[service].fingerprint for server, service in wanted}
+        current = {
+            (server, service): (images[service].fingerprint, self._settings.limits_of(service))
+            for server, service in wanted
+        }
         instances = await self._engine.instances()
         self._taken = addresses(instances)
         self._containers.clear()
@@ -74,7 +77,8 @@ class ContainerRuntime:
             if container.server in servers:
                 place = (container.server, container.service)
                 is_first = place not in {(each.server, each.service) for each in self._containers}
-                if await self._recover(container, keep=is_first and current.get(place) == container.image):
+                is_current = current.get(place) == (container.image, container.limits)
+                if await self._recover(container, keep=is_first and is_current):
                     self._containers.append(container)
         for server, service in wanted:
             if (server, service) not in {(each.server, each.service) for each in self._containers}:
@@ -131,9 +135,7 @@ class ContainerRuntime:
         raise problem
 
     async def _create(self, server: str, image: ServiceImage, member: str) -> Container:
-        container = new_container(
-            server, image, member=member, taken=self._taken, subnet=self._settings.subnet
-        )
+        container = new_container(server, image, self._settings, member=member, taken=self._taken)
         self._taken.add(container.address)
         await self._engine.create(
             definition(container, self._settings, base=image.base, engine=self._engine.kind),

@@ -1,0 +1,97 @@
+"""What the daemon's services may see and use: the sandbox for processes, and the limits of each service.
+
+A limit that the configuration names holds, or the daemon does not start. A default that cannot hold is left out.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+
+from upwash.config import DaemonConfig, RuntimeConfig
+from upwash.config.daemon import ImageConfig
+from upwash.core.limits import DEFAULT_LIMITS, Limits
+from upwash.errors import UsageError
+from upwash.real.sandbox import Sandbox, find_sandbox
+
+_ROOT = (
+    "the daemon is root, and so is whatever breaks out of a sandbox that root made: "
+    "run it as a user of its own (docs/operators.md), or say runtime.sandbox_as_root = true"
+)
+_NAMES = tuple(each.name for each in fields(Limits))
+
+
+@dataclass(frozen=True, slots=True)
+class Confinement:
+    """The sandbox or None, its `weakness`, and by the name of each limit that cannot hold why (`unenforced`)."""
+
+    sandbox: Sandbox | None = None
+    weakness: str = ""
+    unenforced: Mapping[str, str] = field(default_factory=dict)
+
+    def limits(self, config: DaemonConfig) -> dict[str, Limits]:
+        """The limits of each service; raises UsageError for a limit of the configuration that would not hold."""
+        return {
+            each.name: Limits(**{name: self._limit(name, each, config.runtime) for name in _NAMES})
+            for each in config.images
+        }
+
+    def _limit(self, name: str, service: ImageConfig, runtime: RuntimeConfig) -> int | None:
+        unenforced = self.unenforced.get(name, "")
+        for table, where in ((service, f'service "{service.name}"'), (runtime, "[runtime]")):
+            most: int | None = getattr(table, name)
+            if most is None:
+                continue
+            if unenforced:
+                raise UsageError(f"{name} of {where} would have no effect: {unenforced}; or leave {name} out")
+            if name == "cpus" and self.sandbox and most > (there := len(os.sched_getaffinity(0))):
+                raise UsageError(
+                    f"cpus = {most} of {where} would have no effect: the daemon may use {there}, so give fewer"
+                )
+            return most
+        default: int | None = getattr(DEFAULT_LIMITS, name)
+        return None if unenforced else default
+
+
+async def find_confinement(config: DaemonConfig) -> Confinement:
+    """What this machine offers; raises UsageError where a required sandbox cannot be made."""
+    runtime = config.runtime
+    if runtime.kind == "docker":
+        return Confinement(unenforced=await _unenforced_by_docker(runtime))
+    if runtime.kind == "lxd":
+        return Confinement()
+    if runtime.sandbox == "off":
+        return _without_sandbox(
+            "services run without a sandbox, as runtime.sandbox says",
+            'processes have limits in a sandbox alone, and runtime.sandbox is "off": say "required"',
+        )
+    is_root = os.geteuid() == 0
+    if is_root and not runtime.sandbox_as_root:
+        raise UsageError(_ROOT)
+    try:
+        sandbox = await asyncio.to_thread(find_sandbox, readable=runtime.readable)
+    except UsageError as error:
+        if runtime.sandbox == "required":
+            raise
+        return _without_sandbox(
+            f"services run without a sandbox: {error}",
+            f"processes have limits in a sandbox alone, and there is none: {error}",
+        )
+    weakness = "the daemon is root: services in their sandbox may start processes without limit"
+    return Confinement(sandbox, weakness if is_root else "", sandbox.unenforced)
+
+
+async def _unenforced_by_docker(runtime: RuntimeConfig) -> Mapping[str, str]:
+    from upwash.launch.containers import docker_engine
+
+    engine = docker_engine(runtime)
+    try:
+        return await engine.unenforced_limits()
+    finally:
+        await engine.close()
+
+
+def _without_sandbox(weakness: str, why: str) -> Confinement:
+    return Confinement(weakness=weakness, unenforced=dict.fromkeys(_NAMES, why))
