@@ -14,9 +14,10 @@ import signal
 import socket
 import subprocess
 
+from upwash.core.allowance import Allowance
 from upwash.real.control import Ended, Failed, Said, line
 from upwash.real.control_credentials import CONTROL_PORT, SERVICE_PORT, ControlCredentials, notice_silence
-from upwash.real.output import reading_pace
+from upwash.real.output import chunks_of, last_of
 from upwash.support.background import start
 from upwash.support.lines import lines_of
 from upwash.support.loading import module_command
@@ -32,6 +33,8 @@ _SERVICE_USER = 1000
 _HANDSHAKE_S = 2.0
 _LAST_OUTPUT_S = 1.0  # a child of the service may hold the pipe open
 _CHUNK_BYTES = 16384
+_PASSED_BYTES_S = 2.0**18  # of what the service prints
+_PASSED_AT_ONCE_BYTES = 2**21
 _SCRATCH_FOLDERS = ("/tmp", "/dev/shm")  # noqa: S108 - the container's own, and mounted here
 
 # Nothing is asked of anyone from in here: only who called gets an answer.
@@ -183,12 +186,20 @@ async def _pass_on_lines(reader: asyncio.StreamReader, writer: asyncio.StreamWri
 
 
 async def _pass_on_output(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    pace, now_s = reading_pace(), asyncio.get_running_loop().time
+    """So much of it; the service does not wait until the daemon takes the rest."""
+    passed, now_s = Allowance(_PASSED_BYTES_S, at_once=_PASSED_AT_ONCE_BYTES), asyncio.get_running_loop().time
+    left_out, last = 0, b""
     with contextlib.suppress(OSError):
-        while chunk := await reader.read(_CHUNK_BYTES):
-            writer.write(line(Said(chunk)))
+        async for chunk in chunks_of(reader):
+            if passed.take(len(chunk), now_s=now_s()):
+                writer.write(line(Said(chunk, left_out)))
+                await writer.drain()
+                left_out, last = 0, b""
+            else:
+                left_out, last = left_out + len(chunk), last_of(last + chunk)
+        if last:
+            writer.write(line(Said(last, left_out - len(last))))
             await writer.drain()
-            await asyncio.sleep(pace.take_anyway_s(len(chunk), now_s=now_s()))
 
 
 def _end_container(_: Exception) -> None:

@@ -10,7 +10,7 @@ what can be so, and hangs up on an instance that says more than `MOST_REPORTS_PE
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 
@@ -125,9 +125,10 @@ class Answered(msgspec.Struct, frozen=True, kw_only=True, tag="answered"):
 
 
 class Said(msgspec.Struct, frozen=True, tag="said"):
-    """From a container: what the service in it printed."""
+    """From a container: what the service in it printed, after as many bytes as were left out."""
 
     output: bytes
+    left_out: Annotated[int, msgspec.Meta(ge=0)] = 0
 
 
 class Ended(msgspec.Struct, frozen=True, tag="ended"):

@@ -48,7 +48,7 @@ _LONGEST_REASON = 10_000  # characters of why it cannot serve
 # Twice what an instance keeps to; at once, what may wait in between while this program is busy.
 _MOST_MESSAGES_PER_S = 2 * MOST_REPORTS_PER_S
 _MOST_MESSAGES_AT_ONCE = 10_000
-_MOST_BYTES_PER_S = 2**20  # above all a container's output, which its init hands on at `reading_pace()`
+_MOST_BYTES_PER_S = 2**20  # above all a container's output, of which its init passes on a quarter of that
 _MOST_BYTES_AT_ONCE = 2**24
 
 
@@ -100,8 +100,8 @@ class InstanceControl:
                     return address
                 case Failed(why):
                     raise InstanceError(f"{self._name} did not start: {words_of(why[:_LONGEST_REASON])}")
-                case Said(output):
-                    self._output.add(output)
+                case Said(output, left_out):
+                    self._output.add(output, left_out=left_out)
                 case None if self.fault:
                     raise InstanceError(f"{self._name} did not start: {self.fault}")
                 case None | Ended():
@@ -207,8 +207,8 @@ class InstanceControl:
                     confirmed.set_result(None)
             case Drained() if not self._drained.done():
                 self._drained.set_result(None)
-            case Said(output):
-                self._output.add(output)
+            case Said(output, left_out):
+                self._output.add(output, left_out=left_out)
             case Ended():
                 pass
             case _:

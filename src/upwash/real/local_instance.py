@@ -20,13 +20,12 @@ from upwash.real.control import Begin
 from upwash.real.direct import Calls, direct_pair
 from upwash.real.door import Lead, Passage
 from upwash.real.instance_control import InstanceControl
-from upwash.real.output import Output, reading_pace
+from upwash.real.output import Output, chunks_of
 from upwash.real.streams import connected_pair, endpoint_of, hang_up, listening_socket
 from upwash.support.background import end, only_logged, start
 from upwash.support.waiting import first
 
 STOP_GRACE_S = 2.0
-_CHUNK_BYTES = 65536
 _numbers = itertools.count()  # of pairs, in their names
 _INSIDE = "unix:/tmp/instance.sock"  # in its own /tmp
 
@@ -162,6 +161,7 @@ class LocalInstance:
         for file in self._files:
             file.unlink(missing_ok=True)
         await end(self._listening)
+        self._output.close()
         if self._control is not None:
             await self._control.close()
         if self._prints is not None:
@@ -234,8 +234,5 @@ class LocalInstance:
         return self._control
 
     async def _listen(self, prints: asyncio.StreamReader) -> None:
-        pace, now_s = reading_pace(), asyncio.get_running_loop().time
-        with contextlib.suppress(ConnectionError):
-            while chunk := await prints.read(_CHUNK_BYTES):
-                self._output.add(chunk)
-                await asyncio.sleep(pace.take_anyway_s(len(chunk), now_s=now_s()))
+        async for chunk in chunks_of(prints):
+            self._output.add(chunk)

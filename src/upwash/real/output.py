@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import logging
 import re
 import time
-from collections import deque
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 
 from upwash.core.allowance import Allowance
 from upwash.support.text import signal_name, words_of
@@ -14,18 +15,31 @@ from upwash.support.text import signal_name, words_of
 _log = logging.getLogger("upwash.instance")
 
 _LAST_WORDS = 5  # lines
-_LONGEST_LINE = 1000
-_LINE_END = re.compile(rb"[\r\n]+")
+_LONGEST_LINE = 1000  # bytes; what is longer is several
+_LINE = re.compile(rb"[^\r\n]{1,%d}" % _LONGEST_LINE)
 _LOGGED_BYTES_S = 2048.0  # a log may be kept for months
 _LOGGED_AT_ONCE_BYTES = 2**16  # a traceback, or all that a library says of its start
 _LINE_COSTS_BYTES = 100  # what a log adds to each line
-_READ_BYTES_S = 2.0**18  # from whoever prints faster it is read no faster, until printing has to wait
-_READ_AT_ONCE_BYTES = 2**21
+_CHUNK_BYTES = 2**16
+_READ_BYTES_S = 2.0**25  # faster than any service prints that does its work too
+_READ_AT_ONCE_BYTES = 2**28  # read in a fraction of a second
 
 
-def reading_pace() -> Allowance:
-    """How fast, in bytes, what one instance prints is to be read."""
-    return Allowance(_READ_BYTES_S, at_once=_READ_AT_ONCE_BYTES)
+async def chunks_of(prints: asyncio.StreamReader) -> AsyncIterator[bytes]:
+    """What an instance prints, until it ends, as fast as it prints: the service does not wait for its reader.
+
+    One that does little else than print waits at last, or it would keep this program from its own work.
+    """
+    pace, now_s = Allowance(_READ_BYTES_S, at_once=_READ_AT_ONCE_BYTES), asyncio.get_running_loop().time
+    with contextlib.suppress(ConnectionError):
+        while chunk := await prints.read(_CHUNK_BYTES):
+            yield chunk
+            await asyncio.sleep(pace.take_anyway_s(len(chunk), now_s=now_s()))
+
+
+def last_of(printed: bytes) -> bytes:
+    """The end of what was printed, which has its last words."""
+    return printed[-_LAST_WORDS * (_LONGEST_LINE + 1) :]
 
 
 class Output:
@@ -35,36 +49,49 @@ class Output:
         self._name = name
         self._now_s = now_s
         self._rest = b""
-        self._last_words: deque[bytes] = deque(maxlen=_LAST_WORDS)
+        self._last = b""
         self._logged = Allowance(_LOGGED_BYTES_S, at_once=_LOGGED_AT_ONCE_BYTES)
-        self._left_out = 0  # lines, since the last that was logged
+        self._left_out = 0  # bytes, since the last line that was logged
 
-    def add(self, chunk: bytes) -> None:
-        """Takes what was printed next."""
-        *whole, rest = _LINE_END.split(self._rest + chunk)
-        self._rest = rest[-_LONGEST_LINE:]
-        self._note([text[:_LONGEST_LINE] for text in whole if text.strip()])
+    def add(self, chunk: bytes, *, left_out: int = 0) -> None:
+        """Takes what was printed next, after as many bytes as were left out on the way here.
+
+        When no more may be logged, it looks no further: there may be very many lines.
+        """
+        self._last = last_of(self._last + last_of(chunk))
+        self._left_out += left_out
+        text, self._rest = self._rest + chunk, b""
+        for found in _LINE.finditer(text):
+            words = found[0]
+            if found.end() == len(text) and len(words) < _LONGEST_LINE:
+                self._rest = words  # the line may go on
+            elif words.strip() and not self._note(words):
+                self._left_out += len(text) - found.start()
+                return
 
     def explain(self, code: int) -> str:
         """How a process ended that left this output and this code, negative for a signal."""
+        self.close()
+        how = f"killed by {signal_name(-code)}" if code < 0 else f"ended with code {code}"
+        last = [words for words in _LINE.findall(self._last) if words.strip()][-_LAST_WORDS:]
+        return f"{how}: {' / '.join(map(_words, last))}" if last else how
+
+    def close(self) -> None:
+        """Logs what has no end of line, and what was left out."""
         self.add(b"\n")
         self._tell_left_out()
-        how = f"killed by {signal_name(-code)}" if code < 0 else f"ended with code {code}"
-        return f"{how}: {' / '.join(map(_words, self._last_words))}" if self._last_words else how
 
-    def _note(self, lines: list[bytes]) -> None:
-        """Logs as many of the lines as it may, without looking at the others: there may be very many."""
-        self._last_words.extend(lines[-_LAST_WORDS:])
-        for number, text in enumerate(lines):
-            if not self._logged.take(len(text) + _LINE_COSTS_BYTES, now_s=self._now_s()):
-                self._left_out += len(lines) - number
-                return
-            self._tell_left_out()
-            _log.info("%s: %s", self._name, _words(text))
+    def _note(self, words: bytes) -> bool:
+        """Logs a line, where so much may be logged."""
+        if not self._logged.take(len(words) + _LINE_COSTS_BYTES, now_s=self._now_s()):
+            return False
+        self._tell_left_out()
+        _log.info("%s: %s", self._name, _words(words))
+        return True
 
     def _tell_left_out(self) -> None:
         if self._left_out:
-            _log.warning("%s: %d lines left out, as it prints too much", self._name, self._left_out)
+            _log.warning("%s: %d bytes left out, as it prints too much", self._name, self._left_out)
         self._left_out = 0
 
 
