@@ -30,7 +30,9 @@ done
 
 apt-get install --yes python3-venv bubblewrap
 [ -x "$root/opt/upwash/bin/pip" ] || python3 -m venv "$root/opt/upwash"
-"$root/opt/upwash/bin/pip" install --upgrade "$source[detector,metrics]"
+detector=detector  # or, where onnxruntime-gpu is installed in place of onnxruntime, what keeps it
+ls -d "$root"/opt/upwash/lib/python3*/site-packages/onnxruntime_gpu-*.dist-info >/dev/null 2>&1 && detector=detector-gpu
+"$root/opt/upwash/bin/pip" install --upgrade "$source[$detector,metrics]"
 
 id upwash >/dev/null 2>&1 || useradd --system --home-dir /nonexistent --shell /usr/sbin/nologin upwash
 group=$(id -gn upwash 2>/dev/null || id -gn)

@@ -222,7 +222,9 @@ DOCKER = 'kind = "docker"\nengine.addresses = '
             "engine.addresses",
             "one address .* is enough",
         ),
-        ('devices = ["/dev/dri"]', "devices", 'only instances with runtime.kind = "docker"'),
+        ('devices = ["nvidia.com/gpu=all"]', "devices[0]", "expected a path below /dev"),
+        ('devices = ["/dev/null", "/dev/../etc"]', "devices[1]", "expected a path below /dev"),
+        ('kind = "lxd"\ndevices = ["/dev/dri"]', "devices", "by a profile: name it in engine.profiles"),
     ],
 )
 def test_what_docker_cannot_do_is_refused(tmp_path: Path, runtime: str, key: str, named: str) -> None:

@@ -11,6 +11,7 @@ from socketserver import ThreadingUnixStreamServer
 from threading import Thread
 
 import pytest
+from msgspec.structs import replace
 
 from upwash.config import DaemonConfig, read_daemon_config
 from upwash.core.limits import DEFAULT_LIMITS, NO_LIMITS, Limits
@@ -83,6 +84,13 @@ def test_more_processors_than_there_are_are_no_limit(tmp_path: Path) -> None:
     assert in_sandbox.limits(read(tmp_path, service=f"cpus = {there}"))["counter"].cpus == there
     with pytest.raises(UsageError, match=f"cpus = {there + 1} of service .* the daemon may use {there}"):
         in_sandbox.limits(read(tmp_path, service=f"cpus = {there + 1}"))
+
+
+def test_a_device_that_is_not_here_ends_the_start_instead_of_the_sandbox(tmp_path: Path) -> None:
+    config = read(tmp_path, runtime='devices = ["/dev/null", "/dev/nosuchcard0"]')
+    runtime = replace(config.runtime, sandbox="auto", sandbox_as_root=True)
+    with pytest.raises(UsageError, match="devices: /dev/nosuchcard0 cannot be seen here: load the driver"):
+        asyncio.run(find_confinement(replace(config, runtime=runtime)))
 
 
 class Engine(BaseHTTPRequestHandler):

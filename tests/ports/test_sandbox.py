@@ -26,7 +26,7 @@ from upwash.ports import InstanceSpec, Program
 from upwash.real.link import GrpcDialer
 from upwash.real.local_instance import LocalInstance
 from upwash.real.runtime import ProcessRuntime
-from upwash.real.sandbox import Sandbox, code_of, files_in, find_sandbox
+from upwash.real.sandbox import Sandbox, code_of, files_in, find_sandbox, open_call_filter
 from upwash.real.syscalls import call_filter
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import load_service, spec_of
@@ -37,6 +37,7 @@ PROGRAM = f"{Path(__file__).parents[1] / 'mischief.py'}:Mischief"
 LIMITS = Limits(memory_bytes=2**28, processes=96, disk_bytes=2**22)
 SPEC = InstanceSpec("s1", "mischief", Program(PROGRAM), limits=LIMITS)
 MAX_MESSAGE_BYTES = 2**20
+DEVICES = ("/dev/fuse", "/dev/hwrng", "/dev/loop-control", "/dev/kvm")  # that no sandbox has by itself
 CALL_S = 8.0
 NOBODY = ("setpriv", "--reuid=65534", "--regid=65534", "--clear-groups")
 
@@ -177,6 +178,32 @@ def test_it_reads_its_own_code_and_what_it_is_given_and_no_other_file_of_the_use
             assert await call("read", str(secret)) == "FileNotFoundError", secret
 
     in_sandbox(given, tmp_path, read)
+
+
+def test_it_uses_the_devices_that_it_is_given_and_no_others(sandbox: Sandbox) -> None:
+    device = next((name for name in DEVICES if can_open(name)), None)
+    if device is None:
+        pytest.skip(f"none of {', '.join(DEVICES)} can be opened here")
+
+    def opens(devices: tuple[str, ...]) -> str:
+        tried = f"import os; os.close(os.open({device!r}, os.O_RDWR)); print(sorted(os.listdir('/dev')))"
+        given = Sandbox(sandbox.bubblewrap, devices=devices)
+        with open_call_filter() as inherited:
+            command = given.wrap([sys.executable, "-c", tried], call_filter=inherited)
+            done = subprocess.run(command, capture_output=True, text=True, check=False, pass_fds=(inherited,))
+        return done.stdout or done.stderr
+
+    without, given = opens(()), opens((device,))
+    assert "FileNotFoundError" in without
+    assert [each for each in DEVICES if each.rpartition("/")[2] in given] == [device]
+
+
+def can_open(device: str) -> bool:
+    try:
+        os.close(os.open(device, os.O_RDWR))
+    except OSError:
+        return False
+    return True
 
 
 def test_it_reaches_nobody(sandbox: Sandbox, tmp_path: Path) -> None:

@@ -586,7 +586,7 @@ def test_a_provider_that_is_not_installed_says_what_to_install(model: ModelFiles
     if "CUDAExecutionProvider" in onnxruntime.get_available_providers():
         pytest.skip("onnxruntime-gpu is installed")
     with pytest.raises(
-        UsageError, match=r'provider = "cuda" is not in the onnxruntime .* install onnxruntime-gpu'
+        UsageError, match=r'provider = "cuda" is not in the onnxruntime .*upwash\[detector-gpu\]'
     ):
         Detector(model=model, provider="cuda")
 

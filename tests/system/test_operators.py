@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -277,9 +278,14 @@ def can_sandbox() -> bool:
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
-def test_the_unit_is_understood_by_systemd(tmp_path: Path) -> None:
+@pytest.mark.parametrize("drop_in", ["", "upwash-gpu.conf"])
+def test_the_unit_is_understood_by_systemd(tmp_path: Path, drop_in: str) -> None:
     unit = tmp_path / "upwash.service"
     unit.write_text(UNIT.read_text().replace("/opt/upwash/bin/upwash", "/bin/true"))
+    if drop_in:
+        added = tmp_path / "upwash.service.d" / "gpu.conf"
+        added.parent.mkdir()
+        added.write_text((ROOT / "deploy" / drop_in).read_text())
     done = subprocess.run(
         ["systemd-analyze", "verify", str(unit)],
         capture_output=True,
@@ -374,6 +380,24 @@ def test_the_script_installs_a_server_that_can_be_configured_and_changes_nothing
     (root / "etc/upwash/server.toml").write_text(mine)
     assert install(tmp_path, "s9", "keys").returncode == 0
     assert (root / "etc/upwash/server.toml").read_text() == mine
+
+
+def test_an_upgrade_by_the_script_keeps_the_library_for_a_graphics_card(tmp_path: Path) -> None:
+    make_keys(tmp_path / "keys", servers=[["s9"]])
+    assert install(tmp_path, "s9", "keys").returncode == 0
+    installed = tmp_path / "root/opt/upwash/lib/python3.11/site-packages/onnxruntime_gpu-1.20.0.dist-info"
+    installed.mkdir(parents=True)
+    (tmp_path / "told").unlink()
+    assert install(tmp_path, "s9", "keys").returncode == 0
+    assert re.search(
+        r"^pip install --upgrade .*\[detector-gpu,metrics\]$", (tmp_path / "told").read_text(), re.MULTILINE
+    )
+
+
+def test_both_extras_of_the_detector_differ_in_the_library_alone() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    renamed = [each.replace("onnxruntime-gpu", "onnxruntime") for each in extras["detector-gpu"]]
+    assert renamed == extras["detector"]
 
 
 def test_without_keys_the_script_says_how_to_make_them_and_installs_nothing(tmp_path: Path) -> None:

@@ -77,8 +77,8 @@ class RuntimeConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     idle: Literal["stop", "freeze"] = "freeze"
     """What an instance in a container does that nobody uses."""
     devices: Devices = ()
-    """Devices of this machine that instances of Docker or Podman may use: paths such as `/dev/dri`, or names of the
-    Container Device Interface such as `nvidia.com/gpu=all`."""
+    """[Devices](graphics-cards.md) of this machine that services may use: paths such as `/dev/dri`, and with `docker`
+    names of the Container Device Interface such as `nvidia.com/gpu=all`; not of LXD or Incus."""
     engine: EngineConfig = EngineConfig()
     network: ContainerNetworkConfig = ContainerNetworkConfig()
 
@@ -92,8 +92,7 @@ def runtime_problems(runtime: RuntimeConfig) -> Iterator[Problem]:
     """What is wrong with a runtime's table beyond its types."""
     import ipaddress  # only needed where a daemon is configured
 
-    if runtime.devices and runtime.kind != "docker":
-        yield "runtime.devices", 'only instances with runtime.kind = "docker" can be given devices'
+    yield from _device_problems(runtime)
     if runtime.kind == "docker":
         yield from _docker_problems(runtime.engine_addresses)
         return
@@ -118,6 +117,17 @@ def runtime_problems(runtime: RuntimeConfig) -> Iterator[Problem]:
     else:
         if not 16 <= subnet.prefixlen <= 30:
             yield "runtime.network.subnet", f'expected a subnet from /16 to /30, found "{subnet}"'
+
+
+def _device_problems(runtime: RuntimeConfig) -> Iterator[Problem]:
+    if runtime.devices and runtime.kind == "lxd":
+        yield (
+            "runtime.devices",
+            "containers of LXD or Incus get devices by a profile: name it in engine.profiles",
+        )
+    for index, device in enumerate(runtime.devices if runtime.kind == "process" else ()):
+        if not device.startswith("/dev/") or ".." in device.split("/"):
+            yield f"runtime.devices[{index}]", f'expected a path below /dev, found "{device}"'
 
 
 def _docker_problems(addresses: tuple[str, ...]) -> Iterator[Problem]:

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 
 from upwash.config import DaemonConfig, RuntimeConfig
 from upwash.config.daemon import ImageConfig
@@ -67,11 +68,12 @@ async def find_confinement(config: DaemonConfig) -> Confinement:
             "services run without a sandbox, as runtime.sandbox says",
             'processes have limits in a sandbox alone, and runtime.sandbox is "off": say "required"',
         )
+    _refuse_missing(runtime.devices)
     is_root = os.geteuid() == 0
     if is_root and not runtime.sandbox_as_root:
         raise UsageError(_ROOT)
     try:
-        sandbox = await asyncio.to_thread(find_sandbox, readable=runtime.readable)
+        sandbox = await asyncio.to_thread(find_sandbox, readable=runtime.readable, devices=runtime.devices)
     except UsageError as error:
         if runtime.sandbox == "required":
             raise
@@ -81,6 +83,14 @@ async def find_confinement(config: DaemonConfig) -> Confinement:
         )
     weakness = "the daemon is root: services in their sandbox may start processes without limit"
     return Confinement(sandbox, weakness if is_root else "", sandbox.unenforced)
+
+
+def _refuse_missing(devices: Sequence[str]) -> None:
+    if missing := [device for device in devices if not Path(device).exists()]:
+        raise UsageError(
+            f"runtime.devices: {', '.join(missing)} cannot be seen here: load the driver, and under systemd let the "
+            "unit use devices (docs/graphics-cards.md)"
+        )
 
 
 async def _unenforced_by_docker(runtime: RuntimeConfig) -> Mapping[str, str]:

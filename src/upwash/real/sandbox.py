@@ -1,8 +1,8 @@
 """What a service instance may see: bubblewrap's arguments. What it may use, it puts on itself: see `limits`.
 
 In a sandbox there is no network but the socket that the instance inherits, no file but the system's, Python's and the
-service's own, all read-only, a /tmp of its own in memory, no process but the instance's, and of the kernel what
-`syscalls` lets through.
+service's own, all read-only, a /tmp of its own in memory, no device but those that the operator names, no process but
+the instance's, and of the kernel what `syscalls` lets through.
 """
 
 from __future__ import annotations
@@ -73,13 +73,14 @@ _ENVIRONMENT = ("LANG", "LC_ALL", "TZ", "GRPC_VERBOSITY", "OMP_NUM_THREADS")
 
 @dataclass(frozen=True, slots=True)
 class Sandbox:
-    """Wraps commands so that they run by bubblewrap, where these files and folders can be read.
+    """Wraps commands so that they run by bubblewrap, where these files can be read, and these devices used.
 
     `unenforced` says why a limit of that name does not hold in it.
     """
 
     bubblewrap: str
     readable: tuple[Path, ...] = ()
+    devices: tuple[str, ...] = ()
     unenforced: Mapping[str, str] = field(default_factory=dict)
 
     def wrap(
@@ -106,6 +107,7 @@ class Sandbox:
             *(word for name in _SETTINGS for word in ("--ro-bind-try", name, name)),
             *("--proc", "/proc", *_hidden_in_proc(), "--remount-ro", "/proc", "--dev", "/dev"),
             *("--dev-bind", "/dev/full", "/dev/zero"),  # which reads the same, but cannot be mapped
+            *(word for device in self.devices for word in ("--dev-bind", device, device)),
             *(*size, "--tmpfs", "/dev/shm"),  # noqa: S108 - its own
             *("--remount-ro", "/dev", *size, "--tmpfs", "/tmp"),  # noqa: S108 - its own
             *(word for path in _outermost(shown) for word in ("--ro-bind", str(path), str(path))),
@@ -116,12 +118,12 @@ class Sandbox:
         ]
 
 
-def find_sandbox(*, readable: tuple[Path, ...]) -> Sandbox:
+def find_sandbox(*, readable: tuple[Path, ...], devices: tuple[str, ...] = ()) -> Sandbox:
     """A sandbox that was tried, and its limits too; raises UsageError with the remedy where this machine has none."""
     bubblewrap = shutil.which("bwrap")
     if bubblewrap is None:
         raise UsageError("bubblewrap is not installed: `apt install bubblewrap`")
-    sandbox = Sandbox(bubblewrap, readable)
+    sandbox = Sandbox(bubblewrap, readable, devices)
     can_pin = shutil.which(_TASKSET) is not None
     processors = sorted(os.sched_getaffinity(0))[:1] if can_pin else []
     try:

@@ -169,8 +169,8 @@ class OnnxInference(Inference):
 
         if _PROVIDERS[provider] not in onnxruntime.get_available_providers():
             raise UsageError(
-                f'provider = "{provider}" is not in the onnxruntime that is installed; for cuda install '
-                "onnxruntime-gpu in its place"
+                f'provider = "{provider}" is not in the onnxruntime that is installed; for cuda: '
+                "`pip uninstall onnxruntime`, then `pip install 'upwash[detector-gpu]'`"
             )
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
