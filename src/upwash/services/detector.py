@@ -14,8 +14,9 @@ from msgspec.structs import asdict
 from upwash.rpc.service import service
 from upwash.services.detection import Detection, Mode
 from upwash.services.heads import best_of_each, read_heads
-from upwash.services.inference import Engine, ModelFiles, Provider, open_inference
+from upwash.services.inference import Engine, ModelFiles, open_inference
 from upwash.services.photo import read_photo
+from upwash.services.provider import Provider
 from upwash.support.loading import extra
 
 Threads = Annotated[int, Meta(ge=1, le=1024, description="an integer from 1 to 1024")]

@@ -15,6 +15,7 @@ from upwash.errors import ModelError, UsageError
 from upwash.services.darknet.conversion import Facts, converted
 from upwash.services.darknet.graph import INPUT
 from upwash.services.heads import HEADS_METADATA, Head, decode_heads
+from upwash.services.provider import Provider, open_session
 from upwash.support.input_files import read_file, text_of
 from upwash.support.text import words_of
 
@@ -25,10 +26,8 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float32]
 
-Provider = Literal["cpu", "cuda"]
 Engine = Literal["onnxruntime", "ncnn"]
 
-_PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 _WAIT_POLICY = "OMP_WAIT_POLICY"
 _MOST_LABELS = 100_000
 _MOST_LABELS_BYTES = 10_000_000
@@ -141,7 +140,8 @@ class OnnxInference(Inference):
     """A network that onnxruntime runs."""
 
     def __init__(self, files: ModelFiles, *, threads: int, provider: Provider) -> None:
-        self._session = self._open(files, threads, provider)
+        with _onnx(files) as model:
+            self._session = open_session(model, threads=threads, provider=provider)
         super().__init__(files, files.heads)
         try:
             self.heads = files.heads or self._heads_in_metadata()
@@ -163,28 +163,6 @@ class OnnxInference(Inference):
         names = [head.output for head in self.heads]
         outputs: list[Floats] = self._session.run(names, {self._input.name: picture}, options)
         return outputs
-
-    def _open(self, files: ModelFiles, threads: int, provider: Provider) -> onnxruntime.InferenceSession:
-        import onnxruntime
-
-        if _PROVIDERS[provider] not in onnxruntime.get_available_providers():
-            raise UsageError(
-                f'provider = "{provider}" is not in the onnxruntime that is installed; for cuda: '
-                "`pip uninstall onnxruntime`, then `pip install 'upwash[detector-gpu]'`"
-            )
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
-        options.log_severity_level = 3  # errors only: they are raised too
-        with _onnx(files) as model:
-            try:
-                session = onnxruntime.InferenceSession(
-                    str(model), options, providers=[_PROVIDERS[provider]], enable_fallback=provider != "cpu"
-                )
-            except Exception as error:  # onnxruntime's have no base of their own
-                raise ModelError(model, "", f"onnxruntime cannot load it ({words_of(str(error))})") from error
-        if _PROVIDERS[provider] not in session.get_providers():
-            raise UsageError(f'provider = "{provider}" cannot run here; onnxruntime says why above')
-        return session
 
     def _heads_in_metadata(self) -> tuple[Head, ...]:
         metadata = self._session.get_modelmeta().custom_metadata_map.get(HEADS_METADATA, "[]")

@@ -1,0 +1,90 @@
+"""What onnxruntime computes on: a session on a provider, or the provider's own reason why there is none."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from upwash.errors import ModelError, UsageError
+from upwash.support.text import words_of
+
+if TYPE_CHECKING:
+    import onnxruntime
+
+Provider = Literal["cpu", "cuda"]
+
+_PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
+_STDERR = 2
+_MOST_PRINTED_BYTES = 2**16
+_LONGEST_REASON = 1000  # characters
+# What is before a reason: colours, the time, places in onnxruntime's own source, the kind of the error.
+_BEFORE_REASONS = re.compile(
+    r"\x1b\[[\d;]*m|\S+ \S+ \[\w:onnxruntime:[^\]]*\]|\S*/onnxruntime_src/.*?(?=\w+ failure \d|: FAIL :)|: FAIL :"
+)
+
+
+def open_session(model: Path, *, threads: int, provider: Provider) -> onnxruntime.InferenceSession:
+    """The model, ready to be run; raises ModelError for its file, and UsageError for the provider."""
+    import onnxruntime
+
+    if _PROVIDERS[provider] not in onnxruntime.get_available_providers():
+        raise UsageError(
+            f'provider = "{provider}" is not in the onnxruntime that is installed; for cuda: '
+            "`pip uninstall onnxruntime`, then `pip install 'upwash[detector-gpu]'`"
+        )
+    if provider == "cpu":
+        return _session(model, threads, provider)
+    with _printed_errors() as printed:  # onnxruntime raises nothing where a library is missing
+        try:
+            session = _session(model, threads, provider)
+        except ModelError as error:
+            _session(model, threads, "cpu")  # if this raises too, the model is to blame
+            raise _unusable(provider, str(error.__cause__)) from error
+    if _PROVIDERS[provider] not in session.get_providers():
+        raise _unusable(provider, printed())
+    return session
+
+
+def _session(model: Path, threads: int, provider: Provider) -> onnxruntime.InferenceSession:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.log_severity_level = 3  # errors only: they are raised too
+    try:
+        return onnxruntime.InferenceSession(
+            str(model), options, providers=[_PROVIDERS[provider]], enable_fallback=False
+        )
+    except Exception as error:  # onnxruntime's have no base of their own
+        raise ModelError(model, "", f"onnxruntime cannot load it ({words_of(str(error))})") from error
+
+
+def _unusable(provider: Provider, why: str) -> UsageError:
+    why = " ".join(words_of(_BEFORE_REASONS.sub(" ", why)).split())[:_LONGEST_REASON]
+    return UsageError(
+        f'provider = "{provider}" cannot be used here: {why or "onnxruntime does not say why"}; install what it '
+        "names, or leave the provider out to compute on the processor"
+    )
+
+
+@contextmanager
+def _printed_errors() -> Iterator[Callable[[], str]]:
+    """What this process writes to standard error in the block, which is passed on when the block has ended."""
+    sys.stderr.flush()
+    ours, kept = os.dup(_STDERR), os.memfd_create("stderr")
+    os.dup2(kept, _STDERR)
+    text = b""
+    try:
+        yield lambda: text.decode(errors="replace")
+    finally:
+        sys.stderr.flush()
+        os.dup2(ours, _STDERR)
+        text = os.pread(kept, _MOST_PRINTED_BYTES, 0)
+        os.close(kept)
+        os.close(ours)
+        os.write(_STDERR, text)

@@ -1,0 +1,95 @@
+"""Why a provider of onnxruntime cannot be used, in onnxruntime's own words."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import onnxruntime
+import pytest
+
+from upwash.errors import ModelError, UsageError
+from upwash.services.provider import open_session
+
+# What onnxruntime-gpu 1.31.1 printed where CUDA's libraries are not installed.
+MISSING_LIBRARY = (
+    "\x1b[1;31m2026-01-25 22:38:12.372934275 [E:onnxruntime:Default, provider_bridge_ort.cc:2458 operator()] "
+    "/onnxruntime_src/onnxruntime/core/session/provider_bridge_ort.cc:2043 onnxruntime::Provider& "
+    "onnxruntime::ProviderLibrary::Get() [ONNXRuntimeError] : 1 : FAIL : Failed to load library "
+    "/opt/libonnxruntime_providers_cuda.so with error: libcublasLt.so.13: cannot open shared object file: "
+    "No such file or directory\n\x1b[m\n\x1b[0;93m2026-01-25 22:38:12.372990982 [W:onnxruntime:Default, "
+    "onnxruntime_pybind_state.cc:1295 CreateExecutionProviderFactoryInstance] Failed to create "
+    "CUDAExecutionProvider. Require cuDNN 9.* and CUDA 13.*. Please install all dependencies.\x1b[m\n"
+)
+# What it raises where CUDA is there, and the driver is not.
+OLD_DRIVER = (
+    "/onnxruntime_src/onnxruntime/core/providers/cuda/cuda_call.cc:129 std::conditional_t<THRW, void, Status> "
+    "onnxruntime::CudaCall(ERRTYPE, const char*) [with ERRTYPE = cudaError; bool THRW = true] CUDA failure 35: CUDA "
+    "driver version is insufficient for CUDA runtime version ; GPU=-1 ; expr=cudaSetDevice(info_.device_id);"
+)
+
+
+class Session:
+    """A session as onnxruntime makes one where CUDA is installed in part."""
+
+    printed = ""
+    raised = ""
+    broken = False
+
+    def __init__(self, model: str, _: object, *, providers: list[str], enable_fallback: bool) -> None:
+        assert not enable_fallback  # it would print why, and raise nothing
+        if self.broken or (self.raised and "CUDAExecutionProvider" in providers):
+            raise RuntimeError(self.raised or "no protobuf")
+        os.write(2, self.printed.encode())
+
+    def get_providers(self) -> list[str]:
+        return ["CPUExecutionProvider"]
+
+
+@pytest.fixture
+def session(monkeypatch: pytest.MonkeyPatch) -> type[Session]:
+    made = type("Session", (Session,), {})
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: ["CUDAExecutionProvider"])
+    monkeypatch.setattr(onnxruntime, "InferenceSession", made)
+    return made
+
+
+def refusal() -> str:
+    with pytest.raises(UsageError) as raised:
+        open_session(Path("model.onnx"), threads=1, provider="cuda")
+    return str(raised.value)
+
+
+def test_a_library_that_is_missing_is_in_the_message_and_still_printed(
+    session: type[Session], capfd: pytest.CaptureFixture[str]
+) -> None:
+    session.printed = MISSING_LIBRARY
+    assert refusal() == (
+        'provider = "cuda" cannot be used here: Failed to load library /opt/libonnxruntime_providers_cuda.so with '
+        "error: libcublasLt.so.13: cannot open shared object file: No such file or directory Failed to create "
+        "CUDAExecutionProvider. Require cuDNN 9.* and CUDA 13.*. Please install all dependencies.; install what it "
+        "names, or leave the provider out to compute on the processor"
+    )
+    assert capfd.readouterr().err == MISSING_LIBRARY
+
+
+def test_an_error_of_cuda_is_in_the_message_with_its_number(session: type[Session]) -> None:
+    session.raised = OLD_DRIVER
+    said = refusal()
+    assert "CUDA failure 35: CUDA driver version is insufficient for CUDA runtime version" in said
+    assert "onnxruntime_src" not in said
+
+
+def test_a_provider_that_gives_no_reason_is_told_as_that(session: type[Session]) -> None:
+    assert "cannot be used here: onnxruntime does not say why" in refusal()
+
+
+def test_a_model_that_no_provider_loads_is_the_models_error(session: type[Session]) -> None:
+    session.broken = True
+    with pytest.raises(ModelError, match=r"model\.onnx: onnxruntime cannot load it \(no protobuf\)"):
+        open_session(Path("model.onnx"), threads=1, provider="cuda")
+
+
+def test_a_reason_without_end_is_cut(session: type[Session]) -> None:
+    session.printed = "x" * 100_000
+    assert len(refusal()) < 1300
