@@ -206,3 +206,56 @@ def test_settings_go_into_the_image_with_the_files_that_they_name(tmp_path: Path
     assert packed.path == "/opt/upwash/program/reader.py:Reader"
     assert packed.settings == {"model": model, "threads": 3}
     assert found.concurrency == 3
+
+
+@pytest.fixture
+def fieldlib(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A distribution as pip installs one, and its metadata's folder."""
+    library = tmp_path / "site-packages"
+    metadata = library / "fieldlib-0.1.dist-info"
+    metadata.mkdir(parents=True)
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: fieldlib\nVersion: 0.1\n")
+    (metadata / "RECORD").write_text(
+        "fieldlib.py,,\n../../bin/fieldlib,,\n__pycache__/fieldlib.cpython-311.pyc,,\n"
+    )
+    (library / "fieldlib.py").write_text("def brightness(photo): return len(photo)\n")
+    monkeypatch.syspath_prepend(library)
+    return metadata
+
+
+def test_a_distribution_is_copied_whole(fieldlib: Path, tmp_path: Path) -> None:
+    assert "fieldlib 0.1" in copy_distributions(["fieldlib"], tmp_path / "root")
+    assert (tmp_path / "root/opt/upwash/lib/fieldlib.py").exists()
+
+
+def test_an_editable_installation_is_refused_with_the_command_that_installs_it(
+    fieldlib: Path, tmp_path: Path
+) -> None:
+    (fieldlib / "direct_url.json").write_text(
+        '{"dir_info": {"editable": true}, "url": "file:///home/op/field%20lib"}'
+    )
+    with pytest.raises(
+        UsageError, match=r"editable .*`pip install --force-reinstall --no-deps '/home/op/field lib'`"
+    ):
+        copy_distributions(["fieldlib"], tmp_path / "root")
+
+
+def test_a_folder_that_was_installed_once_is_copied(fieldlib: Path, tmp_path: Path) -> None:
+    (fieldlib / "direct_url.json").write_text('{"dir_info": {}, "url": "file:///home/op/fieldlib"}')
+    assert "fieldlib 0.1" in copy_distributions(["fieldlib"], tmp_path / "root")
+
+
+def test_a_distribution_without_a_list_of_its_files_is_refused(fieldlib: Path, tmp_path: Path) -> None:
+    (fieldlib / "RECORD").unlink()
+    with pytest.raises(
+        UsageError, match=r"fieldlib has no list of its files.*--ignore-installed fieldlib==0\.1"
+    ):
+        copy_distributions(["fieldlib"], tmp_path / "root")
+
+
+def test_a_distribution_that_lacks_a_file_is_refused(fieldlib: Path, tmp_path: Path) -> None:
+    fieldlib.with_name("fieldlib.py").unlink()
+    with pytest.raises(
+        UsageError, match=r"fieldlib\.py of fieldlib is missing: `pip install --force-reinstall"
+    ):
+        copy_distributions(["fieldlib"], tmp_path / "root")

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import json
+import shlex
 import shutil
 from collections.abc import Iterable, Iterator
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
+from urllib.parse import unquote, urlsplit
 
 from upwash.errors import UsageError
 from upwash.packaging.sources import is_left_out, require_packable
@@ -68,15 +71,44 @@ def copy_distributions(requirements: Iterable[str], root: Path) -> list[str]:
     found: dict[str, Distribution] = {}
     for requirement in (*_OF_EVERY_INSTANCE, *requirements):
         _close(requirement, found)
+    found.pop("upwash", None)
     for each in found.values():
-        for file in each.files or ():
-            source = Path(str(each.locate_file(file)))
-            is_inside = ".." not in file.parts and not file.is_absolute()
-            if is_inside and source.is_file() and not is_left_out(file):
-                target = library / file
-                target.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(source, target)
+        for file, source in _files_of(each):
+            target = library / file
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, target)
     return sorted({f"{each.name} {each.version}" for each in found.values()})
+
+
+def _files_of(installed: Distribution) -> Iterator[tuple[PurePath, Path]]:
+    """The files of a distribution, by their places below its library.
+
+    Raises UsageError where the installation does not have them all: an image would lack them, and the service not
+    start.
+    """
+    name = installed.name
+    origin = json.loads(installed.read_text("direct_url.json") or "{}")
+    if origin.get("dir_info", {}).get("editable"):
+        folder = shlex.quote(unquote(urlsplit(origin["url"]).path))
+        raise UsageError(
+            f"{name} is an editable installation, whose code is elsewhere: `pip install --force-reinstall --no-deps "
+            f"{folder}` installs it whole, then package again"
+        )
+    if all(installed.read_text(listed) is None for listed in ("RECORD", "installed-files.txt")):
+        raise UsageError(
+            f"{name} has no list of its files, so it cannot be packaged: install it with `pip install "
+            f"--ignore-installed {name}=={installed.version}` in the Python that runs upwash"
+        )
+    for file in installed.files or ():
+        source = Path(str(installed.locate_file(file)))
+        if ".." in file.parts or file.is_absolute() or is_left_out(file):
+            continue
+        if not source.is_file():
+            raise UsageError(
+                f"{source} of {name} is missing: `pip install --force-reinstall --no-deps {name}=={installed.version}` "
+                "installs it whole, then package again"
+            )
+        yield file, source
 
 
 def extra_of(service: str, engine: str) -> list[str]:
