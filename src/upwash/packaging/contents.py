@@ -89,7 +89,7 @@ def _files_of(installed: Distribution) -> Iterator[tuple[PurePath, Path]]:
     name = installed.name
     origin = json.loads(installed.read_text("direct_url.json") or "{}")
     if origin.get("dir_info", {}).get("editable"):
-        folder = shlex.quote(unquote(urlsplit(origin["url"]).path))
+        folder = shlex.quote(unquote(urlsplit(origin.get("url", "")).path))
         raise UsageError(
             f"{name} is an editable installation, whose code is elsewhere: `pip install --force-reinstall --no-deps "
             f"{folder}` installs it whole, then package again"
@@ -105,8 +105,8 @@ def _files_of(installed: Distribution) -> Iterator[tuple[PurePath, Path]]:
             continue
         if not source.is_file():
             raise UsageError(
-                f"{source} of {name} is missing: `pip install --force-reinstall --no-deps {name}=={installed.version}` "
-                "installs it whole, then package again"
+                f"{source} of {name} is missing: `pip install --force-reinstall --no-deps "
+                f"{name}=={installed.version}` installs it whole, then package again"
             )
         yield file, source
 
