@@ -425,7 +425,7 @@ def test_what_is_revoked_is_listed_once_by_its_fingerprint(tmp_path: Path) -> No
 
 def test_a_certificate_whose_files_are_gone_is_revoked_by_its_fingerprint(tmp_path: Path) -> None:
     make_keys(tmp_path, drones=["heron", "stork"])
-    (heron, _) = made_in(tmp_path)
+    (_, heron, _) = made_in(tmp_path)
     (tmp_path / "heron.pem").unlink()
     (tmp_path / "heron.key").unlink()
     colons = ":".join(re.findall("..", heron.fingerprint.upper()))
@@ -445,6 +445,7 @@ def test_what_was_made_is_shown_with_its_role_its_end_and_whether_it_is_revoked(
         (each.holder, each.role, (each.ends - now).days, each.is_revoked) for each in made_in(tmp_path)
     ] == [
         ("alice", "operator", 729, True),
+        ("authority", "authority", 3651, False),
         ("heron", "drone", 89, False),
         ("s1", "server", 729, False),
     ]

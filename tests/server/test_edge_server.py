@@ -585,6 +585,19 @@ def test_a_service_that_is_withdrawn_ends_in_every_version() -> None:
     serve(story)
 
 
+def test_no_daemon_takes_anothers_place_without_a_service_that_ran_there() -> None:
+    async def story(daemon: Daemon) -> None:
+        daemon.runtime.broken = "detector@s1 did not start: no such model"
+        with pytest.raises(
+            InstanceError, match=r"the daemon before stays, whose services run: .* no such model"
+        ):
+            await daemon.edge.take_up("s1", [Client("d1")], ["detector"])
+        daemon.runtime.broken = ""
+        await daemon.edge.take_up("s1", [Client("d1")], ["counter"])
+
+    serve(story)
+
+
 def test_an_instance_that_starts_is_stopped_for_another_version_and_its_drone_waits_for_that() -> None:
     async def story(daemon: Daemon) -> None:
         waiting = asyncio.create_task(daemon.start())

@@ -111,12 +111,13 @@ def run(options: argparse.Namespace) -> bool:
 def _show(folder: Path) -> None:
     from upwash.real.authority import made_in
 
-    if not (folder / "authority.pem").exists():
+    made = made_in(folder)
+    if not made:
         raise UsageError(
             f"{folder}: no certificates here: name at least one --server, --drone or --operator to make"
         )
     now = datetime.now(UTC)
-    for each in made_in(folder):
+    for each in made:
         left = "revoked" if each.is_revoked else f"{(each.ends - now).days} days"
         announce(f"{each.holder}  {each.role}  until {each.ends:%Y-%m-%d}  {left}  {each.fingerprint}")
 

@@ -1,7 +1,7 @@
 """The services that an edge daemon can start, as they lie on the disk, looked at again at each reload.
 
 A Python process keeps the modules that it has imported. So a new version is loaded by a process of its own:
-`python -m upwash.launch.daemon_services`. It also ends with whatever the code does as it is imported.
+`python -m upwash.launch.daemon_services`. The effects of an import end with that process.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TypeAlias
 
 import msgspec
 
@@ -34,7 +35,7 @@ _UPGRADED = (
     "upwash itself has changed on the disk, so services stay as they are: have the new program take this daemon's "
     "place by SIGUSR2, or restart it"
 )
-Looked = dict[str, Image | str]  # a service, or why it cannot be loaded
+Looked: TypeAlias = Image | str  # a service, or why it cannot be loaded
 
 
 class DaemonServices:
@@ -45,15 +46,12 @@ class DaemonServices:
         self._confinement = confinement
         limits = confinement.limits(config)
         self._lanes: Mapping[str, int] = {}
-        looked = _look(config)
-        for fault in looked.values():
-            if isinstance(fault, str):
-                raise UsageError(fault)
-        self.images = {
-            name: replace(image, limits=limits[name])
-            for name, image in looked.items()
-            if isinstance(image, Image)
-        }
+        self.images = {}
+        for index, each in enumerate(config.images):
+            found = _look_at(config, index)
+            if isinstance(found, str):
+                raise UsageError(found)
+            self.images[each.name] = replace(found, limits=limits[each.name])
 
     def know_lanes(self, lanes: Mapping[str, int]) -> None:
         """Takes in the lanes of those services whose programs only their runtime knows."""
@@ -67,21 +65,25 @@ class DaemonServices:
         for a limit that would not hold.
         """
         limits = self._confinement.limits(config)
-        if config.runtime.kind == "process" and await asyncio.to_thread(version_of_upwash) != self._upwash:
+        is_loaded = config.runtime.kind == "process"
+        if not is_loaded:
+            _log.info("images of containers are looked at when the daemon starts: restart it to use others")
+        is_upgraded = is_loaded and await asyncio.to_thread(version_of_upwash) != self._upwash
+        if is_upgraded:
             _log.error(_UPGRADED)
-            looked: Looked = {each.name: _UPGRADED for each in config.images}
-        else:
-            looked = await _looked_at_elsewhere(config)
         images = {}
-        for name, found in looked.items():
+        for index, each in enumerate(config.images):
+            found: Looked = _UPGRADED
+            if not is_upgraded:
+                found = await _looked_at_elsewhere(config, index) if is_loaded else _look_at(config, index)
             if isinstance(found, Image):
-                images[name] = replace(found, limits=limits[name])
+                images[each.name] = replace(found, limits=limits[each.name])
                 continue
-            if name not in self.images:
+            if each.name not in self.images:
                 raise UsageError(found)
-            images[name] = self.images[name]
-            if found != _UPGRADED:
-                _log.error("%s stays in its former version: %s", name, found)
+            images[each.name] = self.images[each.name]
+            if not is_upgraded:
+                _log.error("%s stays in its former version: %s", each.name, found)
         return self._with_lanes(images)
 
     def _with_lanes(self, images: Mapping[str, Image]) -> dict[str, Image]:
@@ -90,9 +92,8 @@ class DaemonServices:
         }
 
 
-async def _looked_at_elsewhere(config: DaemonConfig) -> Looked:
-    if config.runtime.kind != "process":
-        return _look(config)  # which loads nothing
+async def _looked_at_elsewhere(config: DaemonConfig, index: int) -> Looked:
+    """The service in a process of its own."""
     process = await asyncio.create_subprocess_exec(
         *module_command(__spec__.name),
         stdin=subprocess.PIPE,
@@ -101,27 +102,24 @@ async def _looked_at_elsewhere(config: DaemonConfig) -> Looked:
     )
     try:
         async with asyncio.timeout(config.start_timeout_s):
-            said, _ = await process.communicate(pickle.dumps(config))
-        return msgspec.msgpack.decode(said, type=Looked)
+            said, _ = await process.communicate(pickle.dumps((config, index)))
+        looked: Looked = msgspec.msgpack.decode(said, type=Looked)
     except TimeoutError:
-        why = f"it is not loaded within {config.start_timeout_s:g} s"
+        looked = f"it is not loaded within {config.start_timeout_s:g} s"
     except msgspec.MsgspecError:
-        why = f"the process that loads it ended with code {await process.wait()}"
+        looked = f"the process that loads it ended with code {await process.wait()}"
     finally:
         with contextlib.suppress(ProcessLookupError):
             process.kill()
         await process.wait()
-    return dict.fromkeys((each.name for each in config.images), why)
-
-
-def _look(config: DaemonConfig) -> Looked:
-    looked: Looked = {}
-    for index, each in enumerate(config.images):
-        try:
-            looked[each.name] = _image(config, each, f"service[{index}]")
-        except UpwashError as error:
-            looked[each.name] = str(error)
     return looked
+
+
+def _look_at(config: DaemonConfig, index: int) -> Looked:
+    try:
+        return _image(config, config.images[index], f"service[{index}]")
+    except UpwashError as error:
+        return str(error)
 
 
 def _image(config: DaemonConfig, each: ImageConfig, key: str) -> Image:
@@ -141,11 +139,12 @@ def _image(config: DaemonConfig, each: ImageConfig, key: str) -> Image:
 
 
 def main() -> None:
-    """Looks at the services of a configuration that comes over standard input, and says what there is."""
+    """Looks at a service of a configuration that comes over standard input, and says what there is."""
     answer = os.dup(1)
     os.dup2(2, 1)  # for what the services print
     look_here()
-    looked = _look(pickle.load(sys.stdin.buffer))  # noqa: S301 - from the daemon itself
+    config, index = pickle.load(sys.stdin.buffer)  # noqa: S301 - from the daemon itself
+    looked = _look_at(config, index)
     with os.fdopen(answer, "wb") as opened:
         opened.write(msgspec.msgpack.encode(looked))
 

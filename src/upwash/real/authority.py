@@ -169,9 +169,8 @@ def _fingerprint_of(folder: Path, name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """A certificate in a folder: its file, its holder, and until when it is valid."""
+    """A certificate in a folder: its holder, what it is for, and until when it is valid."""
 
-    file: Path
     holder: str
     role: str
     ends: datetime
@@ -180,17 +179,18 @@ class Made:
 
 
 def made_in(folder: Path) -> list[Made]:
-    """The certificates of a folder without the authority's, by name; raises CredentialsError for a broken file."""
+    """The certificates of a folder, by file; raises CredentialsError for a broken file."""
+    from cryptography.hazmat.primitives.hashes import SHA256
+
     list_file = folder / _REVOKED_FILE
     revoked = read_revoked(list_file) if list_file.exists() else frozenset()
     made = []
     for file in sorted(folder.glob("*.pem")):
-        if file.name == "authority.pem":
-            continue
-        pem = read_public(file)
-        parsed = parsed_certificate(file, pem)
-        role, digits = role_of(parsed.subject.rfc4514_string()), fingerprint(pem)
-        made.append(Made(file, file.stem, role, parsed.not_valid_after_utc, digits, digits in revoked))
+        is_authority = file.name == "authority.pem"
+        for each in parsed_certificates(file, read_public(file))[: None if is_authority else 1]:
+            role = "authority" if is_authority else role_of(each.subject.rfc4514_string())
+            digits = each.fingerprint(SHA256()).hex()
+            made.append(Made(file.stem, role, each.not_valid_after_utc, digits, digits in revoked))
     return made
 
 

@@ -178,9 +178,13 @@ class EdgeServer:
         await self._perform(self._host.offer(offers, outdated=outdated))
 
     async def take_up(self, server: str, drones: Sequence[Client], services: Sequence[str]) -> None:
-        """Serves whom another daemon served before; returns when the services run that ran there, or cannot."""
+        """Serves whom another daemon served before; returns when the services run that ran there.
+
+        Raises InstanceError for a service that does not start: the other daemon still has it.
+        """
         await self._perform(self._host.take_up(server, drones, services, now_s=self._now_s()))
-        await asyncio.gather(*self._settled.values())
+        if faults := [why for why in await asyncio.gather(*self._settled.values()) if why]:
+            raise InstanceError(f"the daemon before stays, whose services run: {'; '.join(faults)}")
 
     async def emptied(self) -> None:
         """Returns once no drone has a slot any more."""

@@ -1,0 +1,107 @@
+"""Services whose code is looked at again: a version that cannot be loaded leaves the former one, and says why."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from upwash.config import DaemonConfig, read_daemon_config
+from upwash.errors import UsageError
+from upwash.launch import daemon_services
+from upwash.launch.confinement import Confinement
+from upwash.launch.daemon_services import DaemonServices
+
+CONFIG = """
+listen = "unix:daemon.sock"
+allow_without_certificates = true
+start_timeout_s = {within_s}
+[runtime]
+sandbox = "off"
+[[service]]
+name = "level"
+program = "level.py:Level"
+[[service]]
+name = "scale"
+program = "other/scale.py:Scale"
+[[server]]
+name = "s1"
+"""
+SERVICE = """
+from upwash import service
+@service
+class {name}:
+    def read(self) -> int:
+        return 1
+"""
+MORE = """
+    def tare(self) -> int:
+        return 0
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "other").mkdir()
+    (tmp_path / "level.py").write_text(SERVICE.format(name="Level"))
+    (tmp_path / "other/scale.py").write_text(SERVICE.format(name="Scale"))
+    return tmp_path
+
+
+def read(folder: Path, *, within_s: float = 60.0) -> DaemonConfig:
+    file = folder / "server.toml"
+    file.write_text(CONFIG.format(within_s=within_s))
+    return read_daemon_config(file)
+
+
+def test_new_methods_of_code_that_prints_are_known(folder: Path) -> None:
+    services = DaemonServices(read(folder), Confinement())
+    (folder / "level.py").write_text("print('hello')" + SERVICE.format(name="Level") + MORE)
+    images = asyncio.run(services.anew(read(folder)))
+    assert images["level"].methods == {"read", "tare"}
+    assert images["level"].version != services.images["level"].version
+    assert images["scale"] == services.images["scale"]
+
+
+@pytest.mark.parametrize(
+    ("code", "within_s", "why"),
+    [
+        ("import nosuchmodule", 60.0, "No module named 'nosuchmodule'"),
+        (SERVICE.format(name="Other"), 60.0, "there is no Level"),
+        ("import os; os._exit(7)", 60.0, "the process that loads it ended with code 7"),
+        ("import time; time.sleep(600)", 10.0, "it is not loaded within 10 s"),
+    ],
+)
+def test_code_that_cannot_be_loaded_leaves_its_service_alone(
+    folder: Path, caplog: pytest.LogCaptureFixture, code: str, within_s: float, why: str
+) -> None:
+    services = DaemonServices(read(folder), Confinement())
+    (folder / "level.py").write_text(code)
+    (folder / "other/scale.py").write_text(SERVICE.format(name="Scale") + MORE)
+    images = asyncio.run(services.anew(read(folder, within_s=within_s)))
+    assert images["level"] == services.images["level"]
+    assert images["scale"].methods == {"read", "tare"}
+    (said,) = caplog.messages
+    assert said.startswith("level stays in its former version: ")
+    assert why in said
+
+
+def test_a_new_service_that_cannot_be_loaded_is_refused(folder: Path) -> None:
+    services = DaemonServices(read(folder), Confinement())
+    del services.images["level"]
+    (folder / "level.py").write_text("import nosuchmodule")
+    with pytest.raises(UsageError, match="No module named 'nosuchmodule'"):
+        asyncio.run(services.anew(read(folder)))
+
+
+def test_another_upwash_on_the_disk_leaves_all_services_and_names_the_signal(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    services = DaemonServices(read(folder), Confinement())
+    monkeypatch.setattr(daemon_services, "version_of_upwash", lambda: "another")
+    (folder / "level.py").write_text(SERVICE.format(name="Level") + MORE)
+    assert asyncio.run(services.anew(read(folder))) == services.images
+    (said,) = caplog.messages
+    assert "upwash itself has changed on the disk" in said
+    assert "SIGUSR2" in said
