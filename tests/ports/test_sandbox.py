@@ -367,6 +367,38 @@ def test_a_crash_in_it_is_explained_as_outside(sandbox: Sandbox, services: Path,
     asyncio.run(run())
 
 
+@pytest.mark.parametrize(
+    ("body", "hidden"),
+    [
+        ("Path(__file__).with_name('labels.txt').read_text()", "labels.txt"),
+        ("from helper import labels", "helper.py"),
+    ],
+)
+def test_what_lies_beside_a_program_is_named_with_the_key_that_shows_it(
+    sandbox: Sandbox, tmp_path: Path, body: str, hidden: str
+) -> None:
+    (tmp_path / "labels.txt").write_text("person")
+    (tmp_path / "helper.py").write_text("labels = []\n")
+    program = tmp_path / "hidden_for_tests.py"
+    program.write_text(
+        "from pathlib import Path\nfrom upwash import service\n@service\nclass Finder:\n"
+        f"    def __init__(self) -> None:\n        {body}\n    def find(self) -> int:\n        return 1\n"
+    )
+    load_service(f"{program}:Finder")  # as a daemon does
+    spec = InstanceSpec("s1", "finder", Program(f"{program}:Finder"))
+
+    async def run(given: Sandbox) -> None:
+        runtime = ProcessRuntime(
+            lambda _: f"unix:{tmp_path}/s.sock", max_message_bytes=MAX_MESSAGE_BYTES, sandbox=given
+        )
+        await (await runtime.start(spec, called=lambda _: None)).stop()
+
+    said = rf"the sandbox hides {tmp_path / hidden}: name what the service needs in runtime\.readable"
+    with pytest.raises(InstanceError, match=said):
+        asyncio.run(run(sandbox))
+    asyncio.run(run(Sandbox(sandbox.bubblewrap, readable=(tmp_path / hidden,))))
+
+
 def test_without_bubblewrap_the_remedy_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(UsageError, match="apt install bubblewrap"):

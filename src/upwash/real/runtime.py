@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from weakref import WeakSet, WeakValueDictionary
 
+from upwash.errors import InstanceError
 from upwash.ports import Answered, InstanceSpec, ignored
 from upwash.real.control import Begin, begin_of
 from upwash.real.direct import DirectLink
@@ -68,8 +69,10 @@ class ProcessRuntime:
         try:
             await instance.begin(self._begin(spec), is_apart=self._sandbox is not None)
             await asyncio.sleep(paced_until_s - loop.time())
-        except BaseException:
+        except BaseException as error:
             await instance.stop()
+            if isinstance(error, InstanceError) and self._sandbox is not None:
+                raise InstanceError(f"{error}{self._sandbox.remedy(str(error), spec.program)}") from error
             raise
         return instance
 

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from upwash.errors import UsageError
 from upwash.ports import Program
+from upwash.real.hidden import sandbox_remedy
 from upwash.real.syscalls import call_filter
 from upwash.support.loading import module_command
 
@@ -97,8 +98,6 @@ class Sandbox:
         `call_filter` is a file descriptor of `open_call_filter` that it inherits. Each folder for files that it
         writes holds `disk_bytes`. It runs on these `processors`, all if none are given.
         """
-        own = _files_of(program) if program else []
-        shown = [Path(sys.prefix), Path(sys.base_prefix), Path(__file__).parents[1], *self.readable, *own]
         size = () if disk_bytes is None else ("--size", str(disk_bytes))
         return [
             *(*_LAUNCHER, *_on(processors), self.bubblewrap, "--seccomp", str(call_filter)),
@@ -110,12 +109,30 @@ class Sandbox:
             *(word for device in self.devices for word in ("--dev-bind", device, device)),
             *(*size, "--tmpfs", "/dev/shm"),  # noqa: S108 - its own
             *("--remount-ro", "/dev", *size, "--tmpfs", "/tmp"),  # noqa: S108 - its own
-            *(word for path in _outermost(shown) for word in ("--ro-bind", str(path), str(path))),
+            *(
+                word
+                for path in _outermost(self._shown(program))
+                for word in ("--ro-bind", str(path), str(path))
+            ),
             *("--remount-ro", "/", "--chdir", "/tmp"),  # noqa: S108 - its own
             *(word for name, value in _environment().items() for word in ("--setenv", name, value)),
             "--",
             *command,
         ]
+
+    def remedy(self, said: str, program: Program) -> str:
+        """What to add to the words of a failed start of the program; empty where they name nothing hidden."""
+        shown = [*self._shown(program), *map(Path, (*_SYSTEM, *_SETTINGS, "/proc", "/dev"))]
+        return sandbox_remedy(
+            said,
+            folder=Path(program.path.rpartition(":")[0]).resolve().parent,
+            is_shown=lambda path: any(path.is_relative_to(each) for each in shown),
+        )
+
+    def _shown(self, program: Program | None) -> list[Path]:
+        """The files and folders that are shown besides the system's."""
+        own = _files_of(program) if program else []
+        return [Path(sys.prefix), Path(sys.base_prefix), Path(__file__).parents[1], *self.readable, *own]
 
 
 def find_sandbox(*, readable: tuple[Path, ...], devices: tuple[str, ...] = ()) -> Sandbox:
