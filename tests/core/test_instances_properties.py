@@ -58,6 +58,8 @@ class Daemon(RuleBasedStateMachine):
         self.stopping: set[tuple[str, str]] = set()
         self.used_s: dict[tuple[str, str], float] = {}
         self.born: list[tuple[str, str, int]] = []
+        self.coming: dict[tuple[str, str], int] = {}  # those of another version, beside one that serves
+        self.former_s: dict[tuple[str, str, int], float] = {}  # those whose place another has, and until when
 
     # ---- what happens
 
@@ -69,6 +71,7 @@ class Daemon(RuleBasedStateMachine):
     def look(self) -> None:
         self.carry_out(self.host.look(now_s=self.now_s))
         assert all(end_s > self.now_s for end_s in self.lease_ends_s.values()), "a lease outlived its time"
+        assert all(until_s > self.now_s for until_s in self.former_s.values()), "a former one still runs"
         for place in self.serving.keys() - self.stopping:
             if not self.admitted[place[0]]:
                 assert self.now_s - self.used_s[place] < SETTINGS.idle_stop_s, "an idle instance still runs"
@@ -162,6 +165,24 @@ class Daemon(RuleBasedStateMachine):
             ends_s = self.now_s + SETTINGS.lease_s
             self.lease_ends_s[server, drone] = max(ends_s, self.lease_ends_s[server, drone])
 
+    @rule(server=servers, service=services)
+    def another_version_is_there(self, server: str, service: str) -> None:
+        place = (server, service)
+        offers = {name: ServerOffer(frozenset(images), self.slots[name]) for name, images in OFFERED.items()}
+        commands = self.host.offer(offers, outdated=frozenset({place}))
+        starts = [each for each in commands if isinstance(each, StartInstance)]
+        stops = [each.number for each in commands if isinstance(each, StopInstance)]
+        if place in self.serving.keys() - self.stopping:
+            (start,) = starts
+            assert stops == ([self.coming[place]] if place in self.coming else [])
+            self.coming[place] = start.number
+            self.born.append((server, service, start.number))
+        elif place in self.living.keys() - self.stopping:
+            assert (starts, stops) == ([], [self.living[place]])
+            self.stopping.add(place)
+        else:
+            assert commands == []
+
     def has_lease(self, server: str, drone: str) -> bool:
         return self.lease_ends_s.get((server, drone), self.now_s) > self.now_s
 
@@ -171,7 +192,13 @@ class Daemon(RuleBasedStateMachine):
         server, service, number = data.draw(st.sampled_from(self.born))
         place, endpoint = (server, service), f"{server}:{9000 + number}"
         commands = self.host.ready(server, service, number, endpoint, now_s=self.now_s)
-        if self.living.get(place) == number and place not in self.serving:
+        is_next = self.coming.get(place) == number
+        if is_next:
+            self.former_s[*place, self.living[place]] = self.now_s + SETTINGS.lease_s
+            self.living[place] = self.coming.pop(place)
+        if is_next or (
+            self.living.get(place) == number and place not in self.serving and place not in self.stopping
+        ):
             assert commands == [Admit(server, self.admitted[server])], "the new instance knows nobody yet"
             self.serving[place] = endpoint
             self.used_s[place] = self.now_s
@@ -182,11 +209,17 @@ class Daemon(RuleBasedStateMachine):
     @rule(data=st.data())
     def instance_is_gone(self, data: st.DataObject) -> None:
         server, service, number = data.draw(st.sampled_from(self.born))
+        place = (server, service)
         self.host.gone(server, service, number)
-        if self.living.get((server, service)) == number:
-            del self.living[server, service]
-            self.serving.pop((server, service), None)
-            self.stopping.discard((server, service))
+        self.former_s.pop((server, service, number), None)
+        if self.coming.get(place) == number:
+            del self.coming[place]
+        if self.living.get(place) == number:
+            del self.living[place]
+            self.serving.pop(place, None)
+            self.stopping.discard(place)
+            if place in self.coming:
+                self.living[place] = self.coming.pop(place)
 
     # ---- the daemon
 
@@ -252,11 +285,17 @@ class Daemon(RuleBasedStateMachine):
                     self.born.append((server, service, number))
                 case StopInstance(server, service, number):
                     place = (server, service)
-                    assert self.living[place] == number
-                    assert place in self.serving.keys() - self.stopping
+                    until_s = self.former_s.pop((server, service, number), None)
+                    if until_s is not None and until_s <= self.now_s:
+                        continue
                     assert not self.admitted[server], "stopped under a drone"
                     assert self.now_s - self.used_s[place] >= SETTINGS.idle_stop_s
-                    self.stopping.add(place)
+                    if self.coming.get(place) == number:
+                        del self.coming[place]
+                    elif until_s is None:
+                        assert self.living[place] == number
+                        assert place in self.serving.keys() - self.stopping
+                        self.stopping.add(place)
 
     # ---- what always holds
 

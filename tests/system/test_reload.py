@@ -102,7 +102,7 @@ def test_a_service_changes_in_place_and_no_call_fails(tmp_path: Path) -> None:
             operator.write("factor.py", "FACTOR = 3")
             operator.write("scale.py", SERVICE + MORE)
             operator.write("model.bin", "no number")
-            await operator.reload(r"scale@s1 serves on in its former version: correct the new one")
+            await operator.reload(r"scale@s1 serves on in its former version: remove the cause")
             await drone.hears(20)
             operator.write("model.bin", "40")
             await operator.reload(r"services that changed: scale")

@@ -470,7 +470,7 @@ class EdgeServer:
             settled = self._settled.pop(start.number)
             if why and not settled.done() and not self._has_place(start):
                 _log.error(
-                    "%s serves on in its former version: correct the new one, and reload again", spec.name
+                    "%s serves on in its former version: remove the cause, and reload again", spec.name
                 )
             anew = self._gone(start, why)
             del self._begun[start]
