@@ -318,7 +318,7 @@ class ServerSession:
     def _raise_if_paused(self, reply: AvailabilityReply | StartReply) -> None:
         if reply.pause_s > 0:
             pause_s = min(reply.pause_s, _LONGEST_PAUSE_S)
-            why = f"{self._server.name} is to be left out for {pause_s:.0f} s: {reply.reason}"
+            why = f"{self._server.name} is left out for {pause_s:.0f} s: {reply.reason}"
             raise Paused(why, pause_s=pause_s)
 
     async def _tell(

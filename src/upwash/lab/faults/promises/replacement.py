@@ -83,7 +83,7 @@ def _asked_in_a_pause(history: History) -> Iterator[Breach]:
             until_s = pause.t + pause.pause_s
             is_left_out = pause.t + ROUNDING_S < fact.t < until_s - ROUNDING_S
             if pause.server == fact.server and fact.path != LEAVE and is_left_out:
-                yield fact, f"{fact.server} is to be left out until {until_s:.3f} s, as it said"
+                yield fact, f"{fact.server} was left out until {until_s:.3f} s, as the server said"
 
 
 def _kind(faults: Sequence[FaultConfig], now_s: float) -> str:
