@@ -78,7 +78,7 @@ def test_worlds_have_faults_of_every_kind_everywhere() -> None:
         for fault in World(seed).faulty(seed, [])[0]["fault"]
     }
     moving = {"off", "stuck", "slow", "flapping"}
-    on_servers = moving | {"garbage", "wrong", "lying", "full", "crash"}
+    on_servers = moving | {"garbage", "wrong", "lying", "full", "crash", "hung", "poisoned", "unstartable"}
     assert drawn == {("s", kind) for kind in on_servers} | {
         (target, kind) for target in ("link", "autopilot") for kind in moving
     } | {

@@ -161,6 +161,13 @@ def test_two_clocks_since_boot_are_two_vehicles() -> None:
     assert link.kinds == ["same-id"]
 
 
+def test_a_simulated_clock_that_is_fast_and_whose_messages_come_late_is_one_vehicle() -> None:
+    link = Link()
+    fast = [position(10 * time_ms) for time_ms in range(0, 10_000, 100)]
+    link.hear(beat(), *(message for pair in zip(fast[3:], fast, strict=False) for message in pair))
+    assert link.identity.doubt == ""
+
+
 def test_a_system_that_was_said_does_not_tell_two_vehicles_of_it_apart() -> None:
     link = Link(system=1)
     link.hear(beat(), version(7), version(7))

@@ -180,7 +180,7 @@ def test_an_old_recording_is_refused_by_a_program_with_a_clock_that_is_behind(
 def test_a_key_that_others_can_read_or_write_is_refused_with_the_remedy(tmp_path: Path, mode: int) -> None:
     file = key_file(tmp_path)
     file.chmod(mode)
-    with pytest.raises(CredentialsError, match=f"mode {mode:04o}.*: chmod 600 {file}"):
+    with pytest.raises(CredentialsError, match=f"mode {mode:04o}.*: `chmod 600 {file}`"):
         read_key(file)
 
 

@@ -106,7 +106,7 @@ def _key(profile: CallProfile) -> str:
 
 
 def _delays(delays_s: Mapping[str, float]) -> str:
-    return "{ " + ", ".join(f"{_quoted_key(key)} = {delay_s:.3f}" for key, delay_s in delays_s.items()) + " }"
+    return "{ " + ", ".join(f"{_quoted_key(key)} = {delay_s:.4g}" for key, delay_s in delays_s.items()) + " }"
 
 
 def _quoted_key(key: str) -> str:

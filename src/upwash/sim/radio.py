@@ -78,7 +78,7 @@ def read_goodput(radio: str) -> GoodputTable | None:
         else:
             text = text_of(read_file(Path(radio), most_bytes=_MOST_BYTES))
         return _table(_rows(text))
-    except (OSError, IndexError, ValueError, csv.Error) as error:
+    except (OSError, ValueError, csv.Error) as error:
         problem = f"{type(error).__name__}: {printable(str(error), _LONGEST_PROBLEM)}"
         raise UsageError(
             f"radio {radio!r}: {problem}; it must be a csv file with the columns distance_m, ascending, and "
@@ -91,7 +91,12 @@ def _rows(text: str) -> list[tuple[float, float]]:
     rows = csv.reader(line for line in text.splitlines() if line and not line.startswith("#"))
     names = next(rows, [])
     distance, goodput = names.index("distance_m"), names.index("goodput_mbit_s")
-    return [(float(row[distance]), 1e6 * float(row[goodput])) for row in rows]
+    table = []
+    for row in rows:
+        if len(row) <= max(distance, goodput):
+            raise ValueError(f"a row of {len(row)} columns: {','.join(row)}")
+        table.append((float(row[distance]), 1e6 * float(row[goodput])))
+    return table
 
 
 def _table(rows: Sequence[tuple[float, float]]) -> GoodputTable:
