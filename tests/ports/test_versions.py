@@ -79,10 +79,10 @@ def test_what_it_does_not_read_is_no_other_version(folder: Path, change: Callabl
     assert version(folder) == before
 
 
-def test_of_a_large_file_its_size_and_the_time_of_its_change_count(
+def test_of_files_beyond_what_is_read_the_size_and_the_time_of_their_change_count(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(versions, "_LONGEST_READ_BYTES", 0)
+    monkeypatch.setattr(versions, "_MOST_READ_BYTES", 2)  # those of the two first files
     before = version(folder)
     weights = folder / "model/w.bin"
     os.utime(weights, ns=(1, weights.stat().st_mtime_ns))

@@ -13,14 +13,14 @@ from upwash.real.sandbox import code_of, files_in
 
 _UPWASH = Path(__file__).parents[1]
 _MOST_FILES = 4096
-_LONGEST_READ_BYTES = 2**26  # of a larger file the size and the time of its last change count
+_MOST_READ_BYTES = 2**28  # of further files the size and the time of the last change count
 
 
 def version_of(program: Program, readable: Iterable[Path] = ()) -> str:
     """A fingerprint of the program's code, of the files that its settings and its command name, and of `readable`.
 
     Beside a `path/to/file.py` its neighbours count, `*.py` and packages. Code of upwash itself does not count, nor do
-    libraries. Of each file or folder at most 4096 files are looked at.
+    libraries. Of each folder at most 4096 files are looked at, and 256 MiB are read in all.
     """
     code = [place for place in code_of(program.path) if not place.is_relative_to(_UPWASH)]
     if program.path.rpartition(":")[0].endswith(".py"):
@@ -41,11 +41,13 @@ def _neighbours(file: Path) -> Iterator[Path]:
 
 
 def _fingerprint(places: Iterable[Path]) -> str:
-    found = hashlib.sha256()
+    found, left = hashlib.sha256(), _MOST_READ_BYTES
     for place in sorted(set(places)):
         for file in islice(_files(place), _MOST_FILES):
             found.update(f"\0{file}\0".encode(errors="surrogateescape"))
-            found.update(_content(file))
+            content, read = _content(file, left)
+            found.update(content)
+            left -= read
     return found.hexdigest()
 
 
@@ -59,13 +61,13 @@ def _files(place: Path) -> Iterator[Path]:
         yield from (Path(folder, each) for each in sorted(files) if not each.startswith("."))
 
 
-def _content(file: Path) -> bytes:
-    """What a file contains, in short; of one that cannot be read, why not."""
+def _content(file: Path, at_most: int) -> tuple[bytes, int]:
+    """What a file contains, in short, and how many bytes were read for it; of an unreadable file, why."""
     try:
         known = file.stat()
-        if not file.is_file() or known.st_size > _LONGEST_READ_BYTES:
-            return f"{known.st_size} {known.st_mtime_ns}".encode()
+        if not file.is_file() or known.st_size > at_most:
+            return f"{known.st_size} {known.st_mtime_ns}".encode(), 0
         with file.open("rb") as opened:
-            return hashlib.file_digest(opened, "sha256").digest()
+            return hashlib.file_digest(opened, "sha256").digest(), known.st_size
     except OSError as error:
-        return str(error.errno).encode()
+        return str(error.errno).encode(), 0
