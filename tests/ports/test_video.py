@@ -135,6 +135,27 @@ def test_a_pipeline_without_gstreamer_is_refused_with_the_remedy() -> None:
         asyncio.run(VideoCamera.open("videotestsrc ! videoconvert ! appsink"))
 
 
+def test_frames_with_more_bits_than_a_jpeg_are_refused_with_the_remedy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Thermal:
+        """A source as OpenCV gives a thermal camera's."""
+
+        isOpened = grab = lambda *_: True  # noqa: N815 - OpenCV's name
+        set = get = release = lambda *_: 9.0
+
+        def __init__(self, *_: object) -> None:
+            """Opened."""
+
+        def retrieve(self) -> tuple[bool, object]:
+            return True, np.full((48, 64), 29_500, np.uint16)
+
+    monkeypatch.setattr(cv2, "VideoCapture", Thermal)
+    monkeypatch.setattr(video, "_FIRST_FRAME_S", 0.2)
+    with pytest.raises(CameraError, match=r"its frames have 16 bits a pixel.*give 8 .*format=GRAY8"):
+        asyncio.run(VideoCamera.open("/dev/video0"))
+
+
 def test_a_device_may_be_named_by_its_path(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(video, "_FIRST_FRAME_S", 0.5)
     with pytest.raises(CameraError, match=r"/dev/video99.*no frame within 0\.5 s"):

@@ -352,6 +352,25 @@ def test_a_ready_made_model_finds_what_the_darknet_model_finds(
     assert ready.process_photo(photo, "heavy") == detector.process_photo(photo, "heavy")
 
 
+def test_a_network_without_anchors_is_refused_as_what_it_is(model: ModelFiles, tmp_path: Path) -> None:
+    side, boxes = 64, [1, 6, 8 * 8]
+    graph = onnx.helper.make_graph(
+        [onnx.helper.make_node("Identity", ["cells"], ["output0"])],
+        "decoded",
+        [onnx.helper.make_tensor_value_info("images", onnx.TensorProto.FLOAT, [1, 3, side, side])],
+        [onnx.helper.make_tensor_value_info("output0", onnx.TensorProto.FLOAT, boxes)],
+        [onnx.numpy_helper.from_array(np.zeros(boxes, np.float32), "cells")],
+    )
+    onnx.save(
+        onnx.helper.make_model(graph, ir_version=8, opset_imports=[onnx.helper.make_opsetid("", 17)]),
+        tmp_path / "v8.onnx",
+    )
+    with pytest.raises(
+        ModelError, match=r"its outputs are boxes \(output0: 1 x 6 x 64\), as of YOLOv8 and later"
+    ):
+        Detector(model=ModelFiles(onnx=tmp_path / "v8.onnx", names=model.names))
+
+
 def test_what_the_heads_of_a_model_mean_may_be_told_instead(
     model: ModelFiles, detector: Detector, photo: bytes, tmp_path: Path
 ) -> None:

@@ -114,7 +114,9 @@ class VideoCamera:
                 self._trouble = "its frames have come to an end"
                 return
             captured_s = self._loop.time() - self._latency_s
-            if self._wishes and (jpeg := capture.jpeg()) is not None:
+            jpeg = capture.jpeg() if self._wishes else None
+            self._trouble = capture.trouble or self._trouble
+            if jpeg is not None:
                 photo = Photo(jpeg, captured_s, source=self._name)
                 with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
                     self._loop.call_soon_threadsafe(self._hand_out, photo)
@@ -133,6 +135,7 @@ class _Capture:
     def __init__(self, source: int | str) -> None:
         import cv2
 
+        self.trouble = ""
         if isinstance(source, int) or source.startswith("/dev/"):
             self._capture = (
                 cv2.VideoCapture(source)
@@ -155,11 +158,18 @@ class _Capture:
         return self._capture.grab()
 
     def jpeg(self) -> bytes | None:
-        """The frame as a JPEG; None if it cannot be decoded."""
+        """The frame as a JPEG; None if it cannot be decoded, or has more bits than a JPEG: `trouble` then says so."""
         import cv2
+        import numpy as np
 
         try:
             whole, frame = self._capture.retrieve()
+            if whole and frame.dtype != np.uint8:  # OpenCV would make a white photo of it
+                self.trouble = (
+                    f"its frames have {8 * frame.itemsize} bits a pixel, and a JPEG has 8: have the camera, or its "
+                    "pipeline, give 8 (`video/x-raw,format=GRAY8`)"
+                )
+                return None
             whole, jpeg = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         except cv2.error:
             return None

@@ -144,6 +144,7 @@ class OnnxInference(Inference):
             self._session = open_session(model, threads=threads, provider=provider)
         super().__init__(files, files.heads)
         try:
+            self._require_raw_heads()
             self.heads = files.heads or self._heads_in_metadata()
             self._input = self._checked_input()
             outputs = [output.name for output in self._session.get_outputs()]
@@ -163,6 +164,16 @@ class OnnxInference(Inference):
         names = [head.output for head in self.heads]
         outputs: list[Floats] = self._session.run(names, {self._input.name: picture}, options)
         return outputs
+
+    def _require_raw_heads(self) -> None:
+        """Raises ModelError for a network whose outputs are decoded boxes, as YOLOv8's and later ones' are."""
+        outputs = self._session.get_outputs()
+        if outputs and all(len(each.shape) == 3 for each in outputs):
+            raise self._error(
+                f"its outputs are boxes ({', '.join(f'{each.name}: {_by(each.shape)}' for each in outputs)}), as of "
+                "YOLOv8 and later, and it has no anchors: give a network with YOLOv3's raw heads, or run this one in "
+                "a service of your own"
+            )
 
     def _heads_in_metadata(self) -> tuple[Head, ...]:
         metadata = self._session.get_modelmeta().custom_metadata_map.get(HEADS_METADATA, "[]")

@@ -140,7 +140,8 @@ class _Header:
         size, pixels = f"{self.width_px} x {self.height_px} pixels", self.width_px * self.height_px
         if not 0 < pixels <= MAX_PHOTO_PIXELS:
             raise NotAPhoto(
-                f"the JPEG says it has {size}; photos of 1 to {MAX_PHOTO_PIXELS:,} pixels are accepted"
+                f"the JPEG says it has {size}; photos of 1 to {MAX_PHOTO_PIXELS:,} pixels are accepted: "
+                "have the camera take smaller ones"
             )
         if scans * pixels > MAX_SCANNED_PIXELS:
             raise NotAPhoto(
