@@ -22,7 +22,7 @@ def printed(servers: Any, **more: Any) -> list[str]:
     """The lines for the servers, as they arrive over the wire."""
     reply = {"up_s": 1.0, "servers": servers, "refusals": [], "certificates": [], **more}
     sent = msgspec.msgpack.encode(msgspec.to_builtins(reply))
-    console = Console(file=io.StringIO(), width=60, markup=False)
+    console = Console(file=io.StringIO(), width=90, markup=False)
     print_status(decode_reply(sent, StatusReply, sender="s1"), console)
     assert isinstance(console.file, io.StringIO)
     return [line.rstrip() for line in console.file.getvalue().splitlines()]
@@ -42,6 +42,9 @@ def test_drones_that_wait_follow_those_with_a_slot_in_the_order_of_their_turns()
         "  egret: has a slot for 2 s, counts as having had 2 s; lease ends in 28 s",
         "  avocet: waits for 0 s, counts as having had 2 s",
         "  heron: waits for 0 s, counts as having had 30 s",
+        "  drone    slot for    slots in all    calls    computing    last call",
+        "  egret    2 s         2 s             0        0.0 s",
+        "  heron                30 s            0        0.0 s",
     ]
 
 
@@ -101,3 +104,31 @@ def test_the_limits_that_hold_are_shown_for_each_service() -> None:
         "  counter: none",
         "  detector: 1.5 GiB of memory, 1 processor, 256 processes, 256 MiB of files",
     ]
+
+
+def test_what_drones_used_is_shown_with_holders_first_and_summed_by_team() -> None:
+    host = AdmissionController({"s1": ServerOffer(frozenset(), slots=2)})
+    for drone in ("north-1", "north-2"):
+        host.availability("s1", [], Client(drone), now_s=0.0)
+    host.used("s1", "north-1", took_s=1.25, outcome="value", now_s=3.0)
+    host.used("s1", "north-2", took_s=2.0, outcome="value", now_s=4.0)
+    host.leave("s1", Client("north-1"), now_s=5.0)
+    assert printed(host.servers(now_s=10.0))[5:] == [
+        "  drone      slot for    slots in all    calls    computing    last call",
+        "  north-2    10 s        10 s            1        2.0 s        6 s ago",
+        "  north-1                5 s             1        1.2 s        7 s ago",
+        "  team     slots    slots in all    calls    computing    last call",
+        "  north    1        15 s            2        3.2 s        6 s ago",
+    ]
+
+
+def test_of_many_drones_the_latest_are_shown() -> None:
+    host = AdmissionController({"s1": ServerOffer(frozenset(), slots=1)})
+    for number in range(30):
+        drone = Client(f"d{number:02}")
+        host.availability("s1", [], drone, now_s=float(number))
+        host.used("s1", drone.key, took_s=1.0, outcome="value", now_s=float(number))
+        host.leave("s1", drone, now_s=float(number))
+    shown = printed(host.servers(now_s=30.0))[5:]
+    assert shown[0].startswith("  d29 ") and shown[-1] == "  and 10 more: see --json"
+    assert len(shown) == 21

@@ -13,9 +13,19 @@ from upwash.core.admission import (
     Running,
     ServerOffer,
 )
-from upwash.core.clients import AccountStatus, Client, InstanceStatus, LeaseStatus, Role, ServerStatus
+from upwash.core.clients import (
+    AccountStatus,
+    Client,
+    DroneUsage,
+    InstanceStatus,
+    LeaseStatus,
+    Role,
+    ServerStatus,
+    TeamUsage,
+)
 from upwash.core.instances import InstanceState, StartInstance, StopInstance
 from upwash.core.leases import Admit
+from upwash.core.usage import LeaseEnded
 
 ABSENT, STARTING, RUNNING, STOPPING = InstanceState
 
@@ -40,6 +50,10 @@ def with_detector_running(*, slots: int = 1) -> AdmissionController:
 
 def admit(*drones: str, server: str = "s1") -> Admit:
     return Admit(server, frozenset(drones))
+
+
+def ended(slot_s: float, drone: str = "d1") -> LeaseEnded:
+    return LeaseEnded("s1", drone, slot_s, calls=0, computed_s=0.0)
 
 
 # ---- slots and leases
@@ -106,7 +120,7 @@ def test_the_lease_of_a_drone_that_is_heard_of_no_more_ends_by_itself() -> None:
     machine = host()
     machine.availability("s1", ["detector"], Client("d1"), now_s=0.0)
     assert machine.look(now_s=29.9) == []
-    assert machine.look(now_s=30.0) == [admit()]
+    assert machine.look(now_s=30.0) == [ended(30.0), admit()]
     assert machine.leases("s1") == set()
 
 
@@ -115,7 +129,7 @@ def test_a_lease_that_is_over_makes_room_without_anyone_looking() -> None:
     machine.availability("s1", ["detector"], Client("d1"), now_s=0.0)
     answer, commands = machine.availability("s1", ["detector"], Client("d2"), now_s=30.0)
     assert isinstance(answer, Available)
-    assert commands == [admit(), admit("d2")]
+    assert commands == [ended(30.0), admit(), admit("d2")]
 
 
 def test_a_denied_request_still_ends_the_leases_that_are_over() -> None:
@@ -123,7 +137,7 @@ def test_a_denied_request_still_ends_the_leases_that_are_over() -> None:
     machine.availability("s1", ["detector"], Client("d1"), now_s=0.0)
     answer, commands = machine.availability("s3", ["detector"], Client("d2"), now_s=30.0)
     assert isinstance(answer, Denied)
-    assert commands == [admit()]
+    assert commands == [ended(30.0), admit()]
 
 
 def test_every_request_renews_the_lease_and_what_the_daemon_sees_and_nothing_that_an_instance_says() -> None:
@@ -137,7 +151,7 @@ def test_every_request_renews_the_lease_and_what_the_daemon_sees_and_nothing_tha
     machine.seen("s1", "d1", now_s=79.8)
     assert machine.look(now_s=109.7) == []
     machine.called("s1", "detector", "d1", now_s=109.7)
-    assert machine.look(now_s=109.8) == [admit()]
+    assert machine.look(now_s=109.8) == [ended(109.8), admit()]
 
 
 def test_a_call_gives_no_lease_to_a_drone_without_one() -> None:
@@ -151,7 +165,7 @@ def test_drones_are_seen_by_their_certificates_and_no_others_lease_is_renewed() 
     machine = host(slots=2)
     machine.availability("s1", ["detector"], Client("d1", "f1"), now_s=0.0)
     machine.seen("s1", "d1", now_s=20.0)
-    assert machine.look(now_s=30.0) == [admit()]
+    assert machine.look(now_s=30.0) == [ended(30.0), admit()]
     machine.availability("s1", ["detector"], Client("d1", "f1"), now_s=30.0)
     machine.seen("s1", "f1", now_s=50.0)
     assert machine.look(now_s=79.9) == []
@@ -166,7 +180,7 @@ def test_calls_of_drones_without_a_lease_keep_no_instance_from_being_stopped() -
 
 def test_a_drone_that_leaves_frees_its_slot_at_once() -> None:
     machine = with_detector_running()
-    assert machine.leave("s1", Client("d1"), now_s=0.0) == [admit()]
+    assert machine.leave("s1", Client("d1"), now_s=0.0) == [ended(0.0), admit()]
     answer, _ = machine.availability("s1", ["detector"], Client("d2"), now_s=9.0)
     assert isinstance(answer, Available)
 
@@ -268,7 +282,7 @@ def test_an_instance_that_was_never_called_is_idle_from_when_it_was_ready() -> N
 def test_an_instance_that_starts_for_long_is_not_idle() -> None:
     machine = host()
     machine.start("s1", "detector", Client("d1"), now_s=0.0)
-    assert machine.look(now_s=1000.0) == [admit()]
+    assert machine.look(now_s=1000.0) == [ended(1000.0), admit()]
     assert machine.state("s1", "detector") is STARTING
 
 
@@ -279,7 +293,7 @@ def test_nothing_is_stopped_under_a_drone_with_a_lease() -> None:
         answer, commands = machine.availability("s1", ["detector"], Client("d1"), now_s=float(now_s))
         assert isinstance(answer, Available)
         assert commands == []
-    assert machine.look(now_s=1100.0) == [admit(), StopInstance("s1", "detector", 1)]
+    assert machine.look(now_s=1100.0) == [ended(1100.0), admit(), StopInstance("s1", "detector", 1)]
 
 
 def test_the_lease_of_one_server_does_not_keep_the_instances_of_another() -> None:
@@ -315,13 +329,13 @@ def test_instances_know_a_drone_by_its_certificate_where_it_has_one() -> None:
     assert machine.availability("s1", [], OURS, now_s=0.0)[1] == [admit("0a")]
     assert machine.availability("s1", [], THEIRS, now_s=1.0)[1] == [admit("0b")]
     assert machine.leave("s1", OURS, now_s=0.0) == [], "the lease is held with another certificate now"
-    assert machine.leave("s1", THEIRS, now_s=0.0) == [admit()]
+    assert machine.leave("s1", THEIRS, now_s=0.0) == [ended(0.0, THEIRS.name), admit()]
 
 
 def test_a_certificate_that_is_revoked_loses_its_lease_and_gets_no_other() -> None:
     machine = host()
     machine.availability("s1", [], OURS, now_s=0.0)
-    assert machine.revoke(frozenset({"0a"}), now_s=0.0) == [admit()]
+    assert machine.revoke(frozenset({"0a"}), now_s=0.0) == [ended(0.0, OURS.name), admit()]
     assert machine.leases("s1") == set()
     answer, commands = machine.start("s1", "detector", OURS, now_s=1.0)
     assert (answer, commands) == (Denied("the certificate of d1 is revoked"), [])
@@ -409,6 +423,8 @@ def test_an_operator_sees_the_servers_and_the_last_refusals_the_latest_first() -
         slots_why="configured",
         turn_s=30.0,
         accounts=[AccountStatus("d1", 14.0, 14.0, None), AccountStatus("d2", 10.0, None, 4.0)],
+        drones=[DroneUsage("d1", "d1", 14.0, 14.0, 0, 0.0, None)],
+        teams=[TeamUsage("d1", 1, 14.0, 0, 0.0, None)],
     )
     assert [(each.client, each.why, each.times, each.ago_s) for each in refusals] == [
         ("d1", "no such model", 1, 2.0),

@@ -27,6 +27,7 @@ from upwash.core.admission import (
 from upwash.core.clients import Client, Role
 from upwash.core.instances import InstanceState, StartInstance, StopInstance
 from upwash.core.leases import Admit
+from upwash.core.usage import LeaseEnded
 
 OFFERED = {"s1": ["counter", "detector"], "s2": ["detector"]}
 SETTINGS = AdmissionSettings(lease_s=30.0, idle_stop_s=100.0, hold_s=50.0)
@@ -226,7 +227,8 @@ class Daemon(RuleBasedStateMachine):
     def after_a_look(self) -> tuple[AdmissionController, list[Command]]:
         """The host as a mere look at this moment would leave it, and whom the look wants admitted."""
         looked = copy.deepcopy(self.host)
-        return looked, [command for command in looked.look(now_s=self.now_s) if isinstance(command, Admit)]
+        commands = looked.look(now_s=self.now_s)
+        return looked, [command for command in commands if isinstance(command, Admit | LeaseEnded)]
 
     def answered(
         self,

@@ -18,6 +18,7 @@ from upwash.core.admission import (
 from upwash.core.clients import Client, LeaseStatus, Role
 from upwash.core.instances import StartInstance
 from upwash.core.leases import Admit
+from upwash.core.usage import LeaseEnded
 
 S1 = Client("s1", "51", Role.SERVER)
 D1, D2 = Client("d1", "d1"), Client("d2", "d2")
@@ -62,7 +63,8 @@ def test_a_drone_that_does_not_come_loses_the_slot() -> None:
     machine = peer_host()
     hold(machine)
     assert machine.look(now_s=39.9) == []
-    assert machine.look(now_s=40.0) == [Admit("s2", frozenset())]
+    unused = LeaseEnded("s2", "d1", 40.0, calls=0, computed_s=0.0, held_by="s1")
+    assert machine.look(now_s=40.0) == [unused, Admit("s2", frozenset())]
 
 
 @pytest.mark.parametrize("for_s", [60.1, 1e9, math.inf, math.nan])

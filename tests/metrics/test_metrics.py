@@ -272,6 +272,27 @@ def test_a_drone_that_waits_is_told_as_such_and_refused_once_however_often_it_as
     asyncio.run(story())
 
 
+def test_what_drones_and_teams_used_is_offered_by_name() -> None:
+    async def story() -> None:
+        runtime = Runtime()
+        at = Edge(runtime)
+        at.metrics.look_at(at.edge)
+        await at.start("north-1")
+        for took_s in (0.5, 0.25):
+            runtime.answered[0](AnsweredCall("north-1", "process_photo", 1.0, took_s))
+        found = await asyncio.to_thread(generate_latest, at.metrics.registry)
+        of_drone = 'drone="north-1",server="s1",team="north"'
+        for line in (
+            f"upwash_drone_calls_total{{{of_drone}}} 2.0",
+            f"upwash_drone_computing_seconds_total{{{of_drone}}} 0.75",
+            'upwash_team_calls_total{server="s1",team="north"} 2.0',
+        ):
+            assert line in found.decode()
+        await at.edge.close()
+
+    asyncio.run(story())
+
+
 async def told(at: Edge, *samples: str) -> list[float]:
     return await asyncio.to_thread(lambda: [at.total(sample, server="s1") for sample in samples])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
@@ -667,3 +668,25 @@ def test_a_defect_in_an_instances_life_ends_the_daemon_with_that_failure(
         await daemon.edge.close()
 
     run_virtually(story())
+
+
+def test_the_log_says_at_the_end_of_each_lease_who_used_what(caplog: pytest.LogCaptureFixture) -> None:
+    async def story(daemon: Daemon) -> None:
+        await daemon.start("d1")
+        for took_s in (0.5, 0.75):
+            daemon.runtime.answered[0](AnsweredCall("d1", "process_photo", 0.0, took_s))
+        await daemon.leave("d1")
+        await daemon.hold("d2", for_s=3.0)
+        await asyncio.sleep(3.5)
+        await daemon.ask("d3")
+        await asyncio.sleep(2.0)
+        await daemon.edge.drain("it ends")
+
+    with caplog.at_level(logging.INFO, logger="upwash.usage"):
+        serve(story)
+    said = [each.getMessage() for each in caplog.records if each.name == "upwash.usage"]
+    assert said == [
+        f"s1: d1 had a slot for {COLD_START_S:.1f} s: calls answered 2, seconds of computing 1.2",
+        "s1: d2 did not come: a slot was held for 3.0 s, as s2 asked",
+        "s1: d3 had a slot for 2.0 s: calls answered 0, seconds of computing 0.0",
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 
@@ -9,12 +10,20 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from upwash.core.clients import AccountStatus, InstanceStatus, RefusalStatus, ServerStatus
+from upwash.core.clients import (
+    AccountStatus,
+    DroneUsage,
+    InstanceStatus,
+    RefusalStatus,
+    ServerStatus,
+    TeamUsage,
+)
 from upwash.core.limits import Limits
 from upwash.rpc.protocol import CertificateStatus, StatusReply
 from upwash.support.sentences import say
 
 _SOON_DAYS = 30
+_MOST_SHOWN = 20
 _STATE_STYLES = {"running": "green", "starting": "yellow", "stopping": "yellow"}
 
 
@@ -48,6 +57,7 @@ def _print_server(server: ServerStatus, console: Console) -> None:
         say(Text(f"  {line}"), console)
     if server.instances:
         console.print(_instances(server))
+    _print_usage(server, console)
     for instance in server.instances:
         if instance.failures:
             say(Text(f"  {_failed(instance)}", style="yellow"), console)
@@ -88,6 +98,36 @@ def _waiting(server: ServerStatus) -> Iterator[str]:
 
 def _counts_as(account: AccountStatus) -> str:
     return f"counts as having had {_duration(account.had_s)}"
+
+
+def _print_usage(server: ServerStatus, console: Console) -> None:
+    """What the latest drones used, and their teams, if a drone's name has one in it."""
+    latest = sorted(server.drones, key=lambda each: (each.holds_s is None, _ago_s(each), each.drone))
+    if latest:
+        table = _table("drone", "slot for", "slots in all", "calls", "computing", "last call")
+        for each in latest[:_MOST_SHOWN]:
+            table.add_row(
+                Text(each.drone), "" if each.holds_s is None else _duration(each.holds_s), *_used(each)
+            )
+        console.print(table)
+    if len(latest) > _MOST_SHOWN:
+        say(Text(f"  and {len(latest) - _MOST_SHOWN} more: see --json"), console)
+    if any(each.team != each.drone for each in server.drones):
+        table = _table("team", "slots", "slots in all", "calls", "computing", "last call")
+        for team in sorted(server.teams, key=lambda each: (-each.slots, _ago_s(each), each.team))[
+            :_MOST_SHOWN
+        ]:
+            table.add_row(Text(team.team), str(team.slots), *_used(team))
+        console.print(table)
+
+
+def _used(each: DroneUsage | TeamUsage) -> tuple[str, str, str, str]:
+    ago = "" if each.called_ago_s is None else f"{_duration(each.called_ago_s)} ago"
+    return _duration(each.slot_s), str(each.calls), f"{each.computed_s:.1f} s", ago
+
+
+def _ago_s(each: DroneUsage | TeamUsage) -> float:
+    return math.inf if each.called_ago_s is None else each.called_ago_s
 
 
 def _instances(server: ServerStatus) -> Table:

@@ -3,7 +3,8 @@
 A daemon acts as one or several servers; each has its own images (services it can run), instances (at most one
 of each service) and slots (drones that it serves at the same time). A slot is held by a drone as a lease. The daemon
 of the server that a drone comes from, a peer, may ask for one beforehand, with the instances that it will call.
-The parts stand in leases.py, turns.py, slots.py, instances.py and peers.py; here it is decided who gets what.
+The parts stand in leases.py, turns.py, usage.py, slots.py, instances.py and peers.py; here it is decided who gets
+what.
 
 Laws:
 - a server gives no lease while it has as many as slots, and only drones with a lease are admitted to its instances;
@@ -33,6 +34,7 @@ from upwash.core.leases import Admit, Leases
 from upwash.core.peers import Peers
 from upwash.core.slots import MeasuredSlots
 from upwash.core.turns import ASK_AGAIN_S, Turns
+from upwash.core.usage import LeaseEnded, Usage
 from upwash.core.watchdog import CALL_LIMIT_S, Useless
 
 _ROLES = {Role.OPERATOR: "an operator", Role.SERVER: "a server"}
@@ -114,7 +116,7 @@ class Held:
     """A slot is held for the drone."""
 
 
-Command = StartInstance | StopInstance | Admit
+Command = StartInstance | StopInstance | Admit | LeaseEnded
 
 
 class _Server:
@@ -126,7 +128,8 @@ class _Server:
         self.turns = Turns(offer.turn_s)
         self.turns_ended = 0
         self.measured = MeasuredSlots(offer.lanes_of_each)
-        self.leases = Leases(name, self.turns)
+        self.usage = Usage(name)
+        self.leases = Leases(name, self.turns, self.usage)
         self.instances = Instances(name, offer.images, numbers)
 
     @property
@@ -175,6 +178,8 @@ class _Server:
             turn_s=self.offer.turn_s if math.isfinite(self.offer.turn_s) else None,
             turns_ended=self.turns_ended,
             accounts=self.turns.status(now_s=now_s),
+            drones=self.usage.drones(now_s=now_s),
+            teams=self.usage.teams(now_s=now_s),
         )
 
     def _no_slot(self, now_s: float, *, is_news: bool) -> Denied:
@@ -429,6 +434,12 @@ class AdmissionController:
         if state.leases.by_key(drone, now_s=now_s) is not None:
             state.measured.answered(service, drone, took_s=took_s, queued_s=queued_s, now_s=now_s)
 
+    def used(self, server: str, drone: str, *, took_s: float, outcome: str, now_s: float) -> None:
+        """An instance of any version computed a call of the drone, known by `Client.key`, for `took_s`."""
+        self._servers[server].usage.called(
+            drone, took_s=took_s, is_answered=outcome != "dropped", now_s=now_s
+        )
+
     def seen(self, server: str, drone: str, *, now_s: float) -> None:
         """The daemon saw that the drone, known by `Client.key`, is there: a lease that it has is renewed."""
         lease = self._servers[server].leases.by_key(drone, now_s=now_s)
@@ -475,6 +486,14 @@ class AdmissionController:
             command
             for server in self._servers.values()
             for command in server.instances.stop_all(self.closing)
+        ]
+
+    def end_leases(self, *, now_s: float) -> list[Command]:
+        """Ends every lease, as the daemon does."""
+        return [
+            command
+            for server in self._servers.values()
+            for command in server.leases.end(lambda _: True, now_s=now_s)
         ]
 
     # --- what comes to its end by itself --------------------------------------------------------------------

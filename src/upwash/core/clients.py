@@ -77,11 +77,39 @@ class AccountStatus:
 
 
 @dataclass(frozen=True, slots=True)
+class DroneUsage:
+    """What a drone has used of a server: `slot_s` of slots in all, and answered `calls` computed for `computed_s`.
+
+    It has had its present slot for `holds_s`, None without a slot. Its last call ended `called_ago_s` ago.
+    """
+
+    drone: str
+    team: str
+    holds_s: float | None
+    slot_s: float
+    calls: int
+    computed_s: float
+    called_ago_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class TeamUsage:
+    """The same of all drones of a team, which have `slots` now."""
+
+    team: str
+    slots: int
+    slot_s: float
+    calls: int
+    computed_s: float
+    called_ago_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class ServerStatus:
     """One of the servers that a daemon acts as; `slots_why` says what the number of slots follows from.
 
     A turn lasts `turn_s`, None where it has no end, and so many have ended for the sake of others. A daemon that
-    knows no turns says nothing of all this.
+    knows no turns says nothing of all this. An earlier daemon says nothing of what `drones` and `teams` used.
     """
 
     name: str
@@ -92,6 +120,8 @@ class ServerStatus:
     turn_s: float | None = None
     turns_ended: int = 0
     accounts: Sequence[AccountStatus] = ()
+    drones: Sequence[DroneUsage] = ()
+    teams: Sequence[TeamUsage] = ()
 
 
 @dataclass(frozen=True, slots=True)

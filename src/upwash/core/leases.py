@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from upwash.core.clients import Client, LeaseStatus
 from upwash.core.turns import Turns
+from upwash.core.usage import LeaseEnded, Usage
 
 _FINISH_S = 10.0  # for which calls that are under way are answered after a turn
 
@@ -39,9 +40,10 @@ class Lease:
 class Leases:
     """The slots of one server that are taken; what changes whom its instances answer returns that as a command."""
 
-    def __init__(self, server: str, turns: Turns) -> None:
+    def __init__(self, server: str, turns: Turns, usage: Usage) -> None:
         self._server = server
         self._turns = turns
+        self._usage = usage
         self._leases: dict[str, Lease] = {}  # by drone
         self._finishing: dict[str, float] = {}  # by `Client.key`: until when
 
@@ -95,24 +97,25 @@ class Leases:
         """The leases whose time is over."""
         return [each for each in self._leases.values() if each.until_s <= now_s]
 
-    def end(self, which: Callable[[Lease], bool], *, now_s: float) -> list[Admit]:
+    def end(self, which: Callable[[Lease], bool], *, now_s: float) -> list[Admit | LeaseEnded]:
         """Ends such leases, and the time for the last calls of turns, where it is over."""
-        ended = [name for name, lease in self._leases.items() if which(lease)]
-        for name in ended:
+        ended = []
+        for name, lease in [each for each in self._leases.items() if which(each[1])]:
             del self._leases[name]
             self._turns.gave_back(name, now_s=now_s)
+            ended.append(self._usage.gave_back(name, held_by=lease.held_by, now_s=now_s))
         finished = [key for key, until_s in self._finishing.items() if until_s <= now_s]
         for key in finished:
             del self._finishing[key]
-        return [self.admitted()] if ended or finished else []
+        return [*ended, self.admitted()] if ended or finished else []
 
-    def revoke(self, certificates: frozenset[str], *, now_s: float) -> list[Admit]:
+    def revoke(self, certificates: frozenset[str], *, now_s: float) -> list[Admit | LeaseEnded]:
         """Ends the leases that were given for these certificates, and the time for last calls."""
         for certificate in certificates & self._finishing.keys():
             self._finishing[certificate] = now_s
         return self.end(lambda lease: lease.drone.certificate in certificates, now_s=now_s)
 
-    def end_turn(self, drone: str, *, now_s: float) -> list[Admit]:
+    def end_turn(self, drone: str, *, now_s: float) -> list[Admit | LeaseEnded]:
         """Ends the lease of the drone, whose calls that are under way are still answered."""
         lease = self._leases[drone]
         self._finishing[lease.drone.key] = now_s + _FINISH_S
@@ -133,6 +136,7 @@ class Leases:
     def _put(self, lease: Lease, now_s: float) -> list[Admit]:
         known = self._leases.get(lease.drone.name)
         self._leases[lease.drone.name] = lease
+        self._usage.took(lease.drone, now_s=now_s)
         if known is None:
             self._turns.took(lease.drone.name, now_s=now_s)
         return [] if known is not None and known.drone == lease.drone else [self.admitted()]

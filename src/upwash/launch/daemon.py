@@ -28,6 +28,7 @@ from upwash.real.announced import Inside
 from upwash.real.door import Door, Seen, door_limits, leading, opened_door, raise_limit_of_files
 from upwash.real.hand_over import HandedOver, Served, hand_over
 from upwash.real.listener import Health, Listener, cannot_listen
+from upwash.real.log import Sparing
 from upwash.real.requests import Caller, Requests
 from upwash.real.runtime import ProcessRuntime, sockets_in
 from upwash.real.service_manager import ServiceManager
@@ -53,6 +54,7 @@ _COMING_S = 30.0  # for a daemon to come up, beside its services
 _METRICS_S = 0.5  # between two looks at whether the daemon before still offers its metrics
 _ENDING_S = 30.0  # for all that follows the calls under way
 _PACES = 10.0  # a call may take that many times the slowest pace
+logging.getLogger("upwash.usage").addFilter(Sparing())  # a drone may come and go as often as it likes
 _CLOSING = "this edge server is shutting down"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, get_args
 
 from prometheus_client import CollectorRegistry, Counter, Histogram
@@ -195,11 +196,31 @@ class _Standing(Collector):
                     labels = [server.name, instance.service, state]
                     instances.add_metric(labels, float(instance.state == state))
         yield from (slots, leases, held, waiting, turns, instances, replaced, renewed, paused)
+        yield from _usage(standing)
         yield from (_refusals(standing), _refusals_at_door(standing), _expiries(standing))
 
 
 async def _look(edge: EdgeServer) -> Snapshot:
     return edge.standing()
+
+
+def _usage(standing: Snapshot) -> Iterator[Metric]:
+    """What drones and teams used; the numbers of teams count forgotten drones too."""
+    for whose, labels in (("drone", ["server", "drone", "team"]), ("team", ["server", "team"])):
+        used = [
+            (each, [server.name, *(getattr(each, label) for label in labels[1:])])
+            for server in standing.servers
+            for each in (server.drones if whose == "drone" else server.teams)
+        ]
+        for name, what, number in (
+            ("slot_seconds", "Time with a slot", attrgetter("slot_s")),
+            ("calls", "Answered calls", attrgetter("calls")),
+            ("computing_seconds", "What services took for calls", attrgetter("computed_s")),
+        ):
+            family = CounterMetricFamily(f"upwash_{whose}_{name}", what, labels=labels)
+            for each, values in used:
+                family.add_metric(values, number(each))
+            yield family
 
 
 def _refusals(standing: Snapshot) -> Metric:

@@ -25,6 +25,7 @@ from upwash.core.clients import Client, DoorStatus, ServerStatus
 from upwash.core.instances import StartInstance, StopInstance
 from upwash.core.leases import Admit
 from upwash.core.limits import NO_LIMITS, Limits
+from upwash.core.usage import LeaseEnded
 from upwash.errors import InstanceError, LinkError, NotReadyInTime, Refused
 from upwash.ports import AnsweredCall, Dialer, Instance, InstanceSpec, Program, Runtime
 from upwash.rpc.protocol import (
@@ -58,6 +59,7 @@ from upwash.support.text import printable
 R = TypeVar("R")
 
 _log = logging.getLogger("upwash.server")
+_usage = logging.getLogger("upwash.usage")
 _LEAST_LOOK_S = 1.0  # between two looks at what has come to its end
 _PEER_S = 3.0  # a peer answers at once, over a wire, or is in trouble
 _WATCH_S = 5.0  # between two looks at whether an instance is of use
@@ -103,6 +105,18 @@ def _route(
         return msgspec.msgpack.encode(await answer(decode_request(body, request), client))
 
     return handle
+
+
+def _used(lease: LeaseEnded) -> str:
+    """What the log says at the end of a lease."""
+    if lease.held_by:
+        return (
+            f"{lease.drone} did not come: a slot was held for {lease.slot_s:.1f} s, as {lease.held_by} asked"
+        )
+    return (
+        f"{lease.drone} had a slot for {lease.slot_s:.1f} s: calls answered {lease.calls}, "
+        f"seconds of computing {lease.computed_s:.1f}"
+    )
 
 
 class EdgeServer:
@@ -208,6 +222,7 @@ class EdgeServer:
         """Refuses whatever is new for that reason; returns when the calls under way have ended, or had their time."""
         await self._perform(self._host.close(why))
         await asyncio.gather(*self._endings.values())
+        await self._perform(self._host.end_leases(now_s=self._now_s()))
 
     async def run(self) -> NoReturn:
         """Ends leases and idle instances as their time comes, until cancelled.
@@ -365,6 +380,8 @@ class EdgeServer:
             match command:
                 case Admit():
                     await self._admit(command)
+                case LeaseEnded():
+                    _usage.info("%s: %s", command.server, _used(command))
                 case StartInstance(_, _, number):
                     self._settled[number] = asyncio.get_running_loop().create_future()
                     name = f"the life of {command.service}"
@@ -514,6 +531,8 @@ class EdgeServer:
             self._host.called(start.server, start.service, drone, now_s=self._now_s())
 
     def _answered(self, start: StartInstance, call: AnsweredCall) -> None:
+        now_s = self._now_s()
+        self._host.used(start.server, call.drone, took_s=call.took_s, outcome=call.outcome, now_s=now_s)
         if self._has_place(start):
             self._host.answered(
                 start.server,
@@ -522,7 +541,7 @@ class EdgeServer:
                 took_s=call.took_s,
                 queued_s=call.queued_s,
                 outcome=call.outcome,
-                now_s=self._now_s(),
+                now_s=now_s,
             )
 
     def _now_s(self) -> float:
