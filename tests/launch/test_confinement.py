@@ -17,6 +17,7 @@ from upwash.config import DaemonConfig, read_daemon_config
 from upwash.core.limits import DEFAULT_LIMITS, NO_LIMITS, Limits
 from upwash.errors import UsageError
 from upwash.launch.confinement import Confinement, find_confinement
+from upwash.launch.daemon_services import DaemonServices
 from upwash.real.sandbox import Sandbox
 
 CONFIG = """
@@ -127,3 +128,16 @@ def test_a_limit_that_docker_cannot_put_on_containers_is_refused(tmp_path: Path)
         UsageError, match=f"memory_bytes of service .* the engine at {at} has no control group"
     ):
         found.limits(read(tmp_path, runtime=docker, service="memory_bytes = 268_435_456"))
+
+
+def test_a_reload_with_a_limit_that_would_not_hold_is_refused(tmp_path: Path) -> None:
+    config = read(tmp_path)
+    config = replace(config, images=config.images[1:])  # the bundled detector
+    confinement = Confinement(unenforced={"cpus": "there is no taskset"})
+    services = DaemonServices(config, confinement)
+    limited = replace(config, images=(replace(config.images[0], cpus=1),))
+    with pytest.raises(
+        UsageError, match='cpus of service "detector" would have no effect: there is no taskset'
+    ):
+        asyncio.run(services.anew(limited))
+    assert services.images["detector"].limits == DEFAULT_LIMITS

@@ -14,11 +14,13 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from tests.children import expect_no_child
+from tests.system.daemons import children
 
 from upwash.core.limits import Limits
 from upwash.errors import InstanceError, LinkError, UsageError
@@ -94,6 +96,27 @@ def test_it_gets_no_more_memory_than_its_limit_and_goes_on(sandbox: Sandbox, tmp
         assert await call("eat_memory", 2**25) == 2**25
 
     in_sandbox(sandbox, tmp_path, eat)
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="there is one processor")
+def test_instances_that_may_use_one_processor_are_spread_over_all(sandbox: Sandbox, tmp_path: Path) -> None:
+    async def run() -> list[set[int]]:
+        numbers, before = iter(range(9)), set(children(os.getpid()))
+        runtime = ProcessRuntime(
+            lambda _: f"unix:{tmp_path}/{next(numbers)}.sock",
+            max_message_bytes=MAX_MESSAGE_BYTES,
+            sandbox=sandbox,
+        )
+        spec = replace(SPEC, limits=replace(LIMITS, cpus=1))
+        instances = [await runtime.start(spec, called=lambda _: None) for _ in range(2)]
+        found = [os.sched_getaffinity(each) for each in set(children(os.getpid())) - before]
+        for instance in instances:
+            await instance.stop()
+        return found
+
+    first, second = asyncio.run(run())
+    assert len(first) == len(second) == 1
+    assert first != second
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="a user without rights has run them already")
