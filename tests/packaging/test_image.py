@@ -259,3 +259,20 @@ def test_a_distribution_that_lacks_a_file_is_refused(fieldlib: Path, tmp_path: P
         UsageError, match=r"fieldlib\.py of fieldlib is missing: `pip install --force-reinstall"
     ):
         copy_distributions(["fieldlib"], tmp_path / "root")
+
+
+@pytest.mark.parametrize("statement", ["import helper_for_tests", "from helper_for_tests import labels"])
+def test_a_file_that_the_program_imports_is_not_left_out_of_the_image(tmp_path: Path, statement: str) -> None:
+    helper, program = tmp_path / "helper_for_tests.py", tmp_path / "program_for_tests.py"
+    helper.write_text("labels = []\n")
+    program.write_text(f"import json\ndef find():\n    {statement}\n")
+    with pytest.raises(UsageError, match=r"imports .*: pack it too, with --include .*helper_for_tests\.py"):
+        copy_program(f"{program}:find", tmp_path / "root")
+    copy_program(f"{program}:find", tmp_path / "root", beside=[helper])
+
+
+def test_a_file_beside_that_python_does_not_find_first_may_be_left_out(tmp_path: Path) -> None:
+    (tmp_path / "json.py").touch()
+    program = tmp_path / "program_for_tests.py"
+    program.write_text("import json\n")
+    assert copy_program(f"{program}:find", tmp_path / "root")

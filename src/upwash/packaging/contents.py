@@ -7,14 +7,14 @@ import importlib.util
 import json
 import shlex
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
 from upwash.errors import UsageError
-from upwash.packaging.sources import is_left_out, require_packable
+from upwash.packaging.sources import is_left_out, require_neighbours, require_packable
 from upwash.support.loading import extra
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ _OF_EVERY_INSTANCE = ("grpcio", "msgspec")
 _PIECE_BYTES = 2**20
 
 
-def copy_program(program: str, root: Path, *, beside: Iterable[Path] = ()) -> str:
+def copy_program(program: str, root: Path, *, beside: Collection[Path] = ()) -> str:
     """Copies a service's module or file, and what lies `beside` it; returns its import path in the image."""
     module, _, name = program.rpartition(":")
     for path in beside:
@@ -38,6 +38,7 @@ def copy_program(program: str, root: Path, *, beside: Iterable[Path] = ()) -> st
         _copy(path, root / PROGRAM / path.name)
     if module.endswith(".py"):
         file = Path(module)
+        require_neighbours(file, beside)
         _copy(file, root / PROGRAM / file.name)
         return f"/{PROGRAM}/{file.name}:{name}"
     top = module.partition(".")[0]

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import os
+import shlex
 import stat
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterable, Iterator
+from importlib.machinery import PathFinder
 from itertools import chain
 from pathlib import Path, PurePath
 
@@ -34,6 +38,29 @@ def require_packable(source: Path) -> None:
                 f"{source} has more than {_MOST_FILES} files or {_MOST_BYTES // 2**30} GiB: "
                 "name a folder that has only what the service needs"
             )
+
+
+def require_neighbours(program: Path, beside: Iterable[Path]) -> None:
+    """Raises UsageError where a program, or what lies beside it, imports a file of its folder that is not packed."""
+    given = [program, *beside]
+    names = {path.name for path in given}
+    for file in (path for path in given if path.suffix == ".py" and path.is_file()):
+        for module in _imported_by(file):
+            found = PathFinder.find_spec(module, [*sys.path, str(program.resolve().parent)])
+            places = [] if found is None else [*(found.submodule_search_locations or ()), found.origin or "/"]
+            neighbour = Path(next(iter(places), "/"))
+            if neighbour.parent == program.resolve().parent and neighbour.name not in names:
+                raise UsageError(
+                    f"{file} imports {neighbour}: pack it too, with --include {shlex.quote(str(neighbour))}"
+                )
+
+
+def _imported_by(file: Path) -> set[str]:
+    """The top names of the modules that a file imports anywhere in it."""
+    statements = list(ast.walk(ast.parse(file.read_bytes(), file)))
+    named = [alias.name for each in statements if isinstance(each, ast.Import) for alias in each.names]
+    named += [each.module for each in statements if isinstance(each, ast.ImportFrom) and each.module]
+    return {name.partition(".")[0] for name in named}
 
 
 def _below(folder: Path) -> Iterator[Path]:

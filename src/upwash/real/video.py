@@ -158,7 +158,7 @@ class _Capture:
         return self._capture.grab()
 
     def jpeg(self) -> bytes | None:
-        """The frame as a JPEG; None if it cannot be decoded, or has more bits than a JPEG: `trouble` then says so."""
+        """The frame as a JPEG; None if it cannot be decoded, or has more bits than a JPEG, as `trouble` says then."""
         import cv2
         import numpy as np
 

@@ -171,8 +171,8 @@ class OnnxInference(Inference):
         if outputs and all(len(each.shape) == 3 for each in outputs):
             raise self._error(
                 f"its outputs are boxes ({', '.join(f'{each.name}: {_by(each.shape)}' for each in outputs)}), as of "
-                "YOLOv8 and later, and it has no anchors: give a network with YOLOv3's raw heads, or run this one in "
-                "a service of your own"
+                "YOLOv8 and later, and it has no anchors: give a network with YOLOv3's raw heads, or run the "
+                "network in a service of your own"
             )
 
     def _heads_in_metadata(self) -> tuple[Head, ...]:
