@@ -285,6 +285,10 @@ class Network(Protocol):
 class Link(Protocol):
     """A connection to one address over which requests are sent."""
 
+    @property
+    def is_far(self) -> bool:
+        """Whether connecting may take longer than a call has time for: then a sign of life is waited for first."""
+
     async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
         """Sends one request and returns its reply; raises LinkError. Cancelling it tells the other side."""
 

@@ -31,7 +31,12 @@ QUICK = {  # what each prints, among others
     "vehicle": r"\| total \| [\d.]+ \| [\d.]+ \|",
 }
 BELOW = {"flights", "promises", "px4_events", "px4_figures", "sandbox", "view", "weight"}
-AS_ROOT = {"containers", "peers", "validate"}  # test_smoke_as_root.py, tests/system/test_peers_bench.py
+AS_ROOT = {
+    "containers",
+    "links",
+    "peers",
+    "validate",
+}  # test_smoke_as_root.py, tests/system/test_peers_bench.py
 ENDS = {"client", "servers"}  # which `call` and `load` start
 
 

@@ -33,6 +33,16 @@ def test_calls_are_measured_over_an_emulated_link() -> None:
     assert re.search(r"\n(PASS|MISS): upwash on the server / 63.7 ms of bits / rate = [\d.]+", said)
 
 
+@needs_root
+@needs_ip
+def test_a_server_a_second_away_is_used_and_one_behind_a_small_mtu_is_explained() -> None:
+    said = printed("bench.links", "--quick")
+    assert re.search(r"\n\| 1,000 ms \| 2 of 2 in ", said), said
+    assert re.search(r"does not answer: small packets pass and large ones are lost: lower the MTU", said), (
+        said
+    )
+
+
 @pytest.mark.flight
 @pytest.mark.xdist_group("emulate")
 @needs_root

@@ -67,6 +67,7 @@ class FormerLink:
 
     def __init__(self, link: Link) -> None:
         self._link = link
+        self.is_far = link.is_far
 
     async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
         asked, answered = MESSAGES.get(path, (None, None))

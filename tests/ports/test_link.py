@@ -7,6 +7,7 @@ import logging
 import re
 import socket
 import socketserver
+import ssl
 import subprocess
 import sys
 import threading
@@ -27,6 +28,7 @@ from upwash.real.credentials import Credentials
 from upwash.real.link import DRONE_METADATA, GrpcDialer, GrpcLink
 from upwash.real.listener import Listener, WhoIs
 from upwash.real.requests import Caller, Gate, Handler, Requests
+from upwash.real.trust import server_context
 from upwash.rpc.protocol import AVAILABILITY, LONGEST_REPLY_BYTES, START, STATUS, service_path
 
 MAX_MESSAGE_BYTES = 100_000
@@ -680,6 +682,52 @@ def test_what_is_no_daemon_is_told_in_plain_words(
         server.shutdown()
     assert str(caught.value).startswith(f"s1 at {address}: {said}")
     assert not re.search("SSL|TSI|HTTP/2|SETTINGS|Handshake", str(caught.value))
+
+
+@contextmanager
+def taking_connections(greet: Callable[[socket.socket], socket.socket]) -> Iterator[str]:
+    """The address of a server that greets its callers, and then says nothing any more."""
+    kept: list[socket.socket] = []
+
+    def take() -> None:
+        with suppress(OSError):
+            while True:
+                caller, _ = server.accept()
+                kept.append(caller)
+                with suppress(ssl.SSLError, ConnectionError):
+                    kept.append(greet(caller))
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=take)
+        thread.start()
+        yield f"127.0.0.1:{server.getsockname()[1]}"
+        server.shutdown(socket.SHUT_RDWR)
+    thread.join()
+    for each in kept:
+        each.close()
+
+
+@pytest.mark.parametrize("greets", [False, True])
+def test_why_a_server_takes_connections_and_does_not_answer_is_found_out(
+    credentials: ReadCredentials, greets: bool
+) -> None:
+    context, shown = server_context(credentials("s1")), credentials("heron")
+
+    def greet(caller: socket.socket) -> socket.socket:
+        return context.wrap_socket(caller, server_side=True) if greets else caller
+
+    found = (
+        r"TLS is done after \d\.\d s, and then the daemon is silent: see its log"
+        if greets
+        else r"TCP connects in \d\.\d\d s, and not a byte of TLS came back in \d\.\d s: .*stuck: restart it"
+    )
+    with (
+        taking_connections(greet) as address,
+        pytest.raises(
+            Unreachable, match=f"s1 at {address}: it takes connections and does not answer: {found}"
+        ),
+    ):
+        request(address, path=AVAILABILITY, timeout_s=4.0, shown=shown)
 
 
 # --- listening ----------------------------------------------------------------------------------------------

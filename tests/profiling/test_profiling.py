@@ -124,6 +124,8 @@ class Computer:
     async def close(self) -> None:
         pass
 
+    is_far = False
+
     async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
         self.paths.append(path)
         await asyncio.sleep(LATENCY_S + len(body) / self.bytes_per_s)

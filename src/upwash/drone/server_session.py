@@ -149,8 +149,7 @@ class ServerSession:
                 if service in answer.endpoints:
                     address = resolve(answer.endpoints[service], self._address)
                     links.append(self._dialer.dial(address, server=self._server.name))
-                    with contextlib.suppress(Refused):  # which is an answer too
-                        await links[-1].request(HEALTH_CHECK, b"", timeout_s=_ANSWER_S)
+                    await _connected(links[-1])
         finally:
             for link in links:
                 await link.close()
@@ -335,5 +334,13 @@ class ServerSession:
             return
         if service in self._instances:
             await self._instances[service].close()
-        self._instances[service] = self._dialer.dial(address, server=self._server.name)
+        link = self._instances[service] = self._dialer.dial(address, server=self._server.name)
         self._addresses[service] = address
+        if link.is_far:
+            await _connected(link)
+
+
+async def _connected(instance: Link) -> None:
+    """Returns once the instance gives a sign of life; raises LinkError."""
+    with contextlib.suppress(Refused):  # which is an answer too
+        await instance.request(HEALTH_CHECK, b"", timeout_s=_ANSWER_S)

@@ -139,6 +139,10 @@ class _Link:
     server: str
     observer: DroneObserver
 
+    @property
+    def is_far(self) -> bool:
+        return self.seen.is_far
+
     async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
         position = self.observer.position()
         self.observer.note(Seen(event="sent", server=self.server, path=path, position=position))

@@ -13,7 +13,7 @@ from upwash.core.policy import Deadline
 from upwash.core.radios import check_limit_s
 from upwash.drone.preparation import endpoints, make_estimates
 from upwash.drone.server_session import ServerEndpoint, ServerSession
-from upwash.errors import Unreachable, UpwashError
+from upwash.errors import DeadlineExceeded, Unreachable, UpwashError
 from upwash.launch.drone import (
     drone_credentials,
     require_address,
@@ -25,9 +25,10 @@ from upwash.launch.networks import network_on_the_ground
 from upwash.launch.photos import Look, look
 from upwash.launch.trials import call_limit_s, requests_of, trials
 from upwash.missions.bundled import load_specs
-from upwash.ports import Dialer, Network
+from upwash.ports import Network
 from upwash.profiling.profiler import Sample, require_answer
 from upwash.real.finding import Finding
+from upwash.real.link import GrpcDialer
 from upwash.rpc.service import ServiceSpec
 from upwash.sim.journal import MemoryJournal
 from upwash.support.background import beside
@@ -47,7 +48,7 @@ class _Wanted:
     specs: Mapping[str, ServiceSpec]
     estimates: Estimates
     photos: Mapping[str, bytes]
-    dialer: Dialer
+    dialer: GrpcDialer
 
     def of(self, endpoint: ServerEndpoint) -> list[Sample]:
         """The calls that a flight may make there."""
@@ -157,8 +158,12 @@ async def _call(session: ServerSession, wanted: _Wanted, sample: Sample, photo: 
     limit_s = call_limit_s(wanted.estimates.local_s(operation))
     try:
         reply = await session.call(operation.service, operation.method, request, deadline_s=limit_s)
-    except Unreachable as error:
-        raise Unreachable(f"{error}: {_OTHER_PORTS}") from error
+    except (Unreachable, DeadlineExceeded) as error:
+        if trouble := await wanted.dialer.trouble(session.server):
+            raise Unreachable(f"{session.server}: {trouble}") from error
+        if isinstance(error, Unreachable):
+            raise Unreachable(f"{error}: {_OTHER_PORTS}") from error
+        raise
     took_s = now_s() - began_s
     require_answer(sample, photo, reply)
     return took_s

@@ -120,6 +120,8 @@ class DirectListener:
 class DirectLink:
     """The program's end; made in a running event loop."""
 
+    is_far = False
+
     def __init__(
         self,
         calls: Calls,

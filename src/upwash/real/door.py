@@ -63,7 +63,7 @@ class DoorLimits:
     handshakes_per_address: int = 16
     handshakes_per_address_per_s: float = 20.0
     silence_s: float = 10.0
-    handshake_s: float = 5.0
+    handshake_s: float = 10.0  # of a round trip of 1 s, with packets lost
     connections: int = 1024
     connections_per_certificate: int = 64
     begun_per_s: float = 1000.0

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import re
+import time
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any
@@ -19,7 +20,14 @@ import msgspec
 
 from upwash.errors import DeadlineExceeded, LinkError, NoLease, Refused, Unreachable
 from upwash.real.credentials import Credentials, at_second
-from upwash.rpc.protocol import LONGEST_REPLY_BYTES, LONGEST_STATUS_BYTES, STATUS, service_path
+from upwash.real.way import LARGE_BYTES, Way
+from upwash.rpc.protocol import (
+    HEALTH_CHECK,
+    LONGEST_REPLY_BYTES,
+    LONGEST_STATUS_BYTES,
+    STATUS,
+    service_path,
+)
 from upwash.support.background import only_logged, thread
 from upwash.support.text import printable
 
@@ -30,11 +38,9 @@ NOT_INFLATED = ("grpc.per_message_decompression", 0)
 _DAEMON, _STATUS = STATUS.strip("/").split("/")
 CHANNEL_OPTIONS: tuple[tuple[str, int | str], ...] = (
     ("grpc.keepalive_time_ms", 2000),
-    ("grpc.keepalive_timeout_ms", 3000),
     ("grpc.keepalive_permit_without_calls", 1),
     ("grpc.http2.max_pings_without_data", 0),
     ("grpc.initial_reconnect_backoff_ms", 100),
-    ("grpc.min_reconnect_backoff_ms", 1500),  # for one attempt to connect: Linux repeats a lost SYN after 1 s
     ("grpc.max_reconnect_backoff_ms", 1000),
     ("grpc.dns_min_time_between_resolutions_ms", 1000),  # a name may lead elsewhere once a connection is lost
     ("grpc.enable_http_proxy", 0),
@@ -59,13 +65,24 @@ _TROUBLES = {  # the same of any connection that failed; the first that fits
     "Failed parsing HTTP/2": _ANOTHER_PROGRAM,
     "before receiving SETTINGS": _SILENT,
     "Endpoint closing": _SILENT,
+    "tcp handshaker shutdown": "no connection: its computer is off or out of reach, or a firewall drops packets",
     "lookup failed": "no computer of that name is known",
     "No such file or directory": "no such socket: nobody serves there",
     "Socket closed": _HUNG_UP,
     "Connection reset by peer": _HUNG_UP,
 }
+_ROUND_TRIPS, _FIRST_ROUND_TRIPS = 2, 8  # of a question, without and with connecting; some are lost
+_LEAST_ROUND_TRIPS = 4  # until the first answer: TCP, TLS, HTTP/2, and the question
+_LONGER = 1.2
+_FAR_S = 0.1
+_KEEPALIVE_S = 3.0  # for the answer to a ping, beside what the way takes; also for TCP's acknowledgements
+_WAITED_FOR = (f"/{_DAEMON}/", HEALTH_CHECK)  # the way to these may take its time: no call of a mission waits
 _LARGER = re.compile(r"(CLIENT|SERVER): (Sent|Received) message larger than max \((\d+) vs\. (\d+)\)")
 _AROUND = re.compile(r"^failed to connect to all addresses; last error: [A-Z]+: ((ipv4|ipv6|unix):\S+: )?")
+
+
+class _Silent(Unreachable):
+    """The other end takes connections and does not answer."""
 
 
 class GrpcDialer:
@@ -86,6 +103,8 @@ class GrpcDialer:
         self._max_message_bytes = max_message_bytes
         self._longest_replies = _longest_replies(max_reply_bytes or {})
         self._own_trouble = _certificate_trouble(credentials)
+        self._shown = credentials
+        self._ways: dict[str, Way] = {}  # by server
         self._credentials = (
             grpc.ssl_channel_credentials(
                 root_certificates=credentials.authority,
@@ -107,19 +126,37 @@ class GrpcDialer:
             ("grpc.max_send_message_length", self._max_message_bytes),
             ("grpc.service_config", self._longest_replies),
         ]
-        own_trouble = self._own_trouble
-        if self._credentials is None or address.startswith("unix:"):
-            channel, own_trouble = grpc.insecure_channel(address, options), lambda: ""
+        credentials, own_trouble = self._credentials, self._own_trouble
+        if self._shown is None or address.startswith("unix:"):
+            credentials, own_trouble = None, lambda: ""
+            way = Way(server, address, None)
         else:
             options.append(("grpc.ssl_target_name_override", server))
-            channel = grpc.secure_channel(address, self._credentials, options)
+            way = self._ways.setdefault(server, Way(server, address, self._shown))
+            way.address = address
+
+        def connect() -> grpc.Channel:
+            patient = [*options, *_patience(way)]
+            if credentials is None:
+                return grpc.insecure_channel(address, patient)
+            return grpc.secure_channel(address, credentials, patient)
+
         return GrpcLink(
-            channel,
+            connect,
+            way,
             peer=f"{server} at {address}",
             drone=self._drone,
             max_message_bytes=self._max_message_bytes,
             own_trouble=own_trouble,
         )
+
+    async def trouble(self, server: str) -> str:
+        """What is wrong with the way to a server that was dialled, "" for nothing; takes seconds to find out."""
+        way = self._ways.get(server)
+        if way is None:
+            return ""
+        await way.look()
+        return way.trouble
 
 
 class GrpcLink:
@@ -128,29 +165,86 @@ class GrpcLink:
     gRPC ends no request, at its deadline or as its channel closes, before what it has begun to write is written:
     where the other end reads nothing, perhaps never. So deadlines are kept here, and nobody waits for gRPC.
 
+    Connecting gets the time that the way needs. Where a server takes connections and is silent, the way is measured;
+    if it takes longer than was known, a new connection gets that time. The deadline of a call is hard; the answer of
+    a daemon may take longer by the round trips of the way.
+
     `own_trouble` says what makes others refuse this end's certificate now, "" where nothing does.
     """
 
     def __init__(
         self,
-        channel: grpc.Channel,
+        connect: Callable[[], grpc.Channel],
+        way: Way,
         *,
         peer: str,
         drone: str,
         max_message_bytes: int,
         own_trouble: Callable[[], str],
     ) -> None:
-        self._channel = channel
+        self._connect = connect
+        self._way = way
+        self._dial()
+        self._answered = False  # ever
         self._own_trouble = own_trouble
-        self._methods: dict[str, Any] = {}
         self._peer = peer
         self._max_message_bytes = max_message_bytes
         self._metadata = ((DRONE_METADATA, drone),)
         self._under_way: set[Callable[[], None]] = set()  # what has each request be looked at
         self._closed = False
 
+    @property
+    def is_far(self) -> bool:
+        """Whether a round trip takes long, as far as is known."""
+        return self._way.round_trip_s > _FAR_S
+
     async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
         """Sends one request and returns its reply; raises LinkError. Cancelling it cancels the call."""
+        waited_for, large = path.startswith(_WAITED_FOR), len(body) > LARGE_BYTES
+        while True:
+            more_s = (
+                self._way.more_s(_ROUND_TRIPS if self._answered else _FIRST_ROUND_TRIPS)
+                if waited_for
+                else 0.0
+            )
+            began_s = time.monotonic()
+            try:
+                reply = await self._request(path, body, timeout_s=timeout_s + more_s)
+            except _Silent as silence:
+                if not waited_for:
+                    self._way.suspect()
+                    raise
+                if self._closed or not await self._learned_more():
+                    raise Unreachable(_with(silence, self._way.silence)) from None
+            except DeadlineExceeded as late:
+                if large:
+                    self._way.suspect()
+                raise DeadlineExceeded(_with(late, self._way.trouble)) from None
+            else:
+                took_s = time.monotonic() - began_s
+                self._way.answered(took_s if self._answered else took_s / _LEAST_ROUND_TRIPS, large=large)
+                self._answered = True
+                return reply
+
+    async def _learned_more(self) -> bool:
+        """Whether the way takes longer than was known; then a new connection gets the time that it needs."""
+        for learn in (self._way.measure, self._way.look):
+            await learn()
+            if self._way.attempt_s > _LONGER * self._attempt_s:
+                self._hang_up()
+                self._dial()
+                return True
+        return False
+
+    def _dial(self) -> None:
+        self._attempt_s = self._way.attempt_s
+        self._channel = self._connect()
+        self._methods: dict[str, Any] = {}
+
+    def _hang_up(self) -> None:
+        thread(self._channel.close, name="a link that closes", failed=only_logged).start()
+
+    async def _request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
         if self._closed:
             raise self._is_closed()
         method = self._methods.get(path)
@@ -194,7 +288,7 @@ class GrpcLink:
         self._closed = True
         for settle in self._under_way:
             settle()
-        thread(self._channel.close, name="a link that closes", failed=only_logged).start()
+        self._hang_up()
 
     def _is_closed(self) -> Unreachable:
         return Unreachable(f"{self._peer}: the link is closed")
@@ -207,14 +301,27 @@ class GrpcLink:
             case grpc.StatusCode.DEADLINE_EXCEEDED:
                 return self._is_late(timeout_s)
             case grpc.StatusCode.UNAVAILABLE | grpc.StatusCode.CANCELLED:
-                own = self._own_trouble()
-                return Unreachable(f"{self._peer}: {_plainly(details)}{f'; {own}' if own else ''}")
+                own, trouble = self._own_trouble(), _plainly(details)
+                kind = _Silent if trouble == _SILENT and not own else Unreachable
+                return kind(f"{self._peer}: {trouble}{f'; {own}' if own else ''}")
             case grpc.StatusCode.PERMISSION_DENIED:
                 return NoLease(f"{self._peer}: {details}")
             case grpc.StatusCode.RESOURCE_EXHAUSTED if not path.startswith(f"/{_DAEMON}/"):
                 return Refused(f"{self._peer}: {_in_words(details, self._max_message_bytes)}")
             case _:
                 return Refused(f"{self._peer}: {code.name}: {details}")
+
+
+def _patience(way: Way) -> list[tuple[str, int]]:
+    """How long gRPC waits there until it takes an attempt, or a connection, for dead."""
+    return [
+        ("grpc.min_reconnect_backoff_ms", round(1000 * way.attempt_s)),  # which is gRPC's limit of an attempt
+        ("grpc.keepalive_timeout_ms", round(1000 * (_KEEPALIVE_S + way.more_s(_FIRST_ROUND_TRIPS)))),
+    ]
+
+
+def _with(error: LinkError, trouble: str) -> str:
+    return f"{error}: {trouble}" if trouble else str(error)
 
 
 def _longest_replies(max_reply_bytes: Mapping[str, int]) -> str:

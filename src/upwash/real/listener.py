@@ -22,7 +22,7 @@ SERVER_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.http2.max_ping_strikes", 0),
     ("grpc.keepalive_permit_without_calls", 1),
     ("grpc.keepalive_time_ms", 5000),
-    ("grpc.keepalive_timeout_ms", 3000),
+    ("grpc.keepalive_timeout_ms", 15_000),  # a ping waits behind a photo on a slow link, for a second or more
     ("grpc.server_handshake_timeout_ms", 10_000),  # else a connection that says nothing stays for two minutes
     ("grpc.max_concurrent_streams", 64),  # of one connection
     ("grpc.absolute_max_metadata_size", 2**13),  # a drone sends 200 bytes

@@ -58,6 +58,8 @@ class ModelDialer:
 class ModelLink:
     """One connection; out of range it is silent, as a radio is, and for good once the drone's life is over."""
 
+    is_far = False
+
     def __init__(
         self, drone: str, address: str, server: str, switchboard: Switchboard, air: Air, *, life: Life
     ) -> None:
