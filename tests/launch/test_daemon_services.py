@@ -87,12 +87,22 @@ def test_code_that_cannot_be_loaded_leaves_its_service_alone(
     assert why in said
 
 
-def test_a_new_service_that_cannot_be_loaded_is_refused(folder: Path) -> None:
+@pytest.mark.parametrize(
+    ("former", "latter", "why"),
+    [
+        ('program = "level.py:Level"', 'program = "level.py:Other"', "there is no Other"),
+        ('program = "level.py:Level"', 'program = "level.py:Level"\nsettings = { gain = 2 }', "gain"),
+        ('name = "level"\nprogram = "level.py', 'name = "tare"\nprogram = "tare.py', "No such file"),
+    ],
+)
+def test_a_program_or_settings_that_do_not_fit_are_refused_as_they_are_named(
+    folder: Path, former: str, latter: str, why: str
+) -> None:
     services = DaemonServices(read(folder), Confinement())
-    del services.images["level"]
-    (folder / "level.py").write_text("import nosuchmodule")
-    with pytest.raises(UsageError, match="No module named 'nosuchmodule'"):
-        asyncio.run(services.anew(read(folder)))
+    file = folder / "server.toml"
+    file.write_text(file.read_text().replace(former, latter))
+    with pytest.raises(UsageError, match=why):
+        asyncio.run(services.anew(read_daemon_config(file)))
 
 
 def test_another_upwash_on_the_disk_leaves_all_services_and_names_the_signal(

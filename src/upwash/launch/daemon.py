@@ -438,8 +438,7 @@ async def _reload_at(
         else:
             if door:
                 await door.trust(keys.trust())
-            changed = [name for name, image in images.items() if services.images.get(name) != image]
-            services.images = images
+            changed = services.take(new, images)
             await edge.reload(
                 _offers(new, images), images=images, revoked=keys.revoked, certificates=keys.certificates
             )

@@ -46,7 +46,8 @@ class DaemonServices:
         self._confinement = confinement
         limits = confinement.limits(config)
         self._lanes: Mapping[str, int] = {}
-        self.images = {}
+        self._named = {each.name: _named(each) for each in config.images}
+        self.images: dict[str, Image] = {}
         for index, each in enumerate(config.images):
             found = _look_at(config, index)
             if isinstance(found, str):
@@ -61,16 +62,14 @@ class DaemonServices:
     async def anew(self, config: DaemonConfig) -> dict[str, Image]:
         """The services of another configuration, and of what lies on the disk now.
 
-        A version that cannot be loaded is logged, and the former stays; UsageError is raised where there is none, and
-        for a limit that would not hold.
+        A version that cannot be loaded is logged, and the former stays. Raises UsageError where the configuration
+        names another program or other settings that do not fit, and for a limit that would not hold.
         """
         limits = self._confinement.limits(config)
         is_loaded = config.runtime.kind == "process"
         if not is_loaded:
             _log.info("images of containers are looked at when the daemon starts: restart it to use others")
         is_upgraded = is_loaded and await asyncio.to_thread(version_of_upwash) != self._upwash
-        if is_upgraded:
-            _log.error(_UPGRADED)
         images = {}
         for index, each in enumerate(config.images):
             found: Looked = _UPGRADED
@@ -79,17 +78,31 @@ class DaemonServices:
             if isinstance(found, Image):
                 images[each.name] = replace(found, limits=limits[each.name])
                 continue
-            if each.name not in self.images:
+            if self._named.get(each.name) != _named(each):
                 raise UsageError(found)
             images[each.name] = self.images[each.name]
             if not is_upgraded:
                 _log.error("%s stays in its former version: %s", each.name, found)
+        if is_upgraded:
+            _log.error(_UPGRADED)
         return self._with_lanes(images)
+
+    def take(self, config: DaemonConfig, images: Mapping[str, Image]) -> list[str]:
+        """From now on these are the services of this configuration; returns the names of those that changed."""
+        changed = [name for name, image in images.items() if self.images.get(name) != image]
+        self._named = {each.name: _named(each) for each in config.images}
+        self.images = dict(images)
+        return changed
 
     def _with_lanes(self, images: Mapping[str, Image]) -> dict[str, Image]:
         return {
             name: replace(image, lanes=self._lanes.get(name, image.lanes)) for name, image in images.items()
         }
+
+
+def _named(service: ImageConfig) -> tuple[object, ...]:
+    """What a configuration says of the service's program."""
+    return service.program, service.command, service.settings and service.settings.values
 
 
 async def _looked_at_elsewhere(config: DaemonConfig, index: int) -> Looked:
