@@ -120,3 +120,21 @@ def test_a_drone_with_another_certificate_is_still_one_drone() -> None:
     call(machine, again, 1.0, now_s=2.0)
     call(machine, HERON, 1.0, now_s=2.0)
     assert [(each.drone, each.calls) for each in status(machine, 2.0).drones] == [("heron", 2)]
+
+
+def test_a_daemon_goes_on_from_what_the_one_before_it_counted() -> None:
+    before = host(HERON, NORTH_1)
+    call(before, HERON, 2.0, now_s=5.0)
+    call(before, NORTH_1, 1.0, now_s=5.0)
+    before.leave("s1", NORTH_1, now_s=10.0)
+    told = status(before, 20.0)
+    after = AdmissionController({"s1": ServerOffer(frozenset(), slots=3)})
+    after.take_up("s1", [HERON], [], now_s=1000.0)
+    after.take_up_usage("s1", told.drones, told.teams, now_s=1000.0)
+    after.take_up_usage("s7", told.drones, told.teams, now_s=1000.0)
+    seen = status(after, 1000.0)
+    assert (seen.drones, seen.teams) == (told.drones, told.teams)
+    call(after, HERON, 0.5, now_s=1003.0)
+    (ended, _) = after.leave("s1", HERON, now_s=1004.0)
+    assert ended == LeaseEnded("s1", "heron", 24.0, calls=1, computed_s=0.5)
+    assert status(after, 1004.0).drones[0] == DroneUsage("heron", "heron", None, 24.0, 2, 2.5, 1.0)

@@ -11,10 +11,11 @@ from pathlib import Path
 
 import pytest
 from tests.children import is_alive
-from tests.system.daemons import Daemon, config, daemon
+from tests.system.daemons import Daemon, config, daemon, eventually
 from tests.system.flying import Flying
 from tests.waiting import wait_for
 
+from upwash.launch.status import ask_status
 from upwash.real.authority import make_keys
 
 pytestmark = [pytest.mark.system, pytest.mark.xdist_group("hand-over")]
@@ -26,7 +27,7 @@ LEASE_S = 6.0
 @pytest.fixture
 def own_keys(tmp_path: Path) -> Path:
     folder = tmp_path / "keys"
-    make_keys(folder, servers=[["s1", "s2"]], drones=DRONES)
+    make_keys(folder, servers=[["s1", "s2"]], drones=DRONES, operators=["alice"])
     return folder
 
 
@@ -49,13 +50,27 @@ def test_twenty_drones_call_on_while_the_daemon_is_changed_for_another(
                 flights.create_task(drone.fly(enough, here.release))
             for _ in drones:
                 await here.acquire()
+            await eventually(lambda: calls_told(at), lambda told: all(map(told.get, DRONES)))
             at.process.send_signal(signal.SIGUSR2)
             async with asyncio.timeout(120.0):
                 for drone in drones:
                     await drone.answered_by(2)
                 await asyncio.to_thread(at.process.wait)
             enough.set()
+        await eventually(
+            lambda: calls_told(at),
+            lambda told: all(of_both(told, *each) for each in zip(DRONES, drones, strict=True)),
+        )
         return drones
+
+    async def calls_told(at: Daemon) -> dict[str, int]:
+        reply = await ask_status(at.address, server="s1", operator="alice", keys=own_keys)
+        return {each.drone: each.calls for server in reply.servers for each in server.drones}
+
+    def of_both(told: dict[str, int], name: str, drone: Flying) -> bool:
+        """Whether the new daemon counts its own calls of the drone, and calls that the old one answered."""
+        _, after = dict.fromkeys(drone.answered)
+        return told[name] > drone.answered.count(after)
 
     with daemon(tmp_path, text) as at:
         drones = asyncio.run(visit(at))

@@ -24,11 +24,19 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from upwash.core.clients import Client, Refusals, RefusalStatus, Role, ServerStatus
+from upwash.core.clients import (
+    Client,
+    DroneUsage,
+    Refusals,
+    RefusalStatus,
+    Role,
+    ServerStatus,
+    TeamUsage,
+)
 from upwash.core.instances import Instances, InstanceState, StartInstance, StopInstance
 from upwash.core.leases import Admit, Leases
 from upwash.core.peers import Peers
@@ -279,6 +287,13 @@ class AdmissionController:
         for service in sorted(state.offer.images & frozenset(services)):
             commands += state.instances.begin(service)
         return commands
+
+    def take_up_usage(
+        self, server: str, drones: Sequence[DroneUsage], teams: Sequence[TeamUsage], *, now_s: float
+    ) -> None:
+        """Goes on from what that other daemon counted of drones and teams, once their leases are taken up."""
+        if server in self._servers:
+            self._servers[server].usage.take_up(drones, teams, now_s=now_s)
 
     # --- what peers ask and answer --------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ Laws:
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from upwash.core.clients import Client, DroneUsage, TeamUsage
@@ -61,6 +62,12 @@ class _Slot:
     computed_s: float
 
 
+def _taken_up(used: DroneUsage | TeamUsage, held_s: float, now_s: float) -> _Use:
+    """With the slot time that was over by then: slots that were held go on, or ended there."""
+    called_s = None if used.called_ago_s is None else now_s - used.called_ago_s
+    return _Use(used.slot_s - held_s, used.calls, used.computed_s, called_s)
+
+
 class Usage:
     """The drones and teams that used one server."""
 
@@ -90,6 +97,19 @@ class Usage:
         )
         self._forget()
         return ended
+
+    def take_up(self, drones: Sequence[DroneUsage], teams: Sequence[TeamUsage], *, now_s: float) -> None:
+        """Goes on from what the daemon before counted; a slot that a drone has here too began there."""
+        held_s = dict.fromkeys((team_of(each.drone) for each in drones), 0.0)
+        for drone in drones:
+            holds_s = drone.holds_s or 0.0
+            held_s[team_of(drone.drone)] += holds_s
+            self._drones[drone.drone] = _taken_up(drone, holds_s, now_s)
+            if drone.drone in self._slots:
+                self._slots[drone.drone] = _Slot(now_s - holds_s, drone.calls, drone.computed_s)
+        for team in teams:
+            self._teams[team.team] = _taken_up(team, held_s.get(team.team, 0.0), now_s)
+        self._forget()
 
     def called(self, drone: str, *, took_s: float, is_answered: bool, now_s: float) -> None:
         """A call of the drone, known by `Client.key`, has ended, which was computed for `took_s`."""

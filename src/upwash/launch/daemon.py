@@ -26,7 +26,7 @@ from upwash.launch.daemon_services import DaemonServices
 from upwash.ports import InstanceSpec, Runtime
 from upwash.real.announced import Inside
 from upwash.real.door import Door, Seen, door_limits, leading, opened_door, raise_limit_of_files
-from upwash.real.hand_over import HandedOver, Served, hand_over
+from upwash.real.hand_over import HandedOver, Served, Used, hand_over
 from upwash.real.listener import Health, Listener, cannot_listen
 from upwash.real.log import Sparing
 from upwash.real.requests import Caller, Requests
@@ -281,6 +281,8 @@ async def _take_up(edge: EdgeServer, before: HandedOver | None) -> None:
     for server, served in (before.servers if before is not None else {}).items():
         drones = [Client(name, certificate) for name, certificate in served.drones]
         await edge.take_up(server, drones, served.services)
+    for server, used in (before.usage() if before is not None else {}).items():
+        edge.take_up_usage(server, used.drones, used.teams)
 
 
 async def _hand_over(
@@ -306,6 +308,7 @@ async def _hand_over(
                 outside,
                 config.listen,
                 _served(edge),
+                {each.name: Used(each.drones, each.teams) for each in edge.standing().servers},
                 environment=manager.environment,
                 timeout_s=config.start_timeout_s + _COMING_S,
             )

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import os
 import socket
 import subprocess
@@ -23,11 +24,13 @@ from collections.abc import Mapping, MutableMapping, Sequence
 import msgspec
 from msgspec import Struct
 
+from upwash.core.clients import DroneUsage, TeamUsage
 from upwash.errors import UpwashError
 from upwash.real.streams import readable
 
 _VARIABLE = "UPWASH_HANDED_OVER"
 _READY = b"ready"
+_log = logging.getLogger("upwash.serving")
 
 
 class Served(Struct, frozen=True):
@@ -37,6 +40,13 @@ class Served(Struct, frozen=True):
     services: Sequence[str]
 
 
+class Used(Struct, frozen=True):
+    """What drones and teams have used of one server."""
+
+    drones: Sequence[DroneUsage]
+    teams: Sequence[TeamUsage]
+
+
 class HandedOver(Struct, frozen=True):
     """What the new daemon is given: its files are numbers of open ones."""
 
@@ -44,6 +54,19 @@ class HandedOver(Struct, frozen=True):
     socket_file: int
     ready_file: int
     servers: Mapping[str, Served]
+    usage_file: int = -1  # which an earlier daemon does not give
+
+    def usage(self) -> Mapping[str, Used]:
+        """What has been used of each server; nothing where that cannot be known. Only once."""
+        if self.usage_file < 0:
+            return {}
+        try:
+            with open(self.usage_file, "rb") as file:  # noqa: PTH123 - a file descriptor
+                file.seek(0)
+                return _usage.decode(file.read())
+        except (OSError, msgspec.MsgspecError) as error:
+            _log.warning("what drones used counts from zero again: %s", error)
+            return {}
 
     def listening(self) -> socket.socket:
         """The socket at which drones connect."""
@@ -57,6 +80,9 @@ class HandedOver(Struct, frozen=True):
             os.close(self.ready_file)
 
 
+_usage = msgspec.json.Decoder(dict[str, Used])
+
+
 def handed_over(environment: MutableMapping[str, str]) -> HandedOver | None:
     """What this daemon is given, where it was started to take another one's place."""
     told = environment.pop(_VARIABLE, "")
@@ -67,6 +93,7 @@ async def hand_over(
     listening: socket.socket,
     listen: str,
     servers: Mapping[str, Served],
+    usage: Mapping[str, Used],
     *,
     environment: Mapping[str, str],
     timeout_s: float,
@@ -78,12 +105,14 @@ async def hand_over(
     """
     ready, theirs = socket.socketpair()
     with ready:
-        with theirs:
-            given = HandedOver(listen, listening.fileno(), theirs.fileno(), servers)
+        # In a file: a variable of the environment has 128 KiB at most.
+        with theirs, open(os.memfd_create("usage"), "wb", buffering=0) as used:  # noqa: ASYNC230, PTH123 - in memory
+            used.write(msgspec.json.encode(usage))
+            given = HandedOver(listen, listening.fileno(), theirs.fileno(), servers, used.fileno())
             new = subprocess.Popen(  # noqa: ASYNC220, S603 - asyncio's own would end it together with the loop
                 [sys.executable, *sys.orig_argv[1:]],
                 stderr=sys.stderr,  # where file descriptor 2 leads to a log that ends with this daemon
-                pass_fds=(listening.fileno(), theirs.fileno()),
+                pass_fds=(listening.fileno(), theirs.fileno(), used.fileno()),
                 env={**os.environ, **environment, _VARIABLE: msgspec.json.encode(given).decode()},
             )
         try:

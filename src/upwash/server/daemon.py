@@ -21,7 +21,7 @@ from upwash.core.admission import (
     Running,
     ServerOffer,
 )
-from upwash.core.clients import Client, DoorStatus, ServerStatus
+from upwash.core.clients import Client, DoorStatus, DroneUsage, ServerStatus, TeamUsage
 from upwash.core.instances import StartInstance, StopInstance
 from upwash.core.leases import Admit
 from upwash.core.limits import NO_LIMITS, Limits
@@ -199,6 +199,10 @@ class EdgeServer:
         await self._perform(self._host.take_up(server, drones, services, now_s=self._now_s()))
         if faults := [why for why in await asyncio.gather(*self._settled.values()) if why]:
             raise InstanceError(f"the daemon before stays, whose services run: {'; '.join(faults)}")
+
+    def take_up_usage(self, server: str, drones: Sequence[DroneUsage], teams: Sequence[TeamUsage]) -> None:
+        """Goes on from what the daemon before counted, once `take_up` has its drones."""
+        self._host.take_up_usage(server, drones, teams, now_s=self._now_s())
 
     async def emptied(self) -> None:
         """Returns once no drone has a slot any more."""
