@@ -684,6 +684,18 @@ def test_what_is_no_daemon_is_told_in_plain_words(
     assert not re.search("SSL|TSI|HTTP/2|SETTINGS|Handshake", str(caught.value))
 
 
+def test_a_server_that_nothing_comes_back_from_is_said_to_be_out_of_reach(
+    credentials: ReadCredentials,
+) -> None:
+    with socket.create_server(("127.0.0.1", 0), backlog=0) as full, socket.socket() as first:
+        first.connect(full.getsockname())  # takes the one place: the kernel drops what else comes
+        address = f"127.0.0.1:{full.getsockname()[1]}"
+        with pytest.raises(
+            Unreachable, match=f"s1 at {address}: no connection: its computer is off or out of"
+        ):
+            request(address, path=AVAILABILITY, timeout_s=8.0, shown=credentials("heron"))
+
+
 @contextmanager
 def taking_connections(greet: Callable[[socket.socket], socket.socket]) -> Iterator[str]:
     """The address of a server that greets its callers, and then says nothing any more."""

@@ -56,6 +56,7 @@ _ANOTHER_AUTHORITY = "its certificate is of another authority, or another server
 _ANOTHER_PROGRAM = "another program answers there, not an upwash daemon: check the address"
 _HUNG_UP = "it hung up; its log says why, such as a certificate that is revoked"
 _SILENT = "it takes connections and does not answer"
+_UNHEARD = "no connection: its computer is off or out of reach, or a firewall drops packets"
 _TROUBLES = {  # the same of any connection that failed; the first that fits
     "CERTIFICATE_VERIFY_FAILED": _ANOTHER_AUTHORITY,
     "Hostname Verification": _ANOTHER_AUTHORITY,
@@ -65,7 +66,7 @@ _TROUBLES = {  # the same of any connection that failed; the first that fits
     "Failed parsing HTTP/2": _ANOTHER_PROGRAM,
     "before receiving SETTINGS": _SILENT,
     "Endpoint closing": _SILENT,
-    "tcp handshaker shutdown": "no connection: its computer is off or out of reach, or a firewall drops packets",
+    "tcp handshaker shutdown": _UNHEARD,
     "lookup failed": "no computer of that name is known",
     "No such file or directory": "no such socket: nobody serves there",
     "Socket closed": _HUNG_UP,
@@ -83,6 +84,10 @@ _AROUND = re.compile(r"^failed to connect to all addresses; last error: [A-Z]+: 
 
 class _Silent(Unreachable):
     """The other end takes connections and does not answer."""
+
+
+class _Unheard(Unreachable):
+    """TCP did not connect in the time of an attempt."""
 
 
 class GrpcDialer:
@@ -186,6 +191,7 @@ class GrpcLink:
         self._way = way
         self._dial()
         self._answered = False  # ever
+        self._looked_for = False  # as TCP did not connect
         self._own_trouble = own_trouble
         self._peer = peer
         self._max_message_bytes = max_message_bytes
@@ -214,8 +220,17 @@ class GrpcLink:
                 if not waited_for:
                     self._way.suspect()
                     raise
-                if self._closed or not await self._learned_more():
+                if not await self._learned_more():
                     raise Unreachable(_with(silence, self._way.silence)) from None
+            except _Unheard:
+                # A lost packet, or a very long way, looks the same; a near server that was heard before is gone.
+                may_be_there = waited_for and (self.is_far or not self._way.round_trip_s)
+                if self._looked_for or not may_be_there:
+                    raise
+                self._looked_for = True
+                if not await self._way.measure() or self._closed:
+                    raise
+                self._dial_again()
             except DeadlineExceeded as late:
                 if large:
                     self._way.suspect()
@@ -230,9 +245,8 @@ class GrpcLink:
         """Whether the way takes longer than was known; then a new connection gets the time that it needs."""
         for learn in (self._way.measure, self._way.look):
             await learn()
-            if self._way.attempt_s > _LONGER * self._attempt_s:
-                self._hang_up()
-                self._dial()
+            if self._way.attempt_s > _LONGER * self._attempt_s and not self._closed:
+                self._dial_again()
                 return True
         return False
 
@@ -240,6 +254,10 @@ class GrpcLink:
         self._attempt_s = self._way.attempt_s
         self._channel = self._connect()
         self._methods: dict[str, Any] = {}
+
+    def _dial_again(self) -> None:
+        self._hang_up()
+        self._dial()
 
     def _hang_up(self) -> None:
         thread(self._channel.close, name="a link that closes", failed=only_logged).start()
@@ -302,8 +320,9 @@ class GrpcLink:
                 return self._is_late(timeout_s)
             case grpc.StatusCode.UNAVAILABLE | grpc.StatusCode.CANCELLED:
                 own, trouble = self._own_trouble(), _plainly(details)
-                kind = _Silent if trouble == _SILENT and not own else Unreachable
-                return kind(f"{self._peer}: {trouble}{f'; {own}' if own else ''}")
+                why = f"{self._peer}: {trouble}{f'; {own}' if own else ''}"
+                kinds = {_SILENT: _Silent, _UNHEARD: _Unheard}
+                return Unreachable(why) if own else kinds.get(trouble, Unreachable)(why)
             case grpc.StatusCode.PERMISSION_DENIED:
                 return NoLease(f"{self._peer}: {details}")
             case grpc.StatusCode.RESOURCE_EXHAUSTED if not path.startswith(f"/{_DAEMON}/"):

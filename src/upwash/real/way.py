@@ -74,12 +74,15 @@ class Way:
         if large:
             self.trouble = ""
 
-    async def measure(self) -> None:
-        """Learns the round trip from how long TCP takes to connect; where it does not connect nothing changes."""
+    async def measure(self) -> bool:
+        """Learns the round trip from how long TCP takes to connect; whether it connects."""
         if self._credentials is None:
-            return
-        with contextlib.suppress(OSError):
+            return False
+        try:
             self._learn(await _apart(lambda: _connect_s(self.address)))
+        except OSError:
+            return False
+        return True
 
     async def look(self) -> None:
         """Finds out what is wrong with the way, or with the daemon at its end; once a minute."""
