@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+import random
+from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ JPEG = cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
 
 
 @contextlib.asynccontextmanager
-async def forwarded(address: str) -> AsyncIterator[str]:
+async def forwarded(address: str, at: int = 0) -> AsyncIterator[str]:
     """A port of this computer that leads to the address, as a router's does."""
     host, _, port = address.rpartition(":")
     carriers: list[asyncio.Task[None]] = []
@@ -42,7 +43,7 @@ async def forwarded(address: str) -> AsyncIterator[str]:
         inside, inwards = await asyncio.open_connection(host, int(port))
         carriers.extend(asyncio.create_task(carry(*each)) for each in ((reader, inwards), (inside, writer)))
 
-    async with await asyncio.start_server(lead, "127.0.0.1", 0) as server:
+    async with await asyncio.start_server(lead, "127.0.0.1", at) as server:
         yield f"127.0.0.1:{server.sockets[0].getsockname()[1]}"
         for each in carriers:
             each.cancel()
@@ -121,19 +122,22 @@ def found(
     program: str,
     *,
     forward: bool = False,
+    mapped: Mapping[int, int] | None = None,
     daemons_s: float = 60.0,
+    settings: Mapping[str, Any] | None = None,
     **tables: Any,
 ) -> Finding:
     async def survey(address: str) -> Finding:
         async with contextlib.AsyncExitStack() as stack:
             if forward:
                 address = await stack.enter_async_context(forwarded(address))
+            for outside, inside in (mapped or {}).items():
+                await stack.enter_async_context(forwarded(f"127.0.0.2:{inside}", at=outside))
             (finding,) = await survey_servers(drone(folder, keys, program, address, **tables))
             return finding
 
-    with daemon(
-        folder, served(keys, program.rpartition(":")[0], start_timeout_s=daemons_s), names="s1"
-    ) as at:
+    told = {"start_timeout_s": daemons_s} | dict(settings or {})
+    with daemon(folder, served(keys, program.rpartition(":")[0], **told), names="s1") as at:
         return asyncio.run(survey(at.address))
 
 
@@ -149,6 +153,15 @@ def test_a_server_of_which_only_the_daemons_port_is_reached_is_not_ready(
 ) -> None:
     finding = found(tmp_path, keys, f"{programs}:{cls}", forward=True)
     assert "instance_ports" in finding.trouble
+
+
+def test_a_server_whose_ports_are_mapped_is_ready(tmp_path: Path, keys: Path, programs: Path) -> None:
+    first = random.randrange(20_000, 29_000, 8)  # below those that the system hands out
+    inside, outside = range(first, first + 4), range(first + 4, first + 8)
+    settings = {"instance_ports": [inside[0], inside[-1]], "outside_ports": [outside[0], outside[-1]]}
+    mapped = dict(zip(outside, inside, strict=True))
+    finding = found(tmp_path, keys, f"{programs}:Finder", forward=True, mapped=mapped, settings=settings)
+    assert finding.trouble == ""
 
 
 def test_a_service_that_fails_on_the_photo_is_not_ready(tmp_path: Path, keys: Path, programs: Path) -> None:
