@@ -67,6 +67,7 @@ _TROUBLES = {  # the same of any connection that failed; the first that fits
     "before receiving SETTINGS": _SILENT,
     "Endpoint closing": _SILENT,
     "tcp handshaker shutdown": _UNHEARD,
+    "connect() timed out": _UNHEARD,  # whichever of its two timers gRPC sees first
     "lookup failed": "no computer of that name is known",
     "No such file or directory": "no such socket: nobody serves there",
     "Socket closed": _HUNG_UP,
