@@ -212,6 +212,18 @@ def test_after_a_restart_in_flight_nothing_is_sent_and_no_person_is_named(
     fly(story)
 
 
+def test_a_vehicle_that_falls_after_a_restart_falls_on_after_a_second_one() -> None:
+    async def story() -> None:
+        flight = Flight(befalls("restart", 12.0, 13.2), befalls("restart", 13.3, 13.6))
+        autopilot = await flight.take_off()
+        with pytest.raises(AutopilotError):
+            await autopilot.goto(THERE)
+        await autopilot.stood()
+        assert autopilot.stands and not autopilot.armed
+
+    fly(story)
+
+
 def test_an_autopilot_that_restarts_on_the_ground_is_waited_for() -> None:
     async def story() -> None:
         flight = Flight(befalls("restart", 0.0, 7.0))

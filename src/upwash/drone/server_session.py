@@ -47,7 +47,7 @@ _ANSWER_S = 5.0  # a daemon answers at once or is in trouble
 _FAREWELL_S = 0.5
 _LEAST_ASK_S, _LONGEST_ASK_S = 0.5, 30.0  # between two questions for a slot, whatever a server says
 _LONGEST_PAUSE_S = 600.0  # a server is left out for no longer, whatever the server says
-_MOST_MOVES = 16
+MOST_MOVES = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,7 +222,7 @@ class ServerSession:
             self._former.clear()
         for service in sorted(self._instances.keys() & endpoints.keys()):
             address = resolve(endpoints[service], self._address)
-            if address != self._addresses[service] and self._moves[service] < _MOST_MOVES:
+            if address != self._addresses[service] and self._moves[service] < MOST_MOVES:
                 self._moves[service] += 1
                 moved(service)
                 self._former.append(self._instances[service])

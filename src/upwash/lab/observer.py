@@ -219,7 +219,8 @@ class _Instance:
         return self.seen.endpoint
 
     async def admit(self, drones: frozenset[str], finishing: frozenset[str] = frozenset()) -> None:
-        self.observer.note(Seen(event="admitted", service=self.service, drones=sorted(drones)))
+        if not self.ended:
+            self.observer.note(Seen(event="admitted", service=self.service, drones=sorted(drones)))
         await self.seen.admit(drones, finishing)
 
     async def drain(self, why: str) -> None:

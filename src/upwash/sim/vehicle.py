@@ -230,7 +230,7 @@ class ModelVehicle:
     def _be_back(self, soon: bool) -> None:
         self.is_booting = False
         self.boots += 1
-        if soon and self.flies:
+        if soon and self.flies and self.armed:  # one that falls already, disarmed, goes on falling
             self._stop_coming_down()
             self._move_by_itself((), self.position)
             self._loop.call_later(_PILOT_LANDS_AFTER_S, self._be_landed_by_pilot)

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import msgspec
 
+from upwash.drone.server_session import MOST_MOVES
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults.promises.history import ANSWER_S, Breach, History
@@ -30,13 +31,13 @@ def unswayed(history: History) -> Iterator[Breach]:
 def _dialled_elsewhere(history: History) -> Iterator[Breach]:
     """At each visit, probe, or turn, the daemon, and a port of its host for each service that is wanted.
 
-    And one more for each that moves, which it does once.
+    And one more for each move of a service, whose moves are bounded.
     """
     services = len(history.config.services)
     moves = deque(event for event in history.run.events if isinstance(event, schema.ServiceMoved))
     moved = Counter((event.server, event.check, event.service) for event in moves)
     for (server, check, service), times in moved.items():
-        if times > 1:
+        if times > MOST_MOVES:
             yield moves[0], f"{server} had {service} move {times} times in check {check}"
     turns_over = deque(event for event in history.run.events if isinstance(event, schema.TurnOver))
     dialled: Counter[str] = Counter()  # of a server, since its daemon was
