@@ -52,7 +52,7 @@ def test_what_it_says_keeps_no_silent_drones_slot(tmp_path: Path, keys: Path) ->
     [
         ("invent_methods", ("heron", 20_000), "it said too much over its control line"),
         ("speak_out_of_turn", (1,), "it said something out of turn"),
-        ("fail_at_length", (), "it said something out of turn"),
+        ("fail_at_length", (), "it said something that cannot be understood"),
         ("cut_the_line", (), "it said something that cannot be understood"),
         ("leave", (255,), "ended with code 255"),
         ("leave", (200,), "ended with code 200"),
