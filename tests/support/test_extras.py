@@ -190,7 +190,6 @@ def test_each_command_and_each_extra_is_tried() -> None:
     ]
     assert {command.split()[0] for command, _ in COMMANDS} == set(choices)
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    of_commands = set(project["optional-dependencies"]) - {
-        "ncnn"
-    }  # which a setting needs: tests/services/test_detector.py
+    # A setting needs ncnn (tests/services/test_detector.py); detector-gpu stands for detector.
+    of_commands = set(project["optional-dependencies"]) - {"ncnn", "detector-gpu"}
     assert of_commands == set(MODULES) == {extra for _, extra in COMMANDS if extra}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import importlib.util
 import json
@@ -9,7 +10,7 @@ import shlex
 import shutil
 from collections.abc import Collection, Iterable, Iterator
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
-from pathlib import Path, PurePath
+from pathlib import Path, PurePath, PurePosixPath
 from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
@@ -95,12 +96,16 @@ def _files_of(installed: Distribution) -> Iterator[tuple[PurePath, Path]]:
             f"{name} is an editable installation, whose code is elsewhere: `pip install --force-reinstall --no-deps "
             f"{folder}` installs it whole, then package again"
         )
-    if all(installed.read_text(listed) is None for listed in ("RECORD", "installed-files.txt")):
+    record = installed.read_text("RECORD")
+    if record is None:
         raise UsageError(
             f"{name} has no list of its files, so it cannot be packaged: install it with `pip install "
             f"--ignore-installed {name}=={installed.version}` in the Python that runs upwash"
         )
-    for file in installed.files or ():
+    for row in csv.reader(
+        record.splitlines()
+    ):  # Distribution.files leaves missing files out, since Python 3.12
+        file = PurePosixPath(row[0])
         source = Path(str(installed.locate_file(file)))
         if ".." in file.parts or file.is_absolute() or is_left_out(file):
             continue
