@@ -12,7 +12,7 @@ import pytest
 
 from upwash.cli.main import command_line
 from upwash.real.networkmanager import Connection, Device, DeviceKind
-from upwash.real.profiles import interface_trouble
+from upwash.real.profiles import interface_trouble, modified
 from upwash.support.commands import command
 
 SOURCE = Path(__file__).parents[2] / "src" / "upwash"
@@ -80,3 +80,8 @@ def test_the_way_to_free_an_interface_names_whatever_is_active_there() -> None:
         ["nmcli", "connection", "modify", NAME, "connection.autoconnect", "no"],
         ["nmcli", "connection", "down", NAME],
     ]
+
+
+def test_a_setting_of_no_value_is_an_empty_word() -> None:
+    shown = modified(NAME, "connection.interface-name ''").strip("`")
+    assert shlex.split(shown) == ["nmcli", "connection", "modify", NAME, "connection.interface-name", ""]

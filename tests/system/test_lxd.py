@@ -54,7 +54,8 @@ def test_an_image_of_another_release_is_refused(lxd_host: Host, monkeypatch: pyt
 def test_a_start_without_an_image_names_the_remedy(lxd_host: Host) -> None:
     async def use(site: Site) -> None:
         with pytest.raises(
-            InstanceError, match="no image of unpackaged: make one with `upwash package unpackaged`"
+            InstanceError,
+            match="no image of unpackaged: make and import one with `upwash package unpackaged --config",
         ):
             await site.runtime.start(site.spec("s1", "unpackaged"), called=lambda _: None)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from upwash.errors import NetworkError
@@ -112,7 +113,7 @@ def interface_trouble(
 
 def modified(profile: str, settings: str) -> str:
     """The command that changes these settings of a connection profile, such as "ipv4.never-default yes"."""
-    return command("nmcli", "connection", "modify", profile, *settings.split())
+    return command("nmcli", "connection", "modify", profile, *shlex.split(settings))
 
 
 def profile_troubles(profile: Profile) -> Iterator[tuple[str, str]]:
