@@ -22,7 +22,7 @@ from statistics import median
 import msgspec
 from bench.program import command_line, machine
 
-from upwash.real.authority import make_keys
+from upwash.real.trust.authority import make_keys
 from upwash.rpc.wire import Encoding
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -25,18 +25,18 @@ from bench.servers import GRPC_PATH, LENGTH_BYTES
 
 from upwash.config import DroneConfig, MissionConfig, NetworkConfig, PolicyConfig, ServerConfig, ServiceConfig
 from upwash.core.geo import Position
-from upwash.core.servers import State
+from upwash.core.knowledge.servers import State
 from upwash.drone.api import Drone
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import NoNetwork
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.ports import Program
-from upwash.real.camera import FolderCamera
-from upwash.real.credentials import Credentials, read_credentials
-from upwash.real.journal import FileJournal, JournalNotifier
-from upwash.real.link import CHANNEL_OPTIONS, GrpcDialer
-from upwash.real.runtime import OwnProcesses
+from upwash.real.camera.camera import FolderCamera
+from upwash.real.host.journal import FileJournal, JournalNotifier
+from upwash.real.instances.runtime import OwnProcesses
+from upwash.real.link.link import CHANNEL_OPTIONS, GrpcDialer
+from upwash.real.trust.credentials import Credentials, read_credentials
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.vehicle import arducopter
 

@@ -22,25 +22,25 @@ from statistics import median
 from bench.echo import Echo
 from bench.program import command_line, machine
 
-from upwash.core.limits import DEFAULT_LIMITS
+from upwash.core.admission.limits import DEFAULT_LIMITS
 from upwash.errors import UsageError
 from upwash.missions.bundled import load_service_alone
 from upwash.packaging.image import Recipe, package
 from upwash.ports import Instance, InstanceSpec, Program, Runtime
-from upwash.real.authority import make_keys
-from upwash.real.credentials import fingerprint, read_credentials
-from upwash.real.docker.container import ContainerSettings as DockerSettings
-from upwash.real.docker.engine import DockerEngine
-from upwash.real.docker.runtime import ContainerRuntime as DockerRuntime
-from upwash.real.door import Lead, leading, opened_door
-from upwash.real.link import GrpcDialer, GrpcLink
-from upwash.real.lxd.container import ContainerSettings as LxdSettings
-from upwash.real.lxd.engine import Engine, EngineAddress
-from upwash.real.lxd.runtime import ContainerRuntime as LxdRuntime
-from upwash.real.runtime import ProcessRuntime, sockets_in
-from upwash.real.sandbox import find_sandbox
-from upwash.real.service_image import reference_of
-from upwash.real.trust import Trust
+from upwash.real.instances.docker.container import ContainerSettings as DockerSettings
+from upwash.real.instances.docker.engine import DockerEngine
+from upwash.real.instances.docker.runtime import ContainerRuntime as DockerRuntime
+from upwash.real.instances.lxd.container import ContainerSettings as LxdSettings
+from upwash.real.instances.lxd.engine import Engine, EngineAddress
+from upwash.real.instances.lxd.runtime import ContainerRuntime as LxdRuntime
+from upwash.real.instances.runtime import ProcessRuntime, sockets_in
+from upwash.real.instances.sandbox import find_sandbox
+from upwash.real.instances.service_image import reference_of
+from upwash.real.link.door import Lead, leading, opened_door
+from upwash.real.link.link import GrpcDialer, GrpcLink
+from upwash.real.trust.authority import make_keys
+from upwash.real.trust.credentials import fingerprint, read_credentials
+from upwash.real.trust.trust import Trust
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import spec_of
 

@@ -15,13 +15,14 @@ from statistics import median
 
 from bench.program import command_line, machine
 
-from upwash.core.estimates import Beliefs, Estimates, Operation
-from upwash.core.events import Arrived, CheckAnswered, LegBegun, LocalCallEnded, RemoteCallEnded
 from upwash.core.geo import Circle, Position, Waypoint
-from upwash.core.look_ahead import HORIZON
-from upwash.core.mission_model import MissionBeliefs, Step
-from upwash.core.policies import make_policy
-from upwash.core.selection import Selection
+from upwash.core.knowledge.estimates import Beliefs, Estimates
+from upwash.core.operation import Operation
+from upwash.core.planning.mission_model import MissionBeliefs, Step
+from upwash.core.policies.look_ahead import HORIZON
+from upwash.core.policies.names import make_policy
+from upwash.core.selection.events import Arrived, CheckAnswered, LegBegun, LocalCallEnded, RemoteCallEnded
+from upwash.core.selection.selection import Selection
 
 HEAVY = Operation("detector", "process_photo", "heavy")
 SERVERS, SIDE, SPACING_M = 50, 20, 20.0

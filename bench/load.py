@@ -34,9 +34,9 @@ from bench.servers import GRPC_PATH
 from tests.system.daemons import children, memory_bytes
 
 from upwash.errors import LinkError, NoLease
-from upwash.real.authority import keys_in, make_keys
-from upwash.real.credentials import read_credentials
-from upwash.real.link import GrpcDialer
+from upwash.real.link.link import GrpcDialer
+from upwash.real.trust.authority import keys_in, make_keys
+from upwash.real.trust.credentials import read_credentials
 from upwash.rpc.protocol import (
     AVAILABILITY,
     LEAVE,

@@ -14,16 +14,16 @@ from statistics import median
 import msgspec
 from bench.program import command_line, machine
 
-from upwash.core.limits import DEFAULT_LIMITS
+from upwash.core.admission.limits import DEFAULT_LIMITS
 from upwash.ports import InstanceSpec, Program
-from upwash.real.authority import make_keys
-from upwash.real.credentials import Credentials, fingerprint, read_credentials
-from upwash.real.door import leading, opened_door
-from upwash.real.link import GrpcDialer, GrpcLink
-from upwash.real.local_instance import LocalInstance
-from upwash.real.runtime import ProcessRuntime, sockets_in
-from upwash.real.sandbox import find_sandbox
-from upwash.real.trust import Trust
+from upwash.real.instances.local_instance import LocalInstance
+from upwash.real.instances.runtime import ProcessRuntime, sockets_in
+from upwash.real.instances.sandbox import find_sandbox
+from upwash.real.link.door import leading, opened_door
+from upwash.real.link.link import GrpcDialer, GrpcLink
+from upwash.real.trust.authority import make_keys
+from upwash.real.trust.credentials import Credentials, fingerprint, read_credentials
+from upwash.real.trust.trust import Trust
 from upwash.rpc.protocol import service_path
 
 REQUEST_BYTES = 430_000

@@ -17,8 +17,8 @@ from typing import NoReturn
 import grpc
 from bench.echo import answer
 
-from upwash.real.credentials import read_credentials
-from upwash.real.listener import SERVER_OPTIONS
+from upwash.real.link.listener import SERVER_OPTIONS
+from upwash.real.trust.credentials import read_credentials
 
 LENGTH_BYTES = 4  # before each raw request, big-endian
 GRPC_PATH = "/bench.Echo/Measure"

@@ -35,7 +35,7 @@ from bench.results import FOLDER, leave
 from bench.servers import GRPC_PATH
 from tests.system.daemons import children
 
-from upwash.real.authority import make_keys
+from upwash.real.trust.authority import make_keys
 
 ROOT = Path(__file__).parents[1]
 CALLS = 6  # before it is weighed: the first ones still load what they need
@@ -107,7 +107,7 @@ sys.stdin.read()
 """
 PROGRAMS = {  # what each imports before it is asked for anything that not every flight needs
     "upwash fly": "upwash.cli.main upwash.cli.flying",
-    "its service": "upwash.real.instance",
+    "its service": "upwash.real.instances.instance",
 }
 
 

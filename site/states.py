@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
-from upwash.core.servers import TRANSITIONS, State, Trigger
+from upwash.core.knowledge.servers import TRANSITIONS, State, Trigger
 
 # Where the states stand in the thesis's figure 3.2 is not printed: what is believed on the left, what is in use on
 # the right.

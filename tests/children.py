@@ -26,7 +26,10 @@ def _children() -> list[Path]:
 
 def _is_left_over(process: Path) -> bool:
     try:
-        return _stat(process)[0] == "Z" or b"upwash.real.instance" in (process / "cmdline").read_bytes()
+        return (
+            _stat(process)[0] == "Z"
+            or b"upwash.real.instances.instance" in (process / "cmdline").read_bytes()
+        )
     except (OSError, IndexError):
         return False
 

@@ -17,8 +17,8 @@ from tests.system.fake_networkmanager import bus_daemon
 from tests.system.radios import Field, field_below
 
 from upwash.cli.main import main
-from upwash.real.authority import make_keys
-from upwash.real.credentials import Credentials, read_credentials
+from upwash.real.trust.authority import make_keys
+from upwash.real.trust.credentials import Credentials, read_credentials
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 

@@ -8,13 +8,13 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 
-from upwash.real.announced import Inside
-from upwash.real.credentials import Credentials
-from upwash.real.door import Door, DoorLimits, Lead, leading, opened_door
-from upwash.real.listener import Listener, WhoIs, cannot_listen
-from upwash.real.runtime import ProcessRuntime, sockets_in
-from upwash.real.streams import listening_socket
-from upwash.real.trust import Trust
+from upwash.real.instances.runtime import ProcessRuntime, sockets_in
+from upwash.real.link.announced import Inside
+from upwash.real.link.door import Door, DoorLimits, Lead, leading, opened_door
+from upwash.real.link.listener import Listener, WhoIs, cannot_listen
+from upwash.real.link.streams import listening_socket
+from upwash.real.trust.credentials import Credentials
+from upwash.real.trust.trust import Trust
 
 MakeListener = Callable[[str, WhoIs], Listener]
 

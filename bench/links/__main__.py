@@ -21,7 +21,7 @@ from bench.program import command_line, machine
 
 from upwash.emulation.enclosure import require_root_and_tools, run_enclosed, settle_in
 from upwash.emulation.namespaces import inside, make_namespace
-from upwash.real.authority import make_keys
+from upwash.real.trust.authority import make_keys
 
 ROOT = Path(__file__).parents[2]
 ADDRESS = f"{SERVER.address}:7070"

@@ -12,8 +12,8 @@ from bench.echo import Echo
 from upwash.drone.networks import NoNetwork
 from upwash.drone.server_session import ServerEndpoint, ServerSession
 from upwash.errors import LinkError
-from upwash.real.credentials import read_credentials
-from upwash.real.link import GrpcDialer
+from upwash.real.link.link import GrpcDialer
+from upwash.real.trust.credentials import read_credentials
 from upwash.rpc.service import spec_of
 from upwash.support.background import beside
 

@@ -17,7 +17,7 @@ from tests.system.daemons import children
 from upwash.emulation.namespaces import inside
 from upwash.emulation.tools import command
 from upwash.launch.processes import ready_program
-from upwash.real.authority import make_keys
+from upwash.real.trust.authority import make_keys
 
 ROOT = Path(__file__).parents[2]
 PORT = 7070

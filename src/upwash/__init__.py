@@ -79,9 +79,9 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from upwash.core.bound import Bound, FleetBound
     from upwash.core.geo import EarthPosition, Position, Velocity, Waypoint
-    from upwash.core.telemetry import Attitude, GpsFix, Telemetry
+    from upwash.core.planning.bound import Bound, FleetBound
+    from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
     from upwash.drone.api import Drone, User, Vehicle
     from upwash.drone.payload import Payload
     from upwash.drone.pending import Demand, Pending
@@ -94,8 +94,8 @@ if TYPE_CHECKING:
     from upwash.lab.simulation import Simulation, simulate
 else:
     _MODULES = {
-        "Attitude": "upwash.core.telemetry",
-        "Bound": "upwash.core.bound",
+        "Attitude": "upwash.core.vehicle.telemetry",
+        "Bound": "upwash.core.planning.bound",
         "CallResult": "upwash.eventlog.results",
         "ComparedPolicy": "upwash.lab.comparison",
         "Demand": "upwash.drone.pending",
@@ -103,16 +103,16 @@ else:
         "EnergyTotals": "upwash.eventlog.results",
         "EarthPosition": "upwash.core.geo",
         "Event": "upwash.eventlog.schema",
-        "FleetBound": "upwash.core.bound",
+        "FleetBound": "upwash.core.planning.bound",
         "FleetSimulation": "upwash.lab.fleet",
-        "GpsFix": "upwash.core.telemetry",
+        "GpsFix": "upwash.core.vehicle.telemetry",
         "Payload": "upwash.drone.payload",
         "Pending": "upwash.drone.pending",
         "Photographer": "upwash.drone.photographer",
         "Position": "upwash.core.geo",
         "RunResult": "upwash.eventlog.results",
         "Simulation": "upwash.lab.simulation",
-        "Telemetry": "upwash.core.telemetry",
+        "Telemetry": "upwash.core.vehicle.telemetry",
         "Totals": "upwash.eventlog.results",
         "User": "upwash.drone.api",
         "Vehicle": "upwash.drone.api",

@@ -12,7 +12,7 @@ from tests.programs import ROOT, printed
 from tests.system.browser import why_not
 
 from upwash.errors import UsageError
-from upwash.real.sandbox import find_sandbox
+from upwash.real.instances.sandbox import find_sandbox
 
 QUICK = {  # what each prints, among others
     "call": r"upwash, on the server, mutual TLS +[\d.]+ ms +[\d.]+\n",

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from bench.weight import CALLS, PROGRAMS, ROOT, Weight, flying, module_weights, summary, weigh
 
-from upwash.real.authority import make_keys
+from upwash.real.trust.authority import make_keys
 
 # Packages that a flight, or a service's process, loads only where its configuration or its user asks for them.
 ASKED_FOR = {
@@ -38,7 +38,7 @@ OTHERS = {
     ),
     "its service": (
         *("upwash.cli", "upwash.config", "upwash.drone", "upwash.eventlog", "upwash.launch"),
-        *("upwash.plans", "upwash.ports", "upwash.real.mavlink", "upwash.real.sandbox"),
+        *("upwash.plans", "upwash.ports", "upwash.real.mavlink", "upwash.real.instances.sandbox"),
         *("upwash.sim", "upwash.vehicle", "pymavlink", "ctypes"),
     ),
 }

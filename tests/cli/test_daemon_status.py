@@ -10,9 +10,9 @@ import msgspec
 from rich.console import Console
 
 from upwash.cli.daemon_status import print_status
-from upwash.core.admission import AdmissionController, ServerOffer
-from upwash.core.clients import Client, DoorStatus, Role
-from upwash.core.limits import Limits
+from upwash.core.admission.admission import AdmissionController, ServerOffer
+from upwash.core.admission.clients import Client, DoorStatus, Role
+from upwash.core.admission.limits import Limits
 from upwash.rpc.protocol import StatusReply, decode_reply
 
 ALICE = Client("alice", "0c", role=Role.OPERATOR)

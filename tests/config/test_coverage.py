@@ -9,9 +9,9 @@ import pytest
 from upwash.config.coverage import FORGOTTEN_AFTER, CoverageFile
 from upwash.config.drone_file import read_drone_config
 from upwash.config.places import coverage_of, server_areas, true_areas
-from upwash.core.coverage import Coverage
-from upwash.core.estimates import Operation
 from upwash.core.geo import GeoPosition, Position
+from upwash.core.knowledge.coverage import Coverage
+from upwash.core.operation import Operation
 from upwash.errors import ConfigError
 
 HEAVY = Operation("detector", "process_photo", "heavy")

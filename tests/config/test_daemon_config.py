@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from upwash.config import DaemonConfig, ImageConfig, PeerConfig, read_daemon_config, read_drone_config
-from upwash.core.limits import DEFAULT_LIMITS
+from upwash.core.admission.limits import DEFAULT_LIMITS
 from upwash.errors import ConfigError
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from upwash.core.bound import bound
-from upwash.core.schedule import ComingCall, Offer
+from upwash.core.planning.bound import bound
+from upwash.core.planning.schedule import ComingCall, Offer
 
 
 def test_without_joins_each_call_runs_where_it_is_fastest() -> None:

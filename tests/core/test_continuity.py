@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.core.continuity import Continuity
 from upwash.core.geo import Position, Velocity
+from upwash.core.vehicle.continuity import Continuity
 
 SPEED_M_S = 4.0
 STILL, FLYING = Velocity(), Velocity(SPEED_M_S)

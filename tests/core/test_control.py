@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.core.control import TRANSITIONS, Change, Latch, Owner, Report
 from upwash.core.geo import Position
+from upwash.core.vehicle.control import TRANSITIONS, Change, Latch, Owner, Report
 from upwash.errors import AutopilotOverruled
 
 OWN, OTHERS = "GUIDED", ("LOITER", "STABILIZE", "RTL", "LAND")

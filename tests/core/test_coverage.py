@@ -2,9 +2,10 @@ from __future__ import annotations
 
 import pytest
 
-from upwash.core.coverage import MOST_PLACES, NEAR_M, SAME_M, Coverage
-from upwash.core.estimates import Beliefs, Estimates, Operation
 from upwash.core.geo import Position
+from upwash.core.knowledge.coverage import MOST_PLACES, NEAR_M, SAME_M, Coverage
+from upwash.core.knowledge.estimates import Beliefs, Estimates
+from upwash.core.operation import Operation
 
 HEAVY = Operation("detector", "process_photo", "heavy")
 LIGHT = Operation("detector", "process_photo", "light")

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from upwash.core.energy import (
+from upwash.core.geo import Position, Velocity
+from upwash.core.vehicle.energy import (
     ARDUCOPTER,
     PX4,
     STILL,
@@ -26,7 +27,6 @@ from upwash.core.energy import (
     margin,
     time_home_s,
 )
-from upwash.core.geo import Position, Velocity
 
 HOME = Position(0.0, 0.0)
 RETURNS = Path(__file__).parent / "data/returns.csv"

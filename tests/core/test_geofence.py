@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.geo import Circle, Position
-from upwash.core.geofence import AreaUnion, Fence, Polygon, breached_by_leg, breached_by_position
+from upwash.core.vehicle.geofence import AreaUnion, Fence, Polygon, breached_by_leg, breached_by_position
 
 SQUARE = Polygon((Position(0, 0), Position(100, 0), Position(100, 100), Position(0, 100)))
 # A U, open to the north: the notch lies between 40 and 60 m east, above 20 m north.

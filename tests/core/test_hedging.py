@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from upwash.core.estimates import Operation
-from upwash.core.hedging import Delays, Hedge, Hedging
+from upwash.core.operation import Operation
+from upwash.core.selection.hedging import Delays, Hedge, Hedging
 
 HEAVY = Operation("detector", "process_photo", "heavy")
 EXCEEDS_BY_S = 0.001

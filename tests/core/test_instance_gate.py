@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from upwash.core.clients import Client
-from upwash.core.instance_gate import InstanceGate
+from upwash.core.admission.clients import Client
+from upwash.core.admission.instance_gate import InstanceGate
 from upwash.errors import NoLease, Refused
 
 D1, D2 = Client("d1", "f1"), Client("d2", "f2")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from upwash.core.admission import (
+from upwash.core.admission.admission import (
     AdmissionController,
     AdmissionSettings,
     Available,
@@ -13,7 +13,7 @@ from upwash.core.admission import (
     Running,
     ServerOffer,
 )
-from upwash.core.clients import (
+from upwash.core.admission.clients import (
     AccountStatus,
     Client,
     DroneUsage,
@@ -23,9 +23,9 @@ from upwash.core.clients import (
     ServerStatus,
     TeamUsage,
 )
-from upwash.core.instances import InstanceState, StartInstance, StopInstance
-from upwash.core.leases import Admit
-from upwash.core.usage import LeaseEnded
+from upwash.core.admission.instances import InstanceState, StartInstance, StopInstance
+from upwash.core.admission.leases import Admit
+from upwash.core.admission.usage import LeaseEnded
 
 ABSENT, STARTING, RUNNING, STOPPING = InstanceState
 

@@ -13,7 +13,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from upwash.core.admission import (
+from upwash.core.admission.admission import (
     AdmissionController,
     AdmissionSettings,
     Available,
@@ -24,10 +24,10 @@ from upwash.core.admission import (
     Running,
     ServerOffer,
 )
-from upwash.core.clients import Client, Role
-from upwash.core.instances import InstanceState, StartInstance, StopInstance
-from upwash.core.leases import Admit
-from upwash.core.usage import LeaseEnded
+from upwash.core.admission.clients import Client, Role
+from upwash.core.admission.instances import InstanceState, StartInstance, StopInstance
+from upwash.core.admission.leases import Admit
+from upwash.core.admission.usage import LeaseEnded
 
 OFFERED = {"s1": ["counter", "detector"], "s2": ["detector"]}
 SETTINGS = AdmissionSettings(lease_s=30.0, idle_stop_s=100.0, hold_s=50.0)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from upwash.core.estimates import Operation
 from upwash.core.geo import Circle, Position, Waypoint
-from upwash.core.mission_model import ExpectedCall, MissionBeliefs, MissionModel, Step
-from upwash.core.pace import Pace
+from upwash.core.operation import Operation
+from upwash.core.planning.mission_model import ExpectedCall, MissionBeliefs, MissionModel, Step
+from upwash.core.planning.pace import Pace
 
 HEAVY = Operation("detector", "process_photo", "heavy")
 DIRT = Operation("dirt", "measure")

@@ -1,4 +1,4 @@
-"""What the laws of core/lighter.py come to over a whole mission, and what a mission's forecast is made of."""
+"""What the laws of lighter.py come to over a whole mission, and what a mission's forecast is made of."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.core.commands import Foreseen
-from upwash.core.energy import EnergyFacts, WayHome
-from upwash.core.estimates import Beliefs, Estimates, Operation
-from upwash.core.events import Arrived, LegBegun, LocalCallEnded, MissionBegun
 from upwash.core.geo import Circle, Position, Waypoint
-from upwash.core.lighter import LighterSettings, is_lighter
-from upwash.core.mission_model import MissionBeliefs, Step
-from upwash.core.pace import Pace
-from upwash.core.policies import make_policy
-from upwash.core.policy import Lightened
-from upwash.core.selection import Selection, SelectionSettings
+from upwash.core.knowledge.estimates import Beliefs, Estimates
+from upwash.core.operation import Operation
+from upwash.core.planning.mission_model import MissionBeliefs, Step
+from upwash.core.planning.pace import Pace
+from upwash.core.policies.names import make_policy
+from upwash.core.policies.policy import Lightened
+from upwash.core.selection.commands import Foreseen
+from upwash.core.selection.events import Arrived, LegBegun, LocalCallEnded, MissionBegun
+from upwash.core.selection.lighter import LighterSettings, is_lighter
+from upwash.core.selection.selection import Selection, SelectionSettings
+from upwash.core.vehicle.energy import EnergyFacts, WayHome
 
 HEAVY, LIGHT = Operation("detector", "look", "heavy"), Operation("detector", "look", "light")
 

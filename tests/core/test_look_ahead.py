@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from upwash.core.forecast import Forecast
-from upwash.core.look_ahead import LookAhead
-from upwash.core.policy import (
+from upwash.core.knowledge.servers import State
+from upwash.core.planning.forecast import Forecast
+from upwash.core.planning.schedule import CheckTimes, ComingCall, Offer
+from upwash.core.policies.look_ahead import LookAhead
+from upwash.core.policies.policy import (
     CallInputs,
     Choice,
     Coming,
@@ -15,8 +17,6 @@ from upwash.core.policy import (
     Remote,
     Situation,
 )
-from upwash.core.schedule import CheckTimes, ComingCall, Offer
-from upwash.core.servers import State
 
 LOCAL_S, REMOTE_S, GAP_S = 10.0, 1.0, 12.0
 CHECKS = {"a": CheckTimes(12.0, 4.0), "b": CheckTimes(12.0, 4.0)}

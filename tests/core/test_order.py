@@ -6,12 +6,13 @@ from collections.abc import Sequence
 
 import pytest
 
-from upwash.core.estimates import Beliefs, Estimates, Operation
 from upwash.core.geo import Circle, Position, Waypoint
-from upwash.core.mission_model import MissionBeliefs, Step
-from upwash.core.order import Forecaster, best_order
-from upwash.core.pace import Pace
-from upwash.core.sweeps import sweeps
+from upwash.core.knowledge.estimates import Beliefs, Estimates
+from upwash.core.operation import Operation
+from upwash.core.planning.mission_model import MissionBeliefs, Step
+from upwash.core.planning.order import Forecaster, best_order
+from upwash.core.planning.pace import Pace
+from upwash.core.planning.sweeps import sweeps
 
 GIVEN = [Waypoint(index, Position(20.0 * index, 0.0, 20.0)) for index in range(3)]
 LOOK = Operation("detector", "process_photo", "heavy")

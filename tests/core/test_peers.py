@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from upwash.core.admission import (
+from upwash.core.admission.admission import (
     AdmissionController,
     AdmissionSettings,
     Available,
@@ -15,10 +15,10 @@ from upwash.core.admission import (
     Held,
     ServerOffer,
 )
-from upwash.core.clients import Client, LeaseStatus, Role
-from upwash.core.instances import StartInstance
-from upwash.core.leases import Admit
-from upwash.core.usage import LeaseEnded
+from upwash.core.admission.clients import Client, LeaseStatus, Role
+from upwash.core.admission.instances import StartInstance
+from upwash.core.admission.leases import Admit
+from upwash.core.admission.usage import LeaseEnded
 
 S1 = Client("s1", "51", Role.SERVER)
 D1, D2 = Client("d1", "d1"), Client("d2", "d2")

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from upwash.core.estimates import Beliefs, Estimates, Operation
-from upwash.core.mission_model import ExpectedCall
-from upwash.core.placing import Place, Placing
-from upwash.core.policies import make_policy
+from upwash.core.knowledge.estimates import Beliefs, Estimates
+from upwash.core.operation import Operation
+from upwash.core.planning.mission_model import ExpectedCall
+from upwash.core.policies.names import make_policy
+from upwash.core.selection.placing import Place, Placing
 
 HEAVY, UNKNOWN = Operation("detector", "look", "heavy"), Operation("detector", "count")
 LOCAL_S, REMOTE_S, CHECK_S, CHECK_RUNNING_S = 10.0, 0.7, 12.0, 3.0

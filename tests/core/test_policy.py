@@ -7,9 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.core.estimates import Beliefs, Estimates, Operation
-from upwash.core.policies import make_policy
-from upwash.core.policy import (
+from upwash.core.knowledge.estimates import Beliefs, Estimates
+from upwash.core.knowledge.servers import State
+from upwash.core.operation import Operation
+from upwash.core.policies.names import make_policy
+from upwash.core.policies.policy import (
     CallInputs,
     Deadline,
     Local,
@@ -23,7 +25,6 @@ from upwash.core.policy import (
     Wait,
     WaitRule,
 )
-from upwash.core.servers import State
 
 JUST_BELOW_8 = math.nextafter(8.0, 0.0)
 

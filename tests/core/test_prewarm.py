@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from upwash.core.commands import Prepare
 from upwash.core.geo import Circle, Position
-from upwash.core.policy import Coming
-from upwash.core.prewarm import PrewarmNotifier
-from upwash.core.servers import Server, Trigger
+from upwash.core.knowledge.servers import Server, Trigger
+from upwash.core.policies.policy import Coming
+from upwash.core.selection.commands import Prepare
+from upwash.core.selection.prewarm import PrewarmNotifier
 
 START_S = 8.0
 

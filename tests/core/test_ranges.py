@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.geo import Circle, Position
-from upwash.core.ranges import Ranges
+from upwash.core.knowledge.ranges import Ranges
 
 metres = st.floats(-500, 500)
 places = st.builds(Position, metres, metres)

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.core.estimates import Operation
-from upwash.core.recovery import Failures, Probing, Recovery
+from upwash.core.operation import Operation
+from upwash.core.selection.recovery import Failures, Probing, Recovery
 
 LOOK, READ = Operation("detector", "look"), Operation("gauge", "read")
 

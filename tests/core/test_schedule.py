@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from upwash.core import schedule
-from upwash.core.schedule import CheckTimes, ComingCall, Offer, Schedule, quickest
+from upwash.core.planning import schedule
+from upwash.core.planning.schedule import CheckTimes, ComingCall, Offer, Schedule, quickest
 
 LOCAL_S, REMOTE_S = 10.0, 1.0
 SAME = {name: CheckTimes(12.0, 4.0) for name in ("a", "b")}

@@ -4,9 +4,23 @@ from __future__ import annotations
 
 import pytest
 
-from upwash.core.commands import Check, Effect, Full, Leave, Paused, Probe, Start
-from upwash.core.estimates import Beliefs, Estimates, Operation
-from upwash.core.events import (
+from upwash.core.geo import Circle, Position
+from upwash.core.knowledge.estimates import Beliefs, Estimates
+from upwash.core.knowledge.servers import Change, State
+from upwash.core.operation import Operation
+from upwash.core.policies.policy import (
+    Deadline,
+    Local,
+    LocalOnly,
+    LocationAware,
+    Opportunistic,
+    Policy,
+    Remote,
+    Wait,
+    WaitRule,
+)
+from upwash.core.selection.commands import Check, Effect, Full, Leave, Paused, Probe, Start
+from upwash.core.selection.events import (
     CheckAnswered,
     CheckFailed,
     DescentBegun,
@@ -25,21 +39,8 @@ from upwash.core.events import (
     Tick,
     TurnOver,
 )
-from upwash.core.geo import Circle, Position
-from upwash.core.policy import (
-    Deadline,
-    Local,
-    LocalOnly,
-    LocationAware,
-    Opportunistic,
-    Policy,
-    Remote,
-    Wait,
-    WaitRule,
-)
-from upwash.core.recovery import Probing
-from upwash.core.selection import Selection, SelectionSettings
-from upwash.core.servers import Change, State
+from upwash.core.selection.recovery import Probing
+from upwash.core.selection.selection import Selection, SelectionSettings
 from upwash.errors import TransitionError
 
 HEAVY = Operation("detector", "process_photo", "heavy")

@@ -15,9 +15,25 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from upwash.core.commands import Check, Effect, Leave, Prepare, Probe, Start
-from upwash.core.estimates import Beliefs, Estimates, Operation
-from upwash.core.events import (
+from upwash.core.geo import Circle, Position, Waypoint
+from upwash.core.knowledge.estimates import Beliefs, Estimates
+from upwash.core.knowledge.servers import CHECKING, SELECTED, TRANSITIONS, Change, State
+from upwash.core.operation import Operation
+from upwash.core.planning.mission_model import MissionBeliefs, Step
+from upwash.core.policies.look_ahead import LookAhead
+from upwash.core.policies.policy import (
+    Decision,
+    Local,
+    LocalOnly,
+    LocationAware,
+    Opportunistic,
+    Policy,
+    Remote,
+    Wait,
+    WaitRule,
+)
+from upwash.core.selection.commands import Check, Effect, Leave, Prepare, Probe, Start
+from upwash.core.selection.events import (
     Arrived,
     CheckAnswered,
     CheckFailed,
@@ -39,23 +55,8 @@ from upwash.core.events import (
     Tick,
     TurnOver,
 )
-from upwash.core.geo import Circle, Position, Waypoint
-from upwash.core.look_ahead import LookAhead
-from upwash.core.mission_model import MissionBeliefs, Step
-from upwash.core.policy import (
-    Decision,
-    Local,
-    LocalOnly,
-    LocationAware,
-    Opportunistic,
-    Policy,
-    Remote,
-    Wait,
-    WaitRule,
-)
-from upwash.core.recovery import REST_S, Probing
-from upwash.core.selection import Selection, SelectionSettings
-from upwash.core.servers import CHECKING, SELECTED, TRANSITIONS, Change, State
+from upwash.core.selection.recovery import REST_S, Probing
+from upwash.core.selection.selection import Selection, SelectionSettings
 
 OPERATIONS = [Operation("detector", "process_photo", "heavy"), Operation("counter", "count")]
 GAIN_SWITCH = GAIN_WAIT = GAIN_SLOT = 0.25

@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from upwash.core.geo import Circle, Position
-from upwash.core.servers import CHECKING, SELECTED, TRANSITIONS, Change, Server, State, Trigger
+from upwash.core.knowledge.servers import CHECKING, SELECTED, TRANSITIONS, Change, Server, State, Trigger
 from upwash.errors import TransitionError
 
 AVL, AVL_R, CHECK, CHECK_R, READY, BLACKLISTED = (

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.core.bound import SharedMission, shared_s
+from upwash.core.planning.bound import SharedMission, shared_s
 
 
 def mission(begun_s: float = 0.0, local_s: float = 100.0, free_s: float = 20.0) -> SharedMission:

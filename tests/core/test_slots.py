@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from upwash.core.slots import MeasuredSlots
+from upwash.core.admission.slots import MeasuredSlots
 
 
 def calls(

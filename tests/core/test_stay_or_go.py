@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.core.legs import Leg
-from upwash.core.stay_or_go import Outlook, StayOrGo
+from upwash.core.planning.legs import Leg
+from upwash.core.planning.stay_or_go import Outlook, StayOrGo
 
 LEG = Leg(20.0, 4.0, 1.0)  # 9 s
 delays_s = st.floats(0.01, 60.0)

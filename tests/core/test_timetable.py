@@ -6,16 +6,17 @@ from dataclasses import replace
 
 import pytest
 
-from upwash.core.commands import Effect, Foreseen
-from upwash.core.energy import EnergyFacts, WayHome
-from upwash.core.estimates import Beliefs, Estimates, Operation
-from upwash.core.events import MissionBegun
 from upwash.core.geo import Circle, Position, Waypoint
-from upwash.core.legs import Leg
-from upwash.core.mission_model import MissionBeliefs, MissionModel, Step
-from upwash.core.pace import ARDUCOPTER, Pace
-from upwash.core.policies import make_policy
-from upwash.core.selection import Selection, SelectionSettings
+from upwash.core.knowledge.estimates import Beliefs, Estimates
+from upwash.core.operation import Operation
+from upwash.core.planning.legs import Leg
+from upwash.core.planning.mission_model import MissionBeliefs, MissionModel, Step
+from upwash.core.planning.pace import ARDUCOPTER, Pace
+from upwash.core.policies.names import make_policy
+from upwash.core.selection.commands import Effect, Foreseen
+from upwash.core.selection.events import MissionBegun
+from upwash.core.selection.selection import Selection, SelectionSettings
+from upwash.core.vehicle.energy import EnergyFacts, WayHome
 
 LOOK, COUNT = Operation("detector", "look"), Operation("counter", "count")
 LEG_S, PHOTO_S, TAKEOFF_S, AT_ONCE = 9.0, 1.0, 10.0, 1e9  # a leg of 20 m at 4 m/s and 1 m/s²

@@ -1,9 +1,9 @@
-"""The laws of core/turns.py: who gets a slot next, and who yields one."""
+"""The laws of core/admission/turns.py: who gets a slot next, and who yields one."""
 
 from __future__ import annotations
 
-from upwash.core.clients import AccountStatus
-from upwash.core.turns import Turns
+from upwash.core.admission.clients import AccountStatus
+from upwash.core.admission.turns import Turns
 
 
 def order(turns: Turns, *, now_s: float) -> list[str]:

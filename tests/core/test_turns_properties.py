@@ -1,4 +1,4 @@
-"""What the laws of core/turns.py come to, whoever comes and goes and whatever a drone says."""
+"""What the laws of core/admission/turns.py come to, whoever comes and goes and whatever a drone says."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from upwash.core.admission import AdmissionController, ServerOffer
-from upwash.core.clients import Client
-from upwash.core.turns import ASK_AGAIN_S
+from upwash.core.admission.admission import AdmissionController, ServerOffer
+from upwash.core.admission.clients import Client
+from upwash.core.admission.turns import ASK_AGAIN_S
 
 RENEWED_S = 10.0  # a third of a lease
 SERVICES = ["counter", "detector"]

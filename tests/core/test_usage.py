@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from upwash.core.admission import AdmissionController, AdmissionSettings, ServerOffer
-from upwash.core.clients import Client, DroneUsage, Role, ServerStatus, TeamUsage
-from upwash.core.usage import LeaseEnded, Usage, team_of
+from upwash.core.admission.admission import AdmissionController, AdmissionSettings, ServerOffer
+from upwash.core.admission.clients import Client, DroneUsage, Role, ServerStatus, TeamUsage
+from upwash.core.admission.usage import LeaseEnded, Usage, team_of
 
 NORTH_1, NORTH_2, HERON = Client("north-1", "01"), Client("north-2", "02"), Client("heron", "03")
 

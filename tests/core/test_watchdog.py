@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from upwash.core.admission import (
+from upwash.core.admission.admission import (
     AdmissionController,
     AdmissionSettings,
     Available,
@@ -12,9 +12,9 @@ from upwash.core.admission import (
     Pending,
     ServerOffer,
 )
-from upwash.core.clients import Client
-from upwash.core.instances import InstanceState, StartInstance, StopInstance
-from upwash.core.watchdog import (
+from upwash.core.admission.clients import Client
+from upwash.core.admission.instances import InstanceState, StartInstance, StopInstance
+from upwash.core.admission.watchdog import (
     CALL_LIMIT_S,
     DENIALS,
     FIRST_PAUSE_S,

@@ -6,9 +6,9 @@ import itertools
 
 import pytest
 
-from upwash.core.energy import ARDUCOPTER, PX4, WayHome, time_home_s
 from upwash.core.geo import Position
-from upwash.core.way_down import WayDown
+from upwash.core.vehicle.energy import ARDUCOPTER, PX4, WayHome, time_home_s
+from upwash.core.vehicle.way_down import WayDown
 from upwash.vehicle import arducopter
 from upwash.vehicle.kinematics import Motion
 from upwash.vehicle.px4 import airframe as px4

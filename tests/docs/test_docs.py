@@ -16,7 +16,7 @@ from bench.results import FOLDER
 from bench import promises
 from upwash.cli.main import command_line
 from upwash.config import FleetDroneConfig, read_daemon_config, read_drone_config
-from upwash.core.servers import TRANSITIONS
+from upwash.core.knowledge.servers import TRANSITIONS
 
 KEYS_AND_REST = """
 [keys]

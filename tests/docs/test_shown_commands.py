@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from upwash.cli.main import command_line
-from upwash.real.networkmanager import Connection, Device, DeviceKind
-from upwash.real.profiles import interface_trouble, modified
+from upwash.real.network.networkmanager import Connection, Device, DeviceKind
+from upwash.real.network.profiles import interface_trouble, modified
 from upwash.support.commands import command
 
 SOURCE = Path(__file__).parents[2] / "src" / "upwash"

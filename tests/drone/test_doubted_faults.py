@@ -14,8 +14,8 @@ import pytest
 from tests.events import written
 
 from upwash.config import drone_config
-from upwash.core.events import LocalCallEnded, RemoteCallEnded
-from upwash.core.selection import Selection
+from upwash.core.selection.events import LocalCallEnded, RemoteCallEnded
+from upwash.core.selection.selection import Selection
 from upwash.drone.server_session import ServerSession
 from upwash.eventlog.narration import Narrator
 from upwash.eventlog.reasons import told_calls

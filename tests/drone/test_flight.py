@@ -12,7 +12,7 @@ from tests.events import written
 
 from upwash import Drone
 from upwash.config import read_drone_config
-from upwash.core.selection import Selection
+from upwash.core.selection.selection import Selection
 from upwash.drone.server_session import ServerSession
 from upwash.errors import MissionFailed
 from upwash.lab.run import Run, simulate

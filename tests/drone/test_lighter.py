@@ -10,7 +10,7 @@ from tests.events import written
 from tests.scenarios import fault, scenario, server
 
 from upwash.config import waypoints
-from upwash.core.selection import Selection
+from upwash.core.selection.selection import Selection
 from upwash.drone.preparation import make_selection
 from upwash.errors import UsageError
 from upwash.eventlog.narration import Narrator, Tone

@@ -22,7 +22,7 @@ from upwash.errors import InstanceError, OutcomeUnknown
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.ports import InstanceSpec, Program
-from upwash.real.runtime import OwnProcesses
+from upwash.real.instances.runtime import OwnProcesses
 from upwash.rpc.service import load_service, spec_of
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.world import Wire

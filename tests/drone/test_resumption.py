@@ -16,7 +16,7 @@ from upwash.config.drone_file import drone_config
 from upwash.drone.resumption import waypoints_done
 from upwash.errors import UsageError
 from upwash.eventlog.schema import Event
-from upwash.real.journal import read_events
+from upwash.real.host.journal import read_events
 
 PLACES = [[0.0, 0.0], [20.0, 0.0], [40.0, 0.0]]
 

@@ -16,7 +16,7 @@ from tests.events import event, written
 
 from upwash.config import AutopilotConfig, DroneConfig, FaultConfig, SafeEnd, pace_in_numbers, waypoints
 from upwash.config.drone_file import drone_config
-from upwash.core.control import Control, Owner
+from upwash.core.vehicle.control import Control, Owner
 from upwash.drone.api import Drone
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import NoNetwork

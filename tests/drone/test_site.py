@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from upwash.core.geo import Circle, Position, Waypoint
-from upwash.core.geofence import AreaUnion, Fence, Polygon
+from upwash.core.vehicle.geofence import AreaUnion, Fence, Polygon
 from upwash.drone.site import Site
 from upwash.errors import AutopilotRefused
 from upwash.plans import Ending

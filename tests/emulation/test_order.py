@@ -13,7 +13,7 @@ from upwash.emulation.files import daemon_config, write_daemon_file, write_drone
 from upwash.emulation.native import WIFI, wifi_of
 from upwash.emulation.request import EmulationRequest, Paces, emulated, left_out, server_paces
 from upwash.errors import UsageError
-from upwash.real.authority import keys_in
+from upwash.real.trust.authority import keys_in
 
 ROOT = Path(__file__).parents[2]
 SCENARIOS = [

@@ -10,7 +10,7 @@ import pytest
 from tests.conftest import SCENARIOS
 from tests.events import event, line
 
-from upwash.core.servers import Trigger
+from upwash.core.knowledge.servers import Trigger
 from upwash.errors import UsageError
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema

@@ -27,9 +27,9 @@ from tests.events import line as line_of
 from upwash.config import read_drone_config
 from upwash.config.coverage import CoverageFile
 from upwash.config.daemon import read_daemon_config
-from upwash.core.coverage import Coverage, MeasuredPlace
-from upwash.core.estimates import Operation
 from upwash.core.geo import GeoPosition, Position
+from upwash.core.knowledge.coverage import Coverage, MeasuredPlace
+from upwash.core.operation import Operation
 from upwash.errors import CredentialsError, GarbledReply, Refused, UpwashError, UsageError
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
@@ -37,17 +37,17 @@ from upwash.eventlog.results import read_result
 from upwash.mavlink.ftp import Opcode, Packet, read_packet
 from upwash.mavlink.signing import Signing
 from upwash.plans.reading import read_plan
-from upwash.real.authority import keys_in, make_keys
-from upwash.real.control import Called, Ended, Ready, Said, from_instance, line
-from upwash.real.credentials import read_credentials, read_revoked
-from upwash.real.foreign import Answer, ForeignProgram
-from upwash.real.frames import PREFACE, FrameCounter
-from upwash.real.framing import frame
+from upwash.real.instances.control import Called, Ended, Ready, Said, from_instance, line
+from upwash.real.instances.foreign import Answer, ForeignProgram
+from upwash.real.link.frames import PREFACE, FrameCounter
+from upwash.real.link.framing import frame
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.hearing import Hearing, from_autopilot
 from upwash.real.mavlink.peer import Peer
 from upwash.real.mavlink.signing import read_key
 from upwash.real.mavlink.telemetry import Telemetry
+from upwash.real.trust.authority import keys_in, make_keys
+from upwash.real.trust.credentials import read_credentials, read_revoked
 from upwash.rpc.protocol import (
     AvailabilityReply,
     AvailabilityRequest,

@@ -14,8 +14,8 @@ from tests.fuzz.decoders import Broken, Decoder, decoders, model_with
 from tests.fuzz.mutations import mutated
 
 from upwash.errors import CredentialsError, ModelError, UpwashError
-from upwash.real.authority import make_keys
-from upwash.real.credentials import read_credentials
+from upwash.real.trust.authority import make_keys
+from upwash.real.trust.credentials import read_credentials
 
 ODD = (
     b"",

@@ -17,7 +17,7 @@ from tests.events import written
 from tests.scenarios import scenario, server
 from tests.server.test_edge_server import Daemon
 
-from upwash.core.clients import Client
+from upwash.core.admission.clients import Client
 from upwash.errors import NoLease, Refused
 from upwash.lab import run as lab
 from upwash.lab.observer import Seen

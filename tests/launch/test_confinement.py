@@ -14,11 +14,11 @@ import pytest
 from msgspec.structs import replace
 
 from upwash.config import DaemonConfig, read_daemon_config
-from upwash.core.limits import DEFAULT_LIMITS, NO_LIMITS, Limits
+from upwash.core.admission.limits import DEFAULT_LIMITS, NO_LIMITS, Limits
 from upwash.errors import UsageError
 from upwash.launch.confinement import Confinement, find_confinement
 from upwash.launch.daemon_services import DaemonServices
-from upwash.real.sandbox import Sandbox
+from upwash.real.instances.sandbox import Sandbox
 
 CONFIG = """
 listen = "unix:daemon.sock"

@@ -12,15 +12,15 @@ from pathlib import Path
 import pytest
 
 from upwash.config import DaemonConfig, read_daemon_config
-from upwash.core.slots import MeasuredSlots
+from upwash.core.admission.slots import MeasuredSlots
 from upwash.launch import containers
 from upwash.launch.daemon import serve
 from upwash.launch.status import ask_status
 from upwash.ports import Program
-from upwash.real.authority import make_keys
-from upwash.real.lxd.engine import EngineImage, EngineInstance
-from upwash.real.service_image import ServiceImage
-from upwash.real.service_manager import ServiceManager
+from upwash.real.host.service_manager import ServiceManager
+from upwash.real.instances.lxd.engine import EngineImage, EngineInstance
+from upwash.real.instances.service_image import ServiceImage
+from upwash.real.trust.authority import make_keys
 
 LANES = 3
 CONFIG = """

@@ -16,8 +16,8 @@ import pytest
 
 from upwash.config import read_daemon_config
 from upwash.launch import daemon
-from upwash.real.authority import make_keys
-from upwash.real.service_manager import ServiceManager
+from upwash.real.host.service_manager import ServiceManager
+from upwash.real.trust.authority import make_keys
 from upwash.server.daemon import EdgeServer
 
 ALONE = """

@@ -20,9 +20,9 @@ from prometheus_client.parser import text_string_to_metric_families
 from tests.events import event as made
 from tests.server.test_edge_server import COLD_START_S, Runtime
 
-from upwash.core.admission import AdmissionController, ServerOffer
-from upwash.core.clients import Client
-from upwash.core.servers import State
+from upwash.core.admission.admission import AdmissionController, ServerOffer
+from upwash.core.admission.clients import Client
+from upwash.core.knowledge.servers import State
 from upwash.errors import InstanceError, Refused, UsageError
 from upwash.eventlog import schema
 from upwash.lab.run import Run, simulate

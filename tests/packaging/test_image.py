@@ -20,8 +20,8 @@ from upwash.packaging.base import lay_base, lay_init
 from upwash.packaging.contents import copy_distributions, copy_program, copy_setting, extra_of
 from upwash.packaging.image import Recipe, package
 from upwash.packaging.shipping import find_service
-from upwash.real.lxd.engine import EngineImage
-from upwash.real.lxd.image import newest_images
+from upwash.real.instances.lxd.engine import EngineImage
+from upwash.real.instances.lxd.image import newest_images
 
 
 @pytest.fixture
@@ -76,7 +76,8 @@ def test_what_was_copied_is_enough_to_import_an_instance(services: Path, tmp_pat
     program = copy_program(f"{services}:Workbench", tmp_path)
     copy_distributions((), tmp_path)
     script = (
-        "import upwash.real.instance, upwash.real.container_init; from upwash.rpc.service import load_service; "
+        "import upwash.real.instances.instance, upwash.real.instances.container_init\n"
+        "from upwash.rpc.service import load_service; "
         f"load_service({str(tmp_path) + program!r})"
     )
     subprocess.run(

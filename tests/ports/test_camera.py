@@ -12,7 +12,7 @@ import pytest
 from upwash.core.geo import Position
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Camera, Photo
-from upwash.real.camera import FolderCamera, read_photos
+from upwash.real.camera.camera import FolderCamera, read_photos
 from upwash.sim.camera import RenderedCamera
 from upwash.sim.loop import run_virtually
 

@@ -21,9 +21,9 @@ from upwash.config.drone_file import drone_config
 from upwash.core.geo import GeoPosition
 from upwash.errors import CredentialsError
 from upwash.launch import flight as launch
-from upwash.real.clock import SystemClock, agree_on_time
-from upwash.real.credentials import Credentials
-from upwash.real.journal import FileJournal, read_events
+from upwash.real.host.clock import SystemClock, agree_on_time
+from upwash.real.host.journal import FileJournal, read_events
+from upwash.real.trust.credentials import Credentials
 from upwash.sim.journal import MemoryJournal
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.server import serve_vehicle
@@ -274,7 +274,7 @@ def test_a_vehicle_without_the_time_holds_up_nothing_where_the_certificates_are_
 def test_what_a_flight_starts_does_not_inherit_the_right_to_set_the_clock() -> None:
     script = (
         "import subprocess\n"
-        "from upwash.real.clock import keep_right_from_services\n"
+        "from upwash.real.host.clock import keep_right_from_services\n"
         "child = ['grep', 'CapAmb', '/proc/self/status']\n"
         "subprocess.run(child, check=True)\n"
         "keep_right_from_services()\n"

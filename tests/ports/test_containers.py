@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from upwash.core.limits import Limits
+from upwash.core.admission.limits import Limits
 from upwash.errors import EngineError, UsageError
 from upwash.ports import Program
-from upwash.real.control_credentials import ControlCredentials, new_control_credentials
-from upwash.real.lxd.container import (
+from upwash.real.instances.control_credentials import ControlCredentials, new_control_credentials
+from upwash.real.instances.lxd.container import (
     Container,
     ContainerSettings,
     addresses,
@@ -23,9 +23,9 @@ from upwash.real.lxd.container import (
     known_container,
     new_container,
 )
-from upwash.real.lxd.engine import Engine, EngineAddress, EngineImage, EngineInstance
-from upwash.real.lxd.image import newest_images
-from upwash.real.service_image import ServiceImage
+from upwash.real.instances.lxd.engine import Engine, EngineAddress, EngineImage, EngineInstance
+from upwash.real.instances.lxd.image import newest_images
+from upwash.real.instances.service_image import ServiceImage
 
 SUBNET = IPv4Network("10.9.0.0/29")  # of six addresses
 SETTINGS = ContainerSettings(SUBNET)

@@ -28,13 +28,13 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from upwash.core.clients import Role
+from upwash.core.admission.clients import Role
 from upwash.errors import CredentialsError, NotWritten, Unreachable, UsageError
-from upwash.real import authority as module
-from upwash.real.authority import drop_former_authorities, made_in, make_keys, renew_authority, revoke
-from upwash.real.credentials import Credentials, read_credentials, read_revoked, role_of
-from upwash.real.link import GrpcDialer
-from upwash.real.secrets import exposure
+from upwash.real.link.link import GrpcDialer
+from upwash.real.trust import authority as module
+from upwash.real.trust.authority import drop_former_authorities, made_in, make_keys, renew_authority, revoke
+from upwash.real.trust.credentials import Credentials, read_credentials, read_revoked, role_of
+from upwash.real.trust.secrets import exposure
 
 
 def read(folder: Path, name: str, *, authority: Path | None = None) -> Credentials:
@@ -270,7 +270,7 @@ def test_the_key_is_not_shown_in_a_trace(keys: Path) -> None:
 
 
 def test_importing_the_module_is_light() -> None:
-    script = "import sys, upwash.real.credentials; print(*sys.modules)"
+    script = "import sys, upwash.real.trust.credentials; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
     assert not {"cryptography", "grpc", "asyncio"} & set(loaded.split())
 

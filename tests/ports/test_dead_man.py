@@ -11,8 +11,8 @@ from tests.ports.lossy import Air
 from tests.ports.memory import AGILE, Bench, bench
 from tests.ports.steps import claim_and_arm, take_off
 
-from upwash.core.control import Owner
 from upwash.core.geo import Position
+from upwash.core.vehicle.control import Owner
 from upwash.errors import AutopilotOverruled, AutopilotRefused
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.real.mavlink.dead_man import FILE, SILENCE_S, VERSION, promise, script

@@ -24,18 +24,18 @@ from tests.doors import behind_door
 from tests.waiting import wait_for
 
 from upwash.errors import CredentialsError, InstanceError, LinkError, Unreachable
-from upwash.real import authority as module
-from upwash.real.announced import Inside, announcing_at
-from upwash.real.authority import keys_in, make_keys
-from upwash.real.credentials import Credentials, fingerprint, read_credentials
-from upwash.real.crowd import Crowd, Recent, Turns
-from upwash.real.door import Door, DoorLimits, leading, opened_door
-from upwash.real.frames import PREFACE, Counted, FrameCounter
-from upwash.real.link import GrpcDialer
-from upwash.real.listener import Health, Listener, WhoIs
-from upwash.real.requests import Caller, Requests
-from upwash.real.streams import listening_socket
-from upwash.real.trust import Trust, load_secret
+from upwash.real.link.announced import Inside, announcing_at
+from upwash.real.link.crowd import Crowd, Recent, Turns
+from upwash.real.link.door import Door, DoorLimits, leading, opened_door
+from upwash.real.link.frames import PREFACE, Counted, FrameCounter
+from upwash.real.link.link import GrpcDialer
+from upwash.real.link.listener import Health, Listener, WhoIs
+from upwash.real.link.requests import Caller, Requests
+from upwash.real.link.streams import listening_socket
+from upwash.real.trust import authority as module
+from upwash.real.trust.authority import keys_in, make_keys
+from upwash.real.trust.credentials import Credentials, fingerprint, read_credentials
+from upwash.real.trust.trust import Trust, load_secret
 from upwash.sim.loop import run_virtually
 from upwash.support.waiting import never
 

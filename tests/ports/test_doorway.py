@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from upwash.core.clients import Client
-from upwash.real import given_sockets
-from upwash.real.announced import Inside, announcing_at
-from upwash.real.given_sockets import GivenSocket, take
-from upwash.real.socket_proxy import SocketProxy
-from upwash.real.streams import listening_socket
+from upwash.core.admission.clients import Client
+from upwash.real.link import given_sockets
+from upwash.real.link.announced import Inside, announcing_at
+from upwash.real.link.given_sockets import GivenSocket, take
+from upwash.real.link.socket_proxy import SocketProxy
+from upwash.real.link.streams import listening_socket
 
 SILENT = 200
 

@@ -20,11 +20,11 @@ from upwash.config import read_daemon_config
 from upwash.errors import InstanceError, LinkError, ServiceError, UsageError
 from upwash.missions.bundled import load_services
 from upwash.ports import InstanceSpec, Program
-from upwash.real.foreign import ForeignProgram
-from upwash.real.link import GrpcDialer
-from upwash.real.local_instance import LocalInstance
-from upwash.real.runtime import ProcessRuntime
-from upwash.real.sandbox import find_sandbox
+from upwash.real.instances.foreign import ForeignProgram
+from upwash.real.instances.local_instance import LocalInstance
+from upwash.real.instances.runtime import ProcessRuntime
+from upwash.real.instances.sandbox import find_sandbox
+from upwash.real.link.link import GrpcDialer
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import load_service, spec_of
 

@@ -13,8 +13,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.ports.steps import claim_and_arm, take_off
 from tests.ports.test_autopilot import AGILE, FRAME, HASTY, connected, connection
 
-from upwash.core.control import Owner
 from upwash.core.geo import Position, distance_m
+from upwash.core.vehicle.control import Owner
 from upwash.errors import AutopilotOverruled, AutopilotRefused, AutopilotTimeout
 from upwash.ports import HomeMoved, PositionDoubted, VehicleNews, VehicleText
 from upwash.real.mavlink import MavlinkLink, connect_autopilot

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from upwash.real.hidden import sandbox_remedy
+from upwash.real.instances.hidden import sandbox_remedy
 
 FINDER = "Finder cannot be made: {} (/srv/finder.py, line 7)"
 

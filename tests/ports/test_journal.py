@@ -21,10 +21,10 @@ from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog
 from upwash.eventlog.schema import Event, Leg
-from upwash.real import journal as journal_module
-from upwash.real import log_file as log_file_module
-from upwash.real.journal import FileJournal, JournalNotifier, read_events
-from upwash.real.log_file import Unwritten
+from upwash.real.host import journal as journal_module
+from upwash.real.host import log_file as log_file_module
+from upwash.real.host.journal import FileJournal, JournalNotifier, read_events
+from upwash.real.host.log_file import Unwritten
 
 
 class Found(msgspec.Struct):

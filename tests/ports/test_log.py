@@ -10,7 +10,7 @@ import pytest
 
 PROGRAM = r"""
 import logging, sys
-from upwash.real.log import log_json, log_text
+from upwash.real.host.log import log_json, log_text
 {"text": log_text, "json": log_json}[sys.argv[1]]()
 raw = "\x1b[2J\x9b31m\u202e\nall is well"
 logging.getLogger("upwash.test").warning("%s said %s", "heron", raw)

@@ -13,8 +13,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.ports.direct import Sky, flown_directly
 from tests.ports.steps import take_off
 
-from upwash.core.control import Control, Owner
 from upwash.core.geo import GeoPosition, Position
+from upwash.core.vehicle.control import Control, Owner
 from upwash.errors import AutopilotError, AutopilotOverruled
 from upwash.mavlink.px4 import EVENTS, EventMessage
 from upwash.ports import HomeMoved, LinkChanged, LinkTrouble, VehicleNews, VehicleText

@@ -7,7 +7,7 @@ import logging
 
 import pytest
 
-from upwash.real.output import Output, chunks_of
+from upwash.real.instances.output import Output, chunks_of
 from upwash.sim.loop import run_virtually
 
 

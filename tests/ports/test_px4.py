@@ -13,8 +13,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.ports.direct import Sky, connected_to, flown_directly
 from tests.ports.steps import claim_and_arm, take_off
 
-from upwash.core.control import Control, Owner
 from upwash.core.geo import GeoPosition, Position, distance_m
+from upwash.core.vehicle.control import Control, Owner
 from upwash.errors import AutopilotOverruled, AutopilotRefused
 from upwash.mavlink import px4
 from upwash.mavlink.px4 import Mode, understood

@@ -14,8 +14,8 @@ from tests.ports.lossy import Air
 from tests.ports.memory import AGILE, Bench, bench
 from tests.ports.steps import take_off
 
-from upwash.core.energy import EnergyFacts
 from upwash.core.geo import GeoPosition
+from upwash.core.vehicle.energy import EnergyFacts
 from upwash.mavlink.version import Version
 from upwash.ports import VehicleNews, VehicleSetting
 from upwash.real.mavlink import MavlinkAutopilot

@@ -23,10 +23,10 @@ from tests.waiting import wait_for
 
 from upwash.errors import InstanceError, Refused, Unreachable
 from upwash.ports import InstanceSpec, Program
-from upwash.real.credentials import Credentials, fingerprint
-from upwash.real.link import GrpcDialer, GrpcLink
-from upwash.real.local_instance import LocalInstance
-from upwash.real.runtime import ProcessRuntime
+from upwash.real.instances.local_instance import LocalInstance
+from upwash.real.instances.runtime import ProcessRuntime
+from upwash.real.link.link import GrpcDialer, GrpcLink
+from upwash.real.trust.credentials import Credentials, fingerprint
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import load_service, spec_of
 from upwash.support.heat import Surroundings
@@ -488,7 +488,7 @@ PARENT = """
 import asyncio, sys
 from pathlib import Path
 from upwash.ports import InstanceSpec, Program
-from upwash.real.runtime import ProcessRuntime
+from upwash.real.instances.runtime import ProcessRuntime
 
 async def run(folder, program):
     runtime = ProcessRuntime(lambda _: f"unix:{folder}/socket", max_message_bytes=1_000_000)

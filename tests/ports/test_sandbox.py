@@ -22,14 +22,14 @@ import pytest
 from tests.children import expect_no_child
 from tests.system.daemons import children
 
-from upwash.core.limits import Limits
+from upwash.core.admission.limits import Limits
 from upwash.errors import InstanceError, LinkError, UsageError
 from upwash.ports import InstanceSpec, Program
-from upwash.real.link import GrpcDialer
-from upwash.real.local_instance import LocalInstance
-from upwash.real.runtime import ProcessRuntime
-from upwash.real.sandbox import Sandbox, code_of, files_in, find_sandbox, open_call_filter
-from upwash.real.syscalls import call_filter
+from upwash.real.instances.local_instance import LocalInstance
+from upwash.real.instances.runtime import ProcessRuntime
+from upwash.real.instances.sandbox import Sandbox, code_of, files_in, find_sandbox, open_call_filter
+from upwash.real.instances.syscalls import call_filter
+from upwash.real.link.link import GrpcDialer
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import load_service, spec_of
 
@@ -168,7 +168,7 @@ def sleeping_here(folder: str) -> list[str]:
             command = (entry / "cmdline").read_bytes().decode(errors="replace")
         except OSError:
             continue
-        if "upwash.real.instance" in command and folder in command:
+        if "upwash.real.instances.instance" in command and folder in command:
             found.append(entry.name)
     return found
 

@@ -7,7 +7,7 @@ import sys
 
 HANGING = """
 import threading
-from upwash.real.signals import ending_in_time
+from upwash.real.host.signals import ending_in_time
 
 with ending_in_time() as within:
     within({seconds})

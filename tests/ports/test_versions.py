@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from upwash.ports import Program
-from upwash.real import versions
-from upwash.real.versions import version_of, version_of_upwash
+from upwash.real.instances import versions
+from upwash.real.instances.versions import version_of, version_of_upwash
 
 
 @pytest.fixture

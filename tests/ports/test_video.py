@@ -18,8 +18,8 @@ import pytest
 from upwash.core.geo import Position
 from upwash.errors import CameraError, UsageError
 from upwash.ports import Photo
-from upwash.real import video
-from upwash.real.video import VideoCamera
+from upwash.real.camera import video
+from upwash.real.camera.video import VideoCamera
 
 HERE = Position(0, 0, 10)
 FRAMES_PER_S = 20

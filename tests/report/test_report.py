@@ -20,7 +20,7 @@ from tests.scenarios import scenario as survey
 from upwash.cli.main import main
 from upwash.config import read_drone_config, server_areas, waypoints
 from upwash.core.geo import GeoPosition, LocalFrame, Position, ground_distance_m
-from upwash.core.servers import State
+from upwash.core.knowledge.servers import State
 from upwash.errors import UsageError
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema

@@ -13,13 +13,23 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from upwash.core.admission import AdmissionController, AdmissionSettings, ServerOffer
-from upwash.core.clients import Client
+from upwash.core.admission.admission import AdmissionController, AdmissionSettings, ServerOffer
+from upwash.core.admission.clients import Client
 from upwash.errors import GarbledReply, Refused
 from upwash.ports import AnsweredCall, Instance, InstanceSpec, Link
-from upwash.real.control import Admitted, Answered, Called, Ended, Failed, FromInstance, Ready, Said, line
-from upwash.real.instance_control import InstanceControl
-from upwash.real.output import Output
+from upwash.real.instances.control import (
+    Admitted,
+    Answered,
+    Called,
+    Ended,
+    Failed,
+    FromInstance,
+    Ready,
+    Said,
+    line,
+)
+from upwash.real.instances.instance_control import InstanceControl
+from upwash.real.instances.output import Output
 from upwash.rpc.protocol import (
     AVAILABILITY,
     HOLD,

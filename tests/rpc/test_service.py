@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.core.estimates import Operation
+from upwash.core.operation import Operation
 from upwash.errors import DeclarationError, GarbledReply, ServiceError, UsageError
 from upwash.rpc.service import Method, load_service, make_stub, once, service, spec_of
 

@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 import msgspec
 import pytest
 
-from upwash.core.admission import AdmissionController, AdmissionSettings, ServerOffer
-from upwash.core.clients import Client, InstanceStatus, Role
-from upwash.core.watchdog import CALL_LIMIT_S, DENIALS
+from upwash.core.admission.admission import AdmissionController, AdmissionSettings, ServerOffer
+from upwash.core.admission.clients import Client, InstanceStatus, Role
+from upwash.core.admission.watchdog import CALL_LIMIT_S, DENIALS
 from upwash.errors import InstanceError, Refused
 from upwash.ports import Answered, AnsweredCall, InstanceSpec, Program, ignored
 from upwash.rpc.protocol import (

@@ -33,9 +33,9 @@ from upwash.config import read_daemon_config
 from upwash.errors import ConfigError, InstanceError, ModelError, UsageError
 from upwash.missions.bundled import load_services
 from upwash.ports import Instance, InstanceSpec, Program
-from upwash.real.credentials import Credentials, fingerprint
-from upwash.real.link import GrpcDialer
-from upwash.real.runtime import ProcessRuntime
+from upwash.real.instances.runtime import ProcessRuntime
+from upwash.real.link.link import GrpcDialer
+from upwash.real.trust.credentials import Credentials, fingerprint
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import spec_of
 from upwash.rpc.settings import construct, plain

@@ -23,24 +23,24 @@ import msgspec
 from tests.sim import planted_vehicle as vehicle
 
 from upwash.config import DroneConfig
-from upwash.core.admission import AdmissionController
-from upwash.core.admission import Command as AdmissionCommand
-from upwash.core.clients import Client
-from upwash.core.estimates import Estimates
+from upwash.core.admission.admission import AdmissionController
+from upwash.core.admission.admission import Command as AdmissionCommand
+from upwash.core.admission.clients import Client
+from upwash.core.admission.instances import StartInstance
+from upwash.core.admission.leases import Admit, Leases
+from upwash.core.admission.peers import Peers
+from upwash.core.admission.turns import Turns
+from upwash.core.admission.watchdog import Failures as DaemonFailures
+from upwash.core.admission.watchdog import Limit, Watch
 from upwash.core.geo import Position, Waypoint
-from upwash.core.hedging import Hedging
-from upwash.core.instances import StartInstance
-from upwash.core.leases import Admit, Leases
-from upwash.core.peers import Peers
-from upwash.core.policy import CallInputs, Deadline, Decision, Remote, Wait, WaitRule
-from upwash.core.radios import Radios
-from upwash.core.recovery import Failures, Probing, Recovery
-from upwash.core.server_table import ServerTable
-from upwash.core.servers import Server, State, Trigger
-from upwash.core.stay_or_go import Outlook, StayOrGo, Verdict
-from upwash.core.turns import Turns
-from upwash.core.watchdog import Failures as DaemonFailures
-from upwash.core.watchdog import Limit, Watch
+from upwash.core.knowledge.estimates import Estimates
+from upwash.core.knowledge.server_table import ServerTable
+from upwash.core.knowledge.servers import Server, State, Trigger
+from upwash.core.planning.stay_or_go import Outlook, StayOrGo, Verdict
+from upwash.core.policies.policy import CallInputs, Deadline, Decision, Remote, Wait, WaitRule
+from upwash.core.selection.hedging import Hedging
+from upwash.core.selection.radios import Radios
+from upwash.core.selection.recovery import Failures, Probing, Recovery
 from upwash.drone.api import position_of
 from upwash.drone.background import Background
 from upwash.drone.calling import Calling

@@ -6,10 +6,10 @@ import contextlib
 from typing import Any
 from unittest.mock import patch
 
-from upwash.core import control
-from upwash.core.continuity import Continuity, Track
-from upwash.core.control import Change, Control, Latch, Owner, Report
 from upwash.core.geo import Position
+from upwash.core.vehicle import control
+from upwash.core.vehicle.continuity import Continuity, Track
+from upwash.core.vehicle.control import Change, Control, Latch, Owner, Report
 from upwash.drone import contingency as safety
 from upwash.drone import flight as drone
 from upwash.sim.autopilot import ModelAutopilot

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.config import EnergyConfig
-from upwash.core.control import Control
 from upwash.core.geo import Position, Velocity
+from upwash.core.vehicle.control import Control
 from upwash.eventlog.schema import EnergyUsed
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.energy import EnergyMeter, Rotors

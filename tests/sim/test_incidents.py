@@ -9,8 +9,8 @@ import pytest
 from tests.scenarios import fault, scenario
 
 from upwash.config import FaultConfig
-from upwash.core.control import Owner
 from upwash.core.geo import Position, distance_m, ground_distance_m
+from upwash.core.vehicle.control import Owner
 from upwash.errors import AutopilotError, AutopilotOverruled, AutopilotTimeout
 from upwash.eventlog import schema
 from upwash.lab.observer import Seen

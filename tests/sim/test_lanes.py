@@ -11,8 +11,8 @@ import pytest
 from tests.scenarios import scenario, server
 
 from upwash.config import NoiseConfig, server_truth
-from upwash.core.clients import Client
-from upwash.core.estimates import Operation
+from upwash.core.admission.clients import Client
+from upwash.core.operation import Operation
 from upwash.errors import InstanceError, Refused
 from upwash.ports import AnsweredCall, InstanceSpec, Program
 from upwash.rpc.protocol import service_path

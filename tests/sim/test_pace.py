@@ -8,12 +8,12 @@ from collections.abc import Callable
 import pytest
 from tests.core.test_energy import recorded_returns
 
-from upwash.core.energy import ARDUCOPTER as ARDUCOPTER_HOME
-from upwash.core.energy import PX4 as PX4_HOME
-from upwash.core.energy import WayHome, time_home_s
 from upwash.core.geo import Position, Velocity
-from upwash.core.legs import Leg
-from upwash.core.pace import ARDUCOPTER, PX4, Pace
+from upwash.core.planning.legs import Leg
+from upwash.core.planning.pace import ARDUCOPTER, PX4, Pace
+from upwash.core.vehicle.energy import ARDUCOPTER as ARDUCOPTER_HOME
+from upwash.core.vehicle.energy import PX4 as PX4_HOME
+from upwash.core.vehicle.energy import WayHome, time_home_s
 from upwash.real.mavlink.course import Abilities, Course
 from upwash.vehicle import arducopter
 from upwash.vehicle.kinematics import duration_s

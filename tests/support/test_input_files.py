@@ -22,8 +22,8 @@ from upwash.errors import UpwashError
 from upwash.eventlog.log import read as read_log
 from upwash.mavlink.signing import key_of
 from upwash.plans import read_plan
-from upwash.real.credentials import read_credentials, read_revoked
-from upwash.real.secrets import read_secret
+from upwash.real.trust.credentials import read_credentials, read_revoked
+from upwash.real.trust.secrets import read_secret
 from upwash.services.darknet.cfg import read_sections
 from upwash.sim.radio import read_goodput
 from upwash.support.input_files import read_file, read_toml, text_of

@@ -13,7 +13,7 @@ from pathlib import Path
 from tests.engines import OwnEngine
 
 from upwash.emulation.computer_image import IS_UP, write_computer_image
-from upwash.real.authority import make_keys
+from upwash.real.trust.authority import make_keys
 
 MEMBERS = ("m1", "m2", "m3")
 _PORT = 8443

@@ -20,19 +20,19 @@ from tests.system.container_site import (
     Site,
 )
 
-from upwash.core.limits import Limits
+from upwash.core.admission.limits import Limits
 from upwash.missions.bundled import load_service_alone
 from upwash.packaging.image import Recipe, package
-from upwash.real.credentials import Credentials, fingerprint
-from upwash.real.docker.container import ContainerSettings as DockerSettings
-from upwash.real.docker.engine import DockerEngine
-from upwash.real.docker.runtime import ContainerRuntime as DockerRuntime
-from upwash.real.link import GrpcDialer
-from upwash.real.lxd.container import ContainerSettings as LxdSettings
-from upwash.real.lxd.engine import Engine, EngineAddress
-from upwash.real.lxd.runtime import ContainerRuntime as LxdRuntime
-from upwash.real.runtime import sockets_in
-from upwash.real.service_image import reference_of
+from upwash.real.instances.docker.container import ContainerSettings as DockerSettings
+from upwash.real.instances.docker.engine import DockerEngine
+from upwash.real.instances.docker.runtime import ContainerRuntime as DockerRuntime
+from upwash.real.instances.lxd.container import ContainerSettings as LxdSettings
+from upwash.real.instances.lxd.engine import Engine, EngineAddress
+from upwash.real.instances.lxd.runtime import ContainerRuntime as LxdRuntime
+from upwash.real.instances.runtime import sockets_in
+from upwash.real.instances.service_image import reference_of
+from upwash.real.link.link import GrpcDialer
+from upwash.real.trust.credentials import Credentials, fingerprint
 
 SERVICES = ("workbench", "vandal")
 LIMITS = Limits(memory_bytes=MEMORY_BYTES, processes=PROCESSES, disk_bytes=DISK_BYTES)

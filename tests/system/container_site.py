@@ -14,7 +14,7 @@ from tests.engines import OwnEngine
 from tests.podman import OwnPodman
 
 from upwash.ports import Instance, InstanceSpec, Program, Runtime
-from upwash.real.link import GrpcDialer
+from upwash.real.link.link import GrpcDialer
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import load_service, spec_of
 

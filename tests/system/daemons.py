@@ -17,8 +17,8 @@ import msgspec
 from tests.children import is_alive
 from tests.waiting import wait_for
 
-from upwash.real.credentials import Credentials
-from upwash.real.link import GrpcDialer, GrpcLink
+from upwash.real.link.link import GrpcDialer, GrpcLink
+from upwash.real.trust.credentials import Credentials
 from upwash.rpc.protocol import (
     AVAILABILITY,
     LEAVE,

@@ -10,8 +10,8 @@ from tests.system.daemons import MAX_MESSAGE_BYTES
 
 from upwash.drone.networks import NoNetwork
 from upwash.drone.server_session import ServerEndpoint, ServerSession
-from upwash.real.credentials import read_credentials
-from upwash.real.link import GrpcDialer
+from upwash.real.link.link import GrpcDialer
+from upwash.real.trust.credentials import read_credentials
 from upwash.rpc.service import load_service, spec_of
 
 

@@ -27,8 +27,8 @@ import grpc
 from bench.results import leave
 from tests.system.daemons import ROOT, Daemon, Guest, config, daemon, guests, memory_bytes
 
-from upwash.real.authority import keys_in, make_keys, revoke
-from upwash.real.credentials import Credentials, read_credentials
+from upwash.real.trust.authority import keys_in, make_keys, revoke
+from upwash.real.trust.credentials import Credentials, read_credentials
 from upwash.rpc.protocol import AVAILABILITY, service_path
 
 HALF_OPEN = 1000

@@ -8,7 +8,7 @@ import pytest
 from tests.system.attacks.escaping_drone import speak, told, unprintable
 from tests.system.daemons import config, daemon
 
-from upwash.real.authority import make_keys
+from upwash.real.trust.authority import make_keys
 
 pytestmark = pytest.mark.system
 

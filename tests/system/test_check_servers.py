@@ -16,7 +16,7 @@ from tests.system.daemons import config, daemon
 
 from upwash.config import DroneConfig, drone_config
 from upwash.launch.server_survey import survey_servers
-from upwash.real.finding import Finding
+from upwash.real.network.finding import Finding
 
 pytestmark = pytest.mark.system
 

@@ -16,13 +16,13 @@ from tests.system.cluster import OwnCluster, own_cluster
 
 from upwash.errors import InstanceError
 from upwash.ports import InstanceSpec, Program
-from upwash.real.authority import make_keys
-from upwash.real.credentials import Credentials, fingerprint, read_credentials
-from upwash.real.link import GrpcDialer
-from upwash.real.lxd.container import ContainerSettings
-from upwash.real.lxd.engine import Engine, EngineAddress
-from upwash.real.lxd.instance import ContainerInstance
-from upwash.real.lxd.runtime import ContainerRuntime
+from upwash.real.instances.lxd.container import ContainerSettings
+from upwash.real.instances.lxd.engine import Engine, EngineAddress
+from upwash.real.instances.lxd.instance import ContainerInstance
+from upwash.real.instances.lxd.runtime import ContainerRuntime
+from upwash.real.link.link import GrpcDialer
+from upwash.real.trust.authority import make_keys
+from upwash.real.trust.credentials import Credentials, fingerprint, read_credentials
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import load_service, spec_of
 

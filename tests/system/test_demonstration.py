@@ -85,7 +85,7 @@ class Demonstration:
         found = [
             process
             for process, _ in running()
-            if "upwash.real.instance" in process.command and process.parent in parents
+            if "upwash.real.instances.instance" in process.command and process.parent in parents
         ]
         self.seen.update(process.pid for process in found)
         return found

@@ -14,10 +14,10 @@ from tests.system.daemons import MAX_MESSAGE_BYTES, config, daemon
 from upwash.drone.networks import NoNetwork
 from upwash.drone.server_session import ServerEndpoint, ServerSession
 from upwash.errors import Unreachable
-from upwash.real.authority import make_keys
-from upwash.real.credentials import read_credentials
-from upwash.real.discovery import announcing, find
-from upwash.real.link import GrpcDialer
+from upwash.real.link.link import GrpcDialer
+from upwash.real.network.discovery import announcing, find
+from upwash.real.trust.authority import make_keys
+from upwash.real.trust.credentials import read_credentials
 
 # One at a time: all announce servers of the same names on the same network.
 pytestmark = [pytest.mark.system, pytest.mark.xdist_group("discovery")]

@@ -16,8 +16,8 @@ from tests.system.daemons import Guest
 
 from upwash.cli.main import main
 from upwash.errors import EngineError, InstanceError, UsageError
-from upwash.real.docker.engine import DockerEngine
-from upwash.real.link import GrpcDialer
+from upwash.real.instances.docker.engine import DockerEngine
+from upwash.real.link.link import GrpcDialer
 
 pytestmark = [pytest.mark.root, pytest.mark.system, pytest.mark.xdist_group("podman")]
 
@@ -169,7 +169,7 @@ def test_a_daemon_that_cannot_start_an_instance_leaves_no_container(
     docker_host: Host, podman: OwnPodman, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def use(site: Site) -> None:
-        monkeypatch.setattr("upwash.real.docker.container.COMMAND", ("/bin/false",))
+        monkeypatch.setattr("upwash.real.instances.docker.container.COMMAND", ("/bin/false",))
         with pytest.raises(InstanceError, match="did not start"):
             await site.start("s1", "workbench")
         assert podman.there() == []

@@ -308,7 +308,7 @@ VICTIMS = {
     "a daemon": "upwash serve",
     "the vehicle": "upwash vehicle",
     "the drone": "upwash fly",
-    "an instance": "upwash.real.instance",
+    "an instance": "upwash.real.instances.instance",
 }
 
 

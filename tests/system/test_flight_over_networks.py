@@ -16,7 +16,7 @@ import pytest
 from tests.system.radios import Field
 from tests.waiting import wait_for
 
-from upwash.real.authority import make_keys
+from upwash.real.trust.authority import make_keys
 
 pytestmark = [pytest.mark.system, pytest.mark.root]
 

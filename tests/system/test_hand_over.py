@@ -16,7 +16,7 @@ from tests.system.flying import Flying
 from tests.waiting import wait_for
 
 from upwash.launch.status import ask_status
-from upwash.real.authority import make_keys
+from upwash.real.trust.authority import make_keys
 
 pytestmark = [pytest.mark.system, pytest.mark.xdist_group("hand-over")]
 

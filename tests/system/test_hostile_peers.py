@@ -14,9 +14,9 @@ from tests.system.daemons import config, daemon
 from tests.system.hostile import ATTACKS, attacked, attacked_site
 from tests.waiting import wait_for
 
-from upwash.real import authority as module
-from upwash.real.authority import keys_in, make_keys
-from upwash.real.credentials import Credentials
+from upwash.real.trust import authority as module
+from upwash.real.trust.authority import keys_in, make_keys
+from upwash.real.trust.credentials import Credentials
 from upwash.rpc.protocol import AVAILABILITY
 
 pytestmark = [pytest.mark.system, pytest.mark.long]

@@ -22,10 +22,10 @@ from tests.system.fake_networkmanager import (
 )
 
 from upwash.errors import NetworkError, UsageError
-from upwash.real.finding import Finding
-from upwash.real.network import ManagedNetwork
-from upwash.real.networkmanager import connect_networkmanager
-from upwash.real.survey import survey_networks
+from upwash.real.network.finding import Finding
+from upwash.real.network.network import ManagedNetwork
+from upwash.real.network.networkmanager import connect_networkmanager
+from upwash.real.network.survey import survey_networks
 from upwash.sim.journal import MemoryJournal
 
 pytestmark = [pytest.mark.system, pytest.mark.root, pytest.mark.usefixtures("private_bus")]

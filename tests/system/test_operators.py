@@ -23,9 +23,9 @@ from tests.waiting import wait_for
 from upwash.cli.exit_codes import ExitCode
 from upwash.config import read_daemon_config
 from upwash.errors import Unreachable
-from upwash.real.authority import make_keys
-from upwash.real.credentials import read_credentials
-from upwash.real.link import GrpcDialer
+from upwash.real.link.link import GrpcDialer
+from upwash.real.trust.authority import make_keys
+from upwash.real.trust.credentials import read_credentials
 from upwash.rpc.protocol import AVAILABILITY
 
 pytestmark = pytest.mark.system

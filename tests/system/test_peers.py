@@ -12,9 +12,9 @@ import msgspec
 import pytest
 from tests.system.daemons import MAX_MESSAGE_BYTES, Daemon, config, daemon, eventually, guests
 
-from upwash.real.authority import keys_in, make_keys
-from upwash.real.credentials import Credentials, fingerprint, read_credentials
-from upwash.real.link import GrpcDialer
+from upwash.real.link.link import GrpcDialer
+from upwash.real.trust.authority import keys_in, make_keys
+from upwash.real.trust.credentials import Credentials, fingerprint, read_credentials
 from upwash.rpc.protocol import (
     AVAILABILITY,
     HOLD,

@@ -13,7 +13,7 @@ from tests.system.daemons import Daemon, daemon
 from tests.system.flying import Flying
 from tests.waiting import wait_for
 
-from upwash.real.authority import make_keys
+from upwash.real.trust.authority import make_keys
 
 pytestmark = [pytest.mark.system, pytest.mark.xdist_group("hand-over")]
 

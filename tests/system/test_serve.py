@@ -34,10 +34,10 @@ from tests.waiting import wait_for
 
 from upwash.errors import LinkError, Refused, Unreachable, UsageError
 from upwash.launch.status import ask_status
-from upwash.real.authority import drop_former_authorities, make_keys, renew_authority, revoke
-from upwash.real.credentials import Credentials, read_credentials
-from upwash.real.link import GrpcDialer
-from upwash.real.sandbox import find_sandbox
+from upwash.real.instances.sandbox import find_sandbox
+from upwash.real.link.link import GrpcDialer
+from upwash.real.trust.authority import drop_former_authorities, make_keys, renew_authority, revoke
+from upwash.real.trust.credentials import Credentials, read_credentials
 from upwash.rpc.protocol import (
     AVAILABILITY,
     LEAVE,

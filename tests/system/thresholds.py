@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from upwash.core.servers import State
+from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
 from upwash.lab.run import Run
 

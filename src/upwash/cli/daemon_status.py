@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from upwash.core.clients import (
+from upwash.core.admission.clients import (
     AccountStatus,
     DroneUsage,
     InstanceStatus,
@@ -18,7 +18,7 @@ from upwash.core.clients import (
     ServerStatus,
     TeamUsage,
 )
-from upwash.core.limits import Limits
+from upwash.core.admission.limits import Limits
 from upwash.rpc.protocol import CertificateStatus, StatusReply
 from upwash.support.sentences import say
 

@@ -23,8 +23,8 @@ from upwash.eventlog.narration import Narrator, counted
 from upwash.eventlog.results import RunResult, read_result
 from upwash.eventlog.schema import Event
 from upwash.launch.flight import fly
-from upwash.real.journal import read_events
-from upwash.real.log_file import Unwritten
+from upwash.real.host.journal import read_events
+from upwash.real.host.log_file import Unwritten
 from upwash.report.exports import write_result
 from upwash.report.record import record_of
 from upwash.support.standard_streams import forgiving_streams

@@ -27,7 +27,7 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> bool:
     """Writes the files, prints their names, and says what to do next."""
     from upwash.errors import UsageError
-    from upwash.real.authority import make_keys
+    from upwash.real.trust.authority import make_keys
     from upwash.support.output_files import write_file
 
     folder: Path = options.folder

@@ -79,7 +79,7 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Does so and says which files were written, and what is left to do with them."""
-    from upwash.real.authority import drop_former_authorities, make_keys, renew_authority, revoke
+    from upwash.real.trust.authority import drop_former_authorities, make_keys, renew_authority, revoke
 
     folder = options.folder
     wanted = options.server or options.drone or options.operator
@@ -109,7 +109,7 @@ def run(options: argparse.Namespace) -> bool:
 
 
 def _show(folder: Path) -> None:
-    from upwash.real.authority import made_in
+    from upwash.real.trust.authority import made_in
 
     made = made_in(folder)
     if not made:

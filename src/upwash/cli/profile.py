@@ -49,7 +49,7 @@ def run(options: argparse.Namespace) -> bool:
     from upwash.cli.measuring import find_server, measure_each, measure_onboard, measure_server
     from upwash.config import read_drone_config
     from upwash.config.values import START_TIMEOUT_S
-    from upwash.real.camera import read_photos
+    from upwash.real.camera.camera import read_photos
 
     if options.server and not options.config:
         raise UsageError(

@@ -30,7 +30,7 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> bool:
     """Serves until it is told to stop."""
-    from upwash.real.hand_over import handed_over
+    from upwash.real.link.hand_over import handed_over
 
     before = handed_over(os.environ)
     service_manager = os.environ.pop("NOTIFY_SOCKET", "")  # instances have nothing to tell it
@@ -38,9 +38,9 @@ def run(options: argparse.Namespace) -> bool:
 
     from upwash.config import read_daemon_config
     from upwash.launch.daemon import serve
-    from upwash.real.log import log_json, log_text
-    from upwash.real.memory import keep_heaps_few
-    from upwash.real.service_manager import ServiceManager
+    from upwash.real.host.log import log_json, log_text
+    from upwash.real.host.service_manager import ServiceManager
+    from upwash.real.instances.memory import keep_heaps_few
 
     keep_heaps_few()
     config = read_daemon_config(options.config)

@@ -13,9 +13,10 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from upwash.core.coverage import MOST_PLACES, Coverage, MeasuredPlace
-from upwash.core.estimates import WINDOW_LENGTH, Operation
 from upwash.core.geo import GeoPosition, LocalFrame, Position
+from upwash.core.knowledge.coverage import MOST_PLACES, Coverage, MeasuredPlace
+from upwash.core.knowledge.window import WINDOW_LENGTH
+from upwash.core.operation import Operation
 from upwash.errors import ConfigError
 from upwash.support.input_files import read_file, text_of, why_unreadable
 from upwash.support.output_files import write_file

@@ -10,10 +10,10 @@ import msgspec
 
 from upwash.config.drone import DroneConfig, GridConfig, HomeConfig, MissionConfig, ServerConfig
 from upwash.config.values import PlanFile
-from upwash.core.coverage import Coverage
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, Waypoint
-from upwash.core.geofence import Fence
-from upwash.core.sweeps import Sweep, sweeps
+from upwash.core.knowledge.coverage import Coverage
+from upwash.core.planning.sweeps import Sweep, sweeps
+from upwash.core.vehicle.geofence import Fence
 from upwash.plans import Ending, Plan
 
 

@@ -7,10 +7,10 @@ import contextlib
 from collections.abc import Callable, Coroutine, Iterator
 from typing import Any, Literal, ParamSpec, TypeVar
 
-from upwash.core.estimates import Operation
-from upwash.core.events import Arrived, DescentBegun, Event, LegBegun, MissionBegun, TargetUnknown
 from upwash.core.geo import EarthPosition, Position, Waypoint, distance_m, rounded
-from upwash.core.telemetry import Telemetry
+from upwash.core.operation import Operation
+from upwash.core.selection.events import Arrived, DescentBegun, Event, LegBegun, MissionBegun, TargetUnknown
+from upwash.core.vehicle.telemetry import Telemetry
 from upwash.drone.descent import ComingDown
 from upwash.drone.mission import MissionThread
 from upwash.drone.open_answer import Errand, Errands, OpenAnswer, index_of

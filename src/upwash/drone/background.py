@@ -10,8 +10,8 @@ import math
 from collections.abc import Sequence
 from typing import NoReturn
 
-from upwash.core.events import Tick
 from upwash.core.geo import Circle
+from upwash.core.selection.events import Tick
 from upwash.drone.decisions import Decisions
 from upwash.errors import AutopilotLost
 from upwash.eventlog import schema

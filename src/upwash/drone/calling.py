@@ -6,8 +6,10 @@ import asyncio
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
-from upwash.core.estimates import Operation
-from upwash.core.events import (
+from upwash.core.geo import Position
+from upwash.core.operation import Operation
+from upwash.core.policies.policy import Lightened
+from upwash.core.selection.events import (
     Reached,
     RemoteCallCut,
     RemoteCallEnded,
@@ -16,9 +18,7 @@ from upwash.core.events import (
     RemoteFaultTested,
     TurnOver,
 )
-from upwash.core.geo import Position
-from upwash.core.hedging import Hedging
-from upwash.core.policy import Lightened
+from upwash.core.selection.hedging import Hedging
 from upwash.drone.decisions import Decisions, now_s
 from upwash.drone.onboard import OnboardServices
 from upwash.drone.radio_worker import RadioWorker

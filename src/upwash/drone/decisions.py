@@ -8,14 +8,15 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
-from upwash.core.commands import Command, Effect, Foreseen, Full, Mapped, Paused
-from upwash.core.estimates import Estimates, Operation
-from upwash.core.events import Event
 from upwash.core.geo import Position
-from upwash.core.policy import Decision, Lightened, Local, Remote, Wait
-from upwash.core.selection import Selection
-from upwash.core.servers import Change
-from upwash.core.stay_or_go import Outlook
+from upwash.core.knowledge.estimates import Estimates
+from upwash.core.knowledge.servers import Change
+from upwash.core.operation import Operation
+from upwash.core.planning.stay_or_go import Outlook
+from upwash.core.policies.policy import Decision, Lightened, Local, Remote, Wait
+from upwash.core.selection.commands import Command, Effect, Foreseen, Full, Mapped, Paused
+from upwash.core.selection.events import Event
+from upwash.core.selection.selection import Selection
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
 from upwash.support.waiting import first

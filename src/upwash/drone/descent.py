@@ -6,9 +6,9 @@ import asyncio
 from collections.abc import Callable
 from typing import Literal
 
-from upwash.core.energy import UNKNOWN
 from upwash.core.geo import Position
-from upwash.core.way_down import WayDown
+from upwash.core.vehicle.energy import UNKNOWN
+from upwash.core.vehicle.way_down import WayDown
 from upwash.ports import Autopilot
 
 ComingDown = Literal["return", "land"]

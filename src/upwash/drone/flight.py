@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from upwash.config import DroneConfig, ending, geofence, measured_servers, server_areas
-from upwash.core.control import Control
 from upwash.core.geo import GeoPosition, rounded
-from upwash.core.order import Order
-from upwash.core.selection import Selection
-from upwash.core.stay_or_go import StayOrGo
+from upwash.core.planning.order import Order
+from upwash.core.planning.stay_or_go import StayOrGo
+from upwash.core.selection.selection import Selection
+from upwash.core.vehicle.control import Control
 from upwash.drone.api import Drone, Mission, User, Vehicle
 from upwash.drone.contingency import end_safely, follow
 from upwash.drone.descent import ComingDown, Descent

@@ -8,9 +8,9 @@ import traceback
 from collections.abc import AsyncIterator
 from typing import Any
 
-from upwash.core.estimates import Operation
-from upwash.core.events import Event
-from upwash.core.stay_or_go import Outlook
+from upwash.core.operation import Operation
+from upwash.core.planning.stay_or_go import Outlook
+from upwash.core.selection.events import Event
 from upwash.drone.offloading import Offloading
 from upwash.errors import TransitionError, UpwashError
 from upwash.eventlog import schema

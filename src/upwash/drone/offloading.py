@@ -1,7 +1,7 @@
 """PROGRAM: runs each service call on the drone or on a server, and looks for servers in the background.
 
-The deciding is done by core/selection.py. What is decided about servers is passed on by decisions.py to the radios
-(radios.py, radio_worker.py); calls are made by calling.py and raced by racing.py.
+core/selection/ decides. decisions.py passes what is decided about servers on to the radios (radios.py,
+radio_worker.py); calls are made by calling.py and raced by racing.py.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NoReturn
 
-from upwash.core.estimates import Operation
-from upwash.core.events import Event, MissionEnded
-from upwash.core.hedging import Hedging
-from upwash.core.places import ON_DRONE, name_of
-from upwash.core.policy import Remote, Wait
-from upwash.core.selection import Selection
-from upwash.core.stay_or_go import Outlook
+from upwash.core.operation import Operation
+from upwash.core.planning.stay_or_go import Outlook
+from upwash.core.policies.policy import Remote, Wait
+from upwash.core.selection.events import Event, MissionEnded
+from upwash.core.selection.hedging import Hedging
+from upwash.core.selection.places import ON_DRONE, name_of
+from upwash.core.selection.selection import Selection
 from upwash.drone.background import Background
 from upwash.drone.calling import Call, Calling
 from upwash.drone.decisions import Decisions, now_s

@@ -1,4 +1,4 @@
-"""Flying on with an answer open, and coming back to its waypoint where it demands something (core/stay_or_go.py).
+"""Flying on with an answer open, and coming back to its waypoint where it demands something.
 
     stay    wait, then act there
     go      the next leg; an answer on the way that demands something: brake, fly back, act, and set off again
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 from upwash.core.geo import Position, Waypoint
-from upwash.core.stay_or_go import Outlook, StayOrGo
+from upwash.core.planning.stay_or_go import Outlook, StayOrGo
 from upwash.drone.pending import Calls, Demand, Pending
 from upwash.eventlog import schema
 

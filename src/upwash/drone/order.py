@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from upwash.config import DroneConfig, ending, geofence, server_areas, stands, sweeps_of, waypoints
-from upwash.core.energy import ARDUCOPTER, PX4, time_home_s
 from upwash.core.geo import Position
-from upwash.core.geofence import breached_by_way
-from upwash.core.order import Forecaster, Order, best_order
-from upwash.core.pace import PACES
+from upwash.core.planning.order import Forecaster, Order, best_order
+from upwash.core.planning.pace import PACES
+from upwash.core.vehicle.energy import ARDUCOPTER, PX4, time_home_s
+from upwash.core.vehicle.geofence import breached_by_way
 from upwash.drone.preparation import make_estimates, mission_beliefs
 from upwash.rpc.service import ServiceSpec
 

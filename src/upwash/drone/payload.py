@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 
-from upwash.core.payload import (
+from upwash.core.vehicle.payload import (
     DO_DIGICAM_CONTROL,
     DO_GIMBAL_MANAGER_PITCHYAW,
     IMAGE_START_CAPTURE,

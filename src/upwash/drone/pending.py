@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Coroutine
 from typing import Any, Generic, ParamSpec, TypeVar, cast
 
-from upwash.core.estimates import Operation
+from upwash.core.operation import Operation
 from upwash.drone.mission import MissionThread
 from upwash.errors import UsageError
 from upwash.eventlog import schema

@@ -16,14 +16,15 @@ from upwash.config import (
     told_pace,
 )
 from upwash.config.values import MDNS
-from upwash.core.estimates import Beliefs, Estimates, Operation, offline_remote_s
 from upwash.core.geo import Waypoint
-from upwash.core.hedging import Hedging
-from upwash.core.lighter import LighterSettings
-from upwash.core.mission_model import MissionBeliefs, Step
-from upwash.core.policies import make_policy
-from upwash.core.recovery import Probing
-from upwash.core.selection import Selection, SelectionSettings
+from upwash.core.knowledge.estimates import Beliefs, Estimates, offline_remote_s
+from upwash.core.operation import Operation
+from upwash.core.planning.mission_model import MissionBeliefs, Step
+from upwash.core.policies.names import make_policy
+from upwash.core.selection.hedging import Hedging
+from upwash.core.selection.lighter import LighterSettings
+from upwash.core.selection.recovery import Probing
+from upwash.core.selection.selection import Selection, SelectionSettings
 from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import UsageError
 from upwash.ports import Finder

@@ -1,7 +1,7 @@
 """How a call comes to its one answer, where the drone's own service and a server may both be at it.
 
     sent to a server alone    the drone's own service starts when that has failed
-    hedged                    ... or when the server is late (core/hedging.py); the first answer counts
+    hedged                    ... or when the server is late (core/selection/hedging.py); the first answer counts
     raced                     both start at once, as the server is on trial
     on the drone              a server that becomes of use before the drone is done gets the call too
 
@@ -16,11 +16,11 @@ import contextlib
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from upwash.core.estimates import Operation
-from upwash.core.events import LocalCallEnded
-from upwash.core.hedging import Hedge, Hedging
-from upwash.core.places import ON_DRONE
-from upwash.core.policy import Decision, Remote
+from upwash.core.operation import Operation
+from upwash.core.policies.policy import Decision, Remote
+from upwash.core.selection.events import LocalCallEnded
+from upwash.core.selection.hedging import Hedge, Hedging
+from upwash.core.selection.places import ON_DRONE
 from upwash.drone.calling import Attempt, Call, Calling, RemoteFault, has_failed
 from upwash.drone.decisions import Decisions, now_s
 from upwash.errors import UpwashError

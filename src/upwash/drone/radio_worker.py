@@ -7,8 +7,8 @@ import functools
 from collections.abc import Awaitable, Callable, Mapping
 from typing import NoReturn, TypeVar
 
-from upwash.core.commands import Check, Command, Leave, Prepare, Probe, Start
-from upwash.core.events import (
+from upwash.core.selection.commands import Check, Command, Leave, Prepare, Probe, Start
+from upwash.core.selection.events import (
     CheckAnswered,
     CheckFailed,
     Event,

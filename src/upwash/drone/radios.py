@@ -1,14 +1,14 @@
 """The drone's radios: each has a worker, and each command goes to the worker that is at its server.
 
-The core decides for which servers there is a radio (core/radios.py); this finds the radio.
+The core decides for which servers there is a radio (core/selection/radios.py); this finds the radio.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from upwash.core.commands import Check, Command, Leave, Probe
-from upwash.core.events import Event
+from upwash.core.selection.commands import Check, Command, Leave, Probe
+from upwash.core.selection.events import Event
 from upwash.drone.radio_worker import RadioWorker
 from upwash.drone.server_session import ServerEndpoint
 from upwash.ports import Dialer, Journal, Network

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from upwash.config import DroneConfig
-from upwash.core.energy import Energy, Margin, Report, Reserve, margin
 from upwash.core.geo import Position
+from upwash.core.vehicle.energy import Energy, Margin, Report, Reserve, margin
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
 

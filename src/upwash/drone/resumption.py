@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from upwash.config import DroneConfig, movable_waypoints, waypoints
 from upwash.core.geo import Waypoint
-from upwash.core.order import Order
+from upwash.core.planning.order import Order
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.owed import Owed

@@ -22,7 +22,7 @@ from upwash.emulation.request import ComputerKind, EmulationRequest, RadioKind
 from upwash.emulation.shaped import ShapedRadio
 from upwash.emulation.tracking import tracked
 from upwash.launch.processes import ready_vehicle
-from upwash.real.authority import make_keys
+from upwash.real.trust.authority import make_keys
 
 
 async def emulate(request: EmulationRequest, stop: asyncio.Event) -> Outcome:

@@ -15,7 +15,7 @@ from upwash.emulation.field import Field, drone_namespace, server_namespace
 from upwash.emulation.files import daemon_config, write_daemon_file, write_drone_file
 from upwash.launch.flight_program import FlightProgram
 from upwash.launch.processes import ready_program
-from upwash.real.authority import keys_in
+from upwash.real.trust.authority import keys_in
 
 _PARK_SEED = 1  # of the photos of a drone that has no camera
 

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from upwash.core.control import Owner
-from upwash.core.energy import in_words
-from upwash.core.servers import State
+from upwash.core.knowledge.servers import State
+from upwash.core.vehicle.control import Owner
+from upwash.core.vehicle.energy import in_words
 from upwash.eventlog import schema
 from upwash.eventlog.beginning import Beginning
 from upwash.eventlog.schema import SEVERITIES, Event

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
-from upwash.core.control import Owner
-from upwash.core.servers import State
+from upwash.core.knowledge.servers import State
+from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
 from upwash.eventlog.narration import SAFE_ENDS, WARNING, counted, known, who_has_it
 from upwash.eventlog.schema import SEVERITIES, Event

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import msgspec
 
 from upwash.core.geo import Position, ground_distance_m
-from upwash.core.servers import State
+from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.beginning import Beginning
 from upwash.eventlog.narration import ran_on

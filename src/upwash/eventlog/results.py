@@ -10,8 +10,8 @@ from typing import Any
 
 import msgspec
 
-from upwash.core.places import server_of
-from upwash.core.servers import State
+from upwash.core.knowledge.servers import State
+from upwash.core.selection.places import server_of
 from upwash.eventlog import schema
 from upwash.eventlog.beginning import BEGINNING, Beginning
 from upwash.eventlog.owed import OWED, Owed

@@ -16,11 +16,11 @@ from typing import Annotated, Literal, TypeAlias, TypeVar
 
 import msgspec
 
-from upwash.core.control import Owner
-from upwash.core.coverage import MeasuredPlace
 from upwash.core.geo import Circle, GeoPosition, Position
-from upwash.core.places import server_of
-from upwash.core.servers import State, Trigger
+from upwash.core.knowledge.coverage import MeasuredPlace
+from upwash.core.knowledge.servers import State, Trigger
+from upwash.core.selection.places import server_of
+from upwash.core.vehicle.control import Owner
 
 VERSION = 5  # of the log; logs of earlier releases have none
 SEVERITIES = (

@@ -1,4 +1,4 @@
-"""How fast simulated missions could have been at best: the bounds of core/bound.py in the world that they flew in."""
+"""How fast simulated missions could have been at best: the bounds of core/planning/bound.py in their world."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from statistics import fmean
 
 from upwash.config import DroneConfig, ServerTruth, ServiceConfig, server_truth, true_areas
-from upwash.core.bound import Bound, FleetBound, SharedMission, bound, shared_s
-from upwash.core.estimates import Operation
 from upwash.core.geo import Position, ground_distance_m
-from upwash.core.schedule import ComingCall, Offer
+from upwash.core.operation import Operation
+from upwash.core.planning.bound import Bound, FleetBound, SharedMission, bound, shared_s
+from upwash.core.planning.schedule import ComingCall, Offer
 from upwash.drone.preparation import make_estimates
 from upwash.eventlog import schema
 from upwash.lab.range_intervals import RangeInterval

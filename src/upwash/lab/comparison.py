@@ -15,7 +15,7 @@ import msgspec
 from upwash.config import DroneConfig, NoiseConfig, ServerConfig
 from upwash.config.problems import unknown
 from upwash.config.values import repeated
-from upwash.core.policies import POLICIES
+from upwash.core.policies.names import POLICIES
 from upwash.errors import UpwashError, UsageError
 from upwash.lab import processes
 from upwash.lab.outcome import Outcome, fly

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from upwash.config import DroneConfig
 from upwash.config.problems import unknown
-from upwash.core.policies import POLICIES
+from upwash.core.policies.names import POLICIES
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog

@@ -8,8 +8,8 @@ from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
 
 from upwash.config import DroneConfig, ServerConfig, ServerTruth, server_truth
-from upwash.core.admission import AdmissionController, ServerOffer
-from upwash.core.clients import Client
+from upwash.core.admission.admission import AdmissionController, ServerOffer
+from upwash.core.admission.clients import Client
 from upwash.lab.observer import Seen, ServerObserver
 from upwash.ports import Program, Runtime
 from upwash.rpc.service import ServiceSpec

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from statistics import fmean
 
 from upwash.config import DroneConfig, fleet_of, presences
-from upwash.core.bound import FleetBound
+from upwash.core.planning.bound import FleetBound
 from upwash.lab.bounds import bounds_of
 from upwash.lab.fairness import jain, saved_s
 from upwash.lab.run import Run, simulate_drones

@@ -29,9 +29,9 @@ from dataclasses import dataclass
 
 import msgspec
 
-from upwash.core.clients import Client
-from upwash.core.estimates import Operation
+from upwash.core.admission.clients import Client
 from upwash.core.geo import Position
+from upwash.core.operation import Operation
 from upwash.errors import UpwashError
 from upwash.ports import Answered, Dialer, Instance, InstanceSpec, Link, Network, Runtime, ignored
 from upwash.rpc.protocol import HOLD, HoldReply, HoldRequest

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import NoReturn
 
 from upwash.core.geo import Circle
-from upwash.core.ranges import Ranges
+from upwash.core.knowledge.ranges import Ranges
 from upwash.sim.autopilot import ModelAutopilot
 
 _HAIR_M = 0.01  # a drone that hovers on a border is now within and now without

@@ -27,8 +27,8 @@ from upwash.config import (
     true_range_m,
     waypoints,
 )
-from upwash.core.coverage import Coverage
 from upwash.core.geo import Circle, Position
+from upwash.core.knowledge.coverage import Coverage
 from upwash.drone.flight import Flight, Ports
 from upwash.drone.networks import Cell, PositionNetwork
 from upwash.errors import MissionFailed, UpwashError, UsageError

@@ -12,7 +12,7 @@ import msgspec
 
 from upwash.config import Document, DroneConfig, coverage_kept, drone_config, impossible_values, read_document
 from upwash.config.problems import refuse_first
-from upwash.core.bound import Bound
+from upwash.core.planning.bound import Bound
 from upwash.errors import ConfigError, UsageError
 from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import Event

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from upwash.core.bound import Onward
+from upwash.core.planning.bound import Onward
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.eventlog.whereabouts import Whereabouts

@@ -14,8 +14,8 @@ from upwash.core.geo import Position
 from upwash.errors import CameraError, UsageError
 from upwash.missions.bundled import load_mission
 from upwash.ports import Camera, Photo
-from upwash.real.camera import FolderCamera
-from upwash.real.video import VideoCamera
+from upwash.real.camera.camera import FolderCamera
+from upwash.real.camera.video import VideoCamera
 from upwash.sim.camera import RenderedCamera
 from upwash.support.loading import extra
 

@@ -13,9 +13,9 @@ from pathlib import Path
 
 from upwash.config import DaemonConfig, RuntimeConfig
 from upwash.config.daemon import ImageConfig
-from upwash.core.limits import DEFAULT_LIMITS, Limits
+from upwash.core.admission.limits import DEFAULT_LIMITS, Limits
 from upwash.errors import UsageError
-from upwash.real.sandbox import Sandbox, find_sandbox
+from upwash.real.instances.sandbox import Sandbox, find_sandbox
 
 _ROOT = (
     "the daemon is root, and so is whatever breaks out of a sandbox that root made: "

@@ -8,16 +8,16 @@ from ipaddress import IPv4Network
 from pathlib import Path
 
 from upwash.config import DaemonConfig, RuntimeConfig
-from upwash.core.limits import Limits
+from upwash.core.admission.limits import Limits
 from upwash.ports import InstanceSpec
-from upwash.real.docker.container import ContainerSettings as DockerSettings
-from upwash.real.docker.engine import DockerEngine
-from upwash.real.docker.runtime import ContainerRuntime as DockerRuntime
-from upwash.real.door import Lead
-from upwash.real.lxd.container import ContainerSettings as LxdSettings
-from upwash.real.lxd.engine import Engine, EngineAddress
-from upwash.real.lxd.runtime import ContainerRuntime as LxdRuntime
-from upwash.real.service_image import reference_of
+from upwash.real.instances.docker.container import ContainerSettings as DockerSettings
+from upwash.real.instances.docker.engine import DockerEngine
+from upwash.real.instances.docker.runtime import ContainerRuntime as DockerRuntime
+from upwash.real.instances.lxd.container import ContainerSettings as LxdSettings
+from upwash.real.instances.lxd.engine import Engine, EngineAddress
+from upwash.real.instances.lxd.runtime import ContainerRuntime as LxdRuntime
+from upwash.real.instances.service_image import reference_of
+from upwash.real.link.door import Lead
 
 
 @contextlib.asynccontextmanager

@@ -15,25 +15,25 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from upwash.config import DaemonConfig
 from upwash.config.daemon import ImageConfig
-from upwash.core.admission import AdmissionController, AdmissionSettings, ServerOffer
-from upwash.core.clients import Client
-from upwash.core.instances import InstanceState
-from upwash.core.watchdog import CALL_LIMIT_S
+from upwash.core.admission.admission import AdmissionController, AdmissionSettings, ServerOffer
+from upwash.core.admission.clients import Client
+from upwash.core.admission.instances import InstanceState
+from upwash.core.admission.watchdog import CALL_LIMIT_S
 from upwash.errors import Refused, UpwashError, UsageError
 from upwash.launch.confinement import Confinement, find_confinement
 from upwash.launch.daemon_keys import DaemonKeys, watch_expiry
 from upwash.launch.daemon_services import DaemonServices
 from upwash.ports import InstanceSpec, Runtime
-from upwash.real.announced import Inside
-from upwash.real.door import Door, Seen, door_limits, leading, opened_door, raise_limit_of_files
-from upwash.real.hand_over import HandedOver, Served, Used, hand_over
-from upwash.real.listener import Health, Listener, cannot_listen
-from upwash.real.log import Sparing
-from upwash.real.requests import Caller, Requests
-from upwash.real.runtime import ProcessRuntime, sockets_in
-from upwash.real.service_manager import ServiceManager
-from upwash.real.signals import ending_in_time, on_signal, stopping_politely
-from upwash.real.streams import listening_socket
+from upwash.real.host.log import Sparing
+from upwash.real.host.service_manager import ServiceManager
+from upwash.real.host.signals import ending_in_time, on_signal, stopping_politely
+from upwash.real.instances.runtime import ProcessRuntime, sockets_in
+from upwash.real.link.announced import Inside
+from upwash.real.link.door import Door, Seen, door_limits, leading, opened_door, raise_limit_of_files
+from upwash.real.link.hand_over import HandedOver, Served, Used, hand_over
+from upwash.real.link.listener import Health, Listener, cannot_listen
+from upwash.real.link.requests import Caller, Requests
+from upwash.real.link.streams import listening_socket
 from upwash.server.daemon import EdgeServer, Image
 from upwash.support.background import beside
 from upwash.support.loading import extra
@@ -73,7 +73,7 @@ async def serve(
     """
     if config.announce:
         with extra("discovery"):
-            import upwash.real.discovery  # noqa: F401 - before anything is begun
+            import upwash.real.network.discovery  # noqa: F401 - before anything is begun
     confinement = await find_confinement(config)
     services = DaemonServices(config, confinement)
     keys = DaemonKeys(config)
@@ -399,7 +399,7 @@ async def _exposed(
 @contextlib.asynccontextmanager
 async def _announcing(config: DaemonConfig, address: str) -> AsyncIterator[None]:
     """Has drones find the servers in their networks; a daemon that cannot do that serves all the same."""
-    from upwash.real.discovery import announcing
+    from upwash.real.network.discovery import announcing
 
     host, _, port = address.rpartition(":")
     async with contextlib.AsyncExitStack() as announced:

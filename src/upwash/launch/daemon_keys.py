@@ -10,9 +10,9 @@ from typing import NoReturn
 from upwash.config import DaemonConfig
 from upwash.errors import CredentialsError
 from upwash.ports import Link
-from upwash.real.credentials import Credentials, at_second, read_credentials, read_revoked
-from upwash.real.link import GrpcDialer
-from upwash.real.trust import Trust
+from upwash.real.link.link import GrpcDialer
+from upwash.real.trust.credentials import Credentials, at_second, read_credentials, read_revoked
+from upwash.real.trust.trust import Trust
 from upwash.rpc.protocol import CertificateStatus
 from upwash.support.commands import command
 

@@ -25,7 +25,7 @@ from upwash.errors import UpwashError, UsageError
 from upwash.launch.confinement import Confinement
 from upwash.missions.bundled import load_configured
 from upwash.ports import Program
-from upwash.real.versions import version_of, version_of_upwash
+from upwash.real.instances.versions import version_of, version_of_upwash
 from upwash.rpc.service import spec_of
 from upwash.server.daemon import Image
 from upwash.support.loading import look_here, module_command

@@ -12,11 +12,11 @@ from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.errors import CredentialsError, UsageError
 from upwash.mavlink.signing import Signing
 from upwash.ports import Finder
-from upwash.real.credentials import Credentials, read_credentials
-from upwash.real.link import GrpcDialer
+from upwash.real.instances.runtime import OwnProcesses
+from upwash.real.link.link import GrpcDialer
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopilot
 from upwash.real.mavlink.signing import read_signing
-from upwash.real.runtime import OwnProcesses
+from upwash.real.trust.credentials import Credentials, read_credentials
 from upwash.support.commands import command
 from upwash.support.loading import extra
 
@@ -123,7 +123,7 @@ def server_finder(config: DroneConfig) -> Finder | None:
     if all(server.address != MDNS for server in config.servers):
         return None
     with extra("discovery"):
-        from upwash.real.discovery import find
+        from upwash.real.network.discovery import find
     return functools.partial(find, within_s=_FOUND_WITHIN_S)
 
 

@@ -28,12 +28,12 @@ from upwash.launch.networks import opened_networks
 from upwash.launch.readiness import require_ready
 from upwash.missions.bundled import load_mission, load_services
 from upwash.ports import Autopilot, Camera, Journal
-from upwash.real.clock import SYSTEM_CLOCK, Clock, agree_on_time, keep_right_from_services, problem_by
-from upwash.real.credentials import Credentials
-from upwash.real.journal import FileJournal, JournalNotifier, Watcher, read_events
-from upwash.real.log_file import Unwritten
+from upwash.real.host.clock import SYSTEM_CLOCK, Clock, agree_on_time, keep_right_from_services, problem_by
+from upwash.real.host.journal import FileJournal, JournalNotifier, Watcher, read_events
+from upwash.real.host.log_file import Unwritten
+from upwash.real.host.signals import outliving_the_terminal, stopping_politely
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience
-from upwash.real.signals import outliving_the_terminal, stopping_politely
+from upwash.real.trust.credentials import Credentials
 from upwash.support.background import end, only_logged, start
 from upwash.support.loading import extra
 

@@ -50,7 +50,7 @@ async def _managed_network(
     interfaces: Sequence[str], config: DroneConfig, journal: Journal, stack: contextlib.AsyncExitStack
 ) -> Network:
     with extra("network"):
-        from upwash.real.network import ManagedNetwork
+        from upwash.real.network.network import ManagedNetwork
     network = ManagedNetwork(interfaces, [server.network for server in config.servers], journal)
     stack.push_async_callback(network.close)
     await network.open()

@@ -13,7 +13,7 @@ from upwash.config import DroneConfig
 from upwash.core.geo import Position
 from upwash.errors import CameraError
 from upwash.launch.cameras import needs_camera, opened_camera
-from upwash.real.camera import photo_files, read_photo_file
+from upwash.real.camera.camera import photo_files, read_photo_file
 from upwash.support.jpeg import EOI, segments_of
 
 _MOST_FILES = 2000  # of a folder: a card may hold more than a person waits for

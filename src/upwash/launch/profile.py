@@ -26,7 +26,7 @@ from upwash.profiling.profiler import (
     profile_onboard,
     profile_server,
 )
-from upwash.real.memory import peak_memory_bytes
+from upwash.real.instances.memory import peak_memory_bytes
 from upwash.rpc.service import spec_of
 
 _PROFILER = "profiler"

@@ -63,7 +63,7 @@ def _steps(config: DroneConfig, *, valid_now: bool) -> Iterator[tuple[str, Calla
     if needs_camera(config):
         yield "no-camera", functools.partial(camera_without_device, config.camera)
     if config.network.kind == "networkmanager":
-        yield "extra", functools.partial(_require, "network", "upwash.real.network")
+        yield "extra", functools.partial(_require, "network", "upwash.real.network.network")
     if config.metrics is not None:
         yield "extra", functools.partial(_require, "metrics", "upwash.metrics.exposition")
 

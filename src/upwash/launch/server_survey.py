@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from upwash.config import DroneConfig, ServerConfig
-from upwash.core.estimates import Estimates
-from upwash.core.policy import Deadline
-from upwash.core.radios import check_limit_s
+from upwash.core.knowledge.estimates import Estimates
+from upwash.core.policies.policy import Deadline
+from upwash.core.selection.radios import check_limit_s
 from upwash.drone.preparation import endpoints, make_estimates
 from upwash.drone.server_session import ServerEndpoint, ServerSession
 from upwash.errors import DeadlineExceeded, Unreachable, UpwashError
@@ -27,8 +27,8 @@ from upwash.launch.trials import call_limit_s, requests_of, trials
 from upwash.missions.bundled import load_specs
 from upwash.ports import Network
 from upwash.profiling.profiler import Sample, require_answer
-from upwash.real.finding import Finding
-from upwash.real.link import GrpcDialer
+from upwash.real.link.link import GrpcDialer
+from upwash.real.network.finding import Finding
 from upwash.rpc.service import ServiceSpec
 from upwash.sim.journal import MemoryJournal
 from upwash.support.background import beside

@@ -8,8 +8,8 @@ import msgspec
 
 from upwash.config import is_address, is_on_this_machine
 from upwash.errors import Unreachable, UsageError
-from upwash.real.credentials import read_credentials
-from upwash.real.link import GrpcDialer
+from upwash.real.link.link import GrpcDialer
+from upwash.real.trust.credentials import read_credentials
 from upwash.rpc.protocol import LONGEST_STATUS_BYTES, STATUS, StatusReply, StatusRequest, decode_reply
 
 _STATUS_S = 10.0

@@ -11,8 +11,8 @@ from upwash.launch.drone import (
     vehicle_link,
 )
 from upwash.ports import VehicleNews, VehicleSetting
-from upwash.real.finding import Finding
 from upwash.real.mavlink import MavlinkAutopilot
+from upwash.real.network.finding import Finding
 from upwash.support.loading import extra
 
 _START_S = 120.0
@@ -73,7 +73,7 @@ async def _inspected(autopilot: MavlinkAutopilot) -> tuple[str, list[VehicleSett
 async def survey_networks(config: DroneConfig) -> list[Finding]:
     """What NetworkManager has ready for the drone; raises NetworkError without one."""
     with extra("network"):
-        from upwash.real.survey import survey_networks
+        from upwash.real.network.survey import survey_networks
     return await survey_networks(
         config.network.interfaces,
         {server.name: server.network for server in config.servers},

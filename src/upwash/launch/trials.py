@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from upwash.config import DroneConfig
-from upwash.core.estimates import Estimates
-from upwash.core.places import ON_DRONE
+from upwash.core.knowledge.estimates import Estimates
+from upwash.core.selection.places import ON_DRONE
 from upwash.drone.onboard import started
 from upwash.drone.preparation import make_estimates
 from upwash.errors import UpwashError, UsageError
@@ -14,7 +14,7 @@ from upwash.launch.drone import onboard
 from upwash.missions.bundled import load_services
 from upwash.ports import InstanceSpec
 from upwash.profiling.profiler import Sample, require_answer, samples
-from upwash.real.runtime import OwnProcesses
+from upwash.real.instances.runtime import OwnProcesses
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import ServiceSpec, spec_of
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from upwash.mavlink.signing import Signing
+from upwash.real.host.signals import stopping_politely
 from upwash.real.mavlink.signing import read_key
-from upwash.real.signals import stopping_politely
 from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.server import serve_vehicle
 from upwash.vehicle.settings import VehicleSettings

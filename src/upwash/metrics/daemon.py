@@ -12,8 +12,8 @@ from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from upwash.core.clients import Client, DoorReason
-from upwash.core.instances import InstanceState
+from upwash.core.admission.clients import Client, DoorReason
+from upwash.core.admission.instances import InstanceState
 from upwash.errors import InstanceError, Refused
 from upwash.metrics.buckets import CALL_S, START_S
 from upwash.ports import Answered, AnsweredCall, Instance, InstanceSpec, Runtime, ignored

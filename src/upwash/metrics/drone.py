@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
 
-from upwash.core.servers import State
+from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.metrics.buckets import CALL_S

@@ -13,11 +13,11 @@ from upwash.errors import UsageError
 from upwash.launch.containers import docker_engine, docker_images, lxd_engine
 from upwash.missions.bundled import LoadedService, bundled_service, load_service_alone, load_services
 from upwash.packaging.image import Format
-from upwash.real.docker.engine import DockerEngine
-from upwash.real.docker.image import labelled_image
-from upwash.real.lxd.engine import Engine
-from upwash.real.lxd.image import newest_images
-from upwash.real.service_image import ServiceImage
+from upwash.real.instances.docker.engine import DockerEngine
+from upwash.real.instances.docker.image import labelled_image
+from upwash.real.instances.lxd.engine import Engine
+from upwash.real.instances.lxd.image import newest_images
+from upwash.real.instances.service_image import ServiceImage
 
 _HASH_SHOWN = 12
 E = TypeVar("E", bound=Engine | DockerEngine)

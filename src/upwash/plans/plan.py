@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from upwash.core.geo import Circle, GeoPosition, LocalFrame
-from upwash.core.geofence import Fence, Polygon
+from upwash.core.vehicle.geofence import Fence, Polygon
 from upwash.plans.notices import Notice
 
 Ending = Literal["return", "land"]

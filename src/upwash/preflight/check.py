@@ -20,7 +20,7 @@ from upwash.config import (
     usable_s,
     waypoints,
 )
-from upwash.core.order import Order
+from upwash.core.planning.order import Order
 from upwash.drone.order import order_of
 from upwash.drone.preparation import make_estimates
 from upwash.errors import UpwashError

@@ -7,8 +7,8 @@ from typing import Any
 
 from msgspec import Struct
 
-from upwash.core import coverage as measured
 from upwash.core.geo import Circle, Position, ground_distance_m
+from upwash.core.knowledge import coverage as measured
 from upwash.lab.range_intervals import RangeInterval
 
 

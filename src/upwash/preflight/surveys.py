@@ -14,7 +14,7 @@ from upwash.config import DroneConfig
 from upwash.errors import UsageError
 
 if TYPE_CHECKING:
-    from upwash.real.finding import Finding
+    from upwash.real.network.finding import Finding
 
 
 def check_networks(config: DroneConfig, console: Console) -> bool:

@@ -18,7 +18,7 @@ from upwash.config import (
     usable_s,
 )
 from upwash.config.values import MDNS
-from upwash.core.policy import WaitRule
+from upwash.core.policies.policy import WaitRule
 from upwash.preflight.coverage import Coverage
 from upwash.preflight.prediction import AS_CONFIGURED, LOCAL_ONLY, Prediction, without
 from upwash.preflight.way_home import PX4_LOW_PERCENT, farthest

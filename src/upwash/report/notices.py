@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from upwash.core.control import Owner
-from upwash.core.servers import State
+from upwash.core.knowledge.servers import State
+from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
 from upwash.eventlog.narration import (
     SAFE_ENDS,

@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path
 
 from upwash.core.geo import Position
-from upwash.core.servers import State
+from upwash.core.knowledge.servers import State
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.beginning import Beginning

@@ -21,7 +21,7 @@ from foxglove.messages import (
 )
 
 from upwash.core.geo import Circle, Position
-from upwash.core.servers import State
+from upwash.core.knowledge.servers import State
 from upwash.report.palette import DARK, components
 from upwash.report.places import name_of
 from upwash.report.record import Record, ReportedCall, Stretch

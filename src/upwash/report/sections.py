@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from upwash.core.servers import CHECKING
+from upwash.core.knowledge.servers import CHECKING
 from upwash.eventlog.narration import MEANINGS
 from upwash.report import tables
 from upwash.report.delays import MANY, draw_call_delays, in_short, waypoints_a_box

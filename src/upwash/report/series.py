@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from upwash.core.servers import State
+from upwash.core.knowledge.servers import State
 from upwash.report.places import name_of
 from upwash.report.record import Record
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position
-from upwash.core.servers import State
+from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
 from upwash.eventlog.results import CallResult, mean_local_delay_s
 from upwash.report.findings import Finding

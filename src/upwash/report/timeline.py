@@ -6,7 +6,7 @@ import itertools
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 
-from upwash.core.servers import CHECKING, State
+from upwash.core.knowledge.servers import CHECKING, State
 from upwash.eventlog.narration import counted, named
 from upwash.report.axes import LEFT, RIGHT, TOP, WIDTH, Axis, figure, label
 from upwash.report.going import OpenAnswer

@@ -20,8 +20,8 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta
 
-from upwash.core.clients import DoorStatus, RefusalStatus, ServerStatus
-from upwash.core.limits import Limits
+from upwash.core.admission.clients import DoorStatus, RefusalStatus, ServerStatus
+from upwash.core.admission.limits import Limits
 from upwash.errors import GarbledReply, Refused
 from upwash.rpc.wire import Encoding
 from upwash.support.text import LONGEST_TEXT, escaped, printable

@@ -27,7 +27,7 @@ from typing import Any, ParamSpec, TypeVar, cast, overload
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from upwash.core.estimates import Operation
+from upwash.core.operation import Operation
 from upwash.errors import DeclarationError, GarbledReply, ServiceError, UpwashError, UsageError
 from upwash.rpc.operations import operations_of
 from upwash.rpc.settings import describe_settings

@@ -12,7 +12,7 @@ from typing import NoReturn, TypeVar
 
 import msgspec
 
-from upwash.core.admission import (
+from upwash.core.admission.admission import (
     AdmissionController,
     Available,
     Command,
@@ -21,11 +21,11 @@ from upwash.core.admission import (
     Running,
     ServerOffer,
 )
-from upwash.core.clients import Client, DoorStatus, DroneUsage, ServerStatus, TeamUsage
-from upwash.core.instances import StartInstance, StopInstance
-from upwash.core.leases import Admit
-from upwash.core.limits import NO_LIMITS, Limits
-from upwash.core.usage import LeaseEnded
+from upwash.core.admission.clients import Client, DoorStatus, DroneUsage, ServerStatus, TeamUsage
+from upwash.core.admission.instances import StartInstance, StopInstance
+from upwash.core.admission.leases import Admit
+from upwash.core.admission.limits import NO_LIMITS, Limits
+from upwash.core.admission.usage import LeaseEnded
 from upwash.errors import InstanceError, LinkError, NotReadyInTime, Refused
 from upwash.ports import AnsweredCall, Dialer, Instance, InstanceSpec, Program, Runtime
 from upwash.rpc.protocol import (

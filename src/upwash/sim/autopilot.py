@@ -8,11 +8,11 @@ import math
 from collections.abc import Callable, Sequence
 
 from upwash.config import FaultConfig
-from upwash.core.control import Control
-from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Circle, EarthPosition, LocalFrame, Position, Velocity, distance_m
-from upwash.core.pace import Pace
-from upwash.core.telemetry import Attitude, GpsFix, Telemetry
+from upwash.core.planning.pace import Pace
+from upwash.core.vehicle.control import Control
+from upwash.core.vehicle.energy import EnergyFacts
+from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
 from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.ports import DeadMan, VehicleLimits, VehicleNews
 from upwash.sim.battery import Battery

@@ -12,8 +12,8 @@ from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from upwash.core.area_index import AreaIndex
 from upwash.core.geo import Circle, Position, ground_distance_m
+from upwash.core.knowledge.area_index import AreaIndex
 from upwash.vehicle.kinematics import Motion, Phase, elapsed_s
 
 _ROUNDING_M = 1e-6

@@ -52,7 +52,7 @@ from typing import Protocol
 import msgspec
 
 from upwash.config import FaultConfig
-from upwash.core.clients import Client
+from upwash.core.admission.clients import Client
 from upwash.errors import Unreachable, UsageError
 from upwash.rpc.protocol import (
     AVAILABILITY,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from upwash.core.continuity import Continuity
-from upwash.core.control import Control, Latch, Report
 from upwash.core.geo import Position, Velocity
+from upwash.core.vehicle.continuity import Continuity
+from upwash.core.vehicle.control import Control, Latch, Report
 from upwash.errors import AutopilotLost
 from upwash.eventlog.schema import SEVERITIES
 from upwash.ports import HomeMoved, PositionDoubted, VehicleNews, VehicleText

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from upwash.config import FaultConfig
-from upwash.core.control import Report
+from upwash.core.vehicle.control import Report
 from upwash.sim.hearing import Hearing
 from upwash.sim.vehicle import STABILIZE, ModelVehicle
 

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from upwash.core.clients import Client
+from upwash.core.admission.clients import Client
 from upwash.errors import DeadlineExceeded, InstanceError, NoLease, Refused, Unreachable
 from upwash.sim.life import Life
 from upwash.support.background import begin

@@ -11,9 +11,9 @@ from typing import Literal, Protocol
 
 import msgspec
 
-from upwash.core.clients import Client
-from upwash.core.estimates import Operation
-from upwash.core.instance_gate import InstanceGate
+from upwash.core.admission.clients import Client
+from upwash.core.admission.instance_gate import InstanceGate
+from upwash.core.operation import Operation
 from upwash.errors import InstanceError, Refused
 from upwash.ports import Answered, AnsweredCall, InstanceSpec, Outcome, ignored
 from upwash.rpc.protocol import HEALTH_CHECK, SERVING, service_path

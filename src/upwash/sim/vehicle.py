@@ -13,9 +13,9 @@ from typing import Any, Protocol, TypeAlias
 
 import msgspec
 
-from upwash.core.control import Report
-from upwash.core.energy import WayHome
 from upwash.core.geo import Position, Velocity
+from upwash.core.vehicle.control import Report
+from upwash.core.vehicle.energy import WayHome
 from upwash.sim.borders import Borders
 from upwash.vehicle.kinematics import Motion, Phase
 

@@ -6,8 +6,8 @@ import asyncio
 from collections.abc import Callable, Mapping, Sequence
 
 from upwash.config import NoiseConfig, ServerTruth, ServiceConfig
-from upwash.core.estimates import Operation
 from upwash.core.geo import Circle, Position, ground_distance_m
+from upwash.core.operation import Operation
 from upwash.errors import InstanceError
 from upwash.ports import InstanceSpec
 from upwash.sim.chance import Chance

@@ -10,8 +10,8 @@ import itertools
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
-from upwash.core.energy import ARDUCOPTER
 from upwash.core.geo import Position, Velocity, distance_m
+from upwash.core.vehicle.energy import ARDUCOPTER
 from upwash.vehicle.kinematics import (
     Curve,
     Motion,

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, Position
-from upwash.core.payload import PAYLOAD_COMMANDS
+from upwash.core.vehicle.payload import PAYLOAD_COMMANDS
 from upwash.mavlink.version import Version
 from upwash.vehicle.answers import Result
 from upwash.vehicle.boot import Text

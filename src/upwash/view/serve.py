@@ -13,7 +13,7 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from upwash.errors import UsageError
-from upwash.real.signals import stopping_politely
+from upwash.real.host.signals import stopping_politely
 from upwash.report.photos import PhotoShelf
 from upwash.support.background import beside
 from upwash.view.app import application

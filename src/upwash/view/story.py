@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 
 from upwash.core.geo import LocalFrame, Position
-from upwash.core.servers import CHECKING, State
+from upwash.core.knowledge.servers import CHECKING, State
 from upwash.eventlog import schema
 from upwash.eventlog.beginning import Beginning
 from upwash.eventlog.narration import MEANINGS, Narrator, in_one_line, tone_of

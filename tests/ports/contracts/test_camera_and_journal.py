@@ -16,9 +16,9 @@ from tests.events import event, written
 
 from upwash.core.geo import Position
 from upwash.ports import Camera, Journal, Notifier
-from upwash.real.camera import FolderCamera
-from upwash.real.journal import FileJournal, JournalNotifier
-from upwash.real.video import VideoCamera
+from upwash.real.camera.camera import FolderCamera
+from upwash.real.camera.video import VideoCamera
+from upwash.real.host.journal import FileJournal, JournalNotifier
 from upwash.sim.camera import ModelCamera, RenderedCamera
 from upwash.sim.journal import MemoryJournal
 from upwash.sim.loop import run_virtually

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from upwash.core.clients import Client
+from upwash.core.admission.clients import Client
 from upwash.errors import DeadlineExceeded, Refused, Unreachable
 from upwash.ports import Link
-from upwash.real.direct import DirectLink, DirectListener, direct_pair
-from upwash.real.link import GrpcDialer
-from upwash.real.listener import Listener
-from upwash.real.requests import Caller, Requests
+from upwash.real.link.direct import DirectLink, DirectListener, direct_pair
+from upwash.real.link.link import GrpcDialer
+from upwash.real.link.listener import Listener
+from upwash.real.link.requests import Caller, Requests
 from upwash.sim.link import ModelDialer, Switchboard
 from upwash.sim.loop import run_virtually
 from upwash.sim.world import Wire

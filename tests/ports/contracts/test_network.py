@@ -13,7 +13,7 @@ from upwash.core.geo import Circle, Position
 from upwash.drone.networks import Cell, NoNetwork, PositionNetwork
 from upwash.errors import NetworkError
 from upwash.ports import Network
-from upwash.real.network import ManagedNetwork
+from upwash.real.network.network import ManagedNetwork
 from upwash.sim.journal import MemoryJournal
 from upwash.sim.loop import run_virtually
 

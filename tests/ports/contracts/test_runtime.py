@@ -14,20 +14,20 @@ import pytest
 from tests.doors import led
 from tests.podman import OwnPodman
 
-from upwash.core.estimates import Operation
+from upwash.core.operation import Operation
 from upwash.errors import InstanceError, LinkError, NoLease, UsageError
 from upwash.ports import AnsweredCall, Dialer, InstanceSpec, Program, Runtime
-from upwash.real.credentials import Credentials, fingerprint
-from upwash.real.docker.container import ContainerSettings as DockerSettings
-from upwash.real.docker.engine import DockerEngine
-from upwash.real.docker.runtime import ContainerRuntime as DockerRuntime
-from upwash.real.link import GrpcDialer
-from upwash.real.lxd.container import ContainerSettings
-from upwash.real.lxd.engine import Engine, EngineAddress
-from upwash.real.lxd.runtime import ContainerRuntime
-from upwash.real.runtime import ProcessRuntime, sockets_in
-from upwash.real.sandbox import Sandbox, find_sandbox
-from upwash.real.service_image import reference_of
+from upwash.real.instances.docker.container import ContainerSettings as DockerSettings
+from upwash.real.instances.docker.engine import DockerEngine
+from upwash.real.instances.docker.runtime import ContainerRuntime as DockerRuntime
+from upwash.real.instances.lxd.container import ContainerSettings
+from upwash.real.instances.lxd.engine import Engine, EngineAddress
+from upwash.real.instances.lxd.runtime import ContainerRuntime
+from upwash.real.instances.runtime import ProcessRuntime, sockets_in
+from upwash.real.instances.sandbox import Sandbox, find_sandbox
+from upwash.real.instances.service_image import reference_of
+from upwash.real.link.link import GrpcDialer
+from upwash.real.trust.credentials import Credentials, fingerprint
 from upwash.rpc.protocol import service_path
 from upwash.rpc.service import load_service, spec_of
 from upwash.sim.link import ModelDialer, Switchboard

@@ -16,7 +16,7 @@ import grpc
 import msgspec
 from tests.system.daemons import Daemon, config, daemon
 
-from upwash.real.authority import keys_in, make_keys
+from upwash.real.trust.authority import keys_in, make_keys
 from upwash.rpc.protocol import AVAILABILITY, HOLD, LEAVE, PREPARE, START
 
 ESCAPES = "\x1b[2J\x1b]0;owned\x07\x9b31m\u202edetsurt\u2066\r\nWARNING all is well"

@@ -16,9 +16,9 @@ from pathlib import Path
 from tests.system.daemons import MAX_MESSAGE_BYTES, Daemon, Guest, daemon, memory_bytes
 
 from upwash.errors import LinkError
-from upwash.real.authority import keys_in, make_keys
-from upwash.real.credentials import fingerprint, read_credentials
-from upwash.real.link import GrpcDialer
+from upwash.real.link.link import GrpcDialer
+from upwash.real.trust.authority import keys_in, make_keys
+from upwash.real.trust.credentials import fingerprint, read_credentials
 
 SERVICE = Path(__file__).with_name("hostile_service.py")
 PROGRAM = f"{SERVICE}:Hostile"

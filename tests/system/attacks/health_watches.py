@@ -8,7 +8,7 @@ from pathlib import Path
 
 import grpc
 
-from upwash.real.authority import keys_in
+from upwash.real.trust.authority import keys_in
 
 AT_ONCE = 1000
 WATCH = "/grpc.health.v1.Health/Watch"

@@ -34,7 +34,7 @@ from tests.system.daemons import memory_bytes
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
 from upwash.launch.processes import ready_program
-from upwash.real.authority import keys_in, make_keys
+from upwash.real.trust.authority import keys_in, make_keys
 from upwash.rpc.protocol import AVAILABILITY, START, service_path
 
 SERVER, SERVICE = "s1", "adder"

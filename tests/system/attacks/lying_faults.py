@@ -15,7 +15,7 @@ from unittest.mock import patch
 import msgspec
 from tests.scenarios import scenario, server
 
-from upwash.core.clients import Client
+from upwash.core.admission.clients import Client
 from upwash.errors import MissionFailed
 from upwash.lab.run import Run, simulate
 from upwash.sim.faults import FaultyServer

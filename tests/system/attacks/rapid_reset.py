@@ -14,7 +14,7 @@ from pathlib import Path
 
 from tests.system.hostile import connected, frame, head
 
-from upwash.real.authority import keys_in
+from upwash.real.trust.authority import keys_in
 from upwash.rpc.protocol import AVAILABILITY
 
 CONNECTIONS = 10

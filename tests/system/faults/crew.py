@@ -15,7 +15,7 @@ from upwash.emulation.namespaces import inside
 
 _RESTART_S = 0.5  # as a service manager waits
 _READY_S = 20.0
-_INSTANCE = "upwash.real.instance"
+_INSTANCE = "upwash.real.instances.instance"
 PYTHON = (sys.executable, "-m")
 
 

@@ -30,7 +30,7 @@ from upwash.emulation.request import EmulationRequest
 from upwash.emulation.shaped import ShapedRadio
 from upwash.emulation.tracking import tracked
 from upwash.launch.processes import ready_vehicle
-from upwash.real.authority import make_keys
+from upwash.real.trust.authority import make_keys
 
 SCENARIO = Path(__file__).parent / "field.toml"
 _LONGEST_S = 240.0

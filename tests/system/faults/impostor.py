@@ -11,7 +11,7 @@ import ssl
 import sys
 from pathlib import Path
 
-from upwash.real.authority import keys_in
+from upwash.real.trust.authority import keys_in
 
 _GARBAGE_BYTES = 10_000
 

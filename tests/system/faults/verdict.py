@@ -15,8 +15,8 @@ from tests.system.faults.mission import Spotter, heard, numbers_at
 from tests.system.faults.strikes import BACK_WITHIN_S, Strike
 
 from upwash.config import DroneConfig, FaultConfig, read_drone_config, server_areas, server_truth, waypoints
-from upwash.core.admission import AdmissionSettings
-from upwash.core.servers import SELECTED, State
+from upwash.core.admission.admission import AdmissionSettings
+from upwash.core.knowledge.servers import SELECTED, State
 from upwash.eventlog import schema
 from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.log import decode

@@ -18,7 +18,7 @@ from typing import Any
 
 from tests.waiting import wait_for
 
-from upwash.real.authority import make_keys
+from upwash.real.trust.authority import make_keys
 
 WORK = Path("/root/flights")
 FOUND = Path("/found/flights")

@@ -10,7 +10,7 @@ import msgspec
 
 from upwash.config import DroneConfig, MissionConfig, read_drone_config, told_in_numbers, waypoints
 from upwash.core.geo import Position
-from upwash.real.authority import keys_in
+from upwash.real.trust.authority import keys_in
 
 _LANE_M = 5.0
 _FIELD_M = (

@@ -21,8 +21,8 @@ from upwash.errors import MissionStopped
 from upwash.eventlog.fleet import FleetProgress
 from upwash.launch.flight_program import INTERRUPTED, FlightProgram
 from upwash.launch.processes import ends_with_us, ready_vehicle
-from upwash.real.authority import make_keys
-from upwash.real.signals import outliving_the_terminal, stopping_politely
+from upwash.real.host.signals import outliving_the_terminal, stopping_politely
+from upwash.real.trust.authority import make_keys
 
 _DEPARTURE_S = 3.0  # after the one before
 

@@ -12,7 +12,7 @@ from upwash.cli.demonstration.score import score_photos
 from upwash.cli.flying import fly_with_progress
 from upwash.config import DroneConfig
 from upwash.launch.processes import ready_vehicle
-from upwash.real.authority import make_keys
+from upwash.real.trust.authority import make_keys
 from upwash.support.sentences import say
 
 

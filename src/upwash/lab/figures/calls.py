@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from upwash.core.geo import Position
-from upwash.core.servers import CHECKING
+from upwash.core.knowledge.servers import CHECKING
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.eventlog.whereabouts import Whereabouts

@@ -10,9 +10,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.energy import ARDUCOPTER as ARDUCOPTER_WAY_HOME
-from upwash.core.energy import EnergyFacts
 from upwash.core.geo import Position, ahead, distance_m
+from upwash.core.vehicle.energy import ARDUCOPTER as ARDUCOPTER_WAY_HOME
+from upwash.core.vehicle.energy import EnergyFacts
 from upwash.errors import AutopilotRefused
 from upwash.mavlink.version import Version
 from upwash.ports import DeadMan, VehicleLimits, VehicleSetting

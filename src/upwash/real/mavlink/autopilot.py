@@ -14,8 +14,6 @@ from typing import ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.control import Control
-from upwash.core.energy import EnergyFacts
 from upwash.core.geo import (
     Circle,
     EarthPosition,
@@ -25,8 +23,10 @@ from upwash.core.geo import (
     distance_m,
     ground_distance_m,
 )
-from upwash.core.pace import PACES, Pace
-from upwash.core.telemetry import Telemetry
+from upwash.core.planning.pace import PACES, Pace
+from upwash.core.vehicle.control import Control
+from upwash.core.vehicle.energy import EnergyFacts
+from upwash.core.vehicle.telemetry import Telemetry
 from upwash.errors import AutopilotRefused, UsageError
 from upwash.mavlink.version import Version
 from upwash.ports import ArmingDelayed, DeadMan, VehicleLimits, VehicleNews

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position
-from upwash.core.geofence import AreaUnion, Fence, Polygon
+from upwash.core.vehicle.geofence import AreaUnion, Fence, Polygon
 from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.ranges import LATITUDE_E7, LONGITUDE_E7, Range

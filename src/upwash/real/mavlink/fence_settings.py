@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from upwash.core.geo import LocalFrame
-from upwash.core.geofence import Fence
+from upwash.core.vehicle.geofence import Fence
 from upwash.errors import AutopilotRefused
 from upwash.ports import FenceNames, VehicleLimits, VehicleSetting
 from upwash.real.mavlink.fence import circle_around, download_fence

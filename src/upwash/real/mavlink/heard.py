@@ -15,9 +15,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.allowance import Allowance
-from upwash.core.control import Latch, Report
+from upwash.core.admission.allowance import Allowance
 from upwash.core.geo import Position
+from upwash.core.vehicle.control import Latch, Report
 from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
 from upwash.mavlink.signing import Signing
 from upwash.ports import HomeMoved, LinkChanged, LinkTrouble, PositionDoubted, VehicleNews, VehicleText

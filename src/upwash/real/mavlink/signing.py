@@ -9,7 +9,7 @@ from pathlib import Path
 
 from upwash.errors import CredentialsError, UsageError
 from upwash.mavlink.signing import Signing, key_of, key_of_passphrase
-from upwash.real.secrets import read_secret
+from upwash.real.trust.secrets import read_secret
 
 _PASSPHRASE_BYTES = 24
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, Velocity
-from upwash.core.telemetry import Attitude, FixKind, GpsFix
+from upwash.core.vehicle.telemetry import Attitude, FixKind, GpsFix
 from upwash.eventlog.schema import SEVERITIES
 from upwash.ports import VehicleText
 from upwash.real.mavlink.hearing import Message

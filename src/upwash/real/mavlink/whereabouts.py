@@ -10,8 +10,8 @@ from collections import deque
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.continuity import Continuity
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Velocity, distance_m
+from upwash.core.vehicle.continuity import Continuity
 from upwash.ports import HomeMoved, PositionDoubted
 from upwash.real.mavlink.hearing import Message
 from upwash.real.mavlink.vehicle import MavlinkVehicle

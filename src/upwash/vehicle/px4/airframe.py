@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 
-from upwash.core.energy import PX4
 from upwash.core.geo import Position, Velocity, distance_m
+from upwash.core.vehicle.energy import PX4
 from upwash.vehicle.kinematics import Phase, heading_of
 from upwash.vehicle.px4.body import (
     CLIMB_M_S,

@@ -10,7 +10,7 @@ from typing import TypeAlias
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition
-from upwash.core.payload import PAYLOAD_COMMANDS
+from upwash.core.vehicle.payload import PAYLOAD_COMMANDS
 from upwash.mavlink.px4 import Mode
 from upwash.vehicle.answers import Result
 from upwash.vehicle.firmware import Message

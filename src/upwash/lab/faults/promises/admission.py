@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from upwash.core.admission import AdmissionSettings
+from upwash.core.admission.admission import AdmissionSettings
 from upwash.lab.faults.promises.history import ROUNDING_S, SLACK_S, Breach, History
 from upwash.lab.observer import Seen
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from upwash.config import FaultConfig, ProbeConfig, ServerConfig, server_truth, true_areas
 from upwash.core.geo import Position
-from upwash.core.recovery import REST_S
-from upwash.core.servers import State
+from upwash.core.knowledge.servers import State
+from upwash.core.selection.recovery import REST_S
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults.promises.history import ANSWER_S, ROUNDING_S, Breach, History, position_jumps

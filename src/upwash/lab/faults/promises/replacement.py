@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from upwash.config import FaultConfig
-from upwash.core.admission import AdmissionSettings
-from upwash.core.watchdog import CALL_LIMIT_S, FIRST_PAUSE_S, FORGOTTEN_S, LONGEST_PAUSE_S
+from upwash.core.admission.admission import AdmissionSettings
+from upwash.core.admission.watchdog import CALL_LIMIT_S, FIRST_PAUSE_S, FORGOTTEN_S, LONGEST_PAUSE_S
 from upwash.eventlog import schema
 from upwash.lab.faults.promises.history import ROUNDING_S, SLACK_S, Breach, History
 from upwash.lab.observer import Seen

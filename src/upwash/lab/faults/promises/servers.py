@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from upwash.config import ProbeConfig, true_areas
-from upwash.core.servers import SELECTED, TRANSITIONS, State, Trigger
+from upwash.core.knowledge.servers import SELECTED, TRANSITIONS, State, Trigger
 from upwash.eventlog import schema
 from upwash.lab.faults.promises.history import ROUNDING_S, Breach, History
 from upwash.lab.faults.promises.recovery import spells_of

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 from upwash.config import ServerConfig, ServerTruth, server_truth
-from upwash.core.turns import ASK_AGAIN_S
+from upwash.core.admission.turns import ASK_AGAIN_S
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults.promises.history import SLACK_S, Breach, History

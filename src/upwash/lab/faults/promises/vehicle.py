@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from upwash.core.control import Owner
+from upwash.core.vehicle.control import Owner
 from upwash.eventlog import schema
 from upwash.lab.faults.promises.history import ROUNDING_S, Breach, History
 from upwash.lab.observer import Seen

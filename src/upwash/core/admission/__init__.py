@@ -1,0 +1,1 @@
+"""The server-side machine: which drones hold a slot of a server, and which instances run."""

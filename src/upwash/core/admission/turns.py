@@ -1,0 +1,147 @@
+"""Whose turn it is at one server: how long each drone has had a slot, who waits for one, and who yields it.
+
+Laws:
+- what counts is what the server measures: nothing that a drone says changes the order;
+- who comes counts as one that has had as much as the least of those present: nobody saves up by staying away;
+- a free slot is for the drone that waits and has had least, then for the one that waits longest, then by name;
+- after a turn a holder yields to a drone that has had less by more than half a turn: the one that has had most does;
+- so do as many as are wanting for those that wait before the one that asks, and for it;
+- who yields is not away while it may not know yet: until its lease would have ended;
+- that drone has asked twice, as one that asks once may be gone; who misses three questions waits no more;
+- where there is a slot for everybody nobody waits, and no turn ends.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from upwash.core.admission.clients import AccountStatus
+
+ASK_AGAIN_S = 2.0
+_PATIENCE_S = 3 * ASK_AGAIN_S
+_MOST_ABSENT = 1000  # drones that are remembered while others are there
+
+
+@dataclass(slots=True)
+class Account:
+    """What the server measured of one drone: the slot time that it has had, and since when it holds or waits."""
+
+    drone: str
+    had_s: float = 0.0  # without the turn that it is at
+    holds_since_s: float | None = None
+    waits_since_s: float | None = None
+    asked_s: float = -math.inf  # while it waits
+    asks: int = 0
+    expected_until_s: float = -math.inf  # since it yielded
+
+    def had_until_s(self, now_s: float) -> float:
+        """The slot time that it has had by now."""
+        return self.had_s + (0.0 if self.holds_since_s is None else now_s - self.holds_since_s)
+
+    @property
+    def is_present(self) -> bool:
+        """Whether it holds a slot or waits for one."""
+        return self.holds_since_s is not None or self.waits_since_s is not None
+
+
+class Turns:
+    """The accounts of one server, and the order that follows from them."""
+
+    def __init__(self, turn_s: float) -> None:
+        self.turn_s = turn_s
+        self._accounts: dict[str, Account] = {}
+
+    def took(self, drone: str, *, now_s: float) -> None:
+        """The drone holds a slot from now on."""
+        account = self._arrived(drone, now_s)
+        account.holds_since_s, account.waits_since_s = now_s, None
+
+    def gave_back(self, drone: str, *, now_s: float) -> None:
+        """The drone holds its slot no more."""
+        account = self._accounts[drone]
+        account.had_s, account.holds_since_s = account.had_until_s(now_s), None
+        self._forget()
+
+    def yields(self, drone: str, *, expected_until_s: float) -> None:
+        """The turn of the drone is about to end, which learns so by that time, and asks anew."""
+        self._accounts[drone].expected_until_s = expected_until_s
+
+    def asked(self, drone: str, *, now_s: float) -> bool:
+        """The drone, which holds no slot, asks for one: it waits from its first question on, which this may be."""
+        self._dismiss(now_s)
+        account = self._arrived(drone, now_s)
+        if account.waits_since_s is None:
+            account.waits_since_s, account.asks = now_s, 0
+        account.asked_s = now_s
+        account.asks += 1
+        return account.asks == 1
+
+    def gave_up(self, drone: str) -> None:
+        """The drone waits no more."""
+        account = self._accounts.get(drone)
+        if account is not None:
+            account.waits_since_s, account.expected_until_s = None, -math.inf
+            self._forget()
+
+    def waiting(self, *, now_s: float) -> list[Account]:
+        """Who waits, in the order in which free slots are given to them."""
+        self._dismiss(now_s)
+        waiting = [each for each in self._accounts.values() if each.waits_since_s is not None]
+        return sorted(waiting, key=lambda each: (each.had_s, each.waits_since_s, each.drone))
+
+    def rank(self, drone: str, *, now_s: float) -> int:
+        """How many of those that wait come before the drone, which waits too."""
+        return [each.drone for each in self.waiting(now_s=now_s)].index(drone)
+
+    def over(self, to: str, *, now_s: float) -> list[str]:
+        """The holders whose turn is over for the sake of the one that waits: who has had most is first."""
+        waiting = self._accounts[to]
+        if waiting.asks < 2:
+            return []
+        over = [
+            each
+            for each in self._accounts.values()
+            if each.holds_since_s is not None
+            and now_s - each.holds_since_s >= self.turn_s
+            and each.had_until_s(now_s) - waiting.had_s > self.turn_s / 2
+        ]
+        return [each.drone for each in sorted(over, key=lambda each: (-each.had_until_s(now_s), each.drone))]
+
+    def status(self, *, now_s: float) -> list[AccountStatus]:
+        """What there is to see of the drones that hold or wait, by name."""
+        self._dismiss(now_s)
+        return [
+            AccountStatus(
+                each.drone,
+                each.had_until_s(now_s),
+                None if each.holds_since_s is None else now_s - each.holds_since_s,
+                None if each.waits_since_s is None else now_s - each.waits_since_s,
+            )
+            for _, each in sorted(self._accounts.items())
+            if each.is_present
+        ]
+
+    def _arrived(self, drone: str, now_s: float) -> Account:
+        account = self._accounts.get(drone)
+        if account is None:
+            account = self._accounts[drone] = Account(drone)
+        if not account.is_present and now_s > account.expected_until_s:
+            present = [each.had_until_s(now_s) for each in self._accounts.values() if each.is_present]
+            account.had_s = max(account.had_s, min(present, default=0.0))
+        return account
+
+    def _dismiss(self, now_s: float) -> None:
+        """Those that miss three questions wait no more."""
+        for account in self._accounts.values():
+            if account.waits_since_s is not None and now_s - account.asked_s > _PATIENCE_S:
+                account.waits_since_s = None
+        self._forget()
+
+    def _forget(self) -> None:
+        """With nobody there every account is worth the same; else who has been gone longest is forgotten first."""
+        absent = [name for name, each in self._accounts.items() if not each.is_present]
+        if len(absent) == len(self._accounts):
+            self._accounts.clear()
+        for name in absent[: max(0, len(absent) - _MOST_ABSENT)]:
+            self._accounts.pop(name, None)

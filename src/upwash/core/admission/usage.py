@@ -1,0 +1,171 @@
+"""What each drone, and each team of drones, has used of one server: slot time, calls and seconds of computing.
+
+Laws:
+- a team is the part of a drone's name before its first "-"; a drone without one is a team of its own;
+- slot time is measured here, calls and seconds of computing are the word of the instances;
+- a call counts when it has ended, whether or not the drone still has a slot, and a dropped call has no answer;
+- a drone with a slot is never forgotten; of the others the longest unseen are, and so are teams.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from upwash.core.admission.clients import Client, DroneUsage, TeamUsage
+
+_MOST_DRONES = 200
+_MOST_TEAMS = 100
+
+
+def team_of(drone: str) -> str:
+    """The team of the drone of that name: "north" of "north-1"."""
+    return drone.partition("-")[0] or drone
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseEnded:
+    """A drone has a slot of the server no more: how long it had one, and what it used meanwhile.
+
+    The slot of a drone that was expected and did not come was `held_by` the peer that asked for it.
+    """
+
+    server: str
+    drone: str
+    slot_s: float
+    calls: int
+    computed_s: float
+    held_by: str = ""
+
+
+@dataclass(slots=True)
+class _Use:
+    slot_s: float = 0.0  # of slots that were given back
+    calls: int = 0
+    computed_s: float = 0.0
+    called_s: float | None = None  # when its last call ended
+
+    def call(self, took_s: float, *, is_answered: bool, now_s: float) -> None:
+        self.calls += is_answered
+        self.computed_s += took_s
+        self.called_s = now_s
+
+    def called_ago_s(self, now_s: float) -> float | None:
+        return None if self.called_s is None else now_s - self.called_s
+
+
+@dataclass(slots=True)
+class _Slot:
+    since_s: float
+    calls: int  # before it had the slot
+    computed_s: float
+
+
+def _taken_up(used: DroneUsage | TeamUsage, held_s: float, now_s: float) -> _Use:
+    """With the slot time that was over by then: slots that were held go on, or ended there."""
+    called_s = None if used.called_ago_s is None else now_s - used.called_ago_s
+    return _Use(used.slot_s - held_s, used.calls, used.computed_s, called_s)
+
+
+class Usage:
+    """The drones and teams that used one server."""
+
+    def __init__(self, server: str) -> None:
+        self._server = server
+        self._drones: OrderedDict[str, _Use] = OrderedDict()  # by name, the latest seen last
+        self._teams: OrderedDict[str, _Use] = OrderedDict()
+        self._slots: dict[str, _Slot] = {}  # by drone
+        self._names: dict[str, str] = {}  # of the drones, by `Client.key`
+
+    def took(self, drone: Client, *, now_s: float) -> None:
+        """The drone has a slot, from now on or still."""
+        use, _ = self._seen(drone.name)
+        self._names[drone.key] = drone.name
+        self._slots.setdefault(drone.name, _Slot(now_s, use.calls, use.computed_s))
+        self._forget()
+
+    def gave_back(self, drone: str, *, held_by: str, now_s: float) -> LeaseEnded:
+        """The drone has its slot no more."""
+        use, team = self._seen(drone)
+        slot = self._slots.pop(drone)
+        slot_s = now_s - slot.since_s
+        for each in (use, team):
+            each.slot_s += slot_s
+        ended = LeaseEnded(
+            self._server, drone, slot_s, use.calls - slot.calls, use.computed_s - slot.computed_s, held_by
+        )
+        self._forget()
+        return ended
+
+    def take_up(self, drones: Sequence[DroneUsage], teams: Sequence[TeamUsage], *, now_s: float) -> None:
+        """Goes on from what the daemon before counted; a slot that a drone has here too began there."""
+        held_s = dict.fromkeys((team_of(each.drone) for each in drones), 0.0)
+        for drone in drones:
+            holds_s = drone.holds_s or 0.0
+            held_s[team_of(drone.drone)] += holds_s
+            self._drones[drone.drone] = _taken_up(drone, holds_s, now_s)
+            if drone.drone in self._slots:
+                self._slots[drone.drone] = _Slot(now_s - holds_s, drone.calls, drone.computed_s)
+        for team in teams:
+            self._teams[team.team] = _taken_up(team, held_s.get(team.team, 0.0), now_s)
+        self._forget()
+
+    def called(self, drone: str, *, took_s: float, is_answered: bool, now_s: float) -> None:
+        """A call of the drone, known by `Client.key`, has ended, which was computed for `took_s`."""
+        name = self._names.get(drone)
+        if name is not None:
+            for use in self._seen(name):
+                use.call(took_s, is_answered=is_answered, now_s=now_s)
+
+    def drones(self, *, now_s: float) -> list[DroneUsage]:
+        """What there is to see of the drones, by name."""
+        return [
+            DroneUsage(
+                name,
+                team_of(name),
+                self._held_s(name, now_s) if name in self._slots else None,
+                use.slot_s + self._held_s(name, now_s),
+                use.calls,
+                use.computed_s,
+                use.called_ago_s(now_s),
+            )
+            for name, use in sorted(self._drones.items())
+        ]
+
+    def teams(self, *, now_s: float) -> list[TeamUsage]:
+        """What there is to see of the teams, by name; drones count that are forgotten themselves."""
+        return [
+            TeamUsage(
+                team,
+                len(members := [name for name in self._slots if team_of(name) == team]),
+                use.slot_s + sum(self._held_s(name, now_s) for name in members),
+                use.calls,
+                use.computed_s,
+                use.called_ago_s(now_s),
+            )
+            for team, use in sorted(self._teams.items())
+        ]
+
+    def _held_s(self, drone: str, now_s: float) -> float:
+        """For how long it has had the slot that it has."""
+        return now_s - self._slots[drone].since_s if drone in self._slots else 0.0
+
+    def _seen(self, drone: str) -> tuple[_Use, _Use]:
+        """What is known of the drone and of its team."""
+        team = team_of(drone)
+        use, of_team = self._drones.setdefault(drone, _Use()), self._teams.setdefault(team, _Use())
+        self._drones.move_to_end(drone)
+        self._teams.move_to_end(team)
+        return use, of_team
+
+    def _forget(self) -> None:
+        kept = set(self._slots)
+        for known, most, in_use in (
+            (self._drones, _MOST_DRONES, kept),
+            (self._teams, _MOST_TEAMS, {team_of(name) for name in kept}),
+        ):
+            unseen = [name for name in known if name not in in_use]
+            for name in unseen[: max(0, len(known) - most)]:
+                del known[name]
+        self._names = {key: name for key, name in self._names.items() if name in self._drones}

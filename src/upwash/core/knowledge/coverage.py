@@ -1,0 +1,137 @@
+"""What calls to servers came to at each place: what stands in for a range where a server has none.
+
+A server that is reached over LTE, a mesh or a cable has no circle around it. Whether it answers at a place, and how
+soon, is only known from calls that were made there:
+
+    at a place   the mean of the last three calls that were made there
+    around it    the nearest place that is near enough says the same
+    elsewhere    nothing is known: the server is believed to be as fast as it was lately
+
+A call that failed counts as what it cost: the wait for it, and then the drone's own computing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+
+from upwash.core.geo import Position, ground_distance_m
+from upwash.core.knowledge.window import WINDOW_LENGTH
+from upwash.core.operation import Operation
+
+SAME_M = 8.0  # what is measured so close to a place is measured there
+NEAR_M = 12.0  # so far around a place what was measured there is believed
+_LEAST_BYTES = 10_000  # of a call whose delay is, for its most part, that of the transfer
+MOST_PLACES = 5_000  # of each server: the one that was measured least lately makes room
+
+
+@dataclass(slots=True)
+class MeasuredPlace:
+    """Where calls to one server were made: so many, those that were answered, and what the last of them came to.
+
+    `bits` and `transfer_s` are those of the answered calls: the size of requests and replies, and their delays. So
+    many flights ago something was asked here last.
+    """
+
+    position: Position
+    tried: int = 0
+    answered: int = 0
+    bits: float = 0.0
+    transfer_s: float = 0.0
+    flights_ago: int = 0
+    came_to_s: dict[Operation, tuple[float, ...]] = field(default_factory=dict)
+
+    @property
+    def goodput_bit_s(self) -> float | None:
+        """The bits of the answered calls in each second that they took, computing included; None: not known."""
+        return self.bits / self.transfer_s if self.bits > 0 and self.transfer_s > 0 else None
+
+    @property
+    def reached(self) -> bool:
+        """Whether half of the calls or more were answered."""
+        return 2 * self.answered >= self.tried
+
+    def call_s(self, operation: Operation) -> float | None:
+        """What a call of that operation comes to here; None where none was made."""
+        known = self.came_to_s.get(operation)
+        return None if known is None else sum(known) / len(known)
+
+    def carry(self, size_bytes: int, transfer_s: float) -> None:
+        """So many bytes went there and back in an answered call; few say nothing of the goodput."""
+        if size_bytes >= _LEAST_BYTES:
+            self.bits += 8 * size_bytes
+            self.transfer_s += transfer_s
+
+    def note(self, operation: Operation, came_to_s: float) -> None:
+        """One more call came to that."""
+        self.came_to_s[operation] = (*self.came_to_s.get(operation, ()), came_to_s)[-WINDOW_LENGTH:]
+
+
+class Coverage:
+    """The places of each server that has no range, as they were measured so far."""
+
+    def __init__(self, places: Mapping[str, Collection[MeasuredPlace]]) -> None:
+        self._places: dict[str, dict[tuple[int, int], list[MeasuredPlace]]] = {
+            server: {} for server in places
+        }
+        self._count = dict.fromkeys(places, 0)
+        for server, known in places.items():
+            for place in known:
+                self._keep(server, place)
+
+    @property
+    def servers(self) -> Collection[str]:
+        """The servers without a range."""
+        return self._places.keys()
+
+    def places(self, server: str) -> Iterator[MeasuredPlace]:
+        """Every place where the server was measured."""
+        for here in self._places[server].values():
+            yield from here
+
+    def at(self, server: str, position: Position) -> MeasuredPlace | None:
+        """The nearest place that is near enough to say something of this one; None for a server with a range."""
+        squares = self._places.get(server)
+        if not squares:
+            return None
+        east, north = _square(position)
+        nearest, nearest_m = None, NEAR_M
+        for square in ((east + x, north + y) for x in (-1, 0, 1) for y in (-1, 0, 1)):
+            for place in squares.get(square, ()):
+                if (distance_m := ground_distance_m(place.position, position)) <= nearest_m:
+                    nearest, nearest_m = place, distance_m
+        return nearest
+
+    def asked(self, server: str, position: Position, *, answered: bool) -> MeasuredPlace:
+        """The server was asked something from that position; returns the place, as it is known now."""
+        place = self._here(server, position)
+        place.tried += 1
+        place.answered += answered
+        place.flights_ago = 0
+        return place
+
+    def _here(self, server: str, position: Position) -> MeasuredPlace:
+        """The place of that position, a new one where there is none."""
+        nearest = self.at(server, position)
+        if nearest is not None and ground_distance_m(nearest.position, position) <= SAME_M:
+            return nearest
+        place = MeasuredPlace(Position(position.east_m, position.north_m))
+        self._keep(server, place)
+        return place
+
+    def _keep(self, server: str, place: MeasuredPlace) -> None:
+        squares = self._places[server]
+        if self._count[server] >= MOST_PLACES:
+            oldest = next(iter(squares))
+            squares[oldest].pop(0)
+            self._count[server] -= 1
+            if not squares[oldest]:
+                del squares[oldest]
+        squares.setdefault(_square(place.position), []).append(place)
+        self._count[server] += 1
+
+
+def _square(position: Position) -> tuple[int, int]:
+    """Of a grid so coarse that what is near lies in one of the nine squares around."""
+    return math.floor(position.east_m / NEAR_M), math.floor(position.north_m / NEAR_M)

@@ -1,0 +1,254 @@
+"""What the drone believes about delays: a moving mean per operation and place (thesis section 3.3).
+
+Symbols of Table 3.1: `Call` is `local_s`, `Call_s` is `remote_s`, `Check_s` and `CheckR_s` are `check_s`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from upwash.core.geo import Position
+from upwash.core.knowledge.coverage import Coverage
+from upwash.core.knowledge.window import Window
+from upwash.core.operation import Operation
+
+_CALLS_BEFORE_WEIGHING = 3  # until then every operation counts the same
+
+
+@dataclass(frozen=True, slots=True)
+class Beliefs:
+    """What is believed of one server before the first contact, from tests on the ground.
+
+    `remote_s` has an entry for every operation that the server hosts; `check_s` is the delay from selection to
+    READY when the services have to be started, `check_running_s` when they run already.
+    """
+
+    check_s: float
+    check_running_s: float
+    remote_s: Mapping[Operation, float]
+
+
+def offline_remote_s(*, processing_s: float, data_bytes: int, bandwidth_bit_s: float) -> float:
+    """The first estimate of a remote call: processing plus transfer at the nominal bandwidth (eq. 3.1)."""
+    return processing_s + 8 * data_bytes / bandwidth_bit_s
+
+
+class Estimates:
+    """Every estimate of one drone, learnt from its calls and checks.
+
+    The operations are those of `local_s`; an operation that a server's beliefs do not name is not hosted there.
+    With `slow_apart` a call that took longer than one on the drone does not enter the mean: it stands beside it, as
+    the least that the next one will take, until one is faster or `forget_slow_calls` drops it. A call that was cut
+    short then teaches nothing at all.
+
+    What `coverage` says of a server at a place stands before what is believed of it everywhere. Where a method takes
+    a place, none is where the drone is (`locate`).
+    """
+
+    def __init__(
+        self,
+        *,
+        local_s: Mapping[Operation, float],
+        servers: Mapping[str, Beliefs],
+        slow_apart: bool = False,
+        coverage: Coverage | None = None,
+    ) -> None:
+        self.coverage = coverage
+        self._here: Position | None = None
+        self._seen: Sequence[object] = (
+            [None for _ in coverage.servers] if coverage else ()
+        )  # what the coverage says of the servers, where the drone is
+        self._beliefs = dict(servers)
+        self._slow_apart = slow_apart
+        self._slow_s: dict[str, dict[Operation, float]] = {server: {} for server in servers}
+        self._local = {operation: Window.filled(delay_s) for operation, delay_s in local_s.items()}
+        self._remote = {
+            server: {
+                operation: Window.filled(delay_s)
+                for operation, delay_s in beliefs.remote_s.items()
+                if operation in self._local
+            }
+            for server, beliefs in servers.items()
+        }
+        self._check = {server: Window.filled(beliefs.check_s) for server, beliefs in servers.items()}
+        self._check_running = {
+            server: Window.filled(beliefs.check_running_s) for server, beliefs in servers.items()
+        }
+        self._calls = dict.fromkeys(self._local, 0)
+        self._weights = self._weigh()
+        self._last_remote_call_s: dict[str, dict[Operation, float]] = {server: {} for server in servers}
+        self._warm: dict[str, set[str]] = {server: set() for server in servers}  # called since their start
+        self._mean_call_s: dict[str | None, float] = {}  # asked for since a window or a weight last changed
+
+    @property
+    def operations(self) -> Iterable[Operation]:
+        """The operations with an offline estimate: the only ones that may be offloaded."""
+        return self._local.keys()
+
+    def locate(self, position: Position) -> bool:
+        """The drone is there now; returns whether servers were measured otherwise there than where it was."""
+        if self.coverage is None:
+            return False
+        self._here = position
+        before, coverage = self._seen, self.coverage
+        self._seen = [coverage.at(server, position) for server in coverage.servers]
+        return any(one is not other for one, other in zip(before, self._seen, strict=True))
+
+    def local_s(self, operation: Operation) -> float | None:
+        """Delay of a local call (`Call`); None for an operation without an offline estimate."""
+        window = self._local.get(operation)
+        return window.mean_s if window else None
+
+    def remote_s(self, server: str, operation: Operation, at: Position | None = None) -> float | None:
+        """Delay of a remote call, transfer included (`Call_s`); None where the server does not host it."""
+        window = self._remote[server].get(operation)
+        if window is None:
+            return None
+        measured_s = self._measured_s(server, operation, at)
+        return (
+            max(window.mean_s, self._slow_s[server].get(operation, 0.0)) if measured_s is None else measured_s
+        )
+
+    def is_hosted(self, server: str, operation: Operation) -> bool:
+        """Whether the server hosts the operation, as far as is believed."""
+        return operation in self._remote[server]
+
+    def usual_s(self, server: str, operation: Operation) -> float | None:
+        """As `remote_s`, whatever the last call there took."""
+        window = self._remote[server].get(operation)
+        if window is None:
+            return None
+        measured_s = self._measured_s(server, operation, None)
+        return window.mean_s if measured_s is None else measured_s
+
+    def is_first_call(self, server: str, operation: Operation) -> bool:
+        """Whether no call of the service is known to have been computed there since the service was started."""
+        return operation.service not in self._warm[server]
+
+    def check_s(self, server: str, *, running: bool) -> float:
+        """Delay from selection to READY: `CheckR_s` when the services run there already, else `Check_s`."""
+        return (self._check_running if running else self._check)[server].mean_s
+
+    def start_s(self, server: str) -> float:
+        """What starting the services adds to a check."""
+        return max(0.0, self.check_s(server, running=False) - self.check_s(server, running=True))
+
+    def mean_call_s(self, server: str | None = None, at: Position | None = None) -> float:
+        """Mean delay of this drone's calls with the server ready, or without any.
+
+        Each call runs where it is faster; operations are weighted by how often they were called. With a single
+        operation this is min(Call, Call_s), so that a policy that compares these means is the thesis's.
+        """
+        if server is not None and self.is_measured(server):
+            return sum(
+                weight * self._faster_s(operation, server, at) for operation, weight in self._weights.items()
+            )
+        mean_s = self._mean_call_s.get(server)
+        if mean_s is None:
+            mean_s = self._mean_call_s[server] = sum(
+                weight * self._faster_s(operation, server) for operation, weight in self._weights.items()
+            )
+        return mean_s
+
+    def is_measured(self, server: str) -> bool:
+        """Whether the server has no range, so that its delays depend on the place."""
+        return self.coverage is not None and server in self.coverage.servers
+
+    def observe_local(self, operation: Operation, delay_s: float) -> None:
+        """Learns from a local call."""
+        if operation in self._local:
+            self._local[operation] = self._local[operation].observe(delay_s)
+            self._count(operation)
+
+    def observe_remote(
+        self, server: str, operation: Operation, delay_s: float, *, now_s: float, late: bool = False
+    ) -> None:
+        """Learns from a remote call that succeeded; a late one was counted as a local call already."""
+        self._learn_remote(server, operation, delay_s, now_s=now_s)
+        if not late:
+            self._count(operation)
+
+    def observe_remote_cut(self, server: str, operation: Operation, waited_s: float, *, now_s: float) -> None:
+        """Learns from a remote call that was given up after `waited_s`: it would have taken at least as long.
+
+        Without this a server that is slower than its deadline allows would never be seen as slow, as its calls never
+        end (docs/decisions/calls-cut-short.md). What is no longer than the estimate says nothing.
+        """
+        self._warm[server].add(operation.service)
+        estimate_s = self.remote_s(server, operation)
+        if not self._slow_apart and estimate_s is not None and waited_s > estimate_s:
+            self._learn_remote(server, operation, waited_s, now_s=now_s)
+
+    def observe_check(self, server: str, delay_s: float, *, started: bool) -> None:
+        """Learns from a check that ended READY: from one that had to start the services, or from one that had not."""
+        windows = self._check if started else self._check_running
+        windows[server] = windows[server].observe(delay_s)
+
+    def services_started(self, server: str) -> None:
+        """Takes the next call of each service there for its first."""
+        self._warm[server].clear()
+
+    def forget_slow_calls(self, server: str, *, now_s: float, retry_s: float) -> bool:
+        """Gives a server whose calls became slower than local another chance, `retry_s` after the last of them.
+
+        Only calls change the estimate of a remote call, and a server that looks slow gets none. Returns whether
+        anything was forgotten.
+        """
+        windows, slow_s, forgot = self._remote[server], self._slow_s[server], False
+        for operation, last_s in self._last_remote_call_s[server].items():
+            if now_s - last_s < retry_s:
+                continue
+            if windows[operation].mean_s >= self._local[operation].mean_s:
+                windows[operation] = Window.filled(self._beliefs[server].remote_s[operation])
+            elif slow_s.pop(operation, None) is None:
+                continue
+            self._mean_call_s.clear()
+            forgot = True
+        return forgot
+
+    def next_forgetting_s(self, server: str, *, retry_s: float) -> float:
+        """When `forget_slow_calls` next has something to forget; infinite where it has not."""
+        windows, slow_s, next_s = self._remote[server], self._slow_s[server], math.inf
+        for operation, last_s in self._last_remote_call_s[server].items():
+            if operation in slow_s or windows[operation].mean_s >= self._local[operation].mean_s:
+                next_s = min(next_s, last_s + retry_s)
+        return next_s
+
+    def _measured_s(self, server: str, operation: Operation, at: Position | None) -> float | None:
+        """What a call from that place comes to by the coverage; None where that knows nothing of it."""
+        position = at or self._here
+        if self.coverage is None or position is None:
+            return None
+        place = self.coverage.at(server, position)
+        if place is None:
+            return None
+        known_s = place.call_s(operation)
+        return self._local[operation].mean_s if known_s is None and not place.reached else known_s
+
+    def _faster_s(self, operation: Operation, server: str | None, at: Position | None = None) -> float:
+        call_s = self._local[operation].mean_s
+        remote_s = self.remote_s(server, operation, at) if server else None
+        return call_s if remote_s is None else min(call_s, remote_s)
+
+    def _learn_remote(self, server: str, operation: Operation, delay_s: float, *, now_s: float) -> None:
+        if self._slow_apart and delay_s >= self._local[operation].mean_s:
+            self._slow_s[server][operation] = delay_s
+        else:
+            self._slow_s[server].pop(operation, None)
+            self._remote[server][operation] = self._remote[server][operation].observe(delay_s)
+        self._warm[server].add(operation.service)
+        self._last_remote_call_s[server][operation] = now_s
+        self._mean_call_s.clear()
+
+    def _count(self, operation: Operation) -> None:
+        self._calls[operation] += 1
+        self._weights = self._weigh()
+        self._mean_call_s.clear()
+
+    def _weigh(self) -> dict[Operation, float]:
+        calls = sum(self._calls.values())
+        if calls < _CALLS_BEFORE_WEIGHING:
+            return dict.fromkeys(self._calls, 1 / len(self._calls)) if self._calls else {}
+        return {operation: count / calls for operation, count in self._calls.items()}

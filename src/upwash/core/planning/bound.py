@@ -1,0 +1,103 @@
+"""How fast a mission can be at best, whoever decides: what is left to gain.
+
+The bounds know every true delay and never pay for the start of a service. For a drone that may go on before an answer
+is there (stay_or_go.py) they also know which answers demand something: it goes where they demand nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from upwash.core.planning.schedule import CheckTimes, ComingCall, quickest
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """The least time of a mission, or of its calls alone, whatever decides; in seconds.
+
+    `free_s` is with every server joined for nothing and at once, `with_joins_s` paying for each join, one at a time.
+    Both are the same for a drone that may go on before answers are there: what joins cost it is left out.
+    """
+
+    free_s: float
+    with_joins_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Onward:
+    """What follows a call whose answer the drone need not wait for, and whether that demands something there.
+
+    The way to the next call takes `way_s`, with the photo there and without what an answer demands; `leg_s` of it is
+    the leg, which takes as long back.
+    """
+
+    way_s: float
+    leg_s: float
+    demanded: bool
+
+    def least_wait_s(self, stay_s: float, go_s: float) -> float:
+        """How much longer than its way the mission takes, at least, for a call that takes so long.
+
+        It takes `stay_s` where the drone stays, and at least `go_s` where it goes. Who goes and has to come back does
+        so once the answer is there, from within the leg, or else for a whole leg and again over it.
+        """
+        hidden_s = max(0.0, go_s - self.way_s)
+        if not self.demanded:
+            return min(stay_s, hidden_s)
+        return min(stay_s, go_s if go_s <= self.leg_s else hidden_s + 2 * self.leg_s)
+
+
+@dataclass(frozen=True, slots=True)
+class FleetBound:
+    """The least mean time of several drones' missions, whatever decides; in seconds.
+
+    `free_s` and `with_joins_s` are the means of the drones' own bounds, as if each had all servers for itself.
+    `shared_s` has every server joined for nothing and at once, and computing no more at a time than it can.
+    """
+
+    free_s: float
+    with_joins_s: float
+    shared_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class SharedMission:
+    """One mission of several at the same time: its beginning, its time with every call on the drone, and at least."""
+
+    begun_s: float
+    local_s: float
+    free_s: float
+
+
+def bound(calls: Sequence[ComingCall], joins_s: Mapping[str, float]) -> Bound:
+    """The bounds for calls with their true delays, and servers with the true times of joining them.
+
+    Each call runs where it is fastest. Paying for joins, there is one radio: the drone leaves one network to join
+    another, on the way between two calls where it can, and each mission decides in hindsight.
+    """
+    free_s = sum(min([call.local_s, *(offer.call_s for offer in call.offers)]) for call in calls)
+    joins = {server: CheckTimes(join_s, join_s) for server, join_s in joins_s.items()}
+    return Bound(free_s, quickest(calls, joins).total_s)
+
+
+def shared_s(missions: Sequence[SharedMission], saved_per_s: float) -> float:
+    """The least mean time of at least one mission where all servers together save so much in each second.
+
+    By the end of any k missions, those k have saved no more than `saved_per_s` in each second since the first began.
+    So the k-th end is no sooner than that allows with the least work that any k missions have, nor sooner than the
+    k-th of the missions' own bounds. Ends that are as soon as these two allow, one after the other, have the least
+    sum: one that is later makes the later ones sooner by no more than that, all together.
+    """
+    began_s = min(mission.begun_s for mission in missions)
+    alone_s = sorted(mission.begun_s + mission.local_s for mission in missions)
+    at_least_s = sorted(mission.begun_s + mission.free_s for mission in missions)
+    ends_s = work_s = 0.0
+    for end_alone_s, least_s in zip(alone_s, at_least_s, strict=True):
+        work_s += end_alone_s
+        end_s = 0.0
+        if not math.isinf(saved_per_s):
+            end_s = (saved_per_s * began_s + work_s - ends_s) / (1 + saved_per_s)
+        ends_s += max(end_s, least_s)
+    return (ends_s - sum(mission.begun_s for mission in missions)) / len(missions)

@@ -1,0 +1,114 @@
+"""What a policy that looks ahead is shown: the calls to come, what is in range of each, and how the checks stand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from upwash.core.knowledge.estimates import Estimates
+from upwash.core.knowledge.servers import CHECKING, FULL_S, Server, State
+from upwash.core.operation import Operation
+from upwash.core.planning.mission_model import ExpectedCall
+from upwash.core.planning.schedule import CheckTimes, ComingCall, Offer
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """The calls to come with the servers that could take them, and how long the rest of the current check takes.
+
+    `peers` says of servers which others they can have prepared.
+    """
+
+    calls: Sequence[ComingCall]
+    checks: Mapping[str, CheckTimes]
+    ready_in_s: float
+    peers: Mapping[str, frozenset[str]] = field(default_factory=dict)
+
+
+def make_forecast(
+    expected: Sequence[ExpectedCall],
+    servers: Mapping[str, Server],
+    estimates: Estimates,
+    selected: Sequence[Server],
+    *,
+    now_s: float,
+    banned_s: Mapping[str, float],
+    idle_s: float,
+) -> Forecast:
+    """The forecast on the expected calls; servers that gain nothing, or are blacklisted by then, are left out.
+
+    `banned_s` says of blacklisted servers for how much longer they are.
+    The first of the selected servers is in use; the check of another goes on, or is over, whatever the drone uses.
+    """
+    local_s = estimates.mean_call_s()
+    seen: dict[str, float] = {}
+    for call in expected:
+        seen.update(call.in_range_s)
+    gaining = {name: servers[name] for name in seen if _gains(name, expected, estimates, local_s)}
+    rests_s = {server.name: rest_of_check_s(server, estimates, now_s) for server in selected}
+    checks = {name: _check_times(server, estimates, now_s, idle_s) for name, server in gaining.items()}
+    for server in selected[1:]:
+        if server.name in checks:
+            rest_s = rests_s[server.name]
+            checks[server.name] = CheckTimes(stopped_s=rest_s, running_s=rest_s)
+    return Forecast(
+        list(_calls(expected, estimates, gaining, banned_s)),
+        checks,
+        rests_s[selected[0].name] if selected else 0.0,
+        {name: server.peers for name, server in gaining.items() if server.peers},
+    )
+
+
+def _gains(name: str, expected: Sequence[ExpectedCall], estimates: Estimates, local_s: float) -> bool:
+    """Whether a call there is faster than on the drone, at one of the places where calls are expected."""
+    if not estimates.is_measured(name):
+        return estimates.mean_call_s(name) < local_s
+    return any(estimates.mean_call_s(name, call.position) < local_s for call in expected)
+
+
+def rest_of_check_s(server: Server, estimates: Estimates, now_s: float) -> float:
+    """What is left of the check of a selected server."""
+    if server.state not in CHECKING:
+        return 0.0
+    if server.is_full(now_s):
+        return FULL_S
+    check_s = estimates.check_s(server.name, running=server.state is State.CHECK_R)
+    return max(0.0, check_s - (now_s - server.checked_since_s))
+
+
+def _calls(
+    expected: Sequence[ExpectedCall],
+    estimates: Estimates,
+    gaining: Iterable[str],
+    banned_s: Mapping[str, float],
+) -> Iterator[ComingCall]:
+    at_s = 0.0
+    measured = {server for server in gaining if estimates.is_measured(server)}
+    delays_s: dict[Operation, dict[str, float]] = {}  # of each operation, by server
+    for call in expected:
+        at_s += call.gap_s
+        local_s = estimates.local_s(call.operation) or 0.0
+        its_delays_s = delays_s.get(call.operation)
+        if its_delays_s is None:
+            remote_s = {server: estimates.remote_s(server, call.operation) for server in gaining}
+            its_delays_s = delays_s[call.operation] = {
+                server: local_s if delay_s is None else delay_s for server, delay_s in remote_s.items()
+            }
+        offers = []
+        for server, in_range_s in call.in_range_s.items():
+            allowed_s = at_s - banned_s.get(server, -math.inf)
+            if server in its_delays_s and allowed_s > 0:
+                call_s = its_delays_s[server]
+                if server in measured:
+                    call_s = estimates.remote_s(server, call.operation, call.position) or call_s
+                offers.append(Offer(server, call_s, min(in_range_s, allowed_s)))
+        yield ComingCall(local_s, call.gap_s, offers)
+
+
+def _check_times(server: Server, estimates: Estimates, now_s: float, idle_s: float) -> CheckTimes:
+    return CheckTimes(
+        stopped_s=estimates.check_s(server.name, running=False),
+        running_s=estimates.check_s(server.name, running=True),
+        runs_for_s=server.since_s + idle_s - now_s if server.state is State.AVL_R else 0.0,
+    )

@@ -1,0 +1,320 @@
+"""What a drone can expect of its mission: where it flies next, when it is there, and which calls it makes.
+
+Every coming stop is expected to be like the last one that is over: the same operations, after the same pauses. How
+fast the vehicle speeds up and brakes is learnt from the legs that it has flown. A mission that leaves its plan is
+expected to go on calling around the place that it flies to, as nothing else is known.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from statistics import fmean
+
+import msgspec
+
+from upwash.core.geo import Circle, Position, Waypoint, distance_m
+from upwash.core.knowledge.area_index import AreaIndex
+from upwash.core.knowledge.window import WINDOW_LENGTH
+from upwash.core.operation import Operation
+from upwash.core.planning.legs import Leg, acceleration_m_s2, entered_m
+from upwash.core.planning.pace import Pace
+
+_MOST_ENTRIES = 10_000  # legs of which is remembered what was computed
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A call of a stop, `pause_s` after the arrival there or after the call before."""
+
+    operation: Operation
+    pause_s: float
+
+
+class ExpectedCall(msgspec.Struct, frozen=True):
+    """A call to come, `gap_s` after the end of the one before, or after now for the first.
+
+    `in_range_s` says of each server in range of it for how much of that time, up to the call, it will have been. It
+    is made at that position; None: where the drone is.
+    """
+
+    operation: Operation
+    gap_s: float
+    in_range_s: Mapping[str, float]
+    position: Position | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MissionBeliefs:
+    """What is believed of a mission before it flies: its plan, how it flies, and the calls of its first stop.
+
+    Its pace gives way to that of the vehicle where it is only `assumed`.
+    """
+
+    plan: Sequence[Waypoint] = ()
+    ground_speed_m_s: float = 4.0
+    pace: Pace = field(default_factory=Pace)
+    stop: Sequence[Step] = ()
+    assumed: bool = False
+
+    def pace_of(self, vehicle: Pace | None) -> Pace:
+        """What to believe of a vehicle that is known to have that pace."""
+        return vehicle if self.assumed and vehicle is not None else self.pace
+
+
+@dataclass(slots=True)
+class _LegUnderWay:
+    """The leg under way."""
+
+    start: Position
+    end: Position
+    leg: Leg
+    begun_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class NextLeg:
+    """The way from the waypoint where the drone is to the next one."""
+
+    start: Position
+    end: Position
+    leg: Leg
+
+
+@dataclass(frozen=True, slots=True)
+class _Entries:
+    """The servers in whose range a leg ends, and how far from its start it enters those where it does not begin."""
+
+    servers: Sequence[str]
+    entered_m: Sequence[tuple[str, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """A leg to come, and the hold at its end: how long both take, and how long after its start it enters ranges.
+
+    A range in which the leg begins is left out.
+    """
+
+    duration_s: float
+    servers: Sequence[str]  # in whose range it ends
+    entered_s: Sequence[tuple[str, float]]
+
+
+class MissionModel:
+    """Follows one mission over its legs and calls, and says what comes next."""
+
+    def __init__(
+        self, beliefs: MissionBeliefs, areas: Mapping[str, Circle], index: AreaIndex | None = None
+    ) -> None:
+        self._plan = beliefs.plan
+        self._areas = list(areas.items())
+        self._index_of_areas = index or AreaIndex(list(areas.values()))
+        self._ground_speed_m_s = beliefs.ground_speed_m_s
+        self._beliefs = beliefs
+        self._accelerations_m_s2 = deque([beliefs.pace.acceleration_m_s2], maxlen=WINDOW_LENGTH)
+        self._settling_s = beliefs.pace.settling_s
+        self._routine = tuple(beliefs.stop)
+        self._leaving_s = 0.0  # from the last call of a stop to the next leg
+        self._place: Position | None = None  # where it is or flies to, as far as is known
+        self._index: int | None = None  # of that place in the plan
+        self._way: _LegUnderWay | None = None
+        self._last_leg_m = 0.0
+        self._here: list[Step] = []
+        self._is_back = False  # at the place, or on the way there: nothing is learnt from such a stop
+        self._free_s = 0.0  # since when nothing is known to go on, or until when the call under way goes on
+        self._entries: dict[tuple[Position, Position], _Entries] = {}
+        self._ways: dict[
+            tuple[int, float], _Way
+        ] = {}  # by waypoint and ground speed, as the vehicle speeds up now
+
+    def begun(self, vehicle: Pace | None) -> None:
+        """The mission begins, with a vehicle of that pace, if it is known."""
+        pace = self._beliefs.pace_of(vehicle)
+        self._accelerations_m_s2.clear()
+        self._accelerations_m_s2.append(pace.acceleration_m_s2)
+        self._settling_s = pace.settling_s
+        self._ways.clear()
+
+    def leg_begun(
+        self,
+        start: Position,
+        target: Position,
+        ground_speed_m_s: float | None,
+        *,
+        now_s: float,
+        back: bool = False,
+    ) -> None:
+        """The mission leaves the place where it was for another, or `back` to one whose calls are over."""
+        if self._place is not None and self._way is None and not self._is_back:
+            self._routine = tuple(self._here)
+            self._leaving_s = max(0.0, now_s - self._free_s)
+        self._is_back = back
+        if ground_speed_m_s is not None:
+            self._ground_speed_m_s = ground_speed_m_s
+        self._place, self._index, self._here = target, self._find(target), []
+        self._last_leg_m = distance_m(start, target)
+        self._way = _LegUnderWay(start, target, self._leg(self._last_leg_m), now_s)
+
+    def arrived(self, *, now_s: float) -> None:
+        """The leg is over."""
+        if self._way is not None:
+            leg = self._way.leg
+            moved_s = now_s - self._way.begun_s - leg.settling_s
+            found = acceleration_m_s2(leg.length_m, leg.ground_speed_m_s, moved_s)
+            if found is not None:
+                self._accelerations_m_s2.append(found)
+                self._ways.clear()
+        self._way, self._free_s = None, now_s + self._hold_s()
+
+    def lost(self) -> None:
+        """Nothing is known of what comes next."""
+        self._place = self._way = None
+
+    def call_begun(self, operation: Operation, *, now_s: float) -> None:
+        """The mission calls."""
+        self._here.append(Step(operation, max(0.0, now_s - self._free_s)))
+        self._free_s = now_s
+
+    def call_ends(self, ends_s: float) -> None:
+        """The call under way is over then, as far as is known."""
+        self._free_s = ends_s
+
+    @property
+    def photo_s(self) -> float:
+        """What passes from an arrival to the first call, by this stop or else by the last one."""
+        steps = self._here or self._routine
+        return steps[0].pause_s if steps else 0.0
+
+    def open_s(self, now_s: float) -> float:
+        """How much longer the call under way takes, as far as is known."""
+        return max(0.0, self._free_s - now_s)
+
+    def next_leg(self) -> NextLeg | None:
+        """The way to the next waypoint of the plan; None from the last one, on the way and beside the plan."""
+        if self._place is None or self._way is not None or self._index is None:
+            return None
+        if self._index + 1 == len(self._plan):
+            return None
+        waypoint = self._plan[self._index + 1]
+        leg = self._leg(distance_m(self._place, waypoint.position), waypoint.ground_speed_m_s)
+        return NextLeg(self._place, waypoint.position, leg)
+
+    def coming(self, position: Position, *, now_s: float, count: int) -> list[ExpectedCall]:
+        """The next calls, at most so many; none where nothing is known."""
+        calls: list[ExpectedCall] = []
+        if self._place is not None and self._routine:
+            for call in self._calls(self._place, position, now_s):
+                calls.append(call)
+                if len(calls) == count:
+                    break
+        return calls
+
+    def rest(self, position: Position, *, now_s: float) -> list[ExpectedCall]:
+        """The calls up to the end of the plan; none where nothing is known, or the mission has left its plan."""
+        if self._place is None or self._index is None:
+            return []
+        return list(self._calls(self._place, position, now_s))
+
+    def _calls(self, place: Position, position: Position, now_s: float) -> Iterator[ExpectedCall]:
+        if self._way is not None:
+            steps, stop = self._routine, self._rest_of_way(self._way, position)
+        else:
+            steps, stop = self._routine[len(self._here) :], _Stop(self._free_s - now_s, self._near(place))
+        yield from self._calls_of(steps, stop, place)
+        free_s = 0.0 if steps else stop.gap_s
+        for end, way in self._ways_after(place):
+            leaving_s = max(0.0, free_s + self._leaving_s)
+            gap_s = leaving_s + way.duration_s
+            entered = [(server, gap_s - leaving_s - entered_s) for server, entered_s in way.entered_s]
+            yield from self._calls_of(self._routine, _Stop(gap_s, way.servers, entered), end)
+            free_s = 0.0
+
+    def _calls_of(self, steps: Sequence[Step], stop: _Stop, place: Position) -> Iterator[ExpectedCall]:
+        for number, step in enumerate(steps):
+            if number > 0:
+                stop = _Stop(0.0, self._near(place))
+            gap_s = max(0.0, stop.gap_s + step.pause_s)
+            in_range_s = dict.fromkeys(stop.servers, gap_s)
+            for server, time_s in stop.entered:
+                in_range_s[server] = max(0.0, time_s + step.pause_s)
+            yield ExpectedCall(step.operation, gap_s, in_range_s, place)
+
+    def _rest_of_way(self, way: _LegUnderWay, position: Position) -> _Stop:
+        """How long the rest of the leg takes, and for how much of that the drone will have been in which ranges."""
+        leg = way.leg
+        flown_s = leg.reached_s(leg.length_m - distance_m(position, way.end))
+        rest_s = leg.duration_s - flown_s + self._hold_s()
+        entries = self._entered(way.start, way.end)
+        entered = [
+            (server, rest_s - max(0.0, leg.reached_s(way_m) - flown_s)) for server, way_m in entries.entered_m
+        ]
+        return _Stop(rest_s, entries.servers, entered)
+
+    def _ways_after(self, place: Position) -> Iterator[tuple[Position, _Way]]:
+        if self._index is None:
+            around = self._way_of(self._leg(self._last_leg_m), place, place)
+            while True:
+                yield place, around
+        speed_m_s = self._ground_speed_m_s
+        for index in range(self._index + 1, len(self._plan)):
+            waypoint = self._plan[index]
+            speed_m_s = waypoint.ground_speed_m_s or speed_m_s
+            way = self._ways.get((index, speed_m_s))
+            if way is None:
+                if len(self._ways) >= _MOST_ENTRIES:
+                    self._ways.clear()
+                leg = self._leg(distance_m(place, waypoint.position), speed_m_s)
+                way = self._way_of(leg, place, waypoint.position)
+                way = self._ways[index, speed_m_s] = replace(way, duration_s=way.duration_s + waypoint.hold_s)
+            yield waypoint.position, way
+            place = waypoint.position
+
+    def _way_of(self, leg: Leg, start: Position, end: Position) -> _Way:
+        entries = self._entered(start, end)
+        entered_s = [(server, leg.reached_s(way_m)) for server, way_m in entries.entered_m]
+        return _Way(leg.duration_s, entries.servers, entered_s)
+
+    def _leg(self, length_m: float, ground_speed_m_s: float | None = None) -> Leg:
+        speed_m_s = ground_speed_m_s or self._ground_speed_m_s
+        return Leg(length_m, speed_m_s, fmean(self._accelerations_m_s2), self._settling_s)
+
+    def _hold_s(self) -> float:
+        """How long the drone hovers where it is or flies to, once it is there."""
+        return 0.0 if self._index is None or self._is_back else self._plan[self._index].hold_s
+
+    def _find(self, target: Position) -> int | None:
+        """The waypoint that is flown to: the next one there, or an earlier one."""
+        following = 0 if self._index is None else self._index + 1
+        order = itertools.chain(range(following, len(self._plan)), range(following))
+        return next((index for index in order if self._plan[index].position == target), None)
+
+    def _near(self, place: Position) -> Sequence[str]:
+        return self._entered(place, place).servers
+
+    def _entered(self, start: Position, end: Position) -> _Entries:
+        entries = self._entries.get((start, end))
+        if entries is None:
+            if len(self._entries) >= _MOST_ENTRIES:
+                self._entries.clear()
+            ends_in = (self._areas[number] for number in self._index_of_areas.near(end))
+            found = [(server, entered_m(start, end, area)) for server, area in ends_in]
+            entries = self._entries[start, end] = _Entries(
+                [server for server, way_m in found if way_m is not None],
+                [(server, way_m) for server, way_m in found if way_m],
+            )
+        return entries
+
+
+@dataclass(slots=True)
+class _Stop:
+    """An arrival, `gap_s` after the call before, in range of these servers.
+
+    Those that are `entered` on the way will have been in range for that time by then, the others for the whole gap.
+    """
+
+    gap_s: float
+    servers: Sequence[str]
+    entered: Sequence[tuple[str, float]] = ()

@@ -1,0 +1,93 @@
+"""Whether a drone waits at a waypoint for an answer, or flies on and comes back where the answer demands it.
+
+Where the answer demands nothing, going saves the part of the delay that the leg and the next photo hide. Where it
+demands something, the drone has to brake and fly back, which staying would have spared. Going pays where, on average,
+it saves more than it costs:
+
+    (1 - p) * saved_s > p * lost_s, with p the chance that an answer demands something
+
+Laws:
+- the last waypoint of the plan stays, and so does every waypoint after which nothing is known to come;
+- the chance is learnt from the last answers alone: (demands + 1) / (answers + 4), a quarter before the first;
+- a call that would lose its server on the way is expected to end on the drone.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from upwash.core.planning.legs import Leg
+
+Manner: TypeAlias = Literal["stay", "go", "learn"]
+_WINDOW = 40  # answers
+_DEMANDS, _ANSWERS = 1, 4  # that are taken to have been, before there are any
+
+
+@dataclass(frozen=True, slots=True)
+class Outlook:
+    """The way to the next waypoint, with the photo there, and how long the open call takes from now on.
+
+    It takes `stay_s` where the drone stays, and `go_s` where it goes, which may cost it the server.
+    """
+
+    leg: Leg
+    photo_s: float
+    stay_s: float
+    go_s: float
+
+    @property
+    def saved_s(self) -> float:
+        """What going saves where the answer demands nothing."""
+        return self.stay_s - max(0.0, self.go_s - self.leg.duration_s - self.photo_s)
+
+    @property
+    def lost_s(self) -> float:
+        """What going costs where the answer demands something; the next photo is taken once, now or then."""
+        if self.go_s <= self.leg.duration_s:
+            return self.go_s + self.leg.back_s(self.go_s) - self.stay_s
+        photographed_s = self.leg.duration_s + self.photo_s
+        return max(self.go_s, photographed_s) + self.leg.duration_s - self.photo_s - self.stay_s
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Whether the drone goes, why, and what that follows from; None where nothing was reckoned."""
+
+    goes: bool
+    why: str
+    chance: float
+    saved_s: float | None = None
+    lost_s: float | None = None
+
+
+class StayOrGo:
+    """Decides at each waypoint, and learns from each answer."""
+
+    def __init__(self, manner: Manner) -> None:
+        self.manner = manner
+        self._demands: deque[bool] = deque(maxlen=_WINDOW)
+
+    @property
+    def chance(self) -> float:
+        """How likely an answer demands something, by the last ones."""
+        return (sum(self._demands) + _DEMANDS) / (len(self._demands) + _ANSWERS)
+
+    def answered(self, *, demanded: bool) -> None:
+        """Learns from an answer."""
+        self._demands.append(demanded)
+
+    def decide(self, outlook: Outlook | None) -> Verdict:
+        """Whether the drone goes; `outlook` is None where no next waypoint is known."""
+        if self.manner == "stay":
+            return Verdict(False, "it always stays", self.chance)
+        if outlook is None:
+            return Verdict(False, "no waypoint is known to follow", self.chance)
+        saved_s, lost_s = outlook.saved_s, outlook.lost_s
+        if self.manner == "go":
+            return Verdict(True, "it always goes", self.chance, saved_s, lost_s)
+        gain_s = (1 - self.chance) * saved_s - self.chance * lost_s
+        goes = gain_s > 0
+        why = f"going {'gains' if goes else 'costs'} {abs(gain_s):.2f} s on average"
+        return Verdict(goes, why, self.chance, saved_s, lost_s)

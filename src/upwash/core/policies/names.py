@@ -1,0 +1,23 @@
+"""The policies by name."""
+
+from __future__ import annotations
+
+from upwash.core.policies.look_ahead import LookAhead
+from upwash.core.policies.policy import Deadline, LocalOnly, LocationAware, Opportunistic, Policy, WaitRule
+
+POLICIES = ("local-only", "opportunistic", "location-aware", "look-ahead")
+
+
+def make_policy(
+    name: str, *, gain_switch: float, gain_wait: float, patient_first_call: bool = False
+) -> Policy:
+    """The policy of that name, one of POLICIES; raises KeyError with the name where there is none."""
+    wait = WaitRule(gain_wait=gain_wait, deadline=Deadline(patient_first=patient_first_call))
+    location_aware = LocationAware(gain_switch=gain_switch, wait=wait)
+    made: tuple[Policy, ...] = (
+        LocalOnly(),
+        Opportunistic(wait=wait),
+        location_aware,
+        LookAhead(reactive=location_aware),
+    )
+    return dict(zip(POLICIES, made, strict=True))[name]

@@ -1,0 +1,288 @@
+"""Which server now? Wait, remote or local? (thesis sections 3.3 and 3.4)
+
+A policy is a value that answers these two questions from what it is shown. It remembers nothing and contacts
+nobody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from upwash.core.knowledge.servers import CHECKING, State
+from upwash.core.operation import Operation
+from upwash.core.planning.forecast import Forecast
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """A server in range that may be used; `mean_call_s` is the mean delay of the drone's calls with it ready.
+
+    One that is `full` had no slot for the drone, as far as is known.
+    """
+
+    server: str
+    mean_call_s: float
+    in_range_since_s: float
+    full: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """What a selection is decided on.
+
+    `options` are in the order of the server table, without those that are blacklisted, or gain too little for a slot
+    that others wait for; `current` is the selected server, which is among the options unless the drone has left its
+    range, or should leave it to others; `local_mean_call_s` is the mean delay of calls on the drone. `under_way` is
+    what was decided of the call that goes on now, if one does. `forecast` is there for a policy with a horizon.
+    """
+
+    options: Sequence[Option]
+    current: str | None
+    local_mean_call_s: float
+    under_way: Decision | None = None
+    forecast: Forecast | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Coming:
+    """The server that the drone goes on to, and in how long at the earliest."""
+
+    server: str
+    in_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The server to have selected from now on, if any, and why; and the one after it, where one is foreseen."""
+
+    server: str | None
+    why: str
+    coming: Coming | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CallInputs:
+    """What an invocation is decided on, while a server is selected and in range.
+
+    `local_s` and `remote_s` are the operation's estimates; `check_expected_s` is the estimate of the check under
+    way and `check_elapsed_s` how long it has run (`Check_cur` or `CheckR_cur`, and now - t_check). `is_first` where
+    the service has computed no call there since it was started, as far as is known.
+    """
+
+    server: str
+    state: State
+    local_s: float
+    remote_s: float
+    check_expected_s: float
+    check_elapsed_s: float
+    is_first: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Lightened:
+    """A call that runs as another operation than was asked for, as the mission was expected to end too late."""
+
+    operation: Operation
+    asked: Operation
+    forecast_s: float
+    finish_by_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """What a call was decided on, as it was then: enough to make the decision again.
+
+    `server` is the one in use, None where there is none; its state, the number of its check and the estimates are
+    None then too. `check_s` is what its check takes, of which `check_elapsed_s` are over. `lightened` where all
+    that is of another operation than was asked for.
+    """
+
+    local_s: float | None = None
+    server: str | None = None
+    state: State | None = None
+    check: int | None = None
+    remote_s: float | None = None
+    check_s: float | None = None
+    check_elapsed_s: float | None = None
+    lightened: Lightened | None = None
+
+
+_UNKNOWN = Inputs()  # of a decision by itself, as policies make them
+
+
+@dataclass(frozen=True, slots=True)
+class Local:
+    """Run the call on the drone."""
+
+    why: str
+    inputs: Inputs = field(default=_UNKNOWN, compare=False, repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Remote:
+    """Run the call on the server, for at most `deadline_s`; then on the drone.
+
+    `raced` where the drone's own service is at the call meanwhile, and the first answer counts.
+    """
+
+    server: str
+    deadline_s: float
+    why: str
+    raced: bool = False
+    inputs: Inputs = field(default=_UNKNOWN, compare=False, repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """Wait for the server to become READY, for at most `at_most_s`; then run the call on the drone."""
+
+    server: str
+    at_most_s: float
+    why: str
+    inputs: Inputs = field(default=_UNKNOWN, compare=False, repr=False)
+
+
+Decision = Local | Remote | Wait
+
+
+class Policy(Protocol):
+    """Answers the two questions; `gain_wait` and `gain_switch` are fractions of the local delay."""
+
+    @property
+    def name(self) -> str:
+        """What the policy is called in configurations and results."""
+
+    @property
+    def horizon(self) -> int:
+        """How many of the calls to come it wants to be shown; 0 for none."""
+
+    def choose(self, situation: Situation) -> Choice:
+        """Which server now?"""
+
+    def decide(self, call: CallInputs) -> Decision:
+        """Wait, remote or local?"""
+
+
+@dataclass(frozen=True, slots=True)
+class Deadline:
+    """How long a remote call may take.
+
+    Past the time that a local call takes, giving up costs at most as much again: the ski-rental bound. A deadline
+    that is `patient_first` gives a service's first call all that time, as its estimate says little of it.
+    """
+
+    least_s: float = 1.0
+    factor: float = 4.0
+    patient_first: bool = False
+
+    def seconds(self, *, local_s: float, remote_s: float, is_first: bool = False) -> float:
+        """The deadline of a call with these estimates."""
+        if is_first and self.patient_first:
+            return max(self.least_s, local_s)
+        return max(self.least_s, min(self.factor * remote_s, local_s))
+
+
+@dataclass(frozen=True, slots=True)
+class WaitRule:
+    """Waits for a server that is being checked where that is expected to pay off (eq. 3.5)."""
+
+    gain_wait: float = 0.25
+    deadline: Deadline = Deadline()
+
+    def longest_s(self, *, local_s: float, remote_s: float) -> float:
+        """The longest wait that pays off for a call with these estimates; none does where it is not above 0."""
+        return local_s * (1 - self.gain_wait) - remote_s
+
+    def decide(self, call: CallInputs) -> Decision:
+        """Remote if the server is ready; while it is checked, a bounded wait or local."""
+        if call.state is State.READY:
+            deadline_s = self.deadline.seconds(
+                local_s=call.local_s, remote_s=call.remote_s, is_first=call.is_first
+            )
+            return Remote(call.server, deadline_s, "server ready")
+        if call.state not in CHECKING:
+            return Local(f"{call.server} is {call.state}")
+        longest_s = self.longest_s(local_s=call.local_s, remote_s=call.remote_s)
+        wait_s = call.check_expected_s - call.check_elapsed_s
+        if longest_s <= 0:
+            return Local("waiting cannot pay off")
+        if wait_s <= 0:
+            return Wait(call.server, longest_s, "the check takes longer than expected")
+        if (call.local_s - (call.remote_s + wait_s)) / call.local_s > self.gain_wait:
+            return Wait(call.server, longest_s, f"READY expected in {wait_s:.2f} s")
+        return Local(f"READY expected in {wait_s:.2f} s, too late to pay off")
+
+
+def with_slots(options: Sequence[Option]) -> Sequence[Option]:
+    """Those that may have a slot for the drone, or all where none has."""
+    return [option for option in options if not option.full] or options
+
+
+@dataclass(frozen=True, slots=True)
+class LocalOnly:
+    """Never offloads: the thesis's no-offload reference."""
+
+    name: str = "local-only"
+    horizon: int = 0
+
+    def choose(self, situation: Situation) -> Choice:
+        """No server, ever."""
+        return Choice(None, "local-only policy")
+
+    def decide(self, call: CallInputs) -> Decision:
+        """On the drone, always."""
+        return Local("local-only policy")
+
+
+@dataclass(frozen=True, slots=True)
+class Opportunistic:
+    """Takes any server in range, first come, and never compares them: the thesis's naive reference."""
+
+    wait: WaitRule = WaitRule()
+    name: str = "opportunistic"
+    horizon: int = 0
+
+    def choose(self, situation: Situation) -> Choice:
+        """The current server while it is in range, else the one whose range was entered first."""
+        options = with_slots(situation.options)
+        if any(option.server == situation.current for option in options):
+            return Choice(situation.current, "in range")
+        if not options:
+            return Choice(None, "no server in range")
+        return Choice(min(options, key=lambda option: option.in_range_since_s).server, "first come")
+
+    def decide(self, call: CallInputs) -> Decision:
+        """By the wait rule."""
+        return self.wait.decide(call)
+
+
+@dataclass(frozen=True, slots=True)
+class LocationAware:
+    """The thesis's policy: the fastest server in range, if it is faster than the drone (eqs. 3.2 to 3.4)."""
+
+    gain_switch: float = 0.25
+    wait: WaitRule = WaitRule()
+    name: str = "location-aware"
+    horizon: int = 0
+
+    def choose(self, situation: Situation) -> Choice:
+        """The best candidate; the current server unless another gains more than `gain_switch` over it."""
+        local_s = situation.local_mean_call_s
+        candidates = with_slots([option for option in situation.options if option.mean_call_s < local_s])
+        current = next((option for option in candidates if option.server == situation.current), None)
+        if not candidates:
+            return Choice(None, "not faster than local" if situation.options else "no server in range")
+        best = min(candidates, key=lambda option: option.mean_call_s)
+        if current is None:
+            return Choice(best.server, "fastest in range")
+        if (current.mean_call_s - best.mean_call_s) / local_s > self.gain_switch:
+            return Choice(best.server, f"gains enough over {current.server}")
+        return Choice(current.server, "no other gains enough")
+
+    def decide(self, call: CallInputs) -> Decision:
+        """By the wait rule; an operation that is no faster there runs on the drone."""
+        if call.remote_s >= call.local_s:
+            return Local(f"{call.server} is not faster for this operation")
+        return self.wait.decide(call)

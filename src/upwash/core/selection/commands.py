@@ -1,0 +1,108 @@
+"""What the drone-side machine wants done: commands for the radio, and changes to be logged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from upwash.core.knowledge.coverage import MeasuredPlace
+from upwash.core.knowledge.servers import Change
+from upwash.core.selection.recovery import Probing
+
+
+@dataclass(frozen=True, slots=True)
+class Leave:
+    """Give up the server: drop what is under way there, leave its network.
+
+    `check` is the latest check, or probe, of the server, here and in the other commands: the cause that logs name.
+    """
+
+    server: str
+    check: int
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """Join the server's network, in `join_limit_s` at most, and ask for its availability."""
+
+    server: str
+    check: int
+    join_limit_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """Ask the server, which failed, for a sign of life, after the pauses that `probing` allows; join it for that.
+
+    The first pause is `alone_s` at least; joining may take `join_limit_s`.
+    """
+
+    server: str
+    check: int
+    join_limit_s: float
+    alone_s: float
+    probing: Probing
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Ask the daemon to start the services that do not run; it may take `limit_s`."""
+
+    server: str
+    check: int
+    limit_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Prepare:
+    """Have the server of that check ask its peer to start the services, and to hold a slot until it is there."""
+
+    server: str
+    check: int
+    peer: str
+    arrives_in_s: float
+    hold_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Full:
+    """To be logged: the server has no slot for the drone, for which so many wait now; it goes on asking."""
+
+    server: str
+    check: int
+    waiting: int
+
+
+@dataclass(frozen=True, slots=True)
+class Paused:
+    """To be logged: the server leaves a service alone that keeps failing, and is left out for as long."""
+
+    server: str
+    check: int
+    pause_s: float
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Foreseen:
+    """To be logged: when the mission is expected at each waypoint and over, as it is asked for.
+
+    Where it is to `finish_by_s`, `lightest_s` is when it is over with every call lighter.
+    """
+
+    reached_s: Sequence[float]
+    as_asked_s: float
+    lightest_s: float | None = None
+    finish_by_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Mapped:
+    """To be logged: what is known now of a server at a place."""
+
+    server: str
+    place: MeasuredPlace
+
+
+Command = Check | Probe | Start | Prepare | Leave
+Effect = Change | Full | Paused | Foreseen | Mapped | Command

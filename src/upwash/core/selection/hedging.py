@@ -1,0 +1,85 @@
+"""When the drone's own service starts on a call that a server is late with, and how much of that it may do.
+
+Extra work is what the drone computes for a call that the server answers within the ordinary deadline: without hedging
+it would not have. Where the server answers later or not at all, the drone would have had to compute anyway.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from upwash.core.operation import Operation
+
+_WINDOW_LENGTH = 100  # delays; 19 are needed to tell a p95, 99 a p99
+_EXCEEDS_BY_S = 0.001  # or calls that all take equally long would each be hedged as they are answered
+_FEW = 2.0  # times the longest delay known stands in for a quantile that so few cannot tell
+
+
+@dataclass(frozen=True, slots=True)
+class Hedge:
+    """The drone's own service starts `after_s` into a remote call; the server may answer until `deadline_s`."""
+
+    after_s: float
+    deadline_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Delays:
+    """The latest delays of one operation on one server."""
+
+    values_s: tuple[float, ...] = ()
+
+    def observe(self, delay_s: float) -> Delays:
+        """The delays after one more."""
+        return Delays((*self.values_s[1 - _WINDOW_LENGTH :], delay_s))
+
+    def quantile_s(self, quantile: float, *, offline_s: float) -> float:
+        """What a call exceeds with probability `1 - quantile` at most; `offline_s` is believed before any call."""
+        rank = math.ceil(quantile * (len(self.values_s) + 1))
+        if rank > len(self.values_s):
+            return _FEW * max((offline_s, *self.values_s))
+        return sorted(self.values_s)[rank - 1]
+
+
+class Hedging:
+    """Plans the hedges of one drone and keeps the account of the work that they add.
+
+    `offline_s` is what was believed of each operation on each server before the first contact.
+    """
+
+    def __init__(
+        self, *, quantile: float, budget: float, offline_s: Mapping[str, Mapping[Operation, float]]
+    ) -> None:
+        self._quantile = quantile
+        self._budget = budget
+        self._offline_s = offline_s
+        self._delays: dict[tuple[str, Operation], Delays] = {}
+        self._calls_s = 0.0  # what all calls so far would have taken on the drone
+        self._extra_s = 0.0
+
+    def count(self, local_s: float) -> None:
+        """A call begins that would take so long on the drone."""
+        self._calls_s += local_s
+
+    def plan(self, server: str, operation: Operation, *, local_s: float, deadline_s: float) -> Hedge | None:
+        """The hedge of a remote call with that ordinary deadline; None where the budget is used up.
+
+        The server may go on for as long as the drone is expected to: its answer is no use only after that.
+        """
+        if self._extra_s >= self._budget * self._calls_s:
+            return None
+        delays = self._delays.get((server, operation), Delays())
+        late_s = delays.quantile_s(self._quantile, offline_s=self._offline_s[server][operation])
+        after_s = min(late_s + _EXCEEDS_BY_S, deadline_s)
+        return Hedge(after_s, max(deadline_s, after_s + local_s))
+
+    def answered(self, server: str, operation: Operation, delay_s: float) -> None:
+        """Learns from a remote call that was answered."""
+        delays = self._delays.get((server, operation), Delays())
+        self._delays[server, operation] = delays.observe(delay_s)
+
+    def added(self, local_s: float) -> None:
+        """Counts a call that the drone was at, and that the server answered within the ordinary deadline."""
+        self._extra_s += local_s

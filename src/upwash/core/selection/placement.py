@@ -1,0 +1,125 @@
+"""Where a call runs: on the drone, on the server in use, or first a wait for that server.
+
+With probing, a server that failed is in doubt until it answers a call in time. Until then calls to it are trials: the
+drone's own service computes them too. A call that runs on the drone is also sent to a server that becomes READY.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from upwash.core.knowledge.estimates import Estimates
+from upwash.core.knowledge.servers import CHECKING, Server, State
+from upwash.core.operation import Operation
+from upwash.core.policies.policy import CallInputs, Decision, Inputs, Local, Policy, Remote, Wait
+from upwash.core.selection.commands import Effect
+from upwash.core.selection.radios import Radios
+from upwash.core.selection.recovery import Recovery
+
+_TRIAL_S = 10.0  # for which a server's answer to a call on trial is waited for, beside the drone's own
+
+
+class Placement:
+    """Decides where each call runs, by the policy and by what is known of the server in use."""
+
+    def __init__(
+        self, policy: Policy, *, radios: Radios, estimates: Estimates, recovery: Recovery | None
+    ) -> None:
+        self._policy = policy
+        self._radios = radios
+        self._estimates = estimates
+        self._recovery = recovery
+
+    def decide(self, operation: Operation, now_s: float) -> tuple[Decision, list[Effect]]:
+        """Where a call runs that is wanted now; a server that is out of range is left."""
+        inputs, server = self._inputs(operation, now_s), self._radios.in_use
+        if server is None:
+            return Local("no server selected", inputs), []
+        if not server.in_range:
+            effects = self._radios.leave(server, "out of range", now_s)
+            return Local(f"{server.name} is out of range", inputs), effects
+        local_s, remote_s = inputs.local_s, inputs.remote_s
+        if local_s is None or remote_s is None:
+            return Local(f"no estimate of {operation} on {server.name}", inputs), []
+        if server.state in CHECKING and server.is_full(now_s):
+            return Local(f"{server.name} has no free slot", inputs), []
+        decision = self._on_trial(server, operation, local_s, now_s)
+        if decision is None:
+            is_first = self._estimates.is_first_call(server.name, operation)
+            call = CallInputs(
+                server=server.name,
+                state=server.state,
+                local_s=local_s,
+                remote_s=remote_s,
+                check_expected_s=inputs.check_s or 0.0,
+                check_elapsed_s=inputs.check_elapsed_s or 0.0,
+                is_first=is_first,
+            )
+            decision = self._policy.decide(call)
+        return replace(decision, inputs=inputs), []
+
+    def _inputs(self, operation: Operation, now_s: float) -> Inputs:
+        """What is known now."""
+        server, local_s = self._radios.in_use, self._estimates.local_s(operation)
+        if server is None:
+            return Inputs(local_s)
+        return Inputs(
+            local_s,
+            server.name,
+            server.state,
+            server.check,
+            remote_s=self._estimates.remote_s(server.name, operation),
+            check_s=self._estimates.check_s(server.name, running=server.state is State.CHECK_R),
+            check_elapsed_s=now_s - server.checked_since_s,
+        )
+
+    def decide_after_wait(
+        self, operation: Operation, check: int, now_s: float
+    ) -> tuple[Decision, list[Effect]]:
+        """Where a call runs whose wait for that check is over; it does not wait again."""
+        server = self._radios.in_use
+        if server is None or server.check != check:
+            return Local("the check failed or was given up", self._inputs(operation, now_s)), []
+        decision, effects = self.decide(operation, now_s)
+        if isinstance(decision, Remote):
+            decision = replace(decision, why="server became ready")
+        elif isinstance(decision, Wait):
+            decision = Local("not ready in time", decision.inputs)
+        return decision, effects
+
+    def overtake(self, operation: Operation, began_s: float, now_s: float) -> tuple[Remote | None, float]:
+        """The server that would be sooner than the drone, which has been at the call since `began_s`.
+
+        Returns None where there is none, and when to ask again if nothing happens until then.
+        """
+        server = self._radios.in_use
+        if self._recovery is None or server is None or not server.in_range or server.state is not State.READY:
+            return None, math.inf
+        local_s = self._estimates.local_s(operation)
+        usual_s = self._estimates.usual_s(server.name, operation)
+        if local_s is None or usual_s is None or usual_s >= began_s + local_s - now_s:
+            return None, math.inf
+        due_s = self._recovery.trial_due_s(server.name, operation)
+        if due_s > now_s:
+            return None, due_s
+        decision, _ = self.decide(operation, now_s)
+        if not isinstance(decision, Remote):
+            return None, math.inf
+        return replace(decision, why=f"{server.name} is ready, and sooner", raced=True), math.inf
+
+    def _on_trial(
+        self, server: Server, operation: Operation, local_s: float, now_s: float
+    ) -> Decision | None:
+        """Where a call runs for which the server is in doubt; None where it is not."""
+        name, usual_s = server.name, self._estimates.usual_s(server.name, operation)
+        if self._recovery is None or not self._recovery.in_doubt(name, operation):
+            return None
+        if usual_s is None or usual_s >= local_s:
+            return Local(f"{name} failed or was slow, and is not faster")
+        if server.state is not State.READY:
+            return Local(f"{name} failed or was slow: it is not waited for")
+        if self._recovery.trial_due_s(name, operation) > now_s:
+            return Local(f"{name} failed or was slow: it is tried again soon")
+        self._recovery.trial_begun(name)
+        return Remote(name, max(_TRIAL_S, local_s), "on trial", raced=True)

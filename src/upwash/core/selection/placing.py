@@ -1,0 +1,119 @@
+"""Where each of the calls to come is expected to run, by the policy itself and by what is known now.
+
+What holds in this small world:
+- the policy is asked at each call, and a server that it chooses is checked from when its range was entered;
+- calls take what they are estimated to take, and a server that was checked once runs its services from then on;
+- a server that cannot be used now can be once that time is over; nothing fails.
+
+One pass over the calls, so that hundreds of them can be looked at before each call on a small computer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+from upwash.core.geo import Position
+from upwash.core.knowledge.estimates import Estimates
+from upwash.core.knowledge.servers import State
+from upwash.core.operation import Operation
+from upwash.core.planning.mission_model import ExpectedCall
+from upwash.core.policies.policy import CallInputs, Local, Option, Policy, Remote, Situation
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a call is made: with that server selected, if any, which is ready in so long."""
+
+    server: str | None = None
+    ready_in_s: float = 0.0
+
+
+class Placing:
+    """Follows the calls to come, from what the drone uses and knows at one moment.
+
+    `unusable_s` says of servers for how much longer they cannot be used, and `running` on which the services run.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        estimates: Estimates,
+        *,
+        here: Place,
+        running: Iterable[str] = (),
+        unusable_s: Mapping[str, float],
+    ) -> None:
+        self._policy = policy
+        self._estimates = estimates
+        self._here = here
+        self._running = set(running)
+        self._unusable_s = unusable_s
+        self._local_mean_s = estimates.mean_call_s()
+        self._choices: dict[tuple[str | None, tuple[str, ...], Position | None], str | None] = {}
+        self._delays_s: dict[
+            tuple[str | None, Operation, Position | None], float
+        ] = {}  # with no check under way
+
+    def places(self, calls: Iterable[ExpectedCall]) -> Iterator[Place]:
+        """The place of each call in turn."""
+        at_s, here = 0.0, self._here
+        for call in calls:
+            at_s += call.gap_s
+            server = self._server(here.server, call, at_s)
+            if server is None:
+                here = Place()
+            elif server == here.server:
+                here = Place(server, max(0.0, here.ready_in_s - call.gap_s))
+            else:
+                check_s = self._estimates.check_s(server, running=server in self._running)
+                here = Place(server, max(0.0, check_s - call.in_range_s[server]))
+                self._running.add(server)
+            yield here
+            delay_s = self.delay_s(here, call)
+            at_s += delay_s
+            here = Place(here.server, max(0.0, here.ready_in_s - delay_s))
+
+    def delay_s(self, place: Place, call: ExpectedCall, operation: Operation | None = None) -> float:
+        """What the call takes there, as that operation where one is given; the wait for a check is included."""
+        operation = operation or call.operation
+        measured = place.server is not None and self._estimates.is_measured(place.server)
+        at = call.position if measured else None  # elsewhere the delay is the same at all places
+        if place.ready_in_s > 0:
+            return self._decided_s(place, operation, at)
+        delay_s = self._delays_s.get((place.server, operation, at))
+        if delay_s is None:
+            delay_s = self._delays_s[place.server, operation, at] = self._decided_s(place, operation, at)
+        return delay_s
+
+    def _decided_s(self, place: Place, operation: Operation, at: Position | None) -> float:
+        server, local_s = place.server, self._estimates.local_s(operation) or 0.0
+        remote_s = self._estimates.remote_s(server, operation, at) if server is not None else None
+        if server is None or remote_s is None:
+            return local_s
+        state = State.CHECK if place.ready_in_s > 0 else State.READY
+        decision = self._policy.decide(
+            CallInputs(
+                server, state, local_s, remote_s, check_expected_s=place.ready_in_s, check_elapsed_s=0.0
+            )
+        )
+        match decision:
+            case Local():
+                return local_s
+            case Remote():
+                return remote_s
+        return place.ready_in_s + remote_s
+
+    def _server(self, current: str | None, call: ExpectedCall, at_s: float) -> str | None:
+        """The server that the policy has selected when the call is made."""
+        usable = [name for name in call.in_range_s if self._unusable_s.get(name, 0.0) <= at_s]
+        usable.sort(key=lambda name: -call.in_range_s[name])
+        at = call.position if any(self._estimates.is_measured(name) for name in usable) else None
+        seen = current if current in usable else None, tuple(usable), at
+        if seen not in self._choices:
+            options = [
+                Option(name, self._estimates.mean_call_s(name, at), in_range_since_s=rank)
+                for rank, name in enumerate(usable)
+            ]
+            self._choices[seen] = self._policy.choose(Situation(options, seen[0], self._local_mean_s)).server
+        return self._choices[seen]

@@ -1,0 +1,205 @@
+"""What each radio of the drone is for: it serves the server in use, the next one, or one that failed.
+
+A server has one of three roles, or none. Each role takes one radio.
+
+    role            its states        what the radio does
+    in use          CHECK(-R), READY  calls go to this server, and to no other
+    in preparation  CHECK(-R), READY  joins and asks the next server, while another is in use; needs a second radio
+    probed          BLACKLISTED       asks a server that failed for a sign of life; needs a radio that is free
+
+              check                          check, with a spare radio
+    (none) ──────────► IN USE ◄──────────── IN PREPARATION ◄────────── (none)
+       ▲                │   the one in use       │
+       │                │   is left              │
+       │                ▼        a failure       ▼
+       │◄── left      PROBED ◄───────────────────┘
+       │                │
+       └────────────────┴──► IN USE or IN PREPARATION, where it gave a sign of life and is chosen at once
+
+Laws:
+- no more servers have a role than there are radios;
+- a check, and a probe, is known by its number; an answer to an earlier number finds no server here;
+- without a spare radio a server is left before the next one is checked;
+- a server that failed and was probed is left, unless its sign of life has it checked: then its network stays joined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+
+from upwash.core.knowledge.estimates import Estimates
+from upwash.core.knowledge.server_table import ServerTable
+from upwash.core.knowledge.servers import SELECTED, Server, State, Trigger
+from upwash.core.operation import Operation
+from upwash.core.selection.commands import Check, Effect, Leave, Probe
+from upwash.core.selection.recovery import REST_S, Recovery
+
+_CHECK_LEAST_S = 10.0
+_CHECK_FACTOR = 3.0  # times the estimate: a check that takes longer has failed
+
+
+def check_limit_s(believed_s: float) -> float:
+    """The longest time of a check, or of joining, by the believed time, in seconds."""
+    return max(_CHECK_LEAST_S, _CHECK_FACTOR * believed_s)
+
+
+class Radios:
+    """Gives servers their roles; each method returns what is to be done for that, in its order."""
+
+    def __init__(
+        self,
+        count: int,
+        table: ServerTable,
+        *,
+        estimates: Estimates,
+        blacklist_s: float,
+        recovery: Recovery | None,
+    ) -> None:
+        self.selected: list[Server] = []  # the one in use, then the one in preparation
+        self.probed: list[Server] = []
+        self._count = count
+        self._table = table
+        self._estimates = estimates
+        self._blacklist_s = blacklist_s
+        self._recovery = recovery
+        self._checks = 0
+
+    @property
+    def in_use(self) -> Server | None:
+        """The server that calls go to once it is READY."""
+        return self.selected[0] if self.selected else None
+
+    @property
+    def has_spare(self) -> bool:
+        """Whether a server may be prepared while another one is in use."""
+        return self._count > 1 and self.in_use is not None and self.in_use.state is State.READY
+
+    def selected_by(self, check: int, states: Collection[State] = SELECTED) -> Server | None:
+        """The server that was selected by that check and still is, if it is in one of the states."""
+        return next((each for each in self.selected if each.check == check and each.state in states), None)
+
+    def probed_by(self, check: int) -> Server | None:
+        """The server that is probed by that number, and has given no sign of life yet."""
+        return next(
+            (each for each in self.probed if each.check == check and each.state is State.BLACKLISTED), None
+        )
+
+    def use(self, server: Server, why: str, now_s: float, *, keep: bool) -> list[Effect]:
+        """Uses the server from now on.
+
+        With a spare radio and `keep` the one before stays in use until the server is ready.
+        """
+        is_ready = server in self.selected and server.state is State.READY
+        if keep and self.has_spare and not is_ready:
+            return self.prepare(server, why, now_s)
+        effects = self._replace([each for each in self.selected if each is not server], server, why, now_s)
+        return effects if self.selected else effects + self._check(server, why, now_s)
+
+    def prepare(self, server: Server, why: str, now_s: float) -> list[Effect]:
+        """Checks the server with a spare radio; whatever that radio prepared before is left."""
+        if not self.has_spare or server in self.selected or server.state is State.BLACKLISTED:
+            return []
+        effects = self._replace(self.selected[1:], server, why, now_s)
+        return effects + self._check(server, why, now_s)
+
+    def ask_again(self, server: Server, why: str, now_s: float) -> list[Effect]:
+        """Has a server that is READY asked for a slot anew, as the drone's turn there is over; its radio stays."""
+        server.check = self._next_number()
+        server.joined_before = True
+        server.full_s = now_s
+        change = server.apply(Trigger.TURN_OVER, now_s=now_s, why=why)
+        return [change, Check(server.name, server.check, self.limit_s(server, running=True))]
+
+    def leave(self, server: Server, why: str, now_s: float) -> list[Effect]:
+        """Gives up a server that is in use or in preparation, and has done nothing wrong."""
+        self.selected.remove(server)
+        return [server.deselect(now_s=now_s, why=why), Leave(server.name, server.check)]
+
+    def fail(
+        self,
+        server: Server,
+        trigger: Trigger,
+        why: str,
+        now_s: float,
+        *,
+        operations: Iterable[Operation],
+        pause_s: float = 0.0,
+    ) -> list[Effect]:
+        """Blacklists a server that is in use or in preparation; with probing its radio stays there to probe it.
+
+        The operations are those that would be called there: they are in doubt from now on.
+        """
+        self.selected.remove(server)
+        change = server.apply(trigger, now_s=now_s, why=why)
+        server.left_alone_s = self._blacklist_s
+        if self._recovery is None or server.state is not State.BLACKLISTED:
+            return [change, *self.leave_out(server, pause_s, now_s)]
+        cost_a_call = trigger is not Trigger.NETWORK_LOST  # a lost network shows at once
+        self._recovery.failed(server.name, operations, counts=cost_a_call, now_s=now_s)
+        server.left_alone_s = max(REST_S, self._recovery.alone_s(server.name, now_s=now_s))
+        if pause_s:
+            return [change, *self.leave_out(server, pause_s, now_s)]
+        return [change, self._probe(server, self._recovery, now_s)]
+
+    def leave_out(self, server: Server, pause_s: float, now_s: float) -> list[Effect]:
+        """Leaves a server that is blacklisted, and does not probe it for the pause that it named."""
+        server.leave_out(pause_s, now_s)
+        if server in self.probed:
+            self.probed.remove(server)
+        return [Leave(server.name, server.check)]
+
+    def probe(self, now_s: float) -> list[Effect]:
+        """Probes the servers that failed and are in range, as far as there are free radios."""
+        if self._recovery is None:
+            return []
+        failed = [
+            each
+            for each in self._table.in_range
+            if each.state is State.BLACKLISTED and each not in self.probed and each.left_out_until_s <= now_s
+        ]
+        recovery = self._recovery
+        return [self._probe(server, recovery, now_s) for server in failed[: max(0, self._free)]]
+
+    def end_probes(self, servers: Sequence[Server]) -> list[Effect]:
+        """Ends the probes of these servers, and leaves their networks."""
+        for server in servers:
+            self.probed.remove(server)
+        return [Leave(server.name, server.check) for server in servers]
+
+    @property
+    def _free(self) -> int:
+        return self._count - len(self.selected) - len(self.probed)
+
+    def _replace(self, others: Sequence[Server], server: Server, why: str, now_s: float) -> list[Effect]:
+        """Leaves the others for the server."""
+        return [effect for other in others for effect in self.leave(other, f"{server.name} {why}", now_s)]
+
+    def _check(self, server: Server, why: str, now_s: float) -> list[Effect]:
+        server.check = self._next_number()
+        server.joined_before = server in self.probed
+        if server.joined_before:
+            self.probed.remove(server)
+        leaving = self.end_probes(self.probed[:1]) if self._free < 1 else []
+        self.selected.append(server)
+        change = server.apply(Trigger.SELECTED, now_s=now_s, why=why)
+        self._table.meet()
+        return [*leaving, change, Check(server.name, server.check, self.limit_s(server, running=True))]
+
+    def _probe(self, server: Server, recovery: Recovery, now_s: float) -> Probe:
+        server.check = self._next_number()
+        self.probed.append(server)
+        return Probe(
+            server.name,
+            server.check,
+            self.limit_s(server, running=True),
+            recovery.alone_s(server.name, now_s=now_s),
+            recovery.probing,
+        )
+
+    def limit_s(self, server: Server, *, running: bool) -> float:
+        """How long joining may take, for which it matters nothing whether the services run; or else starting."""
+        return check_limit_s(self._estimates.check_s(server.name, running=running))
+
+    def _next_number(self) -> int:
+        self._checks += 1
+        return self._checks

@@ -1,0 +1,134 @@
+"""When a server that failed is asked again, when calls go there again, and what those may cost.
+
+Laws:
+- a failed server that is in range is asked for a sign of life, where a radio is free for it: first after a pause
+  that grows with its latest failures, then after pauses that grow from `first_s` to `longest_s`;
+- after its first failure it is left alone for the first pause only; after the k-th one that follows, for
+  2 ** (k - 1) s, 10 s at most; a minute after that time is over its failures are forgotten;
+- until a server answers an operation sooner than the drone would, calls of that operation there are trials: the
+  drone's own service computes them too, from the start, so that they cost no time; and no call waits for its check;
+- a server has one trial at a time; after one that was slow the next waits for a 30th of the time for which the server
+  has been slow, 10 s at most.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from upwash.core.operation import Operation
+
+REST_S = 10.0  # for which a failed server is left alone that nobody can ask
+_LONGEST_PAUSE_S = 10.0
+_WELL_S = 60.0
+_GROWTH = 1.25
+_SLOW_SHARE = 30
+_LONGEST_BETWEEN_TRIALS_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Probing:
+    """The pauses between questions to a server that failed: the first one, and the longest."""
+
+    first_s: float = 0.5
+    longest_s: float = 1.0
+
+    def pauses_s(self, *, alone_s: float = 0.0) -> Iterator[float]:
+        """How long to wait before each question; `alone_s` at least before the first."""
+        pause_s = self.first_s
+        yield max(alone_s, pause_s)
+        while True:
+            yield pause_s
+            pause_s = min(self.longest_s, _GROWTH * pause_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Failures:
+    """What a server did lately."""
+
+    count: int = 0
+    last_s: float = -math.inf
+
+    def after(self, now_s: float) -> Failures:
+        """With one more failure, now."""
+        forgotten = now_s - self.last_s > self.alone_s + _WELL_S
+        return Failures(1 if forgotten else self.count + 1, now_s)
+
+    @property
+    def alone_s(self) -> float:
+        """How long the server is left alone after the last of them."""
+        return min(2.0 ** (self.count - 2), _LONGEST_PAUSE_S) if self.count > 1 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Doubt:
+    """An operation whose last call on a server failed, or took longer than one on the drone."""
+
+    since_s: float
+    last_s: float
+
+    @property
+    def retried_s(self) -> float:
+        """When it may be tried again."""
+        return self.last_s + min((self.last_s - self.since_s) / _SLOW_SHARE, _LONGEST_BETWEEN_TRIALS_S)
+
+
+class Recovery:
+    """What is known of the failures of one drone's servers, and the trials that are due."""
+
+    def __init__(self, probing: Probing) -> None:
+        self.probing = probing
+        self._failures: dict[str, Failures] = {}
+        self._doubts: dict[str, dict[Operation, _Doubt]] = {}
+        self._trials: set[str] = set()  # servers that are at one
+
+    def failed(
+        self, server: str, operations: Iterable[Operation], *, counts: bool = True, now_s: float
+    ) -> None:
+        """The server failed, so that every operation there is in doubt; where it `counts` it is left alone longer."""
+        if counts:
+            self._failures[server] = self._failures.get(server, Failures()).after(now_s)
+        self._trials.discard(server)
+        for operation in operations:
+            self._doubt(server, operation, now_s)
+
+    def answered(
+        self, server: str, operation: Operation, delay_s: float, *, local_s: float, now_s: float
+    ) -> None:
+        """A call there was answered, usefully or too late to be of use."""
+        self._trials.discard(server)
+        if delay_s < local_s:
+            self._doubts.get(server, {}).pop(operation, None)
+        else:
+            self._doubt(server, operation, now_s)
+
+    def trial_begun(self, server: str) -> None:
+        """A call is on trial there."""
+        self._trials.add(server)
+
+    def trial_over(self, server: str) -> None:
+        """A call that was on trial there has ended without any answer to learn from."""
+        self._trials.discard(server)
+
+    def in_doubt(self, server: str, operation: Operation | None = None) -> bool:
+        """Whether a call of the operation, or of any, would be a trial there."""
+        doubts = self._doubts.get(server, {})
+        return operation in doubts if operation is not None else bool(doubts)
+
+    def trial_due_s(self, server: str, operation: Operation) -> float:
+        """From when on the operation may be tried there: minus infinity where it is in no doubt."""
+        if server in self._trials:
+            return math.inf
+        doubt = self._doubts.get(server, {}).get(operation)
+        return doubt.retried_s if doubt is not None else -math.inf
+
+    def alone_s(self, server: str, *, now_s: float) -> float:
+        """For how much longer the server is left alone."""
+        failures = self._failures.get(server, Failures())
+        return max(0.0, failures.last_s + failures.alone_s - now_s)
+
+    def _doubt(self, server: str, operation: Operation, now_s: float) -> None:
+        doubts = self._doubts.setdefault(server, {})
+        known = doubts.get(operation)
+        doubts[operation] = _Doubt(known.since_s if known else now_s, now_s)

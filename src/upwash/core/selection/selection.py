@@ -1,0 +1,511 @@
+"""The drone-side machine: events in, commands out (thesis sections 3.2 to 3.4).
+
+It puts together the table of servers (server_table.py), what the radios are for (radios.py), which server is to be
+used (planning.py) and where calls run (placement.py).
+
+Laws:
+- every change of a state is one of `servers.TRANSITIONS`; no more servers are selected than there are radios;
+- the first of them is in use: calls go there alone; a second one is in preparation, and follows when that one goes;
+- a check is known by its number, and what arrives for a check that is over changes nothing;
+- a server that failed is left alone for a fixed time, or probed where a radio is free for it (recovery.py);
+- a server without a slot for the drone has not failed: it goes on asking there, unless another one is better;
+- with probing a call that runs on the drone is sent to a server too that becomes of use before the drone is done;
+- what a server says a service raised counts as an answer where it raised on the drone too, and as a failed call else;
+- while the drone returns or lands no server is selected, unless a call is open or the mission calls again;
+- after each event the selection is looked at again at once; a decision on a call may leave a server, but select none;
+- commands are to be carried out in their order; without a spare radio a server is selected after the old one is left.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from upwash.core.geo import Circle, Position
+from upwash.core.knowledge.area_index import AreaIndex
+from upwash.core.knowledge.coverage import MeasuredPlace
+from upwash.core.knowledge.estimates import Estimates
+from upwash.core.knowledge.server_table import ServerTable
+from upwash.core.knowledge.servers import CHECKING, SELECTED, Change, Server, State, Trigger
+from upwash.core.operation import Operation
+from upwash.core.planning.mission_model import MissionBeliefs, MissionModel
+from upwash.core.planning.stay_or_go import Outlook
+from upwash.core.policies.policy import Choice, Decision, Lightened, Local, Policy, Remote
+from upwash.core.selection.commands import Effect, Full, Mapped, Paused, Start
+from upwash.core.selection.events import (
+    Arrived,
+    CheckAnswered,
+    CheckFailed,
+    DescentBegun,
+    Event,
+    LeaseRenewed,
+    LegBegun,
+    LocalCallEnded,
+    MissionBegun,
+    MissionEnded,
+    NetworkLost,
+    Prepared,
+    ProbeAnswered,
+    ProbePaused,
+    ProbeUnanswered,
+    Reached,
+    RemoteCallCut,
+    RemoteCallEnded,
+    RemoteCallFailed,
+    RemoteCallRaised,
+    RemoteFaultTested,
+    ServicesStarted,
+    SlotRefused,
+    TargetUnknown,
+    Tick,
+    TurnOver,
+)
+from upwash.core.selection.lighter import Lighter, LighterSettings
+from upwash.core.selection.placement import Placement
+from upwash.core.selection.radios import Radios
+from upwash.core.selection.recovery import Probing, Recovery
+from upwash.core.selection.server_choice import Planning
+from upwash.core.selection.timetable import Timetable
+
+_READY = frozenset({State.READY})
+_MOST_TURNS_LOST = 2  # in a row, each at a call: a server that gives turns and no answers has failed
+
+
+@dataclass(frozen=True, slots=True)
+class SelectionSettings:
+    """How long the machine remembers, and how many servers it may have selected at a time.
+
+    Where there is `probing`, `blacklist_s` does not count. A server where others wait for a slot is used only where
+    it saves more than the fraction `gain_slot` of a local call. The mission takes off to `takeoff_m`, and `lands` at
+    its last waypoint instead of returning home.
+    """
+
+    blacklist_s: float = 60.0
+    idle_s: float = 180.0
+    retry_s: float = 300.0
+    radios: int = 1
+    probing: Probing | None = None
+    gain_slot: float = 0.25
+    lighter: LighterSettings | None = None
+    takeoff_m: float = 0.0
+    lands: bool = False
+
+
+class Selection:
+    """Decides for one drone which server is selected, and where its calls run."""
+
+    def __init__(
+        self,
+        areas: Mapping[str, Circle],
+        *,
+        estimates: Estimates,
+        policy: Policy,
+        settings: SelectionSettings | None = None,
+        mission: MissionBeliefs | None = None,
+    ) -> None:
+        settings, beliefs = settings or SelectionSettings(), mission or MissionBeliefs()
+        index = AreaIndex(list(areas.values()))
+        self.estimates = estimates
+        self.policy = policy
+        self._recovery = recovery = Recovery(settings.probing) if settings.probing else None
+        self._table = table = ServerTable(areas, idle_s=settings.idle_s)
+        self._radios = radios = Radios(
+            settings.radios,
+            table,
+            estimates=estimates,
+            blacklist_s=settings.blacklist_s,
+            recovery=recovery,
+        )
+        self._placement = Placement(policy, radios=radios, estimates=estimates, recovery=recovery)
+        self._planning = planning = Planning(
+            policy,
+            table=table,
+            radios=radios,
+            estimates=estimates,
+            mission=MissionModel(beliefs, areas, index),
+            recovery=recovery,
+            idle_s=settings.idle_s,
+            retry_s=settings.retry_s,
+            gain_slot=settings.gain_slot,
+        )
+        self._timetable = Timetable(
+            planning,
+            beliefs,
+            areas,
+            index,
+            takeoff_m=settings.takeoff_m,
+            lands=settings.lands,
+            lighter=settings.lighter,
+        )
+        self._lighter = Lighter(settings.lighter, planning) if settings.lighter else None
+        self._ended = False
+        self._comes_down = False
+        self._probed_at: dict[str, MeasuredPlace] = {}  # where the server was last probed in vain
+
+    @property
+    def servers(self) -> Mapping[str, Server]:
+        """The server table, by name."""
+        return self._table.servers
+
+    @property
+    def current(self) -> Server | None:
+        """The server in use, if any is selected."""
+        return self._radios.in_use
+
+    @property
+    def in_range(self) -> Sequence[Server]:
+        """The servers in whose range the drone was at the last position given."""
+        return self._table.in_range
+
+    @property
+    def overtakes(self) -> bool:
+        """Whether calls that run on the drone may be sent to a server too."""
+        return self._recovery is not None
+
+    @property
+    def _unneeded(self) -> str:
+        """Why no call needs a server any more; empty while one may."""
+        if self._ended:
+            return "mission ended"
+        return "on the way down" if self._comes_down and self._planning.under_way is None else ""
+
+    def is_awaited(self, check: int) -> bool:
+        """Whether that check is still under way, and may be over soon: for a slot no call waits."""
+        server = self._radios.selected_by(check, CHECKING)
+        return server is not None and not server.refused
+
+    def handle(self, event: Event, *, now_s: float, position: Position) -> list[Effect]:
+        """Takes in what happened by now, with the drone at the position; returns what is to be done."""
+        table, radios, planning = self._table, self._radios, self._planning
+        if isinstance(event, MissionBegun):
+            return self._begin(event, now_s, position)
+        self._locate(position, now_s)
+        effects = self._take_in(event, now_s, position)
+        effects += radios.end_probes([each for each in radios.probed if self._unneeded or not each.in_range])
+        effects += table.expire(now_s, probed=radios.probed)
+        if not effects:  # else the policy is asked anyway
+            planning.forget_slow_calls(now_s)
+        if effects or planning.is_due(now_s):
+            effects += self._select(now_s, position)
+        effects += radios.end_probes([each for each in radios.probed if each.state is not State.BLACKLISTED])
+        if not self._unneeded:
+            effects += radios.probe(now_s)
+        return effects
+
+    def next_look_s(self, *, now_s: float) -> float:
+        """Before this time a `Tick` changes nothing where nothing else happens, as by crossing a border."""
+        if self.estimates.coverage is not None or self._table.is_on_border:
+            return now_s  # what is known of a server changes with the place, or a border is crossed unseen
+        return min(self._planning.next_look_s(now_s), self._table.next_expiry_s(probed=self._radios.probed))
+
+    def decide(
+        self, operation: Operation, *, now_s: float, position: Position
+    ) -> tuple[Decision, list[Effect]]:
+        """Where a call that is wanted now shall run; its inputs say whether as another operation."""
+        self._locate(position, now_s)
+        if self._comes_down:
+            self._comes_down, self._planning.changed = False, True
+        self._planning.mission.call_begun(operation, now_s=now_s)
+        lightened = self._lighter.judge(operation, now_s=now_s, position=position) if self._lighter else None
+        operation = lightened.operation if lightened else operation
+        decision, effects = self._placement.decide(operation, now_s)
+        self._planning.decided(decision, operation, now_s)
+        if lightened is not None:
+            decision = replace(decision, inputs=replace(decision.inputs, lightened=lightened))
+        return decision, effects
+
+    def fall_back(self, operation: Operation, *, now_s: float, position: Position) -> Lightened | None:
+        """The lighter operation as which the drone runs a call that a server has not answered, if it does."""
+        if self._lighter is None:
+            return None
+        self._planning.mission.call_ends(now_s)
+        lightened = self._lighter.judge(operation, now_s=now_s, position=position, on_drone=True)
+        if lightened is not None:
+            self._planning.decided(Local("no usable answer"), lightened.operation, now_s)
+        return lightened
+
+    def decide_after_wait(
+        self, operation: Operation, check: int, *, now_s: float, position: Position
+    ) -> tuple[Decision, list[Effect]]:
+        """Where a call shall run whose wait for that check is over; it does not wait again."""
+        self._locate(position, now_s)
+        decision, effects = self._placement.decide_after_wait(operation, check, now_s)
+        self._planning.decided(decision, operation, now_s)
+        return decision, effects
+
+    def overtake(
+        self, operation: Operation, *, began_s: float, now_s: float, position: Position
+    ) -> tuple[Remote | None, float]:
+        """Where a call shall run too that the drone has been at since `began_s`.
+
+        Returns None where no server would be sooner, and when to ask again if nothing happens until then.
+        """
+        self._locate(position, now_s)
+        decision, again_s = self._placement.overtake(operation, began_s, now_s)
+        if decision is not None:
+            self._planning.under_way = decision
+        return decision, again_s
+
+    def outlook(self, *, now_s: float, position: Position) -> Outlook | None:
+        """What going on before the call that is under way is over would come to; None where nothing is known."""
+        self._locate(position, now_s)
+        return self._planning.outlook(now_s)
+
+    def _begin(self, event: MissionBegun, now_s: float, position: Position) -> list[Effect]:
+        self._planning.mission.begun(event.pace)
+        foreseen = self._timetable.begin(event.vehicle, event.pace, now_s=now_s, position=position)
+        if self._lighter is not None:
+            self._lighter.begin(now_s=now_s, home_s=self._timetable.home_s)
+        return [foreseen] if foreseen else []
+
+    def _locate(self, position: Position, now_s: float) -> None:
+        if self._table.locate(position, now_s) | self.estimates.locate(position):
+            self._planning.changed = True
+
+    # --- what arrives ---------------------------------------------------------------------------------------
+
+    def _take_in(self, event: Event, now_s: float, position: Position) -> list[Effect]:  # noqa: PLR0912
+        """Learns from what happened; returns what it changes by itself, before the policy is asked."""
+        match event:
+            # What the radios report concerns the mission only once a server changes its state.
+            case Tick():  # the first case, as it is by far the most frequent
+                return []
+            case CheckAnswered(check):
+                return self._asked(check, position, answered=True) + self._check_answered(event, now_s)
+            case ServicesStarted(check):
+                server = self._radios.selected_by(check, CHECKING)
+                return [self._ready(server, Trigger.STARTED, now_s)] if server else []
+            case SlotRefused(check, waiting):
+                return self._slot_refused(check, waiting, now_s)
+            case LeaseRenewed(check, waiting):
+                server = self._radios.selected_by(check, _READY)
+                if server is None:
+                    return []
+                server.contended_s = now_s if waiting else -math.inf
+            case TurnOver():
+                return self._turn_over(event, now_s)
+            case CheckFailed(check, why, unreached, pause_s):
+                asked = self._asked(check, position, answered=False) if unreached else []
+                return asked + self._server_failed(
+                    check, CHECKING, Trigger.CHECK_FAILED, why, now_s, pause_s=pause_s
+                )
+            case NetworkLost(check, why):
+                asked = self._asked(check, position, answered=False)
+                return asked + self._server_failed(check, SELECTED, Trigger.NETWORK_LOST, why, now_s)
+            case ProbeAnswered() | ProbePaused():
+                return self._probe_answered(event, now_s)
+            case ProbeUnanswered(check):
+                return self._probed_in_vain(check, position)
+            case Prepared(name, by):
+                return self._prepared(self.servers[name], by, now_s)
+            case LegBegun() | Arrived() | TargetUnknown():
+                self._planning.mission_goes_on(event, position, now_s)
+                return []
+            case DescentBegun():
+                self._planning.mission.lost()
+                self._comes_down = True
+            case MissionEnded():
+                self._ended = True
+            case LocalCallEnded(operation, delay_s):
+                self.estimates.observe_local(operation, delay_s)
+                self._planning.answered(now_s)
+            case RemoteCallEnded(name, operation, delay_s, late):
+                self._learn_remote(name, operation, delay_s, now_s, late=late)
+                if not late:
+                    self._planning.answered(now_s)
+            case RemoteCallCut(name, operation, waited_s):
+                self.estimates.observe_remote_cut(name, operation, waited_s, now_s=now_s)
+            case RemoteCallFailed(name, check, why, late):
+                self._planning.changed = True
+                if not late:
+                    self._planning.under_way = Local(why)
+                return self._call_failed(name, check, why, now_s)
+            case RemoteCallRaised(_, why):
+                self._planning.under_way = Local(why)
+            case RemoteFaultTested(name, check, operation, delay_s, why, confirmed):
+                self._planning.changed = True
+                if not confirmed:
+                    return self._call_failed(name, check, why, now_s)
+                self._learn_remote(name, operation, delay_s, now_s, late=True)
+            case Reached():
+                self._planning.changed = True
+                return self._reached(event)
+        self._planning.changed = True
+        return []
+
+    def _check_answered(self, answer: CheckAnswered, now_s: float) -> list[Effect]:
+        server = self._radios.selected_by(answer.check, CHECKING)
+        if server is None:
+            return []
+        server.peers = frozenset(answer.peers) & self.servers.keys()
+        server.full_s, server.contended_s = -math.inf, now_s if answer.waiting else -math.inf
+        if answer.running:
+            return [self._ready(server, Trigger.FOUND_RUNNING, now_s)]
+        if not server.in_range:
+            return []  # about to be de-selected: nothing is started for a drone that is gone
+        effects: list[Effect] = []
+        if server.state is State.CHECK_R:
+            effects.append(server.apply(Trigger.FOUND_STOPPED, now_s=now_s))
+        if not server.start_requested:
+            server.start_requested = True
+            effects.append(Start(server.name, server.check, self._radios.limit_s(server, running=False)))
+        return effects
+
+    def _slot_refused(self, check: int, waiting: int, now_s: float) -> list[Effect]:
+        server = self._radios.selected_by(check, CHECKING)
+        if server is None:
+            return []
+        is_news, server.refused = not server.refused, True
+        server.full_s = server.contended_s = now_s
+        return [Full(server.name, check, waiting)] if is_news else []
+
+    def _turn_over(self, event: TurnOver, now_s: float) -> list[Effect]:
+        server = self._radios.selected_by(event.check, _READY)
+        if server is None:  # it was left since
+            return []
+        if event.in_call:
+            if self._planning.under_way is not None:
+                self._planning.under_way = Local(event.why)
+            if self._recovery is not None:
+                self._recovery.trial_over(server.name)
+            server.turns_lost += 1
+        if not server.in_range:
+            return self._radios.leave(server, "out of range", now_s)
+        if server.turns_lost > _MOST_TURNS_LOST:
+            return self._call_failed(server.name, event.check, event.why, now_s)
+        return self._radios.ask_again(server, event.why, now_s)
+
+    def _probe_answered(self, answer: ProbeAnswered | ProbePaused, now_s: float) -> list[Effect]:
+        server = self._radios.probed_by(answer.check)
+        if server is None:
+            return []
+        if isinstance(answer, ProbePaused):
+            paused = Paused(server.name, answer.check, answer.pause_s, answer.why)
+            return [paused, *self._radios.leave_out(server, answer.pause_s, now_s)]
+        trigger = Trigger.PROBED_RUNNING if answer.running else Trigger.PROBED
+        return [server.apply(trigger, now_s=now_s, why="it gives a sign of life")]
+
+    def _ready(self, server: Server, trigger: Trigger, now_s: float) -> Change:
+        change = server.apply(trigger, now_s=now_s)
+        if server.start_requested:
+            self.estimates.services_started(server.name)
+        # How long the rest of an announced start took teaches nothing, nor a check without joining, or for a slot.
+        announced = server.start_requested and self._planning.was_announced(server)
+        if not announced and not server.joined_before and not server.refused:
+            self.estimates.observe_check(
+                server.name, now_s - server.checked_since_s, started=server.start_requested
+            )
+        return change
+
+    def _prepared(self, server: Server, by: str, now_s: float) -> list[Effect]:
+        if server.state not in (State.AVL, State.AVL_R):
+            return []
+        self.estimates.services_started(server.name)
+        change = server.apply(Trigger.PREPARED, now_s=now_s, why=f"by {by}")
+        self._table.meet()
+        return [change]
+
+    def _server_failed(
+        self,
+        check: int,
+        states: frozenset[State],
+        trigger: Trigger,
+        why: str,
+        now_s: float,
+        *,
+        pause_s: float = 0.0,
+    ) -> list[Effect]:
+        server = self._radios.selected_by(check, states)
+        if server is None:
+            return []
+        if not server.in_range:  # the server did nothing wrong
+            return self._radios.leave(server, "out of range", now_s)
+        paused = [Paused(server.name, check, pause_s, why)] if pause_s else []
+        return paused + self._radios.fail(
+            server, trigger, why, now_s, operations=self.estimates.operations, pause_s=pause_s
+        )
+
+    def _call_failed(self, name: str, check: int, why: str, now_s: float) -> list[Effect]:
+        if self._recovery is not None:
+            self._recovery.trial_over(name)
+        server = self._radios.selected_by(check, _READY)
+        if server is None or server.name != name:  # it was left since
+            return []
+        trigger = Trigger.CALL_FAILED_IN_RANGE if server.in_range else Trigger.CALL_FAILED_OUT_OF_RANGE
+        return self._radios.fail(server, trigger, why, now_s, operations=self.estimates.operations)
+
+    def _learn_remote(
+        self, name: str, operation: Operation, delay_s: float, now_s: float, *, late: bool
+    ) -> None:
+        if self._recovery is not None:
+            local_s = self.estimates.local_s(operation) or 0.0
+            self._recovery.answered(name, operation, delay_s, local_s=local_s, now_s=now_s)
+        self.servers[name].turns_lost = 0
+        self.estimates.observe_remote(name, operation, delay_s, now_s=now_s, late=late)
+
+    def _probed_in_vain(self, check: int, position: Position) -> list[Effect]:
+        """Enters it on the map once for a place, however often the server is probed from there."""
+        server, coverage = self._radios.probed_by(check), self.estimates.coverage
+        if server is None or coverage is None or server.name not in coverage.servers:
+            return []
+        here = coverage.at(server.name, position)
+        if here is not None and here is self._probed_at.get(server.name):
+            return []
+        place = coverage.asked(server.name, position, answered=False)
+        self._probed_at[server.name] = place
+        self._planning.changed = True
+        return [Mapped(server.name, place)]
+
+    def _asked(self, check: int, position: Position, *, answered: bool) -> list[Effect]:
+        """Enters on its map whether the server answered a check there, where it has no range."""
+        server, coverage = self._radios.selected_by(check), self.estimates.coverage
+        if server is None or coverage is None or server.name not in coverage.servers:
+            return []
+        return [Mapped(server.name, coverage.asked(server.name, position, answered=answered))]
+
+    def _reached(self, event: Reached) -> list[Effect]:
+        """Enters on its map what a call came to there; one in vain costs the drone's own computing too."""
+        coverage = self.estimates.coverage
+        if coverage is None:
+            return []
+        place = coverage.asked(event.server, event.position, answered=event.answered)
+        if event.answered:
+            place.note(event.operation, event.delay_s)
+            place.carry(event.size_bytes, event.delay_s)
+        else:
+            place.note(event.operation, event.delay_s + (self.estimates.local_s(event.operation) or 0.0))
+        return [Mapped(event.server, place)]
+
+    # --- which server now? ----------------------------------------------------------------------------------
+
+    def _select(self, now_s: float, position: Position) -> list[Effect]:
+        """Asks the policy, and gives the radios the roles that it wants."""
+        radios, planning = self._radios, self._planning
+        planning.changed = False
+        choice = Choice(None, self._unneeded) if self._unneeded else planning.choose(now_s, position)
+        effects: list[Effect] = []
+        for server in [each for each in radios.selected if not each.in_range]:
+            effects += radios.leave(server, "out of range", now_s)
+        if choice.server is None:
+            for server in list(radios.selected):
+                effects += radios.leave(server, choice.why, now_s)
+        elif radios.in_use is None or choice.server != radios.in_use.name:
+            effects += radios.use(
+                self.servers[choice.server],
+                choice.why,
+                now_s,
+                keep=self._is_worth_keeping(radios.in_use, now_s),
+            )
+        elif choice.coming is not None and self.servers[choice.coming.server].in_range:
+            effects += radios.prepare(self.servers[choice.coming.server], "comes next", now_s)
+        effects += planning.announce(choice.coming, now_s)
+        return effects
+
+    def _is_worth_keeping(self, server: Server | None, now_s: float) -> bool:
+        """Whether calls are still to go to the server in use; else the next one, once in use, can be waited for."""
+        return (
+            server is not None
+            and self.estimates.mean_call_s(server.name) < self.estimates.mean_call_s()
+            and self._planning.is_worth_a_slot(server, now_s)
+        )

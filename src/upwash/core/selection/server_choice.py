@@ -1,0 +1,260 @@
+"""Which server is to be used now: what the policy is asked, when, and what it is shown.
+
+The policy is asked again where something has changed that it is shown. Time alone changes two things: slow calls are
+forgotten, so that a server that was slow gets another chance, and an announcement becomes due.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TypeGuard
+
+from upwash.core.geo import Position
+from upwash.core.knowledge.estimates import Estimates
+from upwash.core.knowledge.server_table import ServerTable
+from upwash.core.knowledge.servers import FULL_S, SELECTED, Server, State
+from upwash.core.operation import Operation
+from upwash.core.planning.forecast import Forecast, make_forecast, rest_of_check_s
+from upwash.core.planning.legs import left_m
+from upwash.core.planning.mission_model import ExpectedCall, MissionModel
+from upwash.core.planning.stay_or_go import Outlook
+from upwash.core.policies.policy import (
+    Choice,
+    Coming,
+    Decision,
+    Local,
+    Option,
+    Policy,
+    Remote,
+    Situation,
+    Wait,
+)
+from upwash.core.selection.commands import Prepare
+from upwash.core.selection.events import Arrived, LegBegun, TargetUnknown
+from upwash.core.selection.placing import Place, Placing
+from upwash.core.selection.prewarm import PrewarmNotifier
+from upwash.core.selection.radios import Radios
+from upwash.core.selection.recovery import REST_S, Recovery
+
+
+class Planning:
+    """Asks the policy which server to use, for a mission that it follows over its legs and calls."""
+
+    def __init__(
+        self,
+        policy: Policy,
+        *,
+        table: ServerTable,
+        radios: Radios,
+        estimates: Estimates,
+        mission: MissionModel,
+        recovery: Recovery | None,
+        idle_s: float,
+        retry_s: float,
+        gain_slot: float,
+    ) -> None:
+        self.mission = mission
+        self.under_way: Decision | None = None  # on the call whose answer is not there yet
+        self._operation: Operation | None = None  # of that call
+        self.changed = True  # whether anything has changed since the policy was last asked
+        self._policy = policy
+        self._table = table
+        self._radios = radios
+        self._estimates = estimates
+        self._recovery = recovery
+        self._idle_s = idle_s
+        self._retry_s = retry_s
+        self._gain_slot = gain_slot
+        self._prewarm = PrewarmNotifier()
+        self._short: frozenset[tuple[str, bool, bool]] = frozenset()  # of slots, as the policy was last shown
+
+    def decided(self, decision: Decision, operation: Operation, now_s: float) -> None:
+        """The mission has made a call that runs where the decision says."""
+        self.under_way, self._operation = decision, operation
+        match decision:
+            case Local():
+                expected_s = self._estimates.local_s(operation)
+            case Remote(server):
+                expected_s = self._estimates.remote_s(server, operation)
+            case Wait(_, at_most_s):
+                expected_s = at_most_s
+        self.mission.call_ends(now_s + (expected_s or 0.0))
+
+    def answered(self, now_s: float) -> None:
+        """The mission has the answer to its call."""
+        self.mission.call_ends(now_s)
+        self.under_way = None
+
+    def mission_goes_on(
+        self, event: LegBegun | Arrived | TargetUnknown, position: Position, now_s: float
+    ) -> None:
+        """Follows the mission, of which only a policy with a horizon is shown anything."""
+        match event:
+            case LegBegun(target, ground_speed_m_s, back):
+                self.mission.leg_begun(position, target, ground_speed_m_s, now_s=now_s, back=back)
+            case Arrived():
+                self.mission.arrived(now_s=now_s)
+            case TargetUnknown():
+                self.mission.lost()
+        self.changed = self.changed or self._policy.horizon > 0
+
+    def outlook(self, now_s: float) -> Outlook | None:
+        """What going on before the call under way is over would come to; None where there is none, or no next leg."""
+        way = self.mission.next_leg()
+        if way is None or self.under_way is None or self._operation is None:
+            return None
+        stay_s = go_s = self.mission.open_s(now_s)
+        if not isinstance(self.under_way, Local):
+            area = self._table.servers[self.under_way.server].area
+            leaves_m = left_m(way.start, way.end, area)
+            leaves_s = math.inf if leaves_m is None else way.leg.reached_s(leaves_m)
+            if leaves_s < stay_s:
+                go_s = leaves_s + (self._estimates.local_s(self._operation) or 0.0)
+        return Outlook(way.leg, self.mission.photo_s, stay_s, go_s)
+
+    def forget_slow_calls(self, now_s: float) -> None:
+        """Gives servers in range that were slow another chance, where it is time for that."""
+        for server in self._table.in_range:
+            if self._estimates.forget_slow_calls(server.name, now_s=now_s, retry_s=self._slow_for_s):
+                self.changed = True
+
+    @property
+    def _slow_for_s(self) -> float:
+        """How long after its last slow call a server gets another chance."""
+        if self._recovery is not None and self._radios.in_use is None:
+            return min(self._retry_s, REST_S)
+        return self._retry_s
+
+    def next_look_s(self, now_s: float) -> float:
+        """Before this time the policy need not be asked where nothing happens."""
+        if self.changed:
+            return now_s
+        look_s = self._prewarm.due_s
+        for server in self._table.in_range:
+            slow_until_s = self._estimates.next_forgetting_s(server.name, retry_s=self._slow_for_s)
+            look_s = min(look_s, slow_until_s, server.asked_again_s(now_s))
+        return look_s
+
+    def is_due(self, now_s: float) -> bool:
+        """Whether the policy has to be asked."""
+        return self.changed or self._prewarm.is_due(now_s) or self._short_of_slots(now_s) != self._short
+
+    def choose(self, now_s: float, position: Position) -> Choice:
+        """What the policy chooses; one that has no server to use keeps the one in use for trials, if that is slow."""
+        current = self._radios.in_use
+        self._short = self._short_of_slots(now_s)
+        choice = self._policy.choose(
+            Situation(
+                self._options(now_s),
+                current.name if current else None,
+                self._estimates.mean_call_s(),
+                under_way=self.under_way,
+                forecast=self._forecast(now_s, position),
+            )
+        )
+        if choice.server is None and self._is_worth_trials(current, now_s):
+            return Choice(current.name, "slow lately, and no other is faster")
+        return choice
+
+    def announce(self, coming: Coming | None, now_s: float) -> list[Prepare]:
+        """Has the server in use announce the drone to the coming one, once and in time."""
+        if coming is not None and self._table.servers[coming.server] in self._radios.selected:
+            coming = None  # the drone asks it itself
+        start_s = self._estimates.start_s(coming.server) if coming else 0.0
+        return self._prewarm.announce(self._radios.in_use, coming, start_s=start_s, now_s=now_s)
+
+    def was_announced(self, server: Server) -> bool:
+        """Whether another server announced the drone to this one before its last check began."""
+        return self._prewarm.has_announced(server.name, at_s=server.checked_since_s)
+
+    def made_now(self, operation: Operation, now_s: float) -> ExpectedCall:
+        """A call that the mission makes now, as those that are expected."""
+        in_range_s = {
+            server.name: now_s - server.in_range_since_s
+            for server in self._table.in_range
+            if server.in_range_since_s is not None
+        }
+        return ExpectedCall(operation, 0.0, in_range_s)
+
+    def placing(self, now_s: float) -> Placing:
+        """Where calls will run from now on."""
+        in_use = self._radios.in_use
+        running = (State.AVL_R, *SELECTED)
+        return Placing(
+            self._policy,
+            self._estimates,
+            here=Place(in_use.name, rest_of_check_s(in_use, self._estimates, now_s)) if in_use else Place(),
+            running=[server.name for server in self._table.servers.values() if server.state in running],
+            unusable_s=dict(self._banned(now_s)),
+        )
+
+    def _options(self, now_s: float) -> list[Option]:
+        return [
+            Option(
+                server.name,
+                self._estimates.mean_call_s(server.name),
+                server.in_range_since_s,
+                full=server.is_full(now_s),
+            )
+            for server in self._table.in_range
+            if server.in_range_since_s is not None
+            and server.state is not State.BLACKLISTED
+            and self.is_worth_a_slot(server, now_s)
+        ]
+
+    def _short_of_slots(self, now_s: float) -> frozenset[tuple[str, bool, bool]]:
+        """The servers in range that have no slot, or others that wait for one: time alone ends either."""
+        return frozenset(
+            (server.name, server.is_full(now_s), server.is_contended(now_s))
+            for server in self._table.in_range
+            if server.is_full(now_s) or server.is_contended(now_s)
+        )
+
+    def is_worth_a_slot(self, server: Server, now_s: float) -> bool:
+        """Whether the drone gains enough there to take a slot that others wait for, if any do."""
+        if not server.is_contended(now_s):
+            return True
+        local_s = self._estimates.mean_call_s()
+        return local_s - self._estimates.mean_call_s(server.name) > self._gain_slot * local_s
+
+    def _is_worth_trials(self, server: Server | None, now_s: float) -> TypeGuard[Server]:
+        """Whether the server in use is slower than the drone by its last calls alone, so that it gets trials."""
+        return (
+            self._recovery is not None
+            and server is not None
+            and server.in_range
+            and server.state is State.READY
+            and self._recovery.in_doubt(server.name)
+            and self.is_worth_a_slot(server, now_s)
+        )
+
+    def _forecast(self, now_s: float, position: Position) -> Forecast | None:
+        if not self._policy.horizon:
+            return None
+        return make_forecast(
+            self.mission.coming(position, now_s=now_s, count=self._policy.horizon),
+            self._table.servers,
+            self._estimates,
+            self._radios.selected,
+            now_s=now_s,
+            banned_s=dict(self._banned(now_s)),
+            idle_s=self._idle_s,
+        )
+
+    def _banned(self, now_s: float) -> Iterator[tuple[str, float]]:
+        """The servers that cannot be used now, and for how much longer."""
+        for server in self._table.blacklisted:
+            yield server.name, self._banned_s(server, now_s)
+        for server in self._table.in_range:
+            if server.state is State.BLACKLISTED:
+                continue
+            if not self.is_worth_a_slot(server, now_s):
+                yield server.name, math.inf
+            elif server.is_full(now_s):
+                yield server.name, FULL_S
+
+    def _banned_s(self, server: Server, now_s: float) -> float:
+        """For how much longer the server will be blacklisted, as far as is known."""
+        left_s = server.since_s + server.left_alone_s - now_s
+        return left_s if self._recovery is None else max(REST_S, left_s)

@@ -1,0 +1,282 @@
+"""Whose the vehicle is: the program's, the pilot's, a ground station's, a fail-safe's, or unknown.
+
+Laws:
+
+1. A command is sent only while the vehicle is the program's.
+2. It becomes the program's by a claim alone. A person's act stands behind each claim: the program was started with
+   the vehicle disarmed, or resumed with the vehicle in the program's own mode.
+3. From the first report whose mode, arming or target differs from what was commanded, it is not the program's any
+   more. The same holds after the autopilot restarted in a flight. No later report gives it back: a claim after that
+   is refused for as long as the program runs.
+4. While a command is on its way, the state before it and each state that it leads to are no difference.
+5. Silence changes nothing. What the vehicle did meanwhile shows in the first report after it.
+6. An owner is named by evidence alone. Later evidence may name another owner, never the program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import msgspec
+
+from upwash.core.geo import Position
+from upwash.core.vehicle.targets import Targets
+from upwash.errors import AutopilotOverruled
+
+_KNOWN_LATE_S = 1.0  # after the mode, that the remote control moved
+
+
+class Owner(StrEnum):
+    """Who commands the vehicle."""
+
+    NOBODY = "nobody"  # not claimed yet
+    PROGRAM = "program"
+    PILOT = "pilot"
+    GROUND_STATION = "ground station"
+    FAILSAFE = "fail-safe"
+    UNKNOWN = "unknown"  # no report shows who acted
+
+
+_WHO = {
+    Owner.NOBODY: "the program has not taken the vehicle",
+    Owner.PROGRAM: "the program has the vehicle",
+    Owner.PILOT: "the pilot has the vehicle",
+    Owner.GROUND_STATION: "a ground station or another program has the vehicle",
+    Owner.FAILSAFE: "a fail-safe has the vehicle",
+    Owner.UNKNOWN: "the program has lost the vehicle",
+}
+
+
+class Change(StrEnum):
+    """What a claim or a report means for the owner."""
+
+    CLAIMED = "claimed"
+    MODE_CHANGED = "mode changed"  # nobody but a pilot is known to do that
+    MODE_COMMANDED = "mode changed, and the remote control did not move"
+    REMOTE_MOVED = "remote control moved"  # what is known late of a change of the mode
+    MODE_FAILED_SAFE = "mode changed by a fail-safe"
+    ARMED = "armed"
+    DISARMED = "disarmed"
+    TARGET_CHANGED = "target changed"  # in the program's own mode: sticks cannot do that
+    RESTARTED = "autopilot restarted"
+
+
+TRANSITIONS: Mapping[tuple[Owner, Change], Owner] = {
+    (Owner.NOBODY, Change.CLAIMED): Owner.PROGRAM,
+    (Owner.NOBODY, Change.MODE_CHANGED): Owner.NOBODY,  # a switch of a vehicle that nobody flies
+    (Owner.NOBODY, Change.MODE_COMMANDED): Owner.NOBODY,
+    (Owner.NOBODY, Change.MODE_FAILED_SAFE): Owner.NOBODY,
+    (Owner.NOBODY, Change.ARMED): Owner.PILOT,
+    (Owner.PROGRAM, Change.CLAIMED): Owner.PROGRAM,
+    (Owner.PROGRAM, Change.MODE_CHANGED): Owner.PILOT,
+    (Owner.PROGRAM, Change.MODE_COMMANDED): Owner.GROUND_STATION,
+    (Owner.PROGRAM, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
+    (Owner.PROGRAM, Change.ARMED): Owner.PILOT,
+    (Owner.PROGRAM, Change.DISARMED): Owner.UNKNOWN,  # the pilot, or its own delay on the ground
+    (Owner.PROGRAM, Change.TARGET_CHANGED): Owner.GROUND_STATION,
+    (Owner.PROGRAM, Change.RESTARTED): Owner.UNKNOWN,
+    (Owner.PILOT, Change.MODE_CHANGED): Owner.PILOT,
+    (Owner.PILOT, Change.MODE_COMMANDED): Owner.GROUND_STATION,
+    (Owner.PILOT, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
+    (Owner.PILOT, Change.ARMED): Owner.PILOT,
+    (Owner.PILOT, Change.RESTARTED): Owner.UNKNOWN,
+    (Owner.GROUND_STATION, Change.MODE_CHANGED): Owner.PILOT,
+    (Owner.GROUND_STATION, Change.MODE_COMMANDED): Owner.GROUND_STATION,
+    (Owner.GROUND_STATION, Change.REMOTE_MOVED): Owner.PILOT,
+    (Owner.GROUND_STATION, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
+    (Owner.GROUND_STATION, Change.ARMED): Owner.PILOT,
+    (Owner.GROUND_STATION, Change.RESTARTED): Owner.UNKNOWN,
+    (Owner.FAILSAFE, Change.MODE_CHANGED): Owner.PILOT,
+    (Owner.FAILSAFE, Change.MODE_COMMANDED): Owner.GROUND_STATION,
+    (Owner.FAILSAFE, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
+    (Owner.FAILSAFE, Change.ARMED): Owner.PILOT,
+    (Owner.FAILSAFE, Change.RESTARTED): Owner.UNKNOWN,
+    (Owner.UNKNOWN, Change.MODE_CHANGED): Owner.PILOT,
+    (Owner.UNKNOWN, Change.MODE_COMMANDED): Owner.GROUND_STATION,
+    (Owner.UNKNOWN, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
+    (Owner.UNKNOWN, Change.ARMED): Owner.PILOT,
+    (Owner.UNKNOWN, Change.RESTARTED): Owner.UNKNOWN,
+}
+"""Complete but for what changes nothing: the claim of a vehicle that was lost (law 3), and, of a vehicle that is not
+the program's, that it is disarmed, is sent elsewhere, or restarts before the claim."""
+
+
+@dataclass(frozen=True, slots=True)
+class Control:
+    """Who has the vehicle, since when, and why."""
+
+    owner: Owner
+    since_s: float
+    why: str
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether a command may be sent (law 1)."""
+        return self.owner is Owner.PROGRAM
+
+    def __str__(self) -> str:
+        return f"{_WHO[self.owner]}: {self.why}"
+
+
+class Report(msgspec.Struct, frozen=True, gc=False):
+    """What one heartbeat says, and what is known with it.
+
+    `failsafe` is why a fail-safe may have chosen the mode, or empty. `on_ground` is whether it stands, and
+    `remote_moved` whether the pilot's remote control has just moved: each None where it does not say.
+    """
+
+    mode: str
+    armed: bool
+    failsafe: str = ""
+    on_ground: bool | None = None
+    remote_moved: bool | None = None
+
+
+class Latch:
+    """Follows claims, commands and reports, and says who has the vehicle.
+
+    Modes are their names. A claim must come after the first report.
+    """
+
+    def __init__(self, now_s: float) -> None:
+        self.control = Control(Owner.NOBODY, now_s, "not claimed yet")
+        self._reported: Report | None = None
+        self._mode: str | None = (
+            None  # what it was last seen to be in by command; None: any, while it stands disarmed
+        )
+        self._modes_ahead: tuple[str, ...] = ()  # those that the command on its way leads to, in order
+        self._armed = False
+        self._armed_ahead: bool | None = None
+        self._targets = Targets()
+
+    def claim(self, now_s: float, *, own_mode: str, resumes: bool) -> None:
+        """Takes the vehicle for the program, if it may (law 2); `control` then says whether it did, or why not."""
+        reported = self._reported
+        if self.control.owner is not Owner.NOBODY or reported is None:
+            return
+        if not reported.armed:
+            self._mode, self._armed = None, False
+            self._take(Change.CLAIMED, "it was disarmed when the program was started", now_s)
+        elif resumes and reported.mode == own_mode:
+            self._mode, self._armed = reported.mode, True
+            self._take(Change.CLAIMED, f"it was in mode {own_mode} when the program was resumed", now_s)
+        else:
+            wanted = f"switch it to {own_mode} and resume the flight" if resumes else "disarm it first"
+            why = f"it is armed, in mode {reported.mode}; to give it to the program, {wanted}"
+            self._take(Change.ARMED, why, now_s)
+
+    def require(self, step: str, vehicle_said: str = "") -> None:
+        """Raises AutopilotOverruled unless the program has the vehicle (law 1)."""
+        if not self.control.is_ours:
+            raise AutopilotOverruled(step, f"{self.control}; nothing was sent", vehicle_said)
+
+    def expect_modes(self, modes: Sequence[str]) -> None:
+        """A command that leads through these modes, in their order, is about to be sent."""
+        self._modes_ahead = tuple(modes)
+        if self._mode is None and self._reported is not None:
+            self._mode = self._reported.mode
+
+    def expect_armed(self, armed: bool) -> None:
+        """A command that arms or disarms is about to be sent, or one at whose end the vehicle disarms itself."""
+        self._armed_ahead = armed
+
+    def expect_target(self, place: Position | None) -> None:
+        """A command that sends the vehicle to this place is about to be sent; None for a take-off, straight up."""
+        self._targets.send(place)
+
+    def settle_target(self, *, obeyed: bool) -> None:
+        """The last command that sends the vehicle to a place was obeyed, or refused."""
+        self._targets.settle(obeyed=obeyed)
+
+    def withdraw(self) -> None:
+        """The command on its way was refused: it leads nowhere."""
+        self._modes_ahead, self._armed_ahead = (), None
+
+    def report(self, report: Report, now_s: float) -> None:
+        """Takes in a heartbeat (laws 3 and 4)."""
+        before, self._reported = self._reported, report
+        if self.control.is_ours:
+            self._compare_arming(report, now_s)
+            # What has lost its motors may go back to the mode that it begins with: no pilot's switch.
+            if self.control.is_ours or report.failsafe:
+                self._compare_mode(report, now_s)
+        elif before is not None:
+            self._compare_lost(before, report, now_s)
+
+    def report_target(self, place: Position | None, now_s: float) -> None:
+        """Takes in a report of where the vehicle steers to (laws 3 and 4), in the program's own mode.
+
+        None where it follows a velocity, and no place.
+        """
+        if not self.control.is_ours or not self._armed or self._modes_ahead:
+            return
+        if difference := self._targets.difference(place):
+            self._take(Change.TARGET_CHANGED, difference, now_s)
+
+    def report_restart(self, why: str, now_s: float) -> None:
+        """Takes in that the autopilot has restarted; while it stands disarmed for the program, that is no loss."""
+        if self.control.owner is Owner.NOBODY or (self.control.is_ours and not self._armed):
+            return
+        self._take(Change.RESTARTED, why, now_s)
+
+    def _compare_arming(self, report: Report, now_s: float) -> None:
+        if report.armed == self._armed_ahead:
+            self._armed, self._armed_ahead = report.armed, None
+            if not report.armed:  # it stands, and may go back to the mode that it had before the flight
+                self._mode, self._modes_ahead, self._targets = None, (), Targets()
+        elif report.armed != self._armed:
+            self._take(*_armed_or_disarmed(report), now_s)
+
+    def _compare_mode(self, report: Report, now_s: float) -> None:
+        if report.mode in self._modes_ahead:
+            past = self._modes_ahead.index(report.mode) + 1
+            self._mode, self._modes_ahead = report.mode, self._modes_ahead[past:]
+        elif self._mode is not None and report.mode != self._mode:
+            commanded = self._modes_ahead[-1] if self._modes_ahead else self._mode
+            self._take_mode(report, now_s, f", {commanded} was commanded")
+
+    def _compare_lost(self, before: Report, report: Report, now_s: float) -> None:
+        if report.armed and not before.armed:
+            self._take(*_armed_or_disarmed(report), now_s)
+        changed = (
+            report.armed and report.mode != before.mode
+        )  # one that stands may go back to an earlier mode
+        if changed or (report.failsafe and not before.failsafe):
+            self._take_mode(report, now_s, "")
+        elif report.remote_moved and report.mode != self._mode and self._lost_lately(now_s):
+            why = f"the vehicle is in mode {report.mode} (the remote control moved)"
+            self._take(Change.REMOTE_MOVED, why, now_s)
+
+    def _lost_lately(self, now_s: float) -> bool:
+        lost = self.control
+        return lost.owner is Owner.GROUND_STATION and now_s - lost.since_s <= _KNOWN_LATE_S
+
+    def _take_mode(self, report: Report, now_s: float, instead_of: str) -> None:
+        if report.failsafe:
+            change, by = Change.MODE_FAILED_SAFE, f" ({report.failsafe})"
+        elif report.remote_moved is None:
+            change, by = Change.MODE_CHANGED, ""
+        else:
+            change = Change.MODE_CHANGED if report.remote_moved else Change.MODE_COMMANDED
+            by = f" (the remote control {'moved' if report.remote_moved else 'did not move'})"
+        self._take(change, f"the vehicle is in mode {report.mode}{by}{instead_of}", now_s)
+
+    def _take(self, change: Change, why: str, now_s: float) -> None:
+        before, owner = self.control, TRANSITIONS[self.control.owner, change]
+        if owner is not Owner.NOBODY:
+            self.control = Control(owner, before.since_s if owner is before.owner else now_s, why)
+
+
+_DISARMED = {
+    True: "it was disarmed on the ground, or disarmed itself, as a vehicle does that stands armed for long",
+    False: "its motors stopped in the air, and it does not say who stopped them",
+    None: "its motors stopped, and it does not say whether it stands on the ground",
+}
+
+
+def _armed_or_disarmed(report: Report) -> tuple[Change, str]:
+    if report.armed:
+        return Change.ARMED, "somebody else armed it"
+    return Change.DISARMED, _DISARMED[report.on_ground]

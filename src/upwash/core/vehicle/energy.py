@@ -1,0 +1,382 @@
+"""When a vehicle has to turn back: what the way home needs, against what is left in the battery.
+
+The laws, in percent of the battery and in seconds of flight:
+
+    home_s    turning round + climb to the altitude of returns + the way at the return's speed against the wind
+              + hovering above home + descent
+    needed    rate * home_s
+    floor     the highest of: the vehicle's own low-battery stage, rate * reserve_s, reserve_percent
+    margin    left - needed - floor; below 0 it is time to turn back
+
+More wind, a longer way, a higher rate or less battery never makes the margin larger: nothing here counts on a
+tailwind, on an air speed above the speed of returns, or on a battery that lasts longer than it has lasted so far.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from upwash.core.geo import Position, Velocity, ground_distance_m
+from upwash.core.planning.legs import Leg
+
+STILL = Velocity()
+_STEP_PERCENT = 1.0  # of the reports: 80 may be anything from 80 up to 81
+_WINDOW_S = 180.0  # over which the consumption of now is measured
+_LEAST_S = 60.0  # less flight than this says nothing of it
+_SWAPPED_PERCENT = 3.0  # a rise of more is another battery, or a sag that is over
+_LEAST_SHARE = 1 / 3  # of the speed of returns: it flew out against the wind that it returns against
+_STEADY_S, _STEADY_M_S = (
+    3.0,
+    0.3,
+)  # so long at a speed that changes by no more: it neither speeds up nor brakes
+_LEVEL_M_S = 0.3  # a leg that climbs or descends faster is slow for that reason
+_LEAST_M_S = 0.5  # below this it stands
+_WIND_KEPT_S = 600.0  # for so long a slow leg tells of the wind
+_LOOK_S = 2.0  # between two looks at the battery, and until the vehicle is told
+
+
+@dataclass(frozen=True, slots=True)
+class WayHome:
+    """How a vehicle returns and lands, once told to."""
+
+    altitude_m: float  # it climbs so high before it returns
+    climb_m_s: float
+    speed_m_s: float  # over the ground, without wind
+    acceleration_m_s2: float
+    hover_s: float  # above home, and whatever else takes a fixed time
+    descent_m_s: float
+    slowly_below_m: float  # the last metres,
+    landing_m_s: float  # ... which it descends at this speed
+
+
+# With the parameters that each is delivered with; tests hold both against recorded returns. The hover is ArduCopter's
+# RTL_LOIT_TIME of 5 s with what settling takes; a PX4 settles too before it descends.
+ARDUCOPTER = WayHome(15.0, 2.5, 10.0, 1.0, 10.0, 1.5, 10.0, 0.5)
+PX4 = WayHome(30.0, 2.5, 5.0, 1.0, 8.0, 1.5, 10.0, 0.5)
+UNKNOWN = PX4  # the slower one, of a vehicle that has not said what it is
+
+
+@dataclass(frozen=True, slots=True)
+class EnergyFacts:
+    """What a vehicle says of its battery's stages and of its way home; None where it does not.
+
+    `home` is where it returns to. `guessed` lists its parameters that are not known; a usual value stands for each.
+    """
+
+    low_percent: float | None = None
+    critical_percent: float | None = None
+    home: Position | None = None
+    way_home: WayHome | None = None
+    guessed: tuple[str, ...] = ()
+
+    @property
+    def return_altitude_m(self) -> float:
+        """The altitude above home that the way home has at least; 0 where it is not known."""
+        return self.way_home.altitude_m if self.way_home is not None else 0.0
+
+
+def in_words(guessed: Sequence[str]) -> str:
+    """What is guessed, in words, by the names of the vehicle's parameters that are not known."""
+    return f"guessed: {', '.join(guessed)} {'is' if len(guessed) == 1 else 'are'} not known"
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What is known of a vehicle in flight at one moment; `leg_speed_m_s` is what the leg under way was told."""
+
+    time_s: float
+    position: Position
+    percent: float | None = None
+    velocity: Velocity | None = None
+    leg_speed_m_s: float | None = None
+    wind: Velocity | None = None  # of the air over the ground
+
+
+@dataclass(frozen=True, slots=True)
+class Reserve:
+    """What has to be left at touchdown: the seconds of flight, and the percent, that a person asked for."""
+
+    seconds: float
+    percent: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Margin:
+    """What is left against what is needed, in percent; `rate_percent_s` is None while nothing tells it."""
+
+    left_percent: float
+    rate_percent_s: float | None
+    home_s: float
+    needed_percent: float
+    reserve: Reserve
+    reserve_s_percent: float  # what the reserve's seconds are
+    low_percent: float | None
+    guessed: tuple[str, ...] = ()
+
+    @property
+    def floor_percent(self) -> float:
+        """What has to be left at touchdown."""
+        return max(self.reserve_s_percent, self.low_percent or 0.0, self.reserve.percent or 0.0)
+
+    @property
+    def percent(self) -> float:
+        """What is to spare; below 0 too little is left."""
+        return self.left_percent - self.needed_percent - self.floor_percent
+
+    @property
+    def turn_back(self) -> bool:
+        """Whether it is time."""
+        return self.percent < 0
+
+    def __str__(self) -> str:
+        home = f"{self.home_s:.0f} s to home need {self.needed_percent:.0f} %"
+        if self.rate_percent_s is None:
+            home = f"{self.home_s:.0f} s to home need what is not known yet"
+        said = f"{home}, {self._floor}, {self.left_percent:.0f} % is left"
+        return f"{said} ({in_words(self.guessed)})" if self.guessed else said
+
+    @property
+    def _floor(self) -> str:
+        """The highest of what makes the floor, in words."""
+        if self.floor_percent == self.reserve_s_percent:
+            return f"{self.reserve.seconds:g} s of reserve {self.reserve_s_percent:.0f} %"
+        if self.floor_percent == self.reserve.percent:
+            return f"the reserve is {self.reserve.percent:g} %"
+        return f"the vehicle's own low-battery stage is at {self.low_percent:g} %"
+
+
+def margin(
+    percent: float,
+    *,
+    rate_percent_s: float | None,
+    home_s: float,
+    reserve: Reserve,
+    low_percent: float | None = None,
+    guessed: tuple[str, ...] = (),
+) -> Margin:
+    """The margin by the laws above; without a rate the way home and the reserve's seconds count nothing."""
+    rate = rate_percent_s or 0.0
+    return Margin(
+        left_percent=percent,
+        rate_percent_s=rate_percent_s,
+        home_s=home_s,
+        needed_percent=rate * home_s,
+        reserve=reserve,
+        reserve_s_percent=rate * reserve.seconds,
+        low_percent=low_percent,
+        guessed=guessed,
+    )
+
+
+def time_home_s(
+    start: Position, home: Position, way: WayHome, *, against_m_s: float = 0.0, velocity: Velocity = STILL
+) -> float:
+    """How long it takes from there to the ground at home, `against_m_s` slower over the ground than without wind.
+
+    A vehicle that moves has to stop first, and goes on meanwhile: away from home, as far as is known here.
+    """
+    stop_s = velocity.speed_m_s / way.acceleration_m_s2
+    length_m = ground_distance_m(start, home) + velocity.speed_m_s * (_LOOK_S + stop_s / 2)
+    top_m = max(start.altitude_m, way.altitude_m)
+    speed_m_s = max(way.speed_m_s - against_m_s, _LEAST_SHARE * way.speed_m_s)
+    return (
+        stop_s
+        + _rise_s(top_m - start.altitude_m, way)
+        + Leg(length_m, speed_m_s, way.acceleration_m_s2).duration_s
+        + way.hover_s
+        + descent_s(top_m, way)
+    )
+
+
+def descent_s(altitude_m: float, way: WayHome) -> float:
+    """How long it takes straight down to the ground."""
+    slowly_m = min(max(altitude_m, 0.0), way.slowly_below_m)
+    fast_m = max(altitude_m - slowly_m, 0.0)
+    return Leg(fast_m, way.descent_m_s, way.acceleration_m_s2).duration_s + slowly_m / way.landing_m_s
+
+
+def _rise_s(height_m: float, way: WayHome) -> float:
+    return Leg(max(height_m, 0.0), way.climb_m_s, way.acceleration_m_s2).duration_s
+
+
+class Consumption:
+    """What the battery loses, by reports that step by a percent, are missing at times, and jump.
+
+    It is never believed to last longer than `endurance_s`, full, where that is given.
+    """
+
+    def __init__(self, endurance_s: float | None = None) -> None:
+        self._least_percent_s = 100.0 / endurance_s if endurance_s else 0.0
+        self._first: tuple[float, float] | None = None
+        self._recent: deque[tuple[float, float]] = deque()
+        self._lowest_percent = math.inf
+        self._before_swap_percent_s = 0.0
+
+    def take(self, time_s: float, percent: float | None) -> None:
+        """Takes in a report of a vehicle in flight; times never go back."""
+        if percent is None:
+            return
+        if percent > self._lowest_percent + _SWAPPED_PERCENT:
+            self._before_swap_percent_s = self.rate_percent_s or 0.0
+            self._first = None
+            self._recent.clear()
+            self._lowest_percent = math.inf
+        self._first = self._first or (time_s, percent)
+        self._lowest_percent = min(self._lowest_percent, percent)
+        self._recent.append((time_s, percent))
+        while len(self._recent) > 1 and self._recent[1][0] <= time_s - _WINDOW_S:
+            self._recent.popleft()
+
+    @property
+    def rate_percent_s(self) -> float | None:
+        """The most that it can be, by the flight so far and by its last minutes; None while nothing tells it."""
+        rates = [self._least_percent_s]
+        if self._first is not None:
+            rates += [self._most_since(begun) for begun in (self._first, self._recent[0])]
+            if self._recent[-1][0] - self._first[0] < _WINDOW_S:
+                rates.append(self._before_swap_percent_s)
+        return max(rates) or None
+
+    def _most_since(self, begun: tuple[float, float]) -> float:
+        """What is lost since, a second: at most what the reports say and the step that comes next."""
+        (begun_s, before_percent), (now_s, percent) = begun, self._recent[-1]
+        flown_s = now_s - begun_s
+        return max(before_percent - percent + _STEP_PERCENT, 0.0) / flown_s if flown_s >= _LEAST_S else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _SlowLeg:
+    """A stretch that was flown steadily, and slower than it was told."""
+
+    time_s: float
+    east: float  # the direction, of length 1
+    north: float
+    short_m_s: float
+
+
+class Wind:
+    """What the wind takes from a speed over the ground: by the vehicle's report, and by legs that were slow."""
+
+    def __init__(self) -> None:
+        self._reported: Velocity | None = None
+        self._slow: deque[_SlowLeg] = deque()
+        self._steady: deque[tuple[float, Velocity, float]] = deque()
+
+    def take(self, report: Report) -> None:
+        """Takes in a report of a vehicle in flight; times never go back."""
+        self._reported = report.wind or self._reported
+        while self._slow and self._slow[0].time_s < report.time_s - _WIND_KEPT_S:
+            self._slow.popleft()
+        velocity, told_m_s = report.velocity, report.leg_speed_m_s
+        if velocity is None or told_m_s is None or abs(velocity.up_m_s) > _LEVEL_M_S:
+            self._steady.clear()
+            return
+        self._steady.append((report.time_s, velocity, told_m_s))
+        while any(_changed(past, self._steady[-1]) for past in self._steady):
+            self._steady.popleft()
+        if report.time_s - self._steady[0][0] >= _STEADY_S:
+            self._note_slowness(report.time_s, velocity, told_m_s)
+
+    def against_m_s(self, start: Position, end: Position, speed_m_s: float) -> float:
+        """By how much a vehicle of that air speed is slower over the ground, on the way from here to there.
+
+        At most so much where it is there, and moves on: in which direction it will have to come back is not known.
+        """
+        length_m = ground_distance_m(start, end)
+        if length_m == 0:
+            return self._most_m_s()
+        east, north = (end.east_m - start.east_m) / length_m, (end.north_m - start.north_m) / length_m
+        slow_m_s = max(
+            (each.short_m_s * (each.east * east + each.north * north) for each in self._slow), default=0.0
+        )
+        return max(0.0, slow_m_s, self._reported_against_m_s(east, north, speed_m_s))
+
+    def _most_m_s(self) -> float:
+        """What the wind takes at most, in any direction."""
+        reported_m_s = (
+            math.hypot(self._reported.east_m_s, self._reported.north_m_s) if self._reported else 0.0
+        )
+        return max(reported_m_s, *(each.short_m_s for each in self._slow), 0.0)
+
+    def _reported_against_m_s(self, east: float, north: float, speed_m_s: float) -> float:
+        if self._reported is None:
+            return 0.0
+        head_m_s = -(self._reported.east_m_s * east + self._reported.north_m_s * north)
+        cross_m_s = abs(self._reported.east_m_s * north - self._reported.north_m_s * east)
+        ahead_m_s = math.sqrt(
+            max(0.0, speed_m_s**2 - cross_m_s**2)
+        )  # what is left, with the nose into the wind
+        return speed_m_s - ahead_m_s + max(0.0, head_m_s)
+
+    def _note_slowness(self, time_s: float, velocity: Velocity, told_m_s: float) -> None:
+        ground_m_s = math.hypot(velocity.east_m_s, velocity.north_m_s)
+        if not _LEAST_M_S <= ground_m_s < told_m_s:
+            return
+        east, north = velocity.east_m_s / ground_m_s, velocity.north_m_s / ground_m_s
+        self._slow.append(_SlowLeg(time_s, east, north, told_m_s - ground_m_s))
+
+
+def _changed(before: tuple[float, Velocity, float], now: tuple[float, Velocity, float]) -> bool:
+    """Whether the leg was told another speed since, or the vehicle has another."""
+    (_, past, past_told_m_s), (_, velocity, told_m_s) = before, now
+    east_m_s, north_m_s = velocity.east_m_s - past.east_m_s, velocity.north_m_s - past.north_m_s
+    return told_m_s != past_told_m_s or math.hypot(east_m_s, north_m_s) > _STEADY_M_S
+
+
+@dataclass(slots=True)
+class Energy:
+    """Follows a flight by its reports, and says how much is to spare."""
+
+    reserve: Reserve
+    endurance_s: float | None = None
+    lands: bool = False  # where it is, instead of returning home
+    _consumption: Consumption = field(init=False)
+    _wind: Wind = field(init=False, default_factory=Wind)
+    _reported: tuple[float, float] | None = field(init=False, default=None)  # when, and the percent
+
+    def __post_init__(self) -> None:
+        self._consumption = Consumption(self.endurance_s)
+
+    @property
+    def rate_percent_s(self) -> float | None:
+        """What the battery loses a second, as far as it is known."""
+        return self._consumption.rate_percent_s
+
+    def take(self, report: Report) -> None:
+        """Takes in a report of a vehicle in flight; times never go back."""
+        if report.percent is not None:
+            self._reported = report.time_s, report.percent
+        self._consumption.take(report.time_s, report.percent)
+        self._wind.take(report)
+
+    def margin(self, report: Report, home: Position, facts: EnergyFacts) -> Margin | None:
+        """What is to spare at that moment; None while the battery was never reported.
+
+        `home` is where the vehicle returns to, as far as it does not say so itself.
+        """
+        if self._reported is None:
+            return None
+        way, rate = facts.way_home or UNKNOWN, self.rate_percent_s
+        reported_s, percent = self._reported
+        return margin(
+            percent - (rate or 0.0) * (report.time_s - reported_s),
+            rate_percent_s=rate,
+            home_s=_LOOK_S + self._down_s(report, facts.home or home, way),
+            reserve=self.reserve,
+            low_percent=facts.low_percent,
+            guessed=facts.guessed,
+        )
+
+    def _down_s(self, report: Report, home: Position, way: WayHome) -> float:
+        if self.lands:
+            return way.hover_s + descent_s(report.position.altitude_m, way)
+        return time_home_s(
+            report.position,
+            home,
+            way,
+            against_m_s=self._wind.against_m_s(report.position, home, way.speed_m_s),
+            velocity=report.velocity or STILL,
+        )

@@ -1,0 +1,1 @@
+"""Cameras: the files of a folder, video devices and streams."""

@@ -1,0 +1,1 @@
+"""This computer: log files, the service manager, signals and the clock."""

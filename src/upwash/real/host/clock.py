@@ -1,0 +1,153 @@
+"""The computer's clock, which certificates are judged by: set from the autopilot's GPS where nothing else keeps it.
+
+A computer without a battery-backed clock starts with the time of its last shutdown, or of its image.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import sys
+import time
+from datetime import UTC, datetime
+from typing import Protocol
+
+from upwash.errors import CredentialsError
+from upwash.eventlog import schema
+from upwash.ports import Journal
+from upwash.real.trust.credentials import Credentials, at_second
+from upwash.support.commands import command
+
+_WRONG_S = 60.0  # TLS compares seconds, but certificates last years; a GPS without leap seconds is 18 s off
+_EARLIEST_UNIX_S = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # before: a receiver that lost count of weeks
+_LATEST_UNIX_S = datetime(2100, 1, 1, tzinfo=UTC).timestamp()  # after: a broken message
+_STA_UNSYNC = 0x40  # of adjtimex(2): nobody keeps the clock in time
+_PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL = 47, 4  # of prctl(2)
+
+
+class Clock(Protocol):
+    """A computer's clock."""
+
+    def now_s(self) -> float:
+        """What it says, in seconds since 1970."""
+
+    def is_kept(self) -> bool:
+        """Whether something keeps it in time, such as NTP."""
+
+    def set(self, unix_s: float) -> None:
+        """Sets it; raises OSError where this process may not."""
+
+
+class SystemClock:
+    """This computer's."""
+
+    def now_s(self) -> float:
+        """As every process here sees it, and as TLS judges by."""
+        return time.time()
+
+    def is_kept(self) -> bool:
+        """By what the kernel was told; False where it does not say."""
+        status = _adjtimex_status()
+        return status is not None and not status & _STA_UNSYNC
+
+    def set(self, unix_s: float) -> None:
+        """For the whole computer; it needs CAP_SYS_TIME."""
+        time.clock_settime(time.CLOCK_REALTIME, unix_s)
+
+
+SYSTEM_CLOCK = SystemClock()
+
+
+def agree_on_time(
+    gps_unix_s: float | None, credentials: Credentials, journal: Journal, *, clock: Clock = SYSTEM_CLOCK
+) -> None:
+    """Sets the clock where it is wrong by the GPS, and refuses to go on with certificates that are not valid then.
+
+    A clock that something keeps in time, or that may not be set, is left as it is. It is set to no time at which the
+    certificates are not valid: whoever forges the time gets no other. Raises CredentialsError.
+    """
+    if gps_unix_s is not None and not _EARLIEST_UNIX_S <= gps_unix_s <= _LATEST_UNIX_S:
+        gps_unix_s = None
+    why = _set_if_wrong(gps_unix_s, credentials, journal, clock) if gps_unix_s is not None else _silence()
+    problem = problem_by(clock, credentials)
+    if problem:
+        raise CredentialsError(f"{problem}{why}")
+
+
+def problem_by(clock: Clock, credentials: Credentials) -> str:
+    """Which of the certificates is not valid by the clock, with its dates; "" where all are."""
+    return credentials.problem_at(_datetime(clock.now_s()))
+
+
+def keep_right_from_services() -> None:
+    """What this process starts from now on inherits no capability, so that no service can set the clock."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL, 0, 0, 0)
+
+
+def _set_if_wrong(gps_unix_s: float, credentials: Credentials, journal: Journal, clock: Clock) -> str:
+    """Returns what is to be said of a certificate that is not valid afterwards."""
+    now_s = clock.now_s()
+    before, told = at_second(_datetime(now_s)), at_second(_datetime(gps_unix_s))
+    if abs(gps_unix_s - now_s) <= _WRONG_S:
+        return ", and the vehicle's GPS agrees: make a new certificate"
+    if clock.is_kept():
+        why_not = "something keeps this computer's clock in time, such as NTP"
+    elif problem := credentials.problem_at(_datetime(gps_unix_s), by="the vehicle's GPS"):
+        raise CredentialsError(
+            f"{problem}; this computer's clock says {before} and was not set: make a new certificate, or wait until "
+            "the GPS is right"
+        )
+    else:
+        try:
+            clock.set(gps_unix_s)
+        except OSError as error:
+            why_not = f"this program may not set the clock ({error.strerror})"
+        else:
+            journal.record(schema.ClockSet(before=_datetime(now_s), after=_datetime(gps_unix_s)))
+            return ", as it was set from the vehicle's GPS: make a new certificate"
+    journal.record(schema.ClockDiffers(clock=before, gps=told, why=why_not))
+    return f"; the vehicle's GPS says {told}, but {why_not}: {_remedy()}"
+
+
+def _silence() -> str:
+    return f"; the vehicle's GPS does not tell the time yet: wait for its fix and start again, or {_remedy()}"
+
+
+def _remedy() -> str:
+    again = [sys.executable, *sys.orig_argv[1:]]
+    with_the_right = ("--pty", "--same-dir", f"--uid={os.getuid()}", "-p", "AmbientCapabilities=CAP_SYS_TIME")
+    return (
+        "have a battery-backed clock, or chrony with gpsd, keep this computer's clock; or let upwash set it: "
+        "AmbientCapabilities=CAP_SYS_TIME in the [Service] of its systemd unit, or "
+        + command("sudo", "systemd-run", *with_the_right, *again)
+    )
+
+
+def _datetime(unix_s: float) -> datetime:
+    return datetime.fromtimestamp(unix_s, UTC)
+
+
+class _Timex(ctypes.Structure):
+    """The start of the kernel's struct timex; the rest is only kept free."""
+
+    _fields_ = (
+        ("modes", ctypes.c_uint),
+        ("offset", ctypes.c_long),
+        ("freq", ctypes.c_long),
+        ("maxerror", ctypes.c_long),
+        ("esterror", ctypes.c_long),
+        ("status", ctypes.c_int),
+        ("rest", ctypes.c_char * 512),
+    )
+
+
+def _adjtimex_status() -> int | None:
+    """The status bits of the kernel's clock; it is only asked, nothing is set. None where it does not answer."""
+    timex = _Timex()
+    try:
+        answer = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(timex))
+    except (OSError, AttributeError):
+        return None
+    return None if answer < 0 else int(timex.status)

@@ -1,0 +1,96 @@
+"""A program's log on standard error: text for people, or JSON lines for machines."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import time
+from datetime import UTC, datetime
+from typing import Any, TextIO
+
+import msgspec
+
+from upwash.core.admission.allowance import Allowance
+from upwash.support.background import thread
+from upwash.support.text import escaped_lines, printable
+
+_TEXT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+_LONGEST_MESSAGE = 10_000
+_foreign = logging.getLogger("upwash.foreign")
+
+
+def log_text() -> None:
+    """From now on the log is text, one line a message, whatever drones and services have put into it."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_TextFormatter(_TEXT))
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
+
+
+def log_json() -> None:
+    """From now on each line on standard error is a JSON object, also what libraries write there.
+
+    They write to file descriptor 2, past Python; it is read back through a pipe.
+    """
+    lines = os.fdopen(os.dup(2), "w", buffering=1)
+    reading, writing = os.pipe()
+    os.dup2(writing, 2)
+    os.close(writing)
+    sys.stderr = lines  # what Python says of a crash must get out at once
+    handler = logging.StreamHandler(lines)
+    handler.setFormatter(_JsonFormatter())
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
+    foreign = os.fdopen(reading, errors="replace")
+
+    def write_past(_: Exception) -> None:  # or a library that writes would wait for ever
+        os.dup2(lines.fileno(), 2)
+
+    thread(lambda: _pass_on(foreign), name="log of libraries", failed=write_past).start()
+
+
+def _pass_on(foreign: TextIO) -> None:
+    for line in foreign:
+        if line.strip():
+            _foreign.info("%s", line.strip())
+
+
+class _TextFormatter(logging.Formatter):
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's name
+        record.message = printable(record.message, _LONGEST_MESSAGE)
+        return super().formatMessage(record)
+
+    def formatException(self, ei: Any) -> str:  # noqa: N802 - logging's name
+        return escaped_lines(super().formatException(ei))
+
+
+class _JsonFormatter(_TextFormatter):
+    def format(self, record: logging.LogRecord) -> str:
+        facts = {
+            "time": datetime.fromtimestamp(record.created, UTC),
+            "level": record.levelname,
+            "logger": record.name,
+            "message": printable(record.getMessage(), _LONGEST_MESSAGE),
+        }
+        if record.exc_info:
+            facts["traceback"] = self.formatException(record.exc_info)
+        return msgspec.json.encode(facts).decode()
+
+
+class Sparing(logging.Filter):
+    """Lets so many lines a second through, `at_once` after a rest; the next one says how many were left out."""
+
+    def __init__(self, per_s: float = 5.0, *, at_once: float = 50.0) -> None:
+        super().__init__()
+        self._lines = Allowance(per_s, at_once=at_once)
+        self._left_out = 0
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether the line is written."""
+        if not self._lines.take(1, now_s=time.monotonic()):
+            self._left_out += 1
+            return False
+        if self._left_out:
+            record.msg = f"{record.getMessage()} ({self._left_out} lines before it were left out)"
+            record.args = ()
+            self._left_out = 0
+        return True

@@ -1,0 +1,94 @@
+"""The secret that a runtime shares with one container: a key and its certificate, by which each knows the other.
+
+It opens the container's control line to its daemon and to nobody else. Another one, that the service in it is given,
+lets the daemon's door hand calls on to that. Neither is a certificate of the operator's authority.
+"""
+
+from __future__ import annotations
+
+import base64
+import re
+import socket
+import ssl
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+
+from upwash.real.trust.trust import load_secret
+
+CONTROL_PORT = 7071
+SERVICE_PORT = 7070
+
+_LASTS = timedelta(days=3652)  # as long as the authority: a stopped container is started again much later
+_CLOCKS_MAY_DIFFER = timedelta(days=1)
+_PROBE_AFTER_S, _PROBE_PERIOD_S, _PROBES = 2, 1, 4  # a peer whose machine is gone is noticed within 6 s
+
+
+@dataclass(frozen=True, slots=True)
+class ControlCredentials:
+    """A key and a certificate of its own signature, as one PEM text."""
+
+    pem: bytes = field(repr=False)
+
+    @staticmethod
+    def from_text(text: str) -> ControlCredentials:
+        """The credentials that `text()` gave."""
+        return ControlCredentials(base64.b64decode(text))
+
+    def text(self) -> str:
+        """The credentials in one line."""
+        return base64.b64encode(self.pem).decode()
+
+    @property
+    def certificate(self) -> bytes:
+        """The certificate alone, which is no secret."""
+        found = re.search(rb"-----BEGIN CERTIFICATE-----.*", self.pem, re.DOTALL)
+        assert found is not None  # noqa: S101 - they have one
+        return found.group()
+
+    def context(self, *, is_server: bool) -> ssl.SSLContext:
+        """TLS with whoever holds the same credentials."""
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER if is_server else ssl.PROTOCOL_TLS_CLIENT)
+        context.minimum_version = ssl.TLSVersion.TLSv1_3
+        context.check_hostname = False
+        context.verify_mode = ssl.CERT_REQUIRED
+        context.load_verify_locations(cadata=self.certificate.decode())
+        load_secret(context, self.pem)
+        return context
+
+
+def new_control_credentials() -> ControlCredentials:
+    """Credentials that nobody has seen yet."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+    from cryptography.x509.oid import NameOID
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "upwash control line")])
+    now = datetime.now(UTC)
+    certificate = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _CLOCKS_MAY_DIFFER)
+        .not_valid_after(now + _LASTS)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .sign(key, hashes.SHA256())
+    )
+    return ControlCredentials(
+        key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+        + certificate.public_bytes(Encoding.PEM)
+    )
+
+
+def notice_silence(connection: socket.socket) -> None:
+    """Has the kernel break a connection whose other end's machine is gone."""
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _PROBE_AFTER_S)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _PROBE_PERIOD_S)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, _PROBES)
+    silent_ms = (_PROBE_AFTER_S + _PROBES * _PROBE_PERIOD_S) * 1000
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, silent_ms)

@@ -1,0 +1,244 @@
+"""A container of Docker or Podman: what it may use and see, and how a service in it is handed its sockets."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import re
+import signal
+import socket
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NoReturn
+
+import msgspec
+
+from upwash.core.admission.limits import DEFAULT_LIMITS, Limits
+from upwash.errors import EngineError, InstanceError
+from upwash.ports import InstanceSpec
+from upwash.real.instances.containers import container_name
+from upwash.real.instances.docker.engine import DockerEngine, last_line
+from upwash.real.instances.docker.inside import COMMAND, HANDOFF
+from upwash.real.instances.local_instance import STOP_GRACE_S, Handed
+from upwash.real.instances.runtime import SIGNALLED
+from upwash.real.instances.service_image import ServiceImage
+from upwash.support.background import begin
+from upwash.support.waiting import first
+
+_log = logging.getLogger("upwash.docker")
+
+SERVER = "upwash.server"  # the label by which a daemon knows its containers again
+_USER = "1000:1000"
+_LOG_SIZE = "64k"  # of what is printed before the daemon hands over another place for it
+_FIRST_KILLED = 1000  # when the machine runs out of memory, as services in a sandbox
+_TAKES_OVER_S = 20.0
+_LOOK_S = 0.5
+_ENDS_S = 5.0
+_LONGEST_CODE = 8  # bytes: a service that means harm might write there too
+_NANO = 10**9
+_told = msgspec.json.Decoder(dict[str, str])
+
+
+@dataclass(frozen=True, slots=True)
+class ContainerSettings:
+    """What every container of a daemon may use.
+
+    Sockets are handed over below the `folder`, which no other user may enter.
+    """
+
+    folder: Path
+    limits: Mapping[str, Limits] = field(default_factory=dict)  # by service
+    devices: Sequence[str] = ()  # paths such as /dev/dri, or names of the Container Device Interface
+
+
+def definition(
+    image: ServiceImage,
+    settings: ContainerSettings,
+    *,
+    server: str,
+    command: Sequence[str],
+    folder: Path | None,
+) -> dict[str, object]:
+    """What an engine is asked to create: no network, no rights, nothing to write to but memory.
+
+    The folder, with the socket at which the daemon hands over the service's own, is mounted where
+    `upwash.real.instances.docker.inside` looks for it.
+    """
+    binds = [f"{folder}:{Path(HANDOFF).parent}:ro"] if folder else []
+    if image.base == "host":
+        binds.append("/usr:/usr:ro")
+    limits = settings.limits.get(image.service, DEFAULT_LIMITS)
+    scratch = f"size={limits.disk_bytes},mode=1777,nosuid,nodev"
+    paths = [device for device in settings.devices if device.startswith("/")]
+    named = [device for device in settings.devices if not device.startswith("/")]
+    return {
+        "image": image.fingerprint,
+        "name": container_name(image.service, server),
+        "entrypoint": list(command),
+        "command": [],
+        "user": _USER,
+        "working_dir": "/tmp",  # noqa: S108 - its own
+        "environment": {"HOME": "/tmp"},  # noqa: S108 - its own
+        "labels": {SERVER: server},
+        "host_config": {
+            "network_mode": "none",
+            "read_only": True,
+            "cap_drop": ["ALL"],
+            "security_opt": ["no-new-privileges"],
+            "ipc_mode": "private",
+            "mem_limit": limits.memory_bytes,
+            "memswap_limit": limits.memory_bytes,  # no swap besides
+            "pids_limit": limits.processes,
+            "nano_cpus": limits.cpus * _NANO if limits.cpus else None,
+            "oom_score_adj": _FIRST_KILLED,
+            "log_config": {"Type": "json-file", "Config": {"max-size": _LOG_SIZE}},
+            "binds": binds,
+            "tmpfs": {"/tmp": scratch, "/var/tmp": scratch},  # noqa: S108 - its own
+            "shm_size": limits.disk_bytes,
+            "devices": [f"{path}:{path}:rw" for path in paths],
+            "device_requests": [{"Driver": "cdi", "DeviceIDs": named}] if named else None,
+        },
+    }
+
+
+class Container:
+    """One that runs, and has taken over the sockets of its service."""
+
+    def __init__(self, engine: DockerEngine, name: str, line: socket.socket) -> None:
+        self.name = name
+        self._engine = engine
+        self._line = line
+        self._is_paused = False
+        self._ended = begin(self._end_of())
+
+    async def ended(self) -> int:
+        """Returns the exit code of its service, negative for a signal, when that has ended."""
+        return await asyncio.shield(self._ended)
+
+    async def end(self) -> None:
+        """Asks the service to end, then removes the container; where the engine does not answer it ends by itself."""
+        try:
+            if not self._is_paused and not self._ended.done():
+                await self._engine.signal(self.name, "SIGTERM")
+                await asyncio.wait([self._ended], timeout=STOP_GRACE_S)
+        except EngineError:  # it has ended meanwhile
+            pass
+        try:
+            await self._engine.remove(self.name)
+        except EngineError as error:
+            _log.warning("container %s could not be removed: %s", self.name, error)
+        self._line.close()
+
+    async def pause(self) -> None:
+        """Freezes it."""
+        await self._engine.pause(self.name)
+        self._is_paused = True
+
+    async def unpause(self) -> None:
+        """Lets it go on."""
+        await self._engine.unpause(self.name)
+        self._is_paused = False
+
+    async def _end_of(self) -> int:
+        """By its process 1; by the engine, where that could not say it."""
+        loop, said = asyncio.get_running_loop(), b""
+        with contextlib.suppress(OSError):
+            while len(said) <= _LONGEST_CODE and (chunk := await loop.sock_recv(self._line, _LONGEST_CODE)):
+                said += chunk
+        if re.fullmatch(rb"-?\d{1,3}\n", said):
+            return int(said)
+        with contextlib.suppress(EngineError):
+            return _code(await self._engine.wait(self.name, wait_s=_ENDS_S))
+        return -signal.SIGKILL
+
+
+async def run(
+    engine: DockerEngine, image: ServiceImage, settings: ContainerSettings, spec: InstanceSpec, handed: Handed
+) -> Container:
+    """Runs a service on these sockets in a new container; raises EngineError, with nothing left of it."""
+    with (
+        tempfile.TemporaryDirectory(prefix="c-", dir=settings.folder) as folder,  # what is mounted remains
+        _handoff(Path(folder)) as door,
+    ):
+        made = definition(image, settings, server=spec.server, command=COMMAND, folder=Path(folder))
+        name = await engine.create(made)
+        try:
+            await engine.start(name)
+            line = await _taken_over(engine, name, door, spec)
+        except BaseException:
+            await engine.remove(name)
+            raise
+    assert handed.outside is not None  # noqa: S101 - a container has nowhere to listen itself
+    sockets = [handed.control.fileno(), handed.output.fileno(), handed.outside.fileno()]
+    socket.send_fds(line, [b"!"], sockets)
+    return Container(engine, name, line)
+
+
+def _handoff(folder: Path) -> socket.socket:
+    """The socket at which a container asks for those of its service.
+
+    Its user is another one. Nobody else of this machine gets into the folder above.
+    """
+    door = socket.socket(socket.AF_UNIX)
+    path = folder / Path(HANDOFF).name
+    door.bind(str(path))
+    folder.chmod(0o755)
+    path.chmod(0o666)
+    door.listen(1)
+    door.setblocking(False)
+    return door
+
+
+async def describe(
+    engine: DockerEngine, image: ServiceImage, settings: ContainerSettings, *, server: str
+) -> Mapping[str, str]:
+    """What the image's program says of its service, run alone in a container; raises EngineError."""
+    name = await engine.create(
+        definition(image, settings, server=server, command=(*COMMAND, image.program.path), folder=None)
+    )
+    try:
+        await engine.start(name)
+        code = await engine.wait(name, wait_s=_TAKES_OVER_S)
+        output, errors = await engine.said(name)
+    finally:
+        await engine.remove(name)
+    try:
+        if code != 0:
+            raise ValueError(last_line(output, errors))
+        return _told.decode(last_line(output))
+    except (ValueError, msgspec.MsgspecError) as error:
+        raise EngineError(
+            f"the image of {image.service} does not say what {image.program.path} declares: {error}; it needs "
+            "python3 with upwash, and the program that its label upwash.program names"
+        ) from error
+
+
+async def _taken_over(
+    engine: DockerEngine, name: str, door: socket.socket, spec: InstanceSpec
+) -> socket.socket:
+    """The line to its process 1, once that has called."""
+    try:
+        async with asyncio.timeout(_TAKES_OVER_S):
+            line, _ = await first(
+                asyncio.get_running_loop().sock_accept(door), _require_running(engine, name, spec)
+            )
+            return line
+    except TimeoutError:
+        raise EngineError(
+            f"{spec.name} did not start: its container runs, but asked for nothing within {_TAKES_OVER_S:.0f} s; "
+            "does the engine run on this machine, and may its containers use a socket that is mounted?"
+        ) from None
+
+
+async def _require_running(engine: DockerEngine, name: str, spec: InstanceSpec) -> NoReturn:
+    """Raises InstanceError once the container runs no more."""
+    while await engine.is_running(name):  # noqa: ASYNC110 - an engine tells nobody
+        await asyncio.sleep(_LOOK_S)
+    raise InstanceError(f"{spec.name} did not start: {last_line(*await engine.said(name))}")
+
+
+def _code(status: int) -> int:
+    return SIGNALLED - status if SIGNALLED < status < SIGNALLED + signal.NSIG else status

@@ -1,0 +1,160 @@
+"""A service's program in any language, which answers calls over its standard input and output.
+
+The frames are those of `framing`: docs/other-languages.md.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import subprocess
+import threading
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
+from typing import IO
+
+import msgspec
+
+from upwash.errors import UsageError
+from upwash.real.link.framing import BESIDE_BYTES, frame, read_frame
+from upwash.rpc.service import Fault, Method
+from upwash.support.background import thread
+from upwash.support.text import printable, signal_name
+
+_LONGEST_REASON = 1000
+_ENDS_S = 1.0  # once it has hung up
+
+
+class Call(msgspec.Struct, frozen=True):
+    """To the program: compute this, and answer with the same id."""
+
+    id: int
+    method: str
+    arguments: msgspec.Raw
+
+
+class Settings(msgspec.Struct, frozen=True):
+    """To the program, first: what its constructor would take."""
+
+    settings: dict[str, object]
+
+
+class Answer(msgspec.Struct, frozen=True, omit_defaults=True):
+    """From the program: what became of the call with that id; of its settings with id 0."""
+
+    id: int
+    value: msgspec.Raw | msgspec.UnsetType = msgspec.UNSET
+    fault: Fault | msgspec.UnsetType = msgspec.UNSET
+
+
+class Reply(msgspec.Struct, frozen=True, omit_defaults=True):
+    """What is sent on to the drone of an answer."""
+
+    value: msgspec.Raw | msgspec.UnsetType = msgspec.UNSET
+    fault: Fault | msgspec.UnsetType = msgspec.UNSET
+
+
+_encoder = msgspec.msgpack.Encoder()
+_answer = msgspec.msgpack.Decoder(Answer)
+
+
+class ForeignProgram:
+    """Starts the program, and has it compute calls; raises UsageError where it does not start.
+
+    Calls are sent as they come, so many at a time as the service declares. When the program ends, or says what is no
+    answer, this process ends too, with the program's code: whoever started it starts it again.
+    """
+
+    def __init__(
+        self, command: Sequence[str], settings: Mapping[str, object], *, max_message_bytes: int
+    ) -> None:
+        self._most_bytes = max_message_bytes + BESIDE_BYTES
+        self._numbers = itertools.count(1)
+        self._writing = threading.Lock()
+        self._waiting: dict[int, Future[Answer]] = {}
+        try:
+            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)  # noqa: S603
+        except OSError as error:
+            raise UsageError(f"{command[0]} cannot be run: {error.strerror}") from error
+        try:
+            self._begin(command[0], settings)
+        except BaseException:
+            self._process.kill()
+            with contextlib.suppress(OSError), self._process:  # which closes its pipes, and waits for it
+                pass
+            raise
+        thread(
+            self._listen, name="foreign program", failed=lambda error: self._end(f"a defect: {error}")
+        ).start()
+
+    def _begin(self, program: str, settings: Mapping[str, object]) -> None:
+        assert self._process.stdin is not None and self._process.stdout is not None  # noqa: S101 - they are pipes
+        self._input, self._output = self._process.stdin, self._process.stdout
+        try:
+            self._write(frame(Settings(dict(settings))))
+            answer = self._read(self._output)
+        except (OSError, EOFError, ValueError) as error:
+            raise UsageError(
+                f"{program} did not answer to its settings: {self._how_it_ended() or error}"
+            ) from error
+        if answer.fault is not msgspec.UNSET:
+            raise UsageError(f"{program}: {printable(answer.fault.message, _LONGEST_REASON)}")
+
+    def perform(self, method: Method, request: bytes) -> tuple[str, bytes]:
+        """Has the call computed; returns its profile key, and its value or fault as a reply."""
+        try:
+            key = method.key_of(request)
+        except msgspec.MsgspecError as error:
+            fault = Fault("builtins:TypeError", f"{method.name}(): {error}")
+            return "", _encoder.encode(Reply(fault=fault))
+        number, answered = next(self._numbers), Future[Answer]()
+        self._waiting[number] = answered
+        self._write(frame(Call(number, method.name, msgspec.Raw(request))))
+        answer = answered.result()
+        return key, _encoder.encode(Reply(answer.value, answer.fault))
+
+    def _how_it_ended(self) -> str:
+        try:
+            return f"it ended with code {self._process.wait(_ENDS_S)}"
+        except subprocess.TimeoutExpired:
+            return ""
+
+    def _write(self, text: bytes) -> None:
+        with self._writing:
+            self._input.write(text)
+            self._input.flush()
+
+    def _read(self, output: IO[bytes]) -> Answer:
+        try:
+            answer = _answer.decode(read_frame(output, most_bytes=self._most_bytes))
+        except RecursionError:
+            raise ValueError("an answer that is nested too deeply") from None
+        if (answer.value is msgspec.UNSET) == (answer.fault is msgspec.UNSET):
+            raise ValueError("an answer with neither a value nor a fault, or with both")
+        return answer
+
+    def _listen(self) -> None:
+        why = ""
+        try:
+            while True:
+                answer = self._read(self._output)
+                self._waiting.pop(answer.id).set_result(answer)
+        except KeyError as error:
+            why = f"the program answered a call that was not made: {error}"
+        except (OSError, EOFError):
+            pass  # it ends
+        except ValueError as error:
+            why = f"the program said what is no answer: {error}"
+        self._end(why)
+
+    def _end(self, why: str) -> None:
+        """Ends this process as the program ended, or with it."""
+        if why:
+            self._process.kill()
+        code = self._process.wait()
+        if code < 0 and not why:
+            why = f"the program was killed by {signal_name(-code)}"
+        if why:
+            print(printable(why, _LONGEST_REASON), flush=True)  # noqa: T201 - for the log of who started this
+        os._exit(1 if why else code)

@@ -1,0 +1,258 @@
+"""One service instance: a process of its own that a runtime started.
+
+`python -m upwash.real.instances.instance CONTROL [OUTSIDE]` gets two file descriptors: the control socket, and a
+socket for calls. The second one listens outside a sandbox, or is an end of a pair; an instance with an address of its
+own has none. The process imports the service, pays its cold start, and serves as many calls at a time as the service
+declares. The
+default is one: services need not be safe for threads.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import ssl
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from queue import SimpleQueue
+from typing import BinaryIO, NoReturn
+
+from upwash.core.admission.allowance import Allowance
+from upwash.core.admission.instance_gate import InstanceGate
+from upwash.errors import Refused, UsageError
+from upwash.real.instances.control import (
+    MOST_REPORTS_PER_S,
+    Admit,
+    Admitted,
+    Answered,
+    Begin,
+    Called,
+    Drain,
+    Drained,
+    Failed,
+    Ready,
+    line,
+    to_instance,
+)
+from upwash.real.instances.control_credentials import ControlCredentials
+from upwash.real.instances.foreign import ForeignProgram
+from upwash.real.instances.limits import apply_limits
+from upwash.real.link.announced import Inside
+from upwash.real.link.direct import DirectListener
+from upwash.real.link.listener import Health, Listener
+from upwash.real.link.requests import Caller, Requests
+from upwash.real.link.socket_proxy import SocketProxy
+from upwash.real.link.streams import listening_socket
+from upwash.rpc.protocol import service_path
+from upwash.rpc.service import Method, carries_fault, load_service, spec_of
+from upwash.rpc.settings import construct
+from upwash.support.background import thread
+from upwash.support.heat import Heat
+from upwash.support.loading import look_here
+
+_CONCURRENT_CALLS = (
+    256  # a few run, the others arrive or queue until their deadlines: of drones with a lease alone
+)
+_CALLS_PER_DRONE = 4  # one, and others that it has given up
+_LONGEST_REASON = 10_000  # characters
+_LAST_REPLY_S = 1.0  # to get on its way, when the last call has ended
+
+
+@dataclass(frozen=True, slots=True)
+class _Performed:
+    """A call that was computed: the reply to who called, and the report of it to the program."""
+
+    reply: bytes
+    report: Answered
+
+
+class ServiceInstance:
+    """Serves the calls of one service object."""
+
+    def __init__(self, begin: Begin, control: socket.socket, outside: socket.socket | None) -> None:
+        cls = load_service(begin.program)
+        spec = spec_of(cls)
+        self._compute: Callable[[Method, bytes], tuple[str, bytes]]
+        if begin.command:
+            self._compute = ForeignProgram(
+                begin.command, begin.settings, max_message_bytes=begin.max_message_bytes
+            ).perform
+        else:
+            target: object = construct(cls, spec.settings, begin.settings)
+            self._compute = lambda method, request: method.perform(target, request)
+        self._methods: dict[str, Method] = {
+            service_path(begin.service, method.name): method for method in spec.methods.values()
+        }
+        self._pace_s = begin.pace_s
+        self._heat = Heat(begin.heats) if begin.heats else None
+        self._control = control
+        self._reporting = threading.Lock()
+        self._calls = ThreadPoolExecutor(spec.concurrency, "upwash-call")
+        self._gate = InstanceGate()
+        self._sharing = threading.Lock()  # what the calls have in common: the heat, and the pace of reports
+        self._reports = Allowance(MOST_REPORTS_PER_S, at_once=MOST_REPORTS_PER_S)
+        self._is_announced = begin.is_announced
+        requests = Requests(
+            self._answer,
+            max_message_bytes=begin.max_message_bytes,
+            concurrent=_CONCURRENT_CALLS,
+            each=_CALLS_PER_DRONE,
+            gate=self._admit,
+        )
+        self._listener: Listener | DirectListener
+        self._inside: Inside | None = None
+        if not begin.listen:
+            assert outside is not None  # noqa: S101 - its program's other end
+            self._listener = DirectListener(outside, requests)
+            return
+        self._inside = Inside(begin.listen.removeprefix("unix:"))
+        who_is = self._inside.client if begin.is_announced else None
+        self._listener = Listener(begin.listen, requests, who_is=who_is)
+        self._listener.add(Health())
+
+    def serve(self, outside: socket.socket | None, context: ssl.SSLContext | None) -> None:
+        """Begins to answer, also who connects to the socket from outside, and says so."""
+        self._listener.start()
+        if outside is not None and self._inside is not None:
+            SocketProxy(outside, self._inside, is_announced=self._is_announced, context=context).open()
+        self._report(Ready(self._listener.address))
+
+    def admit(self, drones: list[str], finishing: list[str]) -> None:
+        """From now on only these drones get an answer, and what has arrived of those that are finishing."""
+        self._gate.admit(drones, finishing)
+        self._report(Admitted())
+
+    def drain(self, why: str) -> None:
+        """From now on nobody gets an answer, for that reason; says so when the last call has ended."""
+        self._gate.close(why)
+        thread(self._drain, name="drain", failed=_end_all).start()
+
+    def _drain(self) -> None:
+        self._calls.shutdown(wait=True, cancel_futures=True)
+        self._listener.stop(grace_s=_LAST_REPLY_S)
+        self._report(Drained())
+
+    def _report(self, message: Ready | Admitted | Drained | Called | Answered) -> None:
+        with self._reporting:
+            self._control.sendall(line(message))
+
+    def _admit(self, path: str, caller: Caller) -> None:
+        if path not in self._methods:
+            raise Refused(f"no method {path} here")
+        self._gate.require(caller.client)
+
+    def _answer(self, path: str, body: bytes, caller: Caller) -> bytes:
+        """In a thread of the service's own; their turns come in the order in which they were whole."""
+        whole_s = time.monotonic()
+        try:
+            call = self._calls.submit(self._perform, self._methods[path], body, caller, whole_s)
+            call.add_done_callback(self._report_answer)
+        except RuntimeError:  # no calls are taken any more
+            raise Refused(self._gate.closed) from None
+        try:
+            return call.result().reply
+        except CancelledError:  # while it waited for its turn
+            raise Refused(self._gate.closed) from None
+
+    def _perform(self, method: Method, body: bytes, caller: Caller, whole_s: float) -> _Performed:
+        self._gate.require_still(caller.client)  # now that the call has arrived and its turn has come
+        if not caller.is_waiting():
+            raise Refused("nobody waits for this call any more")
+        drone, began_s = caller.client.key, time.monotonic()
+        self._report(Called(drone))
+        key, reply = self._compute(method, body)
+        short_s = self._least_s(key, method.name, began_s) - (time.monotonic() - began_s)
+        if short_s > 0:
+            time.sleep(short_s)
+        took_s = time.monotonic() - began_s
+        return _Performed(
+            reply,
+            Answered(
+                drone=drone,
+                method=method.name,
+                queued_s=began_s - whole_s,
+                took_s=took_s,
+                outcome="raised" if carries_fault(reply) else "value",
+            ),
+        )
+
+    def _report_answer(self, call: Future[_Performed]) -> None:
+        """In the service's thread, whose next call waits for it, while the answer is on its way."""
+        if call.cancelled() or call.exception() is not None:
+            return
+        pause_s = self._pause_s(time.monotonic())
+        if pause_s > 0:
+            time.sleep(pause_s)
+        self._report(call.result().report)
+
+    def _pause_s(self, now_s: float) -> float:
+        """How long to wait after the two reports of a call, or its program would hang up."""
+        with self._sharing:
+            return self._reports.take_anyway_s(2, now_s=now_s)
+
+    def _least_s(self, key: str, method: str, began_s: float) -> float:
+        """The least time of an operation; a configuration may tell operations apart by key, by method or not."""
+        pace_s = next((self._pace_s[name] for name in (key, method, "") if name in self._pace_s), 0.0)
+        if self._heat is None:
+            return pace_s
+        with self._sharing:
+            return self._heat.work(pace_s, now_s=began_s)
+
+
+def main() -> NoReturn:
+    """Serves until the control socket says that whoever started this is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that started this
+    control = socket.socket(fileno=int(sys.argv[1]))
+    lines = control.makefile("rb")
+    outside = socket.socket(fileno=int(sys.argv[2])) if len(sys.argv) > 2 else None
+    begin = to_instance.decode(lines.readline())
+    if not isinstance(begin, Begin):
+        raise SystemExit("the first control message must say what to be")
+    orders: SimpleQueue[bytes] = SimpleQueue()
+    # From now on, as a cold start may take long and its program may die meanwhile.
+    thread(lambda: _listen(lines, orders), name="control line", failed=_end_all).start()
+    look_here()
+    try:
+        if begin.limits is not None:
+            apply_limits(begin.limits)
+        instance = ServiceInstance(begin, control, outside)
+    except UsageError as error:
+        if error.__cause__ is not None:
+            traceback.print_exception(error.__cause__)  # for the log of who started this
+        control.sendall(line(Failed(str(error)[:_LONGEST_REASON])))
+        raise SystemExit(1) from error
+    context = None
+    if begin.outside:
+        outside = listening_socket(begin.outside)
+        context = ControlCredentials.from_text(begin.credentials).context(is_server=True)
+    instance.serve(outside, context)
+    while True:
+        message = to_instance.decode(orders.get())
+        match message:
+            case Admit(drones, finishing):
+                instance.admit(drones, finishing)
+            case Drain(why):
+                instance.drain(why)
+
+
+def _listen(lines: BinaryIO, orders: SimpleQueue[bytes]) -> None:
+    with contextlib.suppress(OSError):  # the line breaks where the other end leaves reports unread
+        for text in lines:
+            orders.put(text)
+    _end_all()
+
+
+def _end_all(_: Exception | None = None) -> None:
+    """Ends the whole group, as the service may have started processes too; at once, as nobody is left to wait."""
+    os.killpg(0, signal.SIGKILL)
+
+
+if __name__ == "__main__":
+    main()

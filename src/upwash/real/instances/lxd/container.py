@@ -1,0 +1,166 @@
+"""What a container is made of: its limits, its one network address, and the marks by which it is known again."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from ipaddress import IPv4Network
+
+from upwash.core.admission.limits import DEFAULT_LIMITS, Limits
+from upwash.errors import EngineError
+from upwash.real.instances.container_init import CREDENTIALS, SCRATCH_BYTES
+from upwash.real.instances.containers import container_name
+from upwash.real.instances.control_credentials import ControlCredentials, new_control_credentials
+from upwash.real.instances.lxd.engine import EngineInstance
+from upwash.real.instances.service_image import ServiceImage
+
+_SERVER, _SERVICE, _IMAGE = "user.upwash.server", "user.upwash.service", "user.upwash.image"
+_NIC = "eth0"
+_LIMIT_KEYS = {
+    "memory_bytes": "limits.memory",
+    "processes": "limits.processes",
+    "cpus": "limits.cpu",
+    "disk_bytes": f"environment.{SCRATCH_BYTES}",
+}
+_GUEST_INTERFACE = {
+    "lxd": "security.devlxd",
+    "incus": "security.guestapi",
+}  # of the engine, inside the container
+
+
+@dataclass(frozen=True, slots=True)
+class ContainerSettings:
+    """What every container of a daemon gets.
+
+    Each has an address of the subnet, which this machine reaches, and the interface's network if one is named.
+    """
+
+    subnet: IPv4Network
+    interface: str = ""
+    pool: str = "default"
+    profiles: Sequence[str] = ()
+    limits: Mapping[str, Limits] = field(default_factory=dict)  # by service
+
+    def limits_of(self, service: str) -> Limits:
+        """What the containers of the service may use."""
+        return self.limits.get(service, DEFAULT_LIMITS)
+
+
+@dataclass(frozen=True, slots=True)
+class Container:
+    """A container of one server's service, made from one image."""
+
+    name: str
+    server: str
+    service: str
+    image: str
+    member: str
+    status: str
+    address: str
+    credentials: ControlCredentials
+    limits: Limits
+
+
+def new_container(
+    server: str, image: ServiceImage, settings: ContainerSettings, *, member: str, taken: Collection[str]
+) -> Container:
+    """A container that is not there yet, with an address that is not taken; raises EngineError."""
+    return Container(
+        name=container_name(image.service, server),
+        server=server,
+        service=image.service,
+        image=image.fingerprint,
+        member=member,
+        status="Stopped",
+        address=_free_address(settings.subnet, taken),
+        credentials=new_control_credentials(),
+        limits=settings.limits_of(image.service),
+    )
+
+
+def known_container(instance: EngineInstance) -> Container | None:
+    """The container that an engine's instance is; None for one that upwash did not make."""
+    config, nic = instance.config, instance.devices.get(_NIC, {})
+    if not {_SERVER, _SERVICE, _IMAGE, f"environment.{CREDENTIALS}"} <= config.keys():
+        return None
+    return Container(
+        name=instance.name,
+        server=config[_SERVER],
+        service=config[_SERVICE],
+        image=config[_IMAGE],
+        member=instance.member,
+        status=instance.status,
+        address=nic.get("ipv4.address", ""),
+        credentials=ControlCredentials.from_text(config[f"environment.{CREDENTIALS}"]),
+        limits=Limits(**{name: _number(config.get(key)) for name, key in _LIMIT_KEYS.items()}),
+    )
+
+
+def definition(
+    container: Container, settings: ContainerSettings, *, base: str, engine: str
+) -> dict[str, object]:
+    """What an engine is asked to create: unprivileged, limited, with nothing but its image and its address."""
+    devices: dict[str, Mapping[str, str]] = {
+        "root": {"type": "disk", "path": "/", "pool": settings.pool},
+        # No bridge, no DHCP, no neighbours: a cable to the host, which answers for the address on its interface.
+        _NIC: {
+            "type": "nic",
+            "nictype": "routed",
+            "name": _NIC,
+            "ipv4.address": container.address,
+            **({"parent": settings.interface} if settings.interface else {}),
+        },
+    }
+    if base == "host":
+        devices["usr"] = {"type": "disk", "path": "/usr", "source": "/usr", "readonly": "true"}
+    config = {
+        "security.privileged": "false",
+        "security.nesting": "false",
+        _GUEST_INTERFACE[engine]: "false",
+        "boot.autostart": "false",
+        f"environment.{CREDENTIALS}": container.credentials.text(),
+        _SERVER: container.server,
+        _SERVICE: container.service,
+        _IMAGE: container.image,
+    }
+    for name, key in _LIMIT_KEYS.items():
+        most = getattr(container.limits, name)
+        if most is not None:
+            config[key] = str(most)
+    return {
+        "name": container.name,
+        "type": "container",
+        "description": f"{container.service}@{container.server} of upwash",
+        "source": {"type": "image", "fingerprint": container.image},
+        "profiles": list(settings.profiles),
+        "config": config,
+        "devices": devices,
+    }
+
+
+def in_order(
+    online: Collection[str], containers: Collection[Container], suspects: Collection[str]
+) -> list[str]:
+    """The members to try: those that are not suspected of being lost first, then those with the fewest containers."""
+    held = [container.member for container in containers]
+    return sorted(online, key=lambda member: (member in suspects, held.count(member), member))
+
+
+def addresses(instances: Collection[EngineInstance]) -> set[str]:
+    """The addresses that instances have, whoever made them."""
+    devices = [device for instance in instances for device in instance.devices.values()]
+    return {device["ipv4.address"] for device in devices if "ipv4.address" in device}
+
+
+def _number(text: str | None) -> int | None:
+    """None also for another unit, which upwash does not write."""
+    return int(text) if text is not None and text.isdecimal() else None
+
+
+def _free_address(subnet: IPv4Network, taken: Collection[str]) -> str:
+    """One at random: the site's network may still remember who had the last one."""
+    free = [str(address) for address in subnet.hosts() if str(address) not in taken]
+    if not free:
+        raise EngineError(f"every address of {subnet} is taken: give runtime.network a larger subnet")
+    return secrets.choice(free)

@@ -1,0 +1,193 @@
+"""Service instances as plain processes, each in a session of its own that is killed as a group."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import logging
+import os
+import signal
+import subprocess
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from weakref import WeakSet, WeakValueDictionary
+
+from upwash.errors import InstanceError
+from upwash.ports import Answered, InstanceSpec, ignored
+from upwash.real.instances.control import Begin, begin_of
+from upwash.real.instances.local_instance import STOP_GRACE_S, Handed, LocalInstance
+from upwash.real.instances.sandbox import Sandbox, open_call_filter
+from upwash.real.link.direct import DirectLink
+from upwash.real.link.door import Lead
+from upwash.support.loading import module_command
+
+_log = logging.getLogger("upwash.instance")
+_KILL_S = 5.0  # for a killed process to be gone, which one in the kernel's hands never is
+SIGNALLED = 128  # how a shell, and bubblewrap, tell by which signal a process was killed
+
+
+def sockets_in(folder: Path) -> Callable[[InstanceSpec], str]:
+    """Has each instance listen at a unix socket of its own in the folder."""
+    numbers = itertools.count()
+    return lambda spec: f"unix:{folder}/{spec.name}-{next(numbers)}.sock"
+
+
+def nowhere(_spec: InstanceSpec) -> str:
+    """Has each instance called over a socket pair alone, which needs no address."""
+    return ""
+
+
+class ProcessRuntime:
+    """Starts each instance as a process that listens at `listen(spec)`, in the sandbox if there is one.
+
+    With a way to `lead` callers to it, that address is a unix socket, and drones come through the door.
+    """
+
+    def __init__(
+        self,
+        listen: Callable[[InstanceSpec], str],
+        *,
+        max_message_bytes: int,
+        lead: Lead | None = None,
+        sandbox: Sandbox | None = None,
+    ) -> None:
+        self._listen = listen
+        self._lead = lead
+        self._max_message_bytes = max_message_bytes
+        self._sandbox = sandbox
+        self._groups: WeakSet[ProcessGroup] = WeakSet()
+
+    async def start(
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
+    ) -> LocalInstance:
+        """Returns when the instance is ready to serve; raises InstanceError, leaving nothing behind."""
+        loop = asyncio.get_running_loop()
+        paced_until_s = loop.time() + spec.start_pace_s
+        instance = LocalInstance(spec, self._run, called=called, answered=answered, lead=self._lead)
+        try:
+            await instance.begin(self._begin(spec), is_apart=self._sandbox is not None)
+            await asyncio.sleep(paced_until_s - loop.time())
+        except BaseException as error:
+            await instance.stop()
+            if isinstance(error, InstanceError) and self._sandbox is not None:
+                raise InstanceError(f"{error}{self._sandbox.remedy(str(error), spec.program)}") from error
+            raise
+        return instance
+
+    def _begin(self, spec: InstanceSpec) -> Begin:
+        return begin_of(
+            spec,
+            spec.program,
+            listen=self._listen(spec),
+            max_message_bytes=self._max_message_bytes,
+            is_announced=self._lead is not None,
+            limits=spec.limits if self._sandbox else None,
+        )
+
+    async def _run(self, spec: InstanceSpec, handed: Handed) -> ProcessGroup:
+        inherited = [each.fileno() for each in (handed.control, handed.outside) if each is not None]
+        command = module_command("upwash.real.instances.instance", *map(str, inherited))
+        processors = self._least_used(spec.limits.cpus)
+        with contextlib.ExitStack() as stack:
+            if self._sandbox is not None:
+                inherited.append(stack.enter_context(open_call_filter(pins=bool(processors))))
+                command = self._sandbox.wrap(
+                    command,
+                    call_filter=inherited[-1],
+                    program=spec.program,
+                    disk_bytes=spec.limits.disk_bytes,
+                    processors=processors,
+                )
+            process = await asyncio.create_subprocess_exec(
+                *command,
+                stdin=subprocess.DEVNULL,
+                stdout=handed.output.fileno(),
+                stderr=handed.output.fileno(),
+                pass_fds=inherited,
+                start_new_session=True,
+            )
+        group = ProcessGroup(process, is_in_sandbox=self._sandbox is not None, processors=processors)
+        self._groups.add(group)
+        return group
+
+    def _least_used(self, count: int | None) -> Sequence[int]:
+        """The `count` processors with the fewest instances that are kept on them; none without a limit."""
+        if count is None:
+            return ()
+        used = Counter(each for group in self._groups if group.is_alive for each in group.processors)
+        return sorted(os.sched_getaffinity(0), key=lambda each: (used[each], each))[:count]
+
+
+class ProcessGroup:
+    """A process and whatever it started in its session; `processors` are those on which it was started."""
+
+    def __init__(
+        self, process: asyncio.subprocess.Process, *, is_in_sandbox: bool, processors: Sequence[int] = ()
+    ) -> None:
+        self.processors = processors
+        self._process = process
+        self._is_in_sandbox = is_in_sandbox
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it has not ended yet."""
+        return self._process.returncode is None
+
+    async def ended(self) -> int:
+        """Returns its exit code, negative for a signal, when it has ended."""
+        code = await self._process.wait()
+        if self._is_in_sandbox and SIGNALLED < code < SIGNALLED + signal.NSIG:
+            return SIGNALLED - code  # as bubblewrap passes on how a process in it was killed
+        return code
+
+    async def end(self) -> None:
+        """Asks it to end, and then kills it with everything that it started; returns when it is gone."""
+        self._signal(signal.SIGTERM)
+        try:
+            async with asyncio.timeout(STOP_GRACE_S):
+                await self._process.wait()
+        except TimeoutError:
+            pass
+        finally:
+            self._signal(signal.SIGKILL)
+        try:
+            async with asyncio.timeout(_KILL_S):
+                await self._process.wait()
+        except TimeoutError:
+            _log.error(
+                "process %d goes on %.0f s after SIGKILL and is left behind: look at its state (D) and its driver",
+                self._process.pid,
+                _KILL_S,
+            )
+
+    def _signal(self, number: signal.Signals) -> None:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._process.pid, number)
+
+
+class OwnProcesses(ProcessRuntime):
+    """Starts a program's own services, and dials them: each is called over a socket pair."""
+
+    def __init__(self, drone: str, *, max_message_bytes: int) -> None:
+        super().__init__(nowhere, max_message_bytes=max_message_bytes)
+        self._drone = drone
+        self._instances: WeakValueDictionary[str, LocalInstance] = WeakValueDictionary()
+
+    async def start(
+        self, spec: InstanceSpec, *, called: Callable[[str], None], answered: Answered = ignored
+    ) -> LocalInstance:
+        """As of any runtime."""
+        instance = await super().start(spec, called=called, answered=answered)
+        self._instances[instance.endpoint] = instance
+        return instance
+
+    def dial(self, address: str, *, server: str) -> DirectLink:
+        """The one link to an instance that was started here, by its endpoint."""
+        return DirectLink(
+            self._instances[address].take_calls(),
+            peer=f"{server} at {address}",
+            drone=self._drone,
+            max_message_bytes=self._max_message_bytes,
+        )

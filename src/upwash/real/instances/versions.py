@@ -1,0 +1,73 @@
+"""Which version of a service lies on the disk: a fingerprint of its code and of the files that it reads."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+
+from upwash.ports import Program
+from upwash.real.instances.sandbox import code_of, files_in
+
+_UPWASH = Path(__file__).parents[2]
+_MOST_FILES = 4096
+_MOST_READ_BYTES = 2**28  # of further files the size and the time of the last change count
+
+
+def version_of(program: Program, readable: Iterable[Path] = ()) -> str:
+    """A fingerprint of the program's code, of the files that its settings and its command name, and of `readable`.
+
+    Beside a `path/to/file.py` its neighbours count, `*.py` and packages. Code of upwash itself does not count, nor do
+    libraries. Of each folder at most 4096 files are looked at, and 256 MiB are read in all.
+    """
+    code = [place for place in code_of(program.path) if not place.is_relative_to(_UPWASH)]
+    if program.path.rpartition(":")[0].endswith(".py"):
+        code += [neighbour for place in code for neighbour in _neighbours(place)]
+    return _fingerprint([*code, *files_in(program.settings), *files_in(program.command), *readable])
+
+
+def version_of_upwash() -> str:
+    """The same of upwash itself."""
+    return _fingerprint([_UPWASH])
+
+
+def _neighbours(file: Path) -> Iterator[Path]:
+    """What a program file may import from its own folder."""
+    for place in file.parent.iterdir():
+        if place.suffix == ".py" or (place / "__init__.py").exists():
+            yield place
+
+
+def _fingerprint(places: Iterable[Path]) -> str:
+    found, left = hashlib.sha256(), _MOST_READ_BYTES
+    for place in sorted(set(places)):
+        for file in islice(_files(place), _MOST_FILES):
+            found.update(f"\0{file}\0".encode(errors="surrogateescape"))
+            content, read = _content(file, left)
+            found.update(content)
+            left -= read
+    return found.hexdigest()
+
+
+def _files(place: Path) -> Iterator[Path]:
+    """The file, or all in the folder in a steady order, but for hidden ones and what Python compiled."""
+    if not place.is_dir():
+        yield place
+        return
+    for folder, folders, files in os.walk(place):
+        folders[:] = sorted(each for each in folders if each != "__pycache__" and not each.startswith("."))
+        yield from (Path(folder, each) for each in sorted(files) if not each.startswith("."))
+
+
+def _content(file: Path, at_most: int) -> tuple[bytes, int]:
+    """What a file contains, in short, and how many bytes were read for it; of an unreadable file, why."""
+    try:
+        known = file.stat()
+        if not file.is_file() or known.st_size > at_most:
+            return f"{known.st_size} {known.st_mtime_ns}".encode(), 0
+        with file.open("rb") as opened:
+            return hashlib.file_digest(opened, "sha256").digest(), known.st_size
+    except OSError as error:
+        return str(error.errno).encode(), 0

@@ -1,0 +1,200 @@
+"""Calls between a program and an instance that it started, over a socket pair.
+
+No address is needed for that, no file that could be removed or not be made, and nobody else can call. Messages are
+frames (`framing`); what the instance's end says is bounded and may be anything, as a service shares its process.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import os
+import socket
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import msgspec
+
+from upwash.core.admission.clients import Client
+from upwash.errors import DeadlineExceeded, LinkError, Refused, Unreachable
+from upwash.real.link.framing import BESIDE_BYTES, LENGTH_BYTES, frame, length_of, read_frame
+from upwash.real.link.link import too_large
+from upwash.real.link.requests import Caller, Requests, words_for_caller
+from upwash.real.link.streams import connected_pair, hang_up
+from upwash.support.background import only_logged, start, thread
+from upwash.support.text import printable
+
+_SEND_BYTES = 2**20  # room for a photo, or what the system allows
+_LONGEST_REASON = 1000
+
+
+class Ask(msgspec.Struct, frozen=True, array_like=True, tag=1):
+    """To the instance: answer this request of that drone, by its number."""
+
+    number: int
+    drone: str
+    path: str
+    body: bytes
+
+
+class GiveUp(msgspec.Struct, frozen=True, array_like=True, tag=2):
+    """To the instance: nobody waits for that answer any more."""
+
+    number: int
+
+
+class Answer(msgspec.Struct, frozen=True, array_like=True, tag=1):
+    """From the instance: the reply to the request of that number."""
+
+    number: int
+    body: bytes
+
+
+class Refuse(msgspec.Struct, frozen=True, array_like=True, tag=2):
+    """From the instance: why the request of that number has no reply."""
+
+    number: int
+    why: str
+
+
+_to_instance = msgspec.msgpack.Decoder(Ask | GiveUp)
+_from_instance: msgspec.msgpack.Decoder[Answer | Refuse] = msgspec.msgpack.Decoder(Answer | Refuse)
+
+
+Calls = tuple[asyncio.StreamReader, asyncio.StreamWriter]  # the program's end, before it is a link
+
+
+async def direct_pair() -> tuple[Calls, socket.socket]:
+    """The program's end and the instance's; raises OSError."""
+    calls, theirs = await connected_pair(limit=_SEND_BYTES)
+    for end in (calls[1].get_extra_info("socket"), theirs):
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BYTES)
+    return calls, theirs
+
+
+class DirectListener:
+    """The instance's end: answers what comes, each request in a thread of its own, until the program hangs up."""
+
+    address = ""
+
+    def __init__(self, connection: socket.socket, requests: Requests) -> None:
+        self._connection = connection
+        self._requests = requests
+        self._workers = ThreadPoolExecutor(requests.concurrent, "upwash-request")
+        self._writing = threading.Lock()
+        self._waited_for: set[int] = set()
+
+    def start(self) -> None:
+        """Begins to answer."""
+        thread(self._listen, name="direct calls", failed=lambda _: os._exit(1)).start()
+
+    def stop(self, *, grace_s: float = 0.0) -> None:
+        """Returns when what is under way has ended."""
+        self._workers.shutdown(cancel_futures=True)
+
+    def _listen(self) -> None:
+        most_bytes = self._requests.max_message_bytes + BESIDE_BYTES
+        with self._connection.makefile("rb") as coming, contextlib.suppress(OSError, EOFError, RuntimeError):
+            while True:
+                match _to_instance.decode(read_frame(coming, most_bytes=most_bytes)):
+                    case Ask() as asked:
+                        self._waited_for.add(asked.number)
+                        self._workers.submit(self._answer, asked)
+                    case GiveUp(number):
+                        self._waited_for.discard(number)
+        self._waited_for.clear()
+
+    def _answer(self, asked: Ask) -> None:
+        caller = Caller(Client(asked.drone), lambda: None, lambda: asked.number in self._waited_for)
+        reply: Answer | Refuse
+        try:
+            reply = Answer(asked.number, self._requests.answer(asked.path, caller, lambda: asked.body))
+        except BaseException as error:  # noqa: BLE001 - a defect of the handler must not end the listener
+            reply = Refuse(asked.number, words_for_caller(error))
+        self._waited_for.discard(asked.number)
+        with self._writing, contextlib.suppress(OSError):  # the program has hung up
+            self._connection.sendall(frame(reply))
+
+
+class DirectLink:
+    """The program's end; made in a running event loop."""
+
+    is_far = False
+
+    def __init__(
+        self,
+        calls: Calls,
+        *,
+        peer: str,
+        drone: str,
+        max_message_bytes: int,
+    ) -> None:
+        self._replies, self._orders = calls
+        self._peer = peer
+        self._drone = drone
+        self._max_message_bytes = max_message_bytes
+        self._numbers = itertools.count()
+        self._waiting: dict[int, asyncio.Future[Answer | Refuse | LinkError]] = {}
+        self._over: LinkError | None = None
+        self._listening = start(self._listen(), name="the replies of an instance", failed=only_logged)
+
+    async def request(self, path: str, body: bytes, *, timeout_s: float) -> bytes:
+        """Sends one request and returns its reply; raises LinkError. Cancelling it gives the request up."""
+        if self._over is not None:
+            raise self._over
+        if len(body) > self._max_message_bytes:
+            why = too_large("request", len(body), self._max_message_bytes, whose="the drone")
+            raise Refused(f"{self._peer}: {why}")
+        number = next(self._numbers)
+        self._orders.write(frame(Ask(number, self._drone, path, body)))
+        match await self._reply(number, timeout_s):
+            case Answer(_, reply):
+                return reply
+            case Refuse(_, why):
+                raise Refused(f"{self._peer}: {printable(why, _LONGEST_REASON)}")
+            case LinkError() as error:
+                raise error
+
+    async def close(self) -> None:
+        """Hangs up, with every request under way."""
+        self._end("the link is closed")
+
+    async def _reply(self, number: int, timeout_s: float) -> Answer | Refuse | LinkError:
+        answered: asyncio.Future[Answer | Refuse | LinkError] = asyncio.get_running_loop().create_future()
+        self._waiting[number] = answered
+        try:
+            async with asyncio.timeout(timeout_s):
+                return await answered
+        except TimeoutError:
+            raise DeadlineExceeded(f"{self._peer}: no answer within {timeout_s:.1f} s") from None
+        finally:
+            del self._waiting[number]
+            if answered.cancelled() and self._over is None:
+                self._orders.write(frame(GiveUp(number)))
+
+    async def _listen(self) -> None:
+        why = "it hung up"
+        try:
+            while True:
+                reply = _from_instance.decode(await self._frame())
+                if answered := self._waiting.get(reply.number):
+                    answered.set_result(reply)
+        except (OSError, EOFError):
+            pass
+        except (ValueError, msgspec.MsgspecError) as error:
+            why = f"what it said is no answer: {error}"
+        finally:
+            self._end(why)
+
+    async def _frame(self) -> bytes:
+        head = await self._replies.readexactly(LENGTH_BYTES)
+        length = length_of(head, most_bytes=self._max_message_bytes + BESIDE_BYTES)
+        return await self._replies.readexactly(length)
+
+    def _end(self, why: str) -> None:
+        self._over = self._over or Unreachable(f"{self._peer}: {why}")
+        hang_up(self._orders.transport)
+        for answered in self._waiting.values():
+            if not answered.done():
+                answered.set_result(self._over)

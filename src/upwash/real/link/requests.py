@@ -1,0 +1,100 @@
+"""What a listener does with a request, whatever carries it: lets it in, has it answered, bounds both."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from upwash.core.admission.clients import Client
+from upwash.errors import Refused, UpwashError
+from upwash.real.host.log import Sparing
+from upwash.real.link.link import too_large
+from upwash.support.text import printable
+
+_log = logging.getLogger("upwash.listener")
+_log.addFilter(Sparing())
+
+
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """Who sent a request, and whether they still wait for the answer."""
+
+    client: Client
+    time_left_s: Callable[[], float | None]
+    is_waiting: Callable[[], bool]
+
+
+Handler = Callable[[str, bytes, Caller], bytes]
+Gate = Callable[[str, Caller], None]
+
+
+class Requests:
+    """Has requests answered by `handler`, of all callers `concurrent` at a time, of one drone `each`; refuses others.
+
+    `gate` may refuse a request before its body is received, so that a caller who is not served takes no memory.
+    """
+
+    def __init__(
+        self,
+        handler: Handler,
+        *,
+        max_message_bytes: int,
+        concurrent: int,
+        each: int,
+        gate: Gate = lambda _path, _caller: None,
+    ) -> None:
+        self.max_message_bytes = max_message_bytes
+        self.concurrent = concurrent
+        self._each = each
+        self._handler = handler
+        self._gate = gate
+        self._counting = threading.Lock()
+        self._under_way: Counter[str] = Counter()
+
+    def answer(self, path: str, caller: Caller, receive: Callable[[], bytes]) -> bytes:
+        """The reply to what `receive` returns; raises UpwashError with what the caller may read.
+
+        Any other error is a defect of the handler, and in the log.
+        """
+        try:
+            with self._counted(caller.client.key):
+                self._gate(path, caller)
+                reply = self._handler(path, receive(), caller)
+                if len(reply) > self.max_message_bytes:
+                    whose = "the computer that runs the service"
+                    raise Refused(too_large("result", len(reply), self.max_message_bytes, whose=whose))
+                return reply
+        except Refused as refusal:
+            name = caller.client.name or "an unnamed caller"
+            _log.warning("refused %s to %s: %s", path, name, printable(str(refusal)))
+            raise
+        except UpwashError:
+            raise
+        except BaseException:
+            _log.exception("%s by %s failed", path, caller.client.name)
+            raise
+
+    @contextlib.contextmanager
+    def _counted(self, drone: str) -> Iterator[None]:
+        with self._counting:
+            if self._under_way.total() >= self.concurrent:
+                raise Refused(f"{self.concurrent} requests are under way already")
+            if self._under_way[drone] >= self._each:
+                raise Refused(f"this drone has {self._each} requests under way already")
+            self._under_way[drone] += 1
+        try:
+            yield
+        finally:
+            with self._counting:
+                self._under_way[drone] -= 1
+                if not self._under_way[drone]:
+                    del self._under_way[drone]
+
+
+def words_for_caller(error: BaseException) -> str:
+    """What a caller reads of an error that `Requests.answer` raised: nothing of a defect but that there is one."""
+    return printable(str(error)) if isinstance(error, UpwashError) else "the server failed; its log says why"

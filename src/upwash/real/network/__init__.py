@@ -1,0 +1,1 @@
+"""Servers' networks: NetworkManager, connection profiles and the discovery of servers."""
