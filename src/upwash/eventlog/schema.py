@@ -1,8 +1,8 @@
 """The events of the log, each with its fields; on disk an event is one JSON object a line.
 
-An event's name there is its class's in snake case, `t` its time in seconds since the log was opened. Positions are
-relative to the mission's home. `VERSION` goes up with each change that the version before could not read: an event
-that is new, a field that is renamed or that has no default. docs/event-log.md is made from this module.
+The name of an event in the log is its class's name in snake case; `t` is its time in seconds since the log was
+opened. Positions are relative to the mission's home. `VERSION` rises with each change that the version before could
+not read: a new event, a renamed field, a field without a default. docs/event-log.md is made from this module.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SEVERITIES = (
 _UNSTAMPED = float("nan")  # known by its identity: the time of an event that no journal has recorded yet
 _Time: TypeAlias = Annotated[datetime, msgspec.Meta(tz=True)]
 
-# A log is anybody's: what is larger than these is in no event, and no reader has to be ready for it.
+# Logs come from strangers too. These bounds hold for every event, so that readers need no others.
 LONGEST = 1e9  # of times and lengths, in seconds and metres: 31 years
 LONGEST_TEXT = 10_000  # characters
 MOST_ITEMS = 100_000  # of a list that has an entry for each waypoint or place
@@ -67,9 +67,9 @@ def _snake_case(name: str) -> str:
 
 
 class Event(msgspec.Struct, frozen=True, kw_only=True, tag_field="event", tag=_snake_case):
-    """Something that happened, at the second `t` of its log; docs/event-log.md has the fields of each kind.
+    """An event of a flight at second `t` of its log; docs/event-log.md lists the fields of each kind.
 
-    Whoever makes one leaves the time to the journal that records it.
+    The journal that records an event sets its time.
     """
 
     t: Number = _UNSTAMPED
@@ -81,12 +81,12 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, tag_field="event", tag=_s
 
     @property
     def is_stamped(self) -> bool:
-        """Whether it has a time."""
+        """Whether a journal has set the time."""
         return self.t is not _UNSTAMPED
 
 
 def kind_of(event: type[Event]) -> str:
-    """The name of such events in the log."""
+    """The name of a kind of event in the log."""
     return str(event.__struct_config__.tag)
 
 
@@ -94,14 +94,14 @@ def kind_of(event: type[Event]) -> str:
 
 
 class LogOpened(Event, frozen=True, kw_only=True):
-    """The log of a flight begins, at that time of day; `version` is the version of this table."""
+    """The log of a flight begins at this date and time; `version` is the version of the log's format."""
 
     time: _Time
     version: Count = 0
 
 
 class LogResumed(Event, frozen=True, kw_only=True):
-    """`--resume` took the flight up, at that time of day."""
+    """`--resume` resumed the flight at this date and time."""
 
     time: _Time
     version: Count = 0
@@ -116,13 +116,13 @@ class Simulated(Event, frozen=True, kw_only=True):
 
 
 class EventsLost(Event, frozen=True, kw_only=True):
-    """So many events could be kept neither on the disk, which was full, nor in memory."""
+    """`count` events are lost: the disk was full, and so was the buffer in memory."""
 
     count: Count
 
 
 class Shortened(Event, frozen=True, kw_only=True):
-    """An event of the kind `of` did not fit into the log, and why: a part of it stands before this, or nothing."""
+    """An event of the kind `of` exceeded a bound of the log; the line before may have a part of it."""
 
     of: Text
     why: Text
@@ -132,10 +132,11 @@ class Shortened(Event, frozen=True, kw_only=True):
 
 
 class Measured(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What is known of a server at a place: how often it was asked something there, and how often it answered.
+    """The measurements of a server at a place: requests `tried` there, and requests `answered`.
 
-    A call of each operation comes to `call_s`, with the drone's own computing where it was in vain. `goodput_bit_s`
-    is that of the answered calls, computing included. The last time was so many flights ago.
+    `call_s` is the mean delay of a call by operation; a failed call counts with the onboard computation that replaced
+    it. `goodput_bit_s` is the goodput of the answered calls, computing time included. `flights_ago` is the age of the
+    last measurement.
     """
 
     east_m: Number
@@ -148,7 +149,7 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     @classmethod
     def of(cls, place: MeasuredPlace) -> Measured:
-        """The place as the map has it."""
+        """The measurements of a place of the coverage map."""
         goodput_bit_s = place.goodput_bit_s
         return cls(
             east_m=round(place.position.east_m, 1),
@@ -166,11 +167,11 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Planned(Event, frozen=True, kw_only=True):
-    """Home, the waypoints in metres east and north of it, the ranges of the servers, and whether calls are paced.
+    """Home, the waypoints in metres east and north of home, the ranges of the servers, and whether calls are paced.
 
-    The waypoints' altitudes are above home, and absent in logs that were written before there were any.
-    With `mission.order`, the indices of the waypoints in the `order` in which they are flown, and why in that one.
-    Of servers without a range, what earlier flights have `measured`.
+    Altitudes are above home; logs of early releases have none. With `mission.order`, `order` has the indices of the
+    waypoints as the drone flies them, and `order_why` the reason. `measured` has what earlier flights measured of
+    servers without a range.
     """
 
     home: GeoPosition | None = None
@@ -184,17 +185,17 @@ class Planned(Event, frozen=True, kw_only=True):
 
     @property
     def has_servers(self) -> bool:
-        """Whether there is any server that calls could run on."""
+        """Whether a call could run on a server."""
         return bool(self.ranges or self.measured)
 
     @property
     def way_m(self) -> Sequence[tuple[float, float]]:
-        """The waypoints in the order in which they are flown."""
+        """The waypoints in the order of the flight."""
         return [self.waypoints_m[index] for index in self._flown_order]
 
     @property
     def way_altitudes_m(self) -> Sequence[float]:
-        """Their altitudes in that order; empty where they are not known."""
+        """The altitudes in the order of the flight; empty if they are unknown."""
         if len(self.altitudes_m) != len(self.waypoints_m):
             return ()
         return [self.altitudes_m[index] for index in self._flown_order]
@@ -202,11 +203,11 @@ class Planned(Event, frozen=True, kw_only=True):
     @property
     def _flown_order(self) -> Sequence[int]:
         given = range(len(self.waypoints_m))
-        return self.order if sorted(self.order) == list(given) else given  # else none was asked for
+        return self.order if sorted(self.order) == list(given) else given
 
 
 class MissionStarted(Event, frozen=True, kw_only=True):
-    """The drone, the policy, how many waypoints are planned, and those that were `done` when a flight is taken up."""
+    """The drone, the policy, the number of planned waypoints, and in a resumed flight the indices already `done`."""
 
     drone: Text = ""
     policy: Text
@@ -215,9 +216,9 @@ class MissionStarted(Event, frozen=True, kw_only=True):
 
 
 class Foreseen(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """When the mission was expected to be over before it took off, and at each waypoint of its order: `reached_s`.
+    """The forecast before take-off: the end of the mission, and the arrival at each waypoint (`reached_s`).
 
-    Where it is to finish by a given time, `lightest_s` is when it is over with every call lighter. All are seconds of
+    With `finish_by`, `lightest_s` is the end of the mission with every call in its lighter mode. All are seconds of
     the mission's time.
     """
 
@@ -228,12 +229,12 @@ class Foreseen(Event, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def fits(self) -> bool:
-        """Whether it can be over in time."""
+        """Whether the mission can end in time."""
         return self.finish_by_s is None or (self.lightest_s or self.as_asked_s) <= self.finish_by_s
 
 
 class MissionCompleted(Event, frozen=True, kw_only=True):
-    """The mission was flown to its end, and every server left."""
+    """The mission was flown to its end, and the drone left every server."""
 
 
 class MissionEnded(Event, frozen=True, kw_only=True):
@@ -243,7 +244,7 @@ class MissionEnded(Event, frozen=True, kw_only=True):
 
 
 class Stopping(Event, frozen=True, kw_only=True):
-    """The mission is to end early: by Ctrl-C, SIGTERM or the reserve."""
+    """Ctrl-C, SIGTERM or the reserve ends the mission early."""
 
     why: Text
 
@@ -251,7 +252,7 @@ class Stopping(Event, frozen=True, kw_only=True):
 class Leg(Event, frozen=True, kw_only=True, omit_defaults=True):
     """The drone sets off for a place; `waypoint` is its index, null for a place beside the plan.
 
-    `back` where it comes back to a waypoint whose answer demands something, or whose call failed.
+    With `back` the drone returns to a waypoint because its answer demands an action or its call failed.
     """
 
     waypoint: Index | None
@@ -261,7 +262,7 @@ class Leg(Event, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Arrived(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """The drone has arrived at the place that it set off for; there it first hovers for the plan's `hold_s`."""
+    """The drone has arrived where it set off for; it first hovers there for the plan's `hold_s`."""
 
     waypoint: Index | None
     east_m: Number
@@ -270,9 +271,9 @@ class Arrived(Event, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Photo(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """A photo: its source, size in bytes, age when the mission got it, place, and its truth if it was rendered.
+    """A photo: its source, size in bytes, age on delivery, place, and for a rendered photo the true objects in it.
 
-    Its place on the Earth in degrees (WGS 84), and above the sea, are absent where they were not known.
+    The place in degrees (WGS 84) and the altitude above the sea are absent if they are unknown.
     """
 
     source: Text
@@ -293,10 +294,10 @@ class CallStarted(Event, frozen=True, kw_only=True):
 
 
 class StayOrGo(Event, frozen=True, kw_only=True):
-    """Whether the drone goes on before the answer of the waypoint is there, and why.
+    """Whether the drone leaves the waypoint before the answer arrives, and why.
 
-    `chance` is how likely an answer demands something, by the last ones. Going saves `saved_s` where it demands
-    nothing, and loses `lost_s` where it does; null where nothing was reckoned.
+    `chance` is the probability that an answer demands an action, estimated from the last answers. Leaving saves
+    `saved_s` if the answer demands nothing, and loses `lost_s` if it does; both are null if they were not computed.
     """
 
     waypoint: Index | None
@@ -308,23 +309,23 @@ class StayOrGo(Event, frozen=True, kw_only=True):
 
 
 class Demanded(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """An answer that arrived on the way has a demand at that waypoint, or the call `failed`, with the reason."""
+    """An answer that arrived later demands an action at its waypoint, or its call `failed` for that reason."""
 
     waypoint: Index | None
     failed: Text = ""
 
 
 class TurnedBack(Event, frozen=True, kw_only=True):
-    """An answer demands something at a waypoint that the drone has left, or its call failed: it flies back."""
+    """The drone flies back to a waypoint because its answer demands an action there or its call failed."""
 
     waypoint: Index | None
     position: Position
 
 
 class AnswerTaken(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """The mission has the answer of a waypoint, for which it `waited_s`; `failed` says why there is none.
+    """The mission takes the answer of a waypoint after it `waited_s` for the answer; `failed` is why there is none.
 
-    `demanded` says whether it demands something there.
+    `demanded` tells whether the answer demands an action at the waypoint.
     """
 
     waypoint: Index | None
@@ -334,13 +335,13 @@ class AnswerTaken(Event, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Acted(Event, frozen=True, kw_only=True):
-    """What an answer demanded at the waypoint is done."""
+    """The mission has done what the answer demanded at the waypoint."""
 
     waypoint: Index | None
 
 
 class Notified(Event, frozen=True, kw_only=True):
-    """What the user was told, and of which place."""
+    """A message to the user, and the place that it is about."""
 
     message: Message
     at: Position
@@ -366,7 +367,7 @@ class UnsignedPort(Event, frozen=True, kw_only=True):
 
 
 class WaitingForVehicle(Event, frozen=True, kw_only=True):
-    """The vehicle has not been heard for so long, and why; it is waited for within so many seconds in all."""
+    """No message of the vehicle for `waited_s`, and why; the program waits for at most `within_s`."""
 
     why: Text
     waited_s: Number
@@ -374,9 +375,9 @@ class WaitingForVehicle(Event, frozen=True, kw_only=True):
 
 
 class VehicleFound(Event, frozen=True, kw_only=True):
-    """The vehicle that is followed from now on: its MAVLink ids, its firmware, and its type, such as `quadrotor`.
+    """The vehicle that the program flies: its MAVLink ids, its firmware, and its type, such as `quadrotor`.
 
-    `version` is the firmware's, null if the vehicle does not tell it.
+    `version` is the firmware's; null if the vehicle does not report it.
     """
 
     system: Count
@@ -387,19 +388,19 @@ class VehicleFound(Event, frozen=True, kw_only=True):
 
 
 class LinkLost(Event, frozen=True, kw_only=True):
-    """Nothing has been heard of the vehicle for so long."""
+    """No message of the vehicle has arrived for `silent_s`."""
 
     silent_s: Number
 
 
 class LinkRestored(Event, frozen=True, kw_only=True):
-    """The vehicle is heard again, after so long."""
+    """A message of the vehicle has arrived after `silent_s`."""
 
     silent_s: Number
 
 
 class PositionDoubted(Event, frozen=True, kw_only=True):
-    """The vehicle cannot be where it reports: its position jumped that far; 0 once it can be there again."""
+    """The reported position jumped by `jumped_m`, farther than the vehicle can fly; 0 when plausible again."""
 
     jumped_m: Number
 
@@ -426,21 +427,21 @@ LinkTroubleName: TypeAlias = Literal[
 
 
 class LinkTrouble(Event, frozen=True, kw_only=True):
-    """What is wrong with the vehicle's link, or who else is on it; once for each, or at each tenfold."""
+    """A trouble of the vehicle's link, or another party on it; logged at its 1st, 10th, 100th time, and so on."""
 
     about: LinkTroubleName
     why: Text
 
 
 class VehicleSaid(Event, frozen=True, kw_only=True):
-    """The vehicle's own words and their severity, 0 (emergency) to 7 (debug)."""
+    """A text message of the vehicle and its severity, 0 (emergency) to 7 (debug)."""
 
     severity: Annotated[int, msgspec.Meta(ge=0, lt=len(SEVERITIES))]
     text: Text
 
 
 class VehicleSetting(Event, frozen=True, kw_only=True):
-    """A parameter of the vehicle that the user should know before the flight, and why; null: it is not known."""
+    """A parameter of the vehicle that the user should know before the flight, and why; null if unknown."""
 
     name: Text
     value: Parameter | None
@@ -448,7 +449,7 @@ class VehicleSetting(Event, frozen=True, kw_only=True):
 
 
 class ArmingDelayed(Event, frozen=True, kw_only=True):
-    """Why the vehicle cannot be armed yet, in its words, each time that changes."""
+    """The vehicle's reasons why it cannot be armed yet; logged when they change."""
 
     reasons: _Few[Text]
 
@@ -464,20 +465,20 @@ class VehicleLimits(Event, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class SiteDoubt(Event, frozen=True, kw_only=True):
-    """What a person should know before arming of where the mission is flown: nothing forbids it."""
+    """A warning before arming about the place of the mission; the mission may begin all the same."""
 
     why: Text
 
 
 class DeadManSet(Event, frozen=True, kw_only=True):
-    """After how long a silence of the program the autopilot will do what."""
+    """The autopilot does `action` after `silence_s` without a message of the program."""
 
     silence_s: Number
     action: Literal["return", "land"]
 
 
 class DeadManFailed(Event, frozen=True, kw_only=True):
-    """Why the autopilot will not miss the program, where the flight was in the air already."""
+    """Why the autopilot does not act on a silence of the program, in a flight that was in the air already."""
 
     why: Text
 
@@ -487,7 +488,7 @@ class _AtPlace(Event, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Arming(Event, frozen=True, kw_only=True):
-    """The vehicle can be armed, and is told to start its motors."""
+    """The vehicle can be armed; the program commands it to start its motors."""
 
 
 class Armed(_AtPlace, frozen=True, kw_only=True):
@@ -495,7 +496,7 @@ class Armed(_AtPlace, frozen=True, kw_only=True):
 
 
 class TakingOff(Event, frozen=True, kw_only=True):
-    """The vehicle is told to climb to the altitude above home."""
+    """The program commands the vehicle to climb to the altitude above home."""
 
     altitude_m: Number
 
@@ -507,17 +508,17 @@ class TookOff(_AtPlace, frozen=True, kw_only=True):
 
 
 class Holding(_AtPlace, frozen=True, kw_only=True):
-    """The vehicle hovers, as the mission said."""
+    """The vehicle hovers, as the mission commanded."""
 
 
 class Turned(Event, frozen=True, kw_only=True):
-    """The vehicle's nose points there, clockwise from north, as the mission said; until the next leg."""
+    """The vehicle has turned its nose to `heading_deg`, clockwise from north, until the next leg."""
 
     heading_deg: Number
 
 
 class PayloadCommanded(Event, frozen=True, kw_only=True):
-    """The vehicle has accepted a MAVLink command of what it carries; null: a parameter that is left open."""
+    """The vehicle has accepted a MAVLink command for its payload; null stands for an unset parameter."""
 
     number: Count
     name: Text
@@ -525,83 +526,82 @@ class PayloadCommanded(Event, frozen=True, kw_only=True):
 
 
 class TextSent(Event, frozen=True, kw_only=True):
-    """The mission's own words to whoever listens to the vehicle; severity as of `vehicle_said`."""
+    """A text message of the mission to the ground stations; severity as in `vehicle_said`."""
 
     severity: Annotated[int, msgspec.Meta(ge=0, lt=len(SEVERITIES))]
     text: Text
 
 
 class Returning(_AtPlace, frozen=True, kw_only=True):
-    """The mission has the vehicle return home and land."""
+    """The mission commands the vehicle to return home and land."""
 
 
 class Landing(_AtPlace, frozen=True, kw_only=True):
-    """The mission has the vehicle land where it is."""
+    """The mission commands the vehicle to land where it is."""
 
 
 class Landed(_AtPlace, frozen=True, kw_only=True):
-    """The vehicle is on the ground; without a position as a safe end."""
+    """The vehicle is on the ground; after a safe end there is no position."""
 
 
 class Disarmed(_AtPlace, frozen=True, kw_only=True):
-    """The motors stand; without a position as a safe end."""
+    """The motors have stopped; after a safe end there is no position."""
 
 
 class SafeEnd(Event, frozen=True, kw_only=True):
-    """What is done to end a flight that cannot go on, and why it cannot."""
+    """The action that ends a flight that cannot go on, and why it cannot."""
 
     action: _SafeEndAction
     why: Text
 
 
 class SafeEndFailed(Event, frozen=True, kw_only=True):
-    """The vehicle did not do it, and why; it is told again."""
+    """The vehicle did not carry out the safe end, and why; the program commands it again."""
 
     action: _SafeEndAction
     why: Text
 
 
 class LeftHovering(Event, frozen=True, kw_only=True):
-    """The vehicle hovers as a safe end, and nobody flies it."""
+    """The safe end leaves the vehicle hovering; a pilot must take over."""
 
 
 class LeftToPilot(Event, frozen=True, kw_only=True):
-    """The program sends the vehicle nothing any more, and why."""
+    """The program stops sending commands to the vehicle, and why."""
 
     why: Text
 
 
 class Stood(Event, frozen=True, kw_only=True):
-    """The vehicle, which was not the program's any more, stands."""
+    """A vehicle that another party had taken over is on the ground."""
 
     position: Position
 
 
 class FollowingEnded(Event, frozen=True, kw_only=True):
-    """Why the log of a vehicle that was not the program's any more ends before it stands."""
+    """Why the log ends before a vehicle that another party had taken over is on the ground."""
 
     why: Text
 
 
 class CoverageNotKept(Event, frozen=True, kw_only=True):
-    """The coverage map could not be written: what this flight measured is in its log only."""
+    """The coverage map could not be written; only the log has this flight's measurements."""
 
     why: Text
 
 
 class BorderWatchFailed(Event, frozen=True, kw_only=True):
-    """The vehicle is silent: until it is heard again, ranges are looked at once a period only."""
+    """The vehicle is silent; until its next message the program checks ranges only once a period."""
 
     why: Text
 
 
 class Energy(Event, frozen=True, kw_only=True):
-    """With `reserve_s`: the battery, its loss a second, the time to the landing, and what that needs and leaves.
+    """With `reserve_s`: the battery, its loss a second, the time to the landing, the charge needed, and the margin.
 
-    The landing is at home, or where the vehicle is with `on_failure = "land"`.
-
-    Written when it is first known, after a change of the margin by more than 3 %, and each minute. `guessed` lists
-    the vehicle's parameters that are not known; a usual value stands for each.
+    The landing is at home, or with `on_failure = "land"` below the vehicle. Logged when first known, after a change
+    of the margin by more than 3 %, and once a minute. `guessed` lists the vehicle's unknown parameters, for which the
+    estimate takes usual values.
     """
 
     left_percent: Number
@@ -614,9 +614,9 @@ class Energy(Event, frozen=True, kw_only=True):
 
 
 class EnergyUsed(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """As a simulated mission with `[energy]` ends: what it has drawn, by part, and what the battery held when full.
+    """The energy that a simulated mission with `[energy]` has drawn, by consumer, and the capacity of the battery.
 
-    `flight_wh` is of the rotors while the drone moves, `hover_wh` while it rests in the air.
+    `flight_wh` is drawn by the rotors while the drone moves, `hover_wh` while it hovers.
     """
 
     flight_wh: Number
@@ -627,14 +627,14 @@ class EnergyUsed(Event, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def total_wh(self) -> float:
-        """Of all parts."""
+        """The sum over all consumers."""
         return round(self.flight_wh + self.hover_wh + self.computing_wh + self.radio_wh, 6)
 
 
 class BatteryWatchFailed(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """No reserve is watched: the vehicle does not report its battery, or a defect has ended the watch.
+    """Nothing watches the reserve: the vehicle does not report its battery, or a defect ended the watch.
 
-    A defect ends the mission as the reserve does; its `trace` is for a bug report.
+    A defect ends the mission as the reserve does; `trace` is for a bug report.
     """
 
     why: Text
@@ -642,10 +642,10 @@ class BatteryWatchFailed(Event, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="position", gc=False):
-    """Where the drone is, every second (real flights), with what is known of its motion, battery and link.
+    """The position of the drone once a second (real flights), with its motion, battery and link as far as known.
 
-    The heading is that of its nose, clockwise from north; `round_trip_s` is what the last question to the daemon of
-    the `server` in use took. While the program brings it down, it is on the ground in `down_s`.
+    The heading is clockwise from north. `round_trip_s` is the delay of the last request to the daemon of the `server`
+    in use. While the program brings the vehicle down, `down_s` is the time to the ground.
     """
 
     east_m: Number
@@ -663,10 +663,9 @@ class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="
 
 
 class Step(Event, frozen=True, kw_only=True):
-    """A server goes from one state into another; `check` numbers the drone's check, or probe, that it belongs to.
+    """A server changes its state; `check` is the number of the drone's check or probe.
 
-    With it the mean delays that are compared to select a server: of calls on the drone, and of those with each server
-    that is in range.
+    The mean delays are those that a selection compares: of calls on the drone, and of calls on servers in range.
     """
 
     server: Text
@@ -680,15 +679,15 @@ class Step(Event, frozen=True, kw_only=True):
 
 
 class Selected(Step, frozen=True, kw_only=True):
-    """The server is the one to use from now on, or the next: its check begins, whose number its calls name."""
+    """The drone selects the server, for now or as the next one: its check begins. Calls name the check."""
 
 
 class FoundStopped(Step, frozen=True, kw_only=True):
-    """The daemon answers: it is available, but not all services run."""
+    """The daemon answers: the server is available, but not all services run."""
 
 
 class FoundRunning(Step, frozen=True, kw_only=True):
-    """The daemon answers: it is available, and all services run."""
+    """The daemon answers: the server is available, and all services run."""
 
 
 class Started(Step, frozen=True, kw_only=True):
@@ -696,35 +695,35 @@ class Started(Step, frozen=True, kw_only=True):
 
 
 class CheckFailed(Step, frozen=True, kw_only=True):
-    """The server could not be joined, did not answer in time, is unavailable, or could not start a service."""
+    """The check failed: no network, no answer in time, an unavailable server, or a service that did not start."""
 
 
 class Deselected(Step, frozen=True, kw_only=True):
-    """The server is left."""
+    """The drone leaves the server."""
 
 
 class DeselectedAfterStart(Step, frozen=True, kw_only=True):
-    """The server is left while its services are being started."""
+    """The drone leaves the server while its services start."""
 
 
 class CallFailedInRange(Step, frozen=True, kw_only=True):
-    """A call got no usable answer, in the server's range."""
+    """A call in the server's range got no usable answer."""
 
 
 class CallFailedOutOfRange(Step, frozen=True, kw_only=True):
-    """A call got no usable answer, as the drone had left the server's range."""
+    """A call got no usable answer because the drone had left the server's range."""
 
 
 class NetworkLost(Step, frozen=True, kw_only=True):
-    """The server's network is no longer connected, though the drone is in range."""
+    """The drone is in the server's range, and the server's network is disconnected."""
 
 
 class TurnOver(Step, frozen=True, kw_only=True):
-    """The server gave the drone's slot to another drone; it is asked for one again, by a check of a new number."""
+    """The server gave the drone's slot to another drone; the drone requests a slot again, by a new check."""
 
 
 class NoSlot(Event, frozen=True, kw_only=True):
-    """The server, which is being checked, serves as many drones as it can; so many wait, and the drone asks again."""
+    """The server has no free slot; `waiting` drones queue, this drone included, and this drone asks again."""
 
     server: Text
     check: Count
@@ -732,7 +731,7 @@ class NoSlot(Event, frozen=True, kw_only=True):
 
 
 class LeftOut(Event, frozen=True, kw_only=True):
-    """The server leaves a service alone that keeps failing there: the drone leaves the server out for as long."""
+    """A service keeps failing on the server, which pauses it; the drone ignores the server for `pause_s`."""
 
     server: str
     check: int
@@ -741,7 +740,7 @@ class LeftOut(Event, frozen=True, kw_only=True):
 
 
 class ServiceMoved(Event, frozen=True, kw_only=True):
-    """The server, which is READY, has the service elsewhere now, as where its daemon was changed: calls go there."""
+    """A READY server has moved the service to another address, for instance on a reload; calls follow it."""
 
     server: Text
     check: Count
@@ -749,34 +748,34 @@ class ServiceMoved(Event, frozen=True, kw_only=True):
 
 
 class PlaceMeasured(Event, frozen=True, kw_only=True):
-    """A server without a range was asked something at a place, of which this is known now."""
+    """A new measurement of a server without a range, and all measurements at that place."""
 
     server: Text
     place: Measured
 
 
 class BlacklistExpired(Step, frozen=True, kw_only=True):
-    """The server has been left alone for long enough."""
+    """The blacklisting of the server is over."""
 
 
 class Probed(Step, frozen=True, kw_only=True):
-    """The server, which had failed, gave a sign of life, but not all services run."""
+    """A server that had failed answered a probe; not all of its services run."""
 
 
 class ProbedRunning(Step, frozen=True, kw_only=True):
-    """The server, which had failed, gave a sign of life, and so did its services."""
+    """A server that had failed answered a probe, and all of its services run."""
 
 
 class IdleExpired(Step, frozen=True, kw_only=True):
-    """Unused for long, the services are no longer believed to run."""
+    """The services were unused for so long that the server may have stopped them."""
 
 
 class Prepared(Step, frozen=True, kw_only=True):
-    """The next server is made ready by the one in use, its peer."""
+    """The server in use prepares the next server, its peer, for the drone."""
 
 
 class NotPrepared(Event, frozen=True, kw_only=True):
-    """Why the server `by`, which is in use, does not have its peer `server` prepared."""
+    """Why the server in use, `by`, does not prepare its peer `server`."""
 
     server: Text
     by: Text
@@ -784,7 +783,7 @@ class NotPrepared(Event, frozen=True, kw_only=True):
 
 
 class Joined(Event, frozen=True, kw_only=True):
-    """The server's network was just joined, for that check."""
+    """The drone joined the server's network for a check."""
 
     server: Text
     network: Text
@@ -792,13 +791,13 @@ class Joined(Event, frozen=True, kw_only=True):
 
 
 class LeftOver(Event, frozen=True, kw_only=True):
-    """A network that was found joined, and left."""
+    """The drone left a network that an earlier program had joined."""
 
     network: Text
 
 
 class LeaveFailed(Event, frozen=True, kw_only=True):
-    """A network that could not be left, and why."""
+    """The drone could not leave a network, and why."""
 
     network: Text
     why: Text
@@ -808,12 +807,11 @@ class LeaveFailed(Event, frozen=True, kw_only=True):
 
 
 class Decided(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """A call's decision: where it is to run, why, and every estimate that this was decided on, as it was then.
+    """The decision where a call runs, why, and all its inputs at that moment.
 
-    `selected` is the server in use with its state and its `check`; `check_s` is what its check takes, of which
-    `check_elapsed_s` are over. A `server` is to answer within `deadline_s`, or is waited for, `at_most_s`; `raced`
-    where the drone computes the call too. A second decision follows where a server becomes of use while the drone is
-    at the call.
+    `selected` is the server in use with its state and its `check`; `check_s` is how long the check should take and
+    `check_elapsed_s` its age. `server` must answer within `deadline_s`; a wait lasts `at_most_s`. With `raced` the
+    drone computes the call too. A second decision follows if a server becomes usable during an onboard call.
     """
 
     operation: Text
@@ -834,13 +832,13 @@ class Decided(Event, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """A call that is over: where it ran, why there, when it began, how long it took, and of that waited and onboard.
+    """A call has ended: its place, the reason, its begin and delay, and the shares of waiting and onboard computing.
 
     `place` is a server's name, or `local` for the drone; `check` is the number of the server's selection, absent for
-    the drone. `wait` is empty, `paid off` or `failed`. `hedged_s` is when the drone's own service started on it too,
-    `queued_s` for how long that was busy with an earlier call, and `remote_fault` whether what a server said that it
-    raised was `confirmed` or `denied` by the drone's own service. `at_s` is by the program's clock, not the log's.
-    `operation` is what ran. Where that is lighter than what was `asked` for, the mission was expected to end at
+    the drone. `wait` is empty, `paid off` or `failed`. `hedged_s` is when the drone's own service joined the call,
+    and `queued_s` how long an earlier call kept that service busy. `remote_fault` is `confirmed` or `denied` if the
+    server reported an exception and the drone's own service repeated the call. `at_s` is by the program's clock, not the
+    log's. `operation` is what ran. If a heavier operation was `asked` for, the mission would have ended at
     `forecast_s` of its time, later than `finish_by_s`.
     """
 
@@ -863,12 +861,12 @@ class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def server(self) -> str | None:
-        """The server that answered it; None where the drone did."""
+        """The server that answered; None if the drone did."""
         return server_of(self.place)
 
 
 class Hedged(Event, frozen=True, kw_only=True):
-    """The drone's own service starts on a call, after so long, that the server may answer until its new deadline."""
+    """The drone's own service joins a remote call after `after_s`; the server may answer until `deadline_s`."""
 
     server: Text
     check: Count = 0
@@ -877,19 +875,19 @@ class Hedged(Event, frozen=True, kw_only=True):
 
 
 class Dropped(Event, frozen=True, kw_only=True):
-    """The answer to a call that came second, and from where."""
+    """The second answer of a call that drone and server both computed was dropped; `place` is its origin."""
 
     operation: Text
     place: Text
 
     @property
     def server(self) -> str | None:
-        """The server that it came from; None where it was the drone's own."""
+        """The server that gave the answer; None if the drone did."""
         return server_of(self.place)
 
 
 class RemoteRaised(Event, frozen=True, kw_only=True):
-    """What a server says that the service raised in a call, which is then made on the drone."""
+    """The exception that a server reports for a call; the drone's own service repeats the call."""
 
     server: Text
     check: Count = 0
@@ -898,7 +896,7 @@ class RemoteRaised(Event, frozen=True, kw_only=True):
 
 
 class RemoteFailed(Event, frozen=True, kw_only=True):
-    """A call to a server got no usable answer, or raised there and not on the drone; and why."""
+    """Why a remote call got no usable answer; or it raised on the server and not on the drone."""
 
     server: Text
     check: Count = 0
@@ -912,7 +910,7 @@ class LocalReady(Event, frozen=True, kw_only=True):
 
 
 class LocalFailed(Event, frozen=True, kw_only=True, omit_defaults=True):
-    """The drone's own service failed in a call of the method, or could not be started again."""
+    """The drone's own service failed in a call of `method`, or could not be restarted."""
 
     service: Text
     method: Text | None = None
@@ -920,14 +918,14 @@ class LocalFailed(Event, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class LocalEnded(Event, frozen=True, kw_only=True):
-    """The drone's own service ended, and how; it is started again."""
+    """The drone's own service ended, and how; the program restarts it."""
 
     service: Text
     how: Text
 
 
 class OffloadingFailed(Event, frozen=True, kw_only=True):
-    """A defect in deciding: from now on every call runs on the drone; `trace` is for a bug report."""
+    """A defect ended offloading: from now on every call runs on the drone; `trace` is for a bug report."""
 
     why: Text
     trace: Text
@@ -946,14 +944,14 @@ class WaitingForTheTime(Event, frozen=True, kw_only=True):
 
 
 class ClockSet(Event, frozen=True, kw_only=True):
-    """This computer's clock was set, from what it said before to what the vehicle's GPS says."""
+    """The program set this computer's clock by the vehicle's GPS."""
 
     before: _Time
     after: _Time
 
 
 class ClockDiffers(Event, frozen=True, kw_only=True):
-    """This computer's clock and the vehicle's GPS differ, and why the clock was not set."""
+    """This computer's clock differs from the vehicle's GPS, and why the program did not set the clock."""
 
     clock: Text
     gps: Text
@@ -961,14 +959,14 @@ class ClockDiffers(Event, frozen=True, kw_only=True):
 
 
 def _leaves(cls: type[Event]) -> Iterator[type[Event]]:
-    if not (below := cls.__subclasses__()):
+    if not (kinds := cls.__subclasses__()):
         yield cls
-    for each in below:
-        yield from _leaves(each)
+    for kind in kinds:
+        yield from _leaves(kind)
 
 
 EVENTS: tuple[type[Event], ...] = tuple(_leaves(Event))  # in the order of this file
 STEPS: Mapping[Trigger, type[Step]] = {
-    Trigger(kind_of(each)): each for each in EVENTS if issubclass(each, Step)
+    Trigger(kind_of(kind)): kind for kind in EVENTS if issubclass(kind, Step)
 }
 DECODER: msgspec.json.Decoder[Event] = msgspec.json.Decoder(functools.reduce(operator.or_, EVENTS))
