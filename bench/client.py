@@ -38,7 +38,7 @@ from upwash.real.instances.runtime import OwnProcesses
 from upwash.real.link.link import CHANNEL_OPTIONS, GrpcDialer
 from upwash.real.trust.credentials import Credentials, read_credentials
 from upwash.sim.autopilot import ModelAutopilot
-from upwash.vehicle import arducopter
+from upwash.vehicle.ardupilot import airframe as arducopter
 
 MAX_MESSAGE_BYTES = 16 * 2**20
 READY_S = 20.0

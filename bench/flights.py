@@ -11,10 +11,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from upwash.core.geo import GeoPosition, Position, distance_m
-from upwash.vehicle.answers import LandedState, Result
-from upwash.vehicle.copter import Copter
-from upwash.vehicle.modes import Mode
-from upwash.vehicle.settings import VehicleSettings
+from upwash.vehicle.ardupilot.copter import Copter
+from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
+from upwash.vehicle.body.firmware import LandedState, Result
 
 DATA = Path(__file__).parents[1] / "tests" / "vehicle" / "data"
 SETTINGS = VehicleSettings(home=GeoPosition(39.3666, 22.9507), armable_after_s=0.0)
@@ -39,7 +38,7 @@ class Flight:
         self.copter = Copter(settings, now_s=0.0)
         self.now_s = 1.0
         self.said: list[tuple[float, int, str]] = []
-        self.copter.change_mode(self.now_s, Mode.GUIDED)
+        self.copter.change_mode(self.now_s, CopterMode.GUIDED)
         assert self.copter.arm(self.now_s).result is Result.ACCEPTED
         assert self.copter.take_off(self.now_s, altitude_m).result is Result.ACCEPTED
         self.until(lambda: self.copter.landed_state(self.now_s) is LandedState.IN_AIR)
@@ -141,7 +140,7 @@ def return_s(altitude_m: float, away_m: float) -> tuple[float, float]:
     flight = Flight(altitude_m)
     flight.fly(Position(0.0, away_m, altitude_m), at_m_s=5.0)
     flight.wait(10.0)
-    flight.copter.change_mode(flight.now_s, Mode.RTL)
+    flight.copter.change_mode(flight.now_s, CopterMode.RTL)
     begun_s = flight.now_s
     flight.until(lambda: flight.copter.landed_state(flight.now_s) is LandedState.LANDING)
     descends_s = flight.now_s - begun_s

@@ -20,8 +20,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position, distance_m
 from upwash.real.mavlink import MavlinkLink
+from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.server import serve_vehicle
-from upwash.vehicle.settings import VehicleSettings
 
 SPEEDUP = 10.0
 QUICK_SPEEDUP, QUICK_LEGS = 40.0, 2

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from upwash.core.geo import Circle, Position, ground_distance_m
 from upwash.core.planning.legs import Leg, acceleration_m_s2, entered_m, left_m
-from upwash.vehicle.kinematics import Motion, braking, duration_s, leg
+from upwash.vehicle.body.kinematics import Motion, braking, duration_s, leg
 
 lengths_m = st.floats(0.5, 500.0)
 speeds_m_s = st.floats(0.5, 20.0)

@@ -23,8 +23,8 @@ from upwash.errors import MissionStopped, ReserveReached
 from upwash.eventlog.schema import Event
 from upwash.lab.run import Run, simulate
 from upwash.sim.autopilot import ModelAutopilot
-from upwash.vehicle import arducopter
-from upwash.vehicle.kinematics import Phase, duration_s
+from upwash.vehicle.ardupilot import airframe as arducopter
+from upwash.vehicle.body.kinematics import Phase, duration_s
 
 FAR = [[0, 0], [400, 0], [800, 0], [1200, 0], [1600, 0]]
 

@@ -14,8 +14,8 @@ from upwash.core.geo import GeoPosition
 from upwash.errors import AutopilotError
 from upwash.ports import LinkTrouble, VehicleNews
 from upwash.sim.loop import run_virtually
+from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.px4.settings import Px4Settings
-from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 VEHICLES: dict[str, VehicleSettings | Px4Settings] = {

@@ -10,9 +10,9 @@ from tests.scenarios import scenario
 from upwash.core.geo import GeoPosition
 from upwash.launch.survey import VehicleSurvey, survey_vehicle
 from upwash.mavlink.version import Version
+from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.server import serve_vehicle
-from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 

@@ -15,25 +15,23 @@ from upwash.core.geo import LocalFrame
 from upwash.mavlink.px4 import understood
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, connect_autopilot
 from upwash.real.mavlink.link import COMPANION
-from upwash.vehicle.clock import Clock
-from upwash.vehicle.connection import Connection, Vehicle
+from upwash.vehicle.ardupilot.settings import VehicleSettings
+from upwash.vehicle.body.connection import PeerConnection, StandIn
 from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.px4.telemetry import UNASKED_S
 from upwash.vehicle.px4.vehicle import Quadrotor
 from upwash.vehicle.server import firmware
-from upwash.vehicle.settings import VehicleSettings
 
 
 class Sky:
     """The stand-in, who talks to it, and what the driver has said to it."""
 
     def __init__(self, settings: Px4Settings | VehicleSettings) -> None:
-        clock = Clock(settings.speedup)
-        autopilot = firmware(settings, now_s=clock.now_s())
-        self.vehicle = Vehicle(autopilot, clock)
+        autopilot = firmware(settings, now_s=asyncio.get_running_loop().time())
+        self.vehicle = StandIn(autopilot, settings.speedup)
         self.copter: Quadrotor = autopilot.copter  # type: ignore[assignment]
         self.cut = False  # nothing passes to or from the driver
-        self.link: Connection  # the driver's
+        self.link: PeerConnection  # the driver's
         self.heard: list[Any] = []  # what the driver said, with the time as `at_s`
 
     def now_s(self) -> float:
@@ -75,7 +73,7 @@ class _DirectLink:
         self._sky = sky
         self._hear = heard
         self._codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=COMPANION)
-        self._connection = sky.link = Connection(sky.vehicle, write=self._written)
+        self._connection = sky.link = PeerConnection(sky.vehicle, write=self._written)
         for number in UNASKED_S:  # a flight has a hundred thousand of them
             never = mavlink.MAVLink_command_long_message(
                 1, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, -1, *(0.0,) * 5

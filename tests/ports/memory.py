@@ -14,11 +14,10 @@ from tests.ports.lossy import Air
 
 from upwash.core.geo import GeoPosition, LocalFrame
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience, connect_autopilot, link
-from upwash.vehicle.ardupilot import ArduCopter
-from upwash.vehicle.clock import Clock
-from upwash.vehicle.connection import Connection, Vehicle
-from upwash.vehicle.copter import Copter
-from upwash.vehicle.settings import VehicleSettings
+from upwash.vehicle.ardupilot.copter import Copter
+from upwash.vehicle.ardupilot.firmware import ArduCopterFirmware
+from upwash.vehicle.ardupilot.settings import VehicleSettings
+from upwash.vehicle.body.connection import PeerConnection, StandIn
 
 HOME = GeoPosition(39.3666, 22.9507)
 AGILE = VehicleSettings(
@@ -38,20 +37,19 @@ class Bench:
     """A vehicle that any number of programs may connect to."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, settings: VehicleSettings, air: Air) -> None:
-        clock = Clock(settings.speedup)
-        self.copter = Copter(settings, now_s=clock.now_s())
-        self.firmware = ArduCopter(self.copter)
-        self.vehicle = Vehicle(self.firmware, clock)
+        self.copter = Copter(settings, now_s=asyncio.get_running_loop().time())
+        self.firmware = ArduCopterFirmware(self.copter)
+        self.vehicle = StandIn(self.firmware, settings.speedup)
         self.said: list[str] = []
         self.deaf = False  # whether the vehicle hears nobody
         self.mute = False
         self.powered = True  # or it cannot be connected to
         self.arrive: Callable[[bytes], None]  # has the program that came last hear that, too
-        self.connection: Connection  # of the program that came last
+        self.connection: PeerConnection  # of the program that came last
         self.asked: Counter[int] = Counter()  # how often each command came from programs
         self._air = air
         monkeypatch.setitem(link._OPENERS, "memory", self._open)
-        Connection(self.vehicle, write=self._note)
+        PeerConnection(self.vehicle, write=self._note)
 
     @property
     def now_s(self) -> float:
@@ -89,7 +87,7 @@ class Bench:
             elif not self.mute:
                 self._air.carry(data, arrive)
 
-        connection = self.connection = Connection(self.vehicle, write=to_program)
+        connection = self.connection = PeerConnection(self.vehicle, write=to_program)
 
         def to_vehicle(packet: bytes) -> None:
             for message in mavlink.MAVLink(None).parse_buffer(packet) or []:

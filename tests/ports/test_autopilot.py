@@ -24,11 +24,11 @@ from upwash.errors import (
 )
 from upwash.ports import ArmingDelayed, Autopilot, VehicleNews
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, MavlinkLink, Patience, connect_autopilot
-from upwash.vehicle.answers import Result
-from upwash.vehicle.boot import Text
-from upwash.vehicle.copter import Answer, Copter
+from upwash.vehicle.ardupilot.boot import Text
+from upwash.vehicle.ardupilot.copter import Answer, Copter
+from upwash.vehicle.ardupilot.settings import VehicleSettings
+from upwash.vehicle.body.firmware import Result
 from upwash.vehicle.server import VehicleServer, serve_vehicle
-from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 FRAME = LocalFrame(HOME)

@@ -18,9 +18,9 @@ from upwash.ports import ArmingDelayed, LinkChanged, VehicleNews
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience, connect_autopilot
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.vehicle import MavlinkVehicle
-from upwash.vehicle.faults import Fault, FaultKind
+from upwash.vehicle.ardupilot.settings import VehicleSettings
+from upwash.vehicle.body.condition import FaultKind, VehicleFault
 from upwash.vehicle.server import VehicleServer, serve_vehicle
-from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 SPEEDUP = 10.0
@@ -175,7 +175,7 @@ def test_arming_waits_for_the_position_estimate_and_the_reports_are_asked_for(sh
 
 
 def test_a_refusal_to_arm_carries_the_vehicles_reason() -> None:
-    stubborn = replace(AGILE, faults=(Fault(FaultKind.ARMING),))
+    stubborn = replace(AGILE, faults=(VehicleFault(FaultKind.ARMING),))
 
     async def mission(autopilot: MavlinkAutopilot, vehicle: VehicleServer, _air: Air) -> None:
         with pytest.raises(AutopilotRefused) as caught:

@@ -26,8 +26,8 @@ from upwash.real.host.journal import FileJournal, read_events
 from upwash.real.trust.credentials import Credentials
 from upwash.sim.journal import MemoryJournal
 from upwash.sim.loop import run_virtually
+from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.server import serve_vehicle
-from upwash.vehicle.settings import VehicleSettings
 
 STALE_S = datetime(2025, 6, 1, tzinfo=UTC).timestamp()  # before the certificates of the tests
 

@@ -18,8 +18,7 @@ from upwash.real.mavlink import MavlinkAutopilot
 from upwash.real.mavlink.dead_man import FILE, SILENCE_S, VERSION, promise, script
 from upwash.real.mavlink.ftp import FileClient
 from upwash.sim.loop import run_virtually
-from upwash.vehicle.modes import Mode
-from upwash.vehicle.settings import VehicleSettings
+from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
 
 SILENCE = 20.0
 LOOK_S = 0.05
@@ -55,7 +54,7 @@ async def fly_out(autopilot: MavlinkAutopilot) -> None:
     await autopilot.goto(Position(50.0, 0.0, 5.0))
 
 
-def flies_in(made: Bench, mode: Mode) -> bool:
+def flies_in(made: Bench, mode: CopterMode) -> bool:
     return made.copter.mode is mode and made.copter.flying(made.now_s)
 
 
@@ -63,7 +62,7 @@ async def leaves_guided(made: Bench, *, within_s: float) -> float:
     """After how long it does; fails if it does not."""
     begun_s = made.now_s
     for _ in range(round(within_s / LOOK_S)):
-        if made.copter.mode is not Mode.GUIDED:
+        if made.copter.mode is not CopterMode.GUIDED:
             return made.now_s - begun_s
         await asyncio.sleep(LOOK_S)
     raise AssertionError(f"still in GUIDED after {within_s} s")
@@ -175,8 +174,10 @@ def test_the_script_and_the_driver_use_the_same_words() -> None:
 # --- what it does -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("action", "mode"), [("return", Mode.RTL), ("land", Mode.LAND)])
-def test_a_program_that_is_killed_in_flight_is_missed_in_time(tell: Tell, action: str, mode: Mode) -> None:
+@pytest.mark.parametrize(("action", "mode"), [("return", CopterMode.RTL), ("land", CopterMode.LAND)])
+def test_a_program_that_is_killed_in_flight_is_missed_in_time(
+    tell: Tell, action: str, mode: CopterMode
+) -> None:
     async def story(made: Bench) -> None:
         await install(made)
         async with made.program() as autopilot:
@@ -197,7 +198,7 @@ def test_a_program_that_lives_is_not_missed_and_says_goodbye(tell: Tell) -> None
         async with made.program() as autopilot:
             await fly_out(autopilot)
             await asyncio.sleep(3 * SILENCE)
-            assert flies_in(made, Mode.GUIDED)
+            assert flies_in(made, CopterMode.GUIDED)
             await autopilot.return_home_and_land()
             await autopilot.disarm()
             await autopilot.dead_man.release()
@@ -215,7 +216,7 @@ def test_after_a_goodbye_in_the_air_nothing_happens(tell: Tell) -> None:
             await fly_out(autopilot)
             await autopilot.dead_man.release()
         await asyncio.sleep(3 * SILENCE)
-        assert flies_in(made, Mode.GUIDED)
+        assert flies_in(made, CopterMode.GUIDED)
 
     tell(story)
 
@@ -227,12 +228,12 @@ def test_it_is_silent_while_a_pilot_flies(tell: Tell, takes_s: float) -> None:
     async def story(made: Bench) -> None:
         await killed_in_flight(made)
         await asyncio.sleep(takes_s)
-        made.copter.change_mode(made.now_s, Mode.LOITER)
+        made.copter.change_mode(made.now_s, CopterMode.LOITER)
         await asyncio.sleep(3 * SILENCE)
-        assert flies_in(made, Mode.LOITER)
-        made.copter.change_mode(made.now_s, Mode.GUIDED)
+        assert flies_in(made, CopterMode.LOITER)
+        made.copter.change_mode(made.now_s, CopterMode.GUIDED)
         await asyncio.sleep(3 * SILENCE)
-        assert flies_in(made, Mode.GUIDED)
+        assert flies_in(made, CopterMode.GUIDED)
         assert not any("silent" in text for text in made.said)
 
     tell(story)
@@ -243,14 +244,14 @@ def test_a_program_that_lost_the_vehicle_to_a_pilot_is_not_missed(tell: Tell) ->
         await install(made)
         async with made.program() as autopilot:
             await fly_out(autopilot)
-            made.copter.change_mode(made.now_s, Mode.LOITER)
+            made.copter.change_mode(made.now_s, CopterMode.LOITER)
             await asyncio.sleep(3.0)
             assert autopilot.control.owner is Owner.PILOT
-            made.copter.change_mode(made.now_s, Mode.GUIDED)
+            made.copter.change_mode(made.now_s, CopterMode.GUIDED)
             await asyncio.sleep(3.0)
             assert made.parameter(SILENCE_S) == 0
         await asyncio.sleep(3 * SILENCE)
-        assert flies_in(made, Mode.GUIDED)
+        assert flies_in(made, CopterMode.GUIDED)
 
     tell(story)
 
@@ -263,7 +264,7 @@ def test_a_program_that_is_resumed_in_time_is_missed_anew(tell: Tell) -> None:
             await autopilot.claim(resumes=True)
             await autopilot.dead_man.watch(silence_s=SILENCE, action="return")
             await asyncio.sleep(3 * SILENCE)
-            assert flies_in(made, Mode.GUIDED)
+            assert flies_in(made, CopterMode.GUIDED)
         assert await leaves_guided(made, within_s=SILENCE) > SILENCE - 3.0
 
     tell(story)
@@ -287,7 +288,7 @@ def test_nothing_happens_on_the_ground(tell: Tell) -> None:
             await autopilot.ready()
             await autopilot.arm()
         await asyncio.sleep(2 * SILENCE)
-        assert made.copter.mode is Mode.GUIDED
+        assert made.copter.mode is CopterMode.GUIDED
         assert made.parameter(SILENCE_S) == 0
 
     tell(story)
@@ -303,7 +304,7 @@ def test_a_program_that_died_before_arming_is_not_missed_in_anothers_flight(tell
             await take_off(another)
             await asyncio.sleep(3 * SILENCE)
         await asyncio.sleep(3 * SILENCE)
-        assert flies_in(made, Mode.GUIDED)
+        assert flies_in(made, CopterMode.GUIDED)
 
     tell(story)
 
@@ -337,7 +338,7 @@ def test_a_short_silence_makes_a_pilot_no_fail_safe(tell: Tell) -> None:
             await fly_out(autopilot)
             made.deaf = made.mute = True
             await asyncio.sleep(SILENCE / 2)
-            made.copter.change_mode(made.now_s, Mode.RTL)
+            made.copter.change_mode(made.now_s, CopterMode.RTL)
             made.deaf = made.mute = False
             await asyncio.sleep(2.0)
             assert autopilot.control.owner is Owner.PILOT

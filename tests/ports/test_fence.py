@@ -17,10 +17,10 @@ from upwash.mavlink.px4 import Mode
 from upwash.ports import VehicleLimits, VehicleNews, VehicleSetting
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.sim.loop import run_virtually
-from upwash.vehicle.connection import Connection
-from upwash.vehicle.faults import Fault, FaultKind
+from upwash.vehicle.ardupilot.settings import VehicleSettings
+from upwash.vehicle.body.condition import FaultKind, VehicleFault
+from upwash.vehicle.body.connection import PeerConnection
 from upwash.vehicle.px4.settings import Px4Settings
-from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 FENCE = mavlink.MAV_MISSION_TYPE_FENCE
@@ -38,7 +38,7 @@ Flight = Callable[[Sky, MavlinkAutopilot], Awaitable[None]]
 
 def upload(sky: Sky, boxes: Sequence[Box]) -> None:
     """As a ground station does, without waiting for answers."""
-    station = Connection(sky.vehicle, write=lambda _: None)
+    station = PeerConnection(sky.vehicle, write=lambda _: None)
     items = [
         (command, HOME_FRAME.geo(Position(east_m, north_m)))
         for command, west, south, east, north in boxes
@@ -242,7 +242,7 @@ def test_how_high_its_home_lies_is_waited_for(armable_after_s: float, told: int)
 
 def test_a_home_that_is_never_told_is_refused() -> None:
     async def flown() -> None:
-        settings = VehicleSettings(HOME, faults=(Fault(FaultKind.GPS),))
+        settings = VehicleSettings(HOME, faults=(VehicleFault(FaultKind.GPS),))
         async with flown_directly(settings) as (sky, autopilot):
             with pytest.raises(AutopilotRefused, match="did not tell its home within 120 s"):
                 await autopilot.home_above_sea_m(lambda: None)

@@ -20,8 +20,8 @@ from upwash.ports import VehicleNews, VehicleSetting
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.real.mavlink.ftp import MOST_FILE_BYTES, FileClient
 from upwash.sim.loop import run_virtually
+from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.px4.settings import Px4Settings
-from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 FENCE = mavlink.MAV_MISSION_TYPE_FENCE

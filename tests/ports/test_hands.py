@@ -18,10 +18,10 @@ from upwash.core.vehicle.control import Owner
 from upwash.errors import AutopilotOverruled, AutopilotRefused, AutopilotTimeout
 from upwash.ports import HomeMoved, PositionDoubted, VehicleNews, VehicleText
 from upwash.real.mavlink import MavlinkLink, connect_autopilot
-from upwash.vehicle.copter import FORCED_DISARM
-from upwash.vehicle.faults import FaultKind
+from upwash.vehicle.ardupilot.copter import FORCED_DISARM
+from upwash.vehicle.ardupilot.settings import VehicleSettings
+from upwash.vehicle.body.condition import FaultKind
 from upwash.vehicle.server import VehicleServer, serve_vehicle
-from upwash.vehicle.settings import VehicleSettings
 
 SLOW_FALL = replace(AGILE, climb_m_s=20.0)
 CLEARED = "Glitch cleared"

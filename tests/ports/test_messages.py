@@ -25,9 +25,9 @@ from upwash.real.mavlink.settings import Patience
 from upwash.real.mavlink.telemetry import Telemetry
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 from upwash.sim.loop import run_virtually
+from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.server import serve_vehicle
-from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 COPTER = VehicleSettings(HOME, home_altitude_m=488.0, armable_after_s=0.0)

@@ -20,12 +20,12 @@ from upwash.mavlink.version import Version
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.real.mavlink.needs import require_reposition
 from upwash.sim.loop import run_virtually
-from upwash.vehicle import commands, connection
-from upwash.vehicle.connection import Connection
-from upwash.vehicle.firmware import Reply
-from upwash.vehicle.modes import Mode
+from upwash.vehicle.ardupilot import commands
+from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
+from upwash.vehicle.body import connection
+from upwash.vehicle.body.connection import PeerConnection
+from upwash.vehicle.body.firmware import Reply
 from upwash.vehicle.px4.settings import Px4Settings
-from upwash.vehicle.settings import VehicleSettings
 
 REPOSITION, ARM = mavlink.MAV_CMD_DO_REPOSITION, mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 VERSION = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
@@ -39,10 +39,10 @@ def commanded(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     questions = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE
     heard: list[int] = []
 
-    def note(to: Connection, message: Any) -> None:
+    def note(to: PeerConnection, message: Any) -> None:
         if message.command not in questions:
             heard.append(message.command)
-        Connection._hear_command(to, message)
+        PeerConnection._hear_command(to, message)
 
     for kind in ("COMMAND_LONG", "COMMAND_INT"):
         monkeypatch.setitem(connection._LISTENERS, kind, note)
@@ -104,7 +104,7 @@ def test_a_firmware_that_does_not_know_how_to_be_sent_to_a_place_is_refused_befo
 
 def test_the_try_moves_nothing_and_changes_no_mode(tell: Callable[..., None], commanded: list[int]) -> None:
     async def story(made: Bench, autopilot: MavlinkAutopilot) -> None:
-        for mode in (Mode.STABILIZE, Mode.GUIDED):
+        for mode in (CopterMode.STABILIZE, CopterMode.GUIDED):
             made.copter.change_mode(made.now_s, mode)
             await autopilot.claim(resumes=False)
             await require_reposition(autopilot._vehicle)
@@ -143,14 +143,14 @@ def test_a_vehicle_that_does_not_tell_its_version_is_flown(tell: Callable[..., N
 def test_a_firmware_that_only_knows_the_old_question_is_asked_that(
     tell: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    known = Connection._obey
+    known = PeerConnection._obey
 
-    def obey(to: Connection, message: Any) -> Any:
+    def obey(to: PeerConnection, message: Any) -> Any:
         if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE and message.param1 == VERSION:
             return Reply((mavlink.MAV_RESULT_UNSUPPORTED,))
         return known(to, message)
 
-    monkeypatch.setattr(Connection, "_obey", obey)
+    monkeypatch.setattr(PeerConnection, "_obey", obey)
 
     async def story(_: Bench, autopilot: MavlinkAutopilot) -> None:
         assert str(autopilot.version) == "4.5.7"

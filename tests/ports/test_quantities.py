@@ -21,10 +21,10 @@ from upwash.ports import VehicleNews, VehicleSetting
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.real.mavlink.parameters import read_parameters, set_parameter
 from upwash.sim.loop import run_virtually
-from upwash.vehicle import connection
-from upwash.vehicle.connection import Connection
+from upwash.vehicle.ardupilot.settings import VehicleSettings
+from upwash.vehicle.body import connection
+from upwash.vehicle.body.connection import PeerConnection
 from upwash.vehicle.px4.settings import Px4Settings
-from upwash.vehicle.settings import VehicleSettings
 
 OLD = {"RTL_ALT": 10_000, "RTL_SPEED": 200, "WPNAV_SPEED_DN": 100, "WPNAV_SPEED_UP": 120, "LAND_SPEED": 40}
 NEW = {"RTL_ALT_M": 100, "RTL_SPEED_MS": 2, "WP_SPD_DN": 1, "WP_SPD_UP": 1.2, "LAND_SPD_MS": 0.4}
@@ -155,7 +155,7 @@ def test_a_vehicle_that_says_so_has_no_such_parameter(
 ) -> None:
     asked: list[str] = []
 
-    def refuse(asker: Connection, message: Any) -> None:
+    def refuse(asker: PeerConnection, message: Any) -> None:
         asked.append(message.param_id)
         asker.send(
             mavlink.MAVLink_param_error_message(
@@ -177,14 +177,14 @@ def test_no_more_is_asked_at_once_than_an_autopilot_keeps(
     tell: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waiting, most = [0], [0]
-    heard = Connection._hear_read_request
+    heard = PeerConnection._hear_read_request
 
-    def count(asker: Connection, message: Any) -> None:
+    def count(asker: PeerConnection, message: Any) -> None:
         waiting[0] += 1
         most[0] = max(most[0], waiting[0])
         asyncio.get_running_loop().call_later(0.02, answer, asker, message)
 
-    def answer(asker: Connection, message: Any) -> None:
+    def answer(asker: PeerConnection, message: Any) -> None:
         waiting[0] -= 1
         heard(asker, message)
 

@@ -18,8 +18,8 @@ from upwash.core.geo import Position, distance_m
 from upwash.lab.run import simulate
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.loop import run_virtually
-from upwash.vehicle import arducopter
-from upwash.vehicle.kinematics import Motion, duration_s
+from upwash.vehicle.ardupilot import airframe as arducopter
+from upwash.vehicle.body.kinematics import Motion, duration_s
 
 ALTITUDE_M = 15.0
 HOVER_S = 3.0

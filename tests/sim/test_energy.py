@@ -21,8 +21,8 @@ from upwash.sim.energy import EnergyMeter, Rotors
 from upwash.sim.loop import run_virtually
 from upwash.sim.plain import Plain
 from upwash.sim.vehicle import Manner
-from upwash.vehicle import arducopter
-from upwash.vehicle.kinematics import Phase, leg
+from upwash.vehicle.ardupilot import airframe as arducopter
+from upwash.vehicle.body.kinematics import Phase, leg
 
 PAPER = Rotors(EnergyConfig())
 PLAIN = Plain(acceleration_m_s2=1.0, takeoff_s=10.0, return_and_land_s=16.0)

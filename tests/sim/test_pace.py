@@ -15,8 +15,8 @@ from upwash.core.vehicle.energy import ARDUCOPTER as ARDUCOPTER_HOME
 from upwash.core.vehicle.energy import PX4 as PX4_HOME
 from upwash.core.vehicle.energy import WayHome, time_home_s
 from upwash.real.mavlink.course import Abilities, Course
-from upwash.vehicle import arducopter
-from upwash.vehicle.kinematics import duration_s
+from upwash.vehicle.ardupilot import airframe as arducopter
+from upwash.vehicle.body.kinematics import duration_s
 from upwash.vehicle.px4 import airframe as px4
 
 HOME, START = Position(0.0, 0.0), Position(0.0, 0.0, 20.0)

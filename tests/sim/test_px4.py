@@ -13,7 +13,7 @@ from tests.scenarios import scenario
 from upwash.core.geo import Position, Velocity, distance_m
 from upwash.lab.run import simulate
 from upwash.sim.vehicle import Manner
-from upwash.vehicle.kinematics import Phase, duration_s
+from upwash.vehicle.body.kinematics import Phase, duration_s
 from upwash.vehicle.px4 import airframe
 
 MANNER: Manner = airframe

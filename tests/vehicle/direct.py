@@ -10,11 +10,10 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.mavlink.px4 import understood
-from upwash.vehicle.clock import Clock
-from upwash.vehicle.connection import Connection, Vehicle
+from upwash.vehicle.ardupilot.settings import VehicleSettings
+from upwash.vehicle.body.connection import PeerConnection, StandIn
 from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.server import firmware
-from upwash.vehicle.settings import VehicleSettings
 
 Hear = Callable[[Any], None]
 
@@ -22,13 +21,13 @@ Hear = Callable[[Any], None]
 @asynccontextmanager
 async def directly_linked(
     settings: VehicleSettings | Px4Settings, hear: Hear
-) -> AsyncIterator[tuple[Vehicle, Hear]]:
+) -> AsyncIterator[tuple[StandIn, Hear]]:
     """The vehicle, and how to say something to it; what it says, packed and parsed, goes to `hear`.
 
     What is said is heard in the loop's next turn, so that one can say something and then wait for the answer.
     """
-    clock, codec = Clock(settings.speedup), mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
-    vehicle = Vehicle(firmware(settings, now_s=clock.now_s()), clock)
+    codec = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    vehicle = StandIn(firmware(settings, now_s=asyncio.get_running_loop().time()), settings.speedup)
 
     def parsed(data: bytes) -> list[Any]:
         return [understood(message) for message in mavlink.MAVLink(None).parse_buffer(data) or ()]
@@ -37,7 +36,7 @@ async def directly_linked(
         for message in parsed(data):
             hear(message)
 
-    connection = Connection(vehicle, write=write)
+    connection = PeerConnection(vehicle, write=write)
 
     def say(message: Any) -> None:
         for heard in parsed(bytes(message.pack(codec))):

@@ -6,10 +6,9 @@ import pytest
 
 from upwash.core.geo import GeoPosition, Position, distance_m
 from upwash.errors import UsageError
-from upwash.vehicle.answers import LandedState, Result
-from upwash.vehicle.copter import Copter
-from upwash.vehicle.modes import Mode
-from upwash.vehicle.settings import VehicleSettings
+from upwash.vehicle.ardupilot.copter import Copter
+from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
+from upwash.vehicle.body.firmware import LandedState, Result
 
 SETTINGS = VehicleSettings(
     home=GeoPosition(39.3666, 22.9507), acceleration_m_s2=1.0, ground_speed_m_s=4.0, armable_after_s=30.0
@@ -19,7 +18,7 @@ SETTINGS = VehicleSettings(
 def flying(altitude_m: float = 20.0) -> tuple[Copter, float]:
     """A copter that hovers, and the time."""
     copter = Copter(SETTINGS, now_s=0.0)
-    copter.change_mode(30.0, Mode.GUIDED)
+    copter.change_mode(30.0, CopterMode.GUIDED)
     assert copter.arm(30.0).result is Result.ACCEPTED
     assert copter.take_off(31.0, altitude_m).result is Result.ACCEPTED
     return copter, 60.0
@@ -27,7 +26,7 @@ def flying(altitude_m: float = 20.0) -> tuple[Copter, float]:
 
 def test_it_arms_only_when_its_checks_pass_and_says_why_not() -> None:
     copter = Copter(SETTINGS, now_s=0.0)
-    copter.change_mode(0.0, Mode.GUIDED)
+    copter.change_mode(0.0, CopterMode.GUIDED)
     refusal = copter.arm(29.9)
     assert refusal.result is Result.FAILED
     assert refusal.texts
@@ -41,7 +40,7 @@ def test_it_takes_off_only_armed_in_guided_and_from_the_ground() -> None:
     assert copter.take_off(40.0, 20.0).result is Result.FAILED
     copter.arm(40.0)
     assert copter.take_off(40.0, 20.0).result is Result.FAILED
-    copter.change_mode(40.0, Mode.GUIDED)
+    copter.change_mode(40.0, CopterMode.GUIDED)
     assert copter.take_off(40.0, math.nan).result is Result.FAILED
     assert copter.take_off(40.0, 20.0).result is Result.ACCEPTED
     assert copter.take_off(45.0, 20.0).result is Result.FAILED
@@ -82,8 +81,8 @@ def test_it_does_not_move_for_a_target_that_makes_no_sense(target: Position) -> 
     assert copter.position(now_s + 30.0) == Position(0.0, 0.0, 20.0)
 
 
-@pytest.mark.parametrize("mode", [Mode.LOITER, Mode.BRAKE, Mode.STABILIZE])
-def test_outside_guided_it_ignores_targets(mode: Mode) -> None:
+@pytest.mark.parametrize("mode", [CopterMode.LOITER, CopterMode.BRAKE, CopterMode.STABILIZE])
+def test_outside_guided_it_ignores_targets(mode: CopterMode) -> None:
     copter, now_s = flying()
     copter.change_mode(now_s, mode)
     copter.steer(now_s, Position(20.0, 0.0, 20.0))
@@ -137,7 +136,7 @@ def test_a_new_target_on_the_way_brakes_first() -> None:
 def test_it_returns_lands_and_disarms_by_itself() -> None:
     copter, now_s = flying(altitude_m=10.0)
     copter.steer(now_s, Position(30.0, 40.0, 10.0))
-    copter.change_mode(now_s + 60.0, Mode.RTL)
+    copter.change_mode(now_s + 60.0, CopterMode.RTL)
     seen: list[tuple[float, tuple[LandedState, bool]]] = []
     for tenth_s in range(1000):
         then_s = now_s + 60.0 + tenth_s / 10
@@ -160,7 +159,7 @@ def test_it_returns_lands_and_disarms_by_itself() -> None:
 def test_it_lands_where_it_is_and_refuses_to_disarm_before() -> None:
     copter, now_s = flying()
     copter.steer(now_s, Position(20.0, 0.0, 20.0))
-    copter.change_mode(now_s + 20.0, Mode.LAND)
+    copter.change_mode(now_s + 20.0, CopterMode.LAND)
     assert copter.disarm(now_s + 21.0).result is Result.FAILED
     assert copter.position(now_s + 100.0) == Position(20.0, 0.0, 0.0)
     assert copter.disarm(now_s + 100.0).result is Result.ACCEPTED
@@ -168,9 +167,9 @@ def test_it_lands_where_it_is_and_refuses_to_disarm_before() -> None:
 
 def test_it_can_fly_again_after_landing() -> None:
     copter, now_s = flying()
-    copter.change_mode(now_s, Mode.LAND)
+    copter.change_mode(now_s, CopterMode.LAND)
     again_s = now_s + 100.0
-    copter.change_mode(again_s, Mode.GUIDED)
+    copter.change_mode(again_s, CopterMode.GUIDED)
     assert copter.take_off(again_s, 5.0).result is Result.FAILED
     copter.arm(again_s)
     assert copter.landed_state(again_s) is LandedState.ON_GROUND
@@ -182,7 +181,7 @@ def test_it_can_fly_again_after_landing() -> None:
 def test_an_unknown_mode_is_refused(number: float) -> None:
     copter, now_s = flying()
     assert copter.change_mode(now_s, number).result is Result.FAILED
-    assert copter.mode is Mode.GUIDED
+    assert copter.mode is CopterMode.GUIDED
 
 
 def test_a_vehicle_that_could_not_move_is_refused() -> None:

@@ -6,11 +6,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, Position
-from upwash.vehicle.answers import Result
-from upwash.vehicle.copter import Copter
-from upwash.vehicle.fence import FenceItem
-from upwash.vehicle.modes import Mode
-from upwash.vehicle.settings import VehicleSettings
+from upwash.vehicle.ardupilot.copter import Copter
+from upwash.vehicle.ardupilot.fence import FenceItem
+from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
+from upwash.vehicle.body.firmware import Result
 
 STAY_IN = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
 KEEP_OUT = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
@@ -39,7 +38,7 @@ class Flown:
 
     def take_off(self, altitude_m: float = 10.0) -> None:
         self.fly(1.0)
-        self.copter.change_mode(self.now_s, Mode.GUIDED)
+        self.copter.change_mode(self.now_s, CopterMode.GUIDED)
         answer = self.copter.arm(self.now_s)
         assert answer.result is Result.ACCEPTED
         self.said += [text.words for text in answer.texts]
@@ -69,13 +68,13 @@ def test_autoenable_switches_the_fence_on_whatever_enable_says(autoenable: int, 
 
 
 def test_before_a_take_off_has_ended_an_autoenable_of_1_holds_nothing_and_one_of_3_does() -> None:
-    for autoenable, mode in (1, Mode.GUIDED), (3, Mode.RTL):
+    for autoenable, mode in (1, CopterMode.GUIDED), (3, CopterMode.RTL):
         flown = Flown(FENCE_AUTOENABLE=autoenable, FENCE_TYPE=1, FENCE_ALT_MAX=8)
         flown.fly(1.0)
-        flown.copter.change_mode(flown.now_s, Mode.GUIDED)
+        flown.copter.change_mode(flown.now_s, CopterMode.GUIDED)
         flown.copter.arm(flown.now_s)
         flown.copter.take_off(flown.now_s, 10.0)
-        while flown.copter.position(flown.now_s).altitude_m < 8.2 and flown.copter.mode is Mode.GUIDED:
+        while flown.copter.position(flown.now_s).altitude_m < 8.2 and flown.copter.mode is CopterMode.GUIDED:
             flown.fly(0.1)
         assert flown.copter.mode is mode
 
@@ -83,7 +82,7 @@ def test_before_a_take_off_has_ended_an_autoenable_of_1_holds_nothing_and_one_of
 def test_an_autoenable_of_1_ends_with_the_landing() -> None:
     flown = Flown(FENCE_AUTOENABLE=1, FENCE_TYPE=2)
     flown.take_off()
-    flown.copter.change_mode(flown.now_s, Mode.LAND)
+    flown.copter.change_mode(flown.now_s, CopterMode.LAND)
     flown.fly(20.0)
     assert flown.said[-1] in ("Circle fence auto-disabled", "Disarming motors")
     assert "Circle fence auto-disabled" in flown.said
@@ -98,7 +97,7 @@ def test_joined_areas_are_one() -> None:
         assert flown.goes_to(10.0)
         assert flown.goes_to(40.0) is crosses
         flown.fly(20.0)
-        assert flown.copter.mode is Mode.GUIDED
+        assert flown.copter.mode is CopterMode.GUIDED
         assert not flown.goes_to(70.0)
 
 
@@ -118,7 +117,7 @@ def test_a_floor_counts_from_when_it_is_passed() -> None:
     assert "Min Alt fence enabled (auto enable)" in flown.said
     assert not flown.goes_to(0.0, altitude_m=5.0)
     assert flown.goes_to(0.0, altitude_m=6.0)  # its margin keeps no target out
-    while flown.copter.mode is Mode.GUIDED:
+    while flown.copter.mode is CopterMode.GUIDED:
         flown.fly(0.1)
     assert "Min Alt fence breached" in flown.said
     assert flown.copter.fence.breach == mavlink.FENCE_BREACH_MINALT
@@ -134,7 +133,7 @@ def test_it_says_which_kinds_it_breaches_and_may_refuse_modes_until_that_is_over
         flown.copter.parameters.set("FENCE_ENABLE", 1)
         flown.fly(0.1)
         assert flown.said[-2:] == ["Max Alt and Polygon fences breached", "Manual recovery started"]
-        answer = flown.copter.change_mode(flown.now_s, Mode.LOITER)
+        answer = flown.copter.change_mode(flown.now_s, CopterMode.LOITER)
         assert answer.result is result
         refusal = "Mode change to LOITER failed: in fence recovery"
         assert [text.words for text in answer.texts] == ([refusal] if options else [])
@@ -145,7 +144,7 @@ def test_it_returns_below_its_ceiling_by_its_margin() -> None:
     flown.take_off()
     assert flown.goes_to(30.0)
     flown.fly(15.0)
-    flown.copter.change_mode(flown.now_s, Mode.RTL)
+    flown.copter.change_mode(flown.now_s, CopterMode.RTL)
     highest_m = 0.0
     for _ in range(200):
         flown.fly(0.1)

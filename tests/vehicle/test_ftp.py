@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.mavlink.ftp import Opcode, Packet, Trouble, read_packet
-from upwash.vehicle.ftp import Files
+from upwash.vehicle.body.ftp import Files
 
 ME, SOMEBODY = (1, 191), (255, 190)
 

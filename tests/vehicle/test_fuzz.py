@@ -19,9 +19,9 @@ from upwash.mavlink.px4 import Mode
 from upwash.real.mavlink import MavlinkLink, Patience, connect_autopilot
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.vehicle import MavlinkVehicle
+from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.server import serve_vehicle
-from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 BYTES = 1_000_000

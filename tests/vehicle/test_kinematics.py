@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.geo import Position, Velocity, distance_m
-from upwash.vehicle.kinematics import Motion, braking, duration_s, leg
+from upwash.vehicle.body.kinematics import Motion, braking, duration_s, leg
 
 HERE = Position(0.0, 0.0, 20.0)
 metres = st.floats(-500, 500).filter(lambda value: value == 0 or abs(value) > 1e-3)

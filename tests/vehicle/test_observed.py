@@ -14,12 +14,11 @@ from tests.vehicle.direct import directly_linked
 
 from upwash.core.geo import Position, ground_distance_m
 from upwash.sim.loop import run_virtually
-from upwash.vehicle.answers import LandedState, Result
-from upwash.vehicle.ardupilot import ArduCopter
-from upwash.vehicle.copter import Copter
-from upwash.vehicle.faults import Fault, FaultKind
-from upwash.vehicle.modes import Mode
-from upwash.vehicle.settings import VehicleSettings
+from upwash.vehicle.ardupilot.copter import Copter
+from upwash.vehicle.ardupilot.firmware import ArduCopterFirmware
+from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
+from upwash.vehicle.body.condition import FaultKind, VehicleFault
+from upwash.vehicle.body.firmware import LandedState, Result
 
 
 def close_to(quantity: str, *, fineness: float = 0.0) -> Any:
@@ -42,7 +41,7 @@ def test_it_creeps_back_to_its_target() -> None:
 def test_a_take_off_lifts_after_arming_however_late_it_is_told() -> None:
     for told_after_s, quantity in (0.5, "lifts off after arming"), (6.0, "lifts off after a late command"):
         copter = Copter(SETTINGS, now_s=0.0)
-        copter.change_mode(0.0, Mode.GUIDED)
+        copter.change_mode(0.0, CopterMode.GUIDED)
         copter.arm(0.0)
         copter.take_off(told_after_s, 10.0)
         lifts_s = next(tenth / 10 for tenth in range(300) if copter.flying(tenth / 10))
@@ -53,7 +52,7 @@ def test_a_take_off_lifts_after_arming_however_late_it_is_told() -> None:
 @pytest.mark.parametrize("altitude_m", [10, 12])
 def test_take_offs(altitude_m: float) -> None:
     copter = Copter(SETTINGS, now_s=0.0)
-    copter.change_mode(0.0, Mode.GUIDED)
+    copter.change_mode(0.0, CopterMode.GUIDED)
     copter.arm(0.0)
     copter.take_off(0.0, altitude_m)
     states = [copter.landed_state(tenth / 10) for tenth in range(300)]
@@ -66,7 +65,7 @@ def test_returns(altitude_m: float, away_m: float) -> None:
     flight = Flight(altitude_m)
     flight.fly(Position(0.0, away_m, altitude_m), at_m_s=5.0)
     flight.wait(10.0)
-    flight.copter.change_mode(flight.now_s, Mode.RTL)
+    flight.copter.change_mode(flight.now_s, CopterMode.RTL)
     begun_s, name = flight.now_s, f"return from {altitude_m} m high and {away_m} m away"
     flight.until(lambda: flight.copter.landed_state(flight.now_s) is LandedState.LANDING)
     assert flight.now_s - begun_s == close_to(f"{name}: descends")
@@ -84,7 +83,7 @@ def test_returns(altitude_m: float, away_m: float) -> None:
 def test_a_landing() -> None:
     flight = Flight()
     flight.wait(10.0)
-    flight.copter.change_mode(flight.now_s, Mode.LAND)
+    flight.copter.change_mode(flight.now_s, CopterMode.LAND)
     assert flight.until_landed() == close_to("landing from 10 m", fineness=2.9)
 
 
@@ -139,7 +138,7 @@ def test_it_turns_its_nose_in_time() -> None:
     flight.copter.steer(flight.now_s, Position(60.0, 0.0, 10.0))
     turn_s = flight.until(lambda: flight.copter.heading_deg(flight.now_s) > 89)
     assert turn_s == close_to("turn by 90 degrees", fineness=0.2)
-    flight.copter.change_mode(flight.now_s + 20.0, Mode.RTL)
+    flight.copter.change_mode(flight.now_s + 20.0, CopterMode.RTL)
     flight.wait(40.0)
     assert flight.copter.heading_deg(flight.now_s) == pytest.approx(90.0, abs=1.0)
 
@@ -155,11 +154,11 @@ def test_without_gps_it_lands_where_it_is() -> None:
     flight = Flight()
     flight.copter.fail(FaultKind.GPS, flight.now_s)
     lost_s = flight.now_s
-    lands_s = flight.until(lambda: flight.copter.mode is Mode.LAND)
+    lands_s = flight.until(lambda: flight.copter.mode is CopterMode.LAND)
     assert lands_s == close_to("lands without GPS")
     assert flight.copter.critical()
     assert flight.copter.health.ekf_flags(flight.now_s) == 37
-    refusal = flight.copter.change_mode(flight.now_s, Mode.RTL)
+    refusal = flight.copter.change_mode(flight.now_s, CopterMode.RTL)
     assert [(text.severity, text.words) for text in refusal.texts] == [
         (4, "Mode change to RTL failed: requires position")
     ]
@@ -175,8 +174,10 @@ def test_without_gps_it_lands_where_it_is() -> None:
     assert flight.copter.health.ekf_flags(flight.now_s) == 167
 
 
-@pytest.mark.parametrize(("action", "mode"), [(0, Mode.GUIDED), (1, Mode.LAND), (2, Mode.RTL)])
-def test_a_low_battery(action: float, mode: Mode) -> None:
+@pytest.mark.parametrize(
+    ("action", "mode"), [(0, CopterMode.GUIDED), (1, CopterMode.LAND), (2, CopterMode.RTL)]
+)
+def test_a_low_battery(action: float, mode: CopterMode) -> None:
     flight = Flight(settings=replace(SETTINGS, parameters={"BATT_FS_LOW_ACT": action}))
     flight.copter.fail(FaultKind.BATTERY, flight.now_s)
     assert flight.until(flight.copter.critical) == close_to("battery fail-safe")
@@ -197,17 +198,19 @@ def test_a_low_battery(action: float, mode: Mode) -> None:
 def test_a_radio_and_a_ground_station_out_of_reach() -> None:
     flight = Flight()
     flight.copter.fail(FaultKind.RADIO, flight.now_s)
-    assert flight.until(lambda: flight.copter.mode is Mode.RTL) == close_to("radio fail-safe", fineness=0.11)
+    assert flight.until(lambda: flight.copter.mode is CopterMode.RTL) == close_to(
+        "radio fail-safe", fineness=0.11
+    )
     assert flight.said[-1][1:] == (4, "Radio Failsafe")
     flight = Flight(settings=replace(SETTINGS, parameters={"FS_GCS_ENABLE": 1}))
     flight.copter.hear_ground_station(flight.now_s)
-    assert flight.until(lambda: flight.copter.mode is Mode.RTL) == close_to("ground station fail-safe")
+    assert flight.until(lambda: flight.copter.mode is CopterMode.RTL) == close_to("ground station fail-safe")
     assert flight.said[-1][1:] == (4, "GCS Failsafe")
     assert flight.copter.critical()
 
 
 def test_a_glitch_moves_it_unseen() -> None:
-    flight = Flight(settings=replace(SETTINGS, faults=(Fault(FaultKind.GLITCH, 30.0, 45.0),)))
+    flight = Flight(settings=replace(SETTINGS, faults=(VehicleFault(FaultKind.GLITCH, 30.0, 45.0),)))
     flight.wait(30.0 - flight.now_s)
     target = Position(20.0, 0.0, 10.0)
     flight.copter.steer(flight.now_s, target)
@@ -241,7 +244,7 @@ def test_a_glitch_moves_it_unseen() -> None:
 def test_a_glitch_that_lasts_counts_as_over_while_gps_is_still_off(size_m: float, cleared_s: float) -> None:
     settings = replace(
         SETTINGS,
-        faults=(Fault(FaultKind.GLITCH, 30.0, 80.0),),
+        faults=(VehicleFault(FaultKind.GLITCH, 30.0, 80.0),),
         glitch_m=size_m,
         glitch_cleared_after_s=cleared_s,
     )
@@ -269,7 +272,7 @@ def test_a_glitch_that_lasts_counts_as_over_while_gps_is_still_off(size_m: float
 
 def test_a_glitch_may_never_count_as_over() -> None:
     settings = replace(
-        SETTINGS, faults=(Fault(FaultKind.GLITCH, 30.0, 90.0),), glitch_cleared_after_s=math.inf
+        SETTINGS, faults=(VehicleFault(FaultKind.GLITCH, 30.0, 90.0),), glitch_cleared_after_s=math.inf
     )
     flight = Flight(settings=settings)
     flight.wait(89.0 - flight.now_s)
@@ -280,11 +283,11 @@ def test_a_glitch_may_never_count_as_over() -> None:
 def test_a_height_fence_sends_it_home() -> None:
     fenced = replace(SETTINGS, parameters={"FENCE_ENABLE": 1, "FENCE_TYPE": 3, "FENCE_ALT_MAX": 8})
     copter = Copter(fenced, now_s=0.0)
-    copter.change_mode(0.0, Mode.GUIDED)
+    copter.change_mode(0.0, CopterMode.GUIDED)
     copter.arm(0.0)
     copter.take_off(0.0, 10.0)
     said, tenth = [], 0
-    while copter.mode is Mode.GUIDED:
+    while copter.mode is CopterMode.GUIDED:
         tenth += 1
         said = [text.words for text in copter.notice(tenth / 10)]
     assert copter.position(tenth / 10).altitude_m == pytest.approx(8.1, abs=0.3)
@@ -307,8 +310,8 @@ def test_it_says_what_a_real_one_said_at_boot() -> None:
         begun_s = clock()
         async with directly_linked(VehicleSettings(home=SETTINGS.home), hear) as (vehicle, say):
             await asyncio.sleep(40.0)
-            say(mavlink.MAVLink_set_mode_message(1, 1, int(Mode.GUIDED)))
-            assert isinstance(vehicle.firmware, ArduCopter)
+            say(mavlink.MAVLink_set_mode_message(1, 1, int(CopterMode.GUIDED)))
+            assert isinstance(vehicle.firmware, ArduCopterFirmware)
             while not vehicle.firmware.copter.armed(vehicle.now_s()):
                 say(mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
                 await asyncio.sleep(2.0)
@@ -326,14 +329,14 @@ def test_it_refuses_to_arm_with_the_words_of_a_real_one(row: dict[str, str]) -> 
     fenced = {"FENCE_ENABLE": 1.0, "FENCE_RADIUS": 30.0} if row["source"] == "target_outside_fence" else {}
     settings = VehicleSettings(
         home=SETTINGS.home,
-        faults=(Fault(faults[row["source"]]),) if row["source"] in faults else (),
+        faults=(VehicleFault(faults[row["source"]]),) if row["source"] in faults else (),
         parameters=fenced,
     )
     copter = Copter(settings, now_s=0.0)
     at_s = float(row["at_s"])
     for tick in range(round(at_s * 5)):
         copter.notice(tick / 5)
-    copter.change_mode(at_s, Mode.GUIDED)
+    copter.change_mode(at_s, CopterMode.GUIDED)
     refusal = copter.arm(at_s)
     assert refusal.result is Result.FAILED
     assert [text.words for text in refusal.texts] == row["texts"].split("; ")
@@ -342,7 +345,7 @@ def test_it_refuses_to_arm_with_the_words_of_a_real_one(row: dict[str, str]) -> 
 
 
 def test_it_complains_twice_a_minute() -> None:
-    copter = Copter(VehicleSettings(home=SETTINGS.home, faults=(Fault(FaultKind.GPS),)), now_s=0.0)
+    copter = Copter(VehicleSettings(home=SETTINGS.home, faults=(VehicleFault(FaultKind.GPS),)), now_s=0.0)
     told_s = [
         tenth / 10
         for tenth in range(1300)

@@ -10,7 +10,7 @@ from tests.vehicle.direct import directly_linked
 
 from upwash.core.geo import Position
 from upwash.sim.loop import run_virtually
-from upwash.vehicle.settings import VehicleSettings
+from upwash.vehicle.ardupilot.settings import VehicleSettings
 
 
 async def fly(targets: list[Position]) -> Times:

@@ -15,8 +15,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
+from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.server import VehicleServer, serve_vehicle
-from upwash.vehicle.settings import VehicleSettings
 
 SETTINGS = VehicleSettings(home=GeoPosition(39.3666, 22.9507), armable_after_s=0.0)
 

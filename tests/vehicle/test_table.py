@@ -16,11 +16,11 @@ from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
 from upwash.mavlink.version import Version
 from upwash.sim.loop import run_virtually
-from upwash.vehicle.connection import Vehicle
-from upwash.vehicle.copter import Copter
-from upwash.vehicle.faults import Fault, FaultKind, read_fault
-from upwash.vehicle.parameters import read_setting
-from upwash.vehicle.settings import VehicleSettings
+from upwash.vehicle.ardupilot.copter import Copter
+from upwash.vehicle.ardupilot.settings import VehicleSettings
+from upwash.vehicle.body.condition import FaultKind, VehicleFault, read_fault
+from upwash.vehicle.body.connection import StandIn
+from upwash.vehicle.body.parameters import read_setting
 
 HOME = GeoPosition(39.3666, 22.9507)
 SETTINGS = VehicleSettings(home=HOME, armable_after_s=0.0)
@@ -104,7 +104,7 @@ class Client:
 
 
 def talk(
-    scenario: Callable[[Client, Vehicle], Awaitable[None]], settings: VehicleSettings = SETTINGS
+    scenario: Callable[[Client, StandIn], Awaitable[None]], settings: VehicleSettings = SETTINGS
 ) -> None:
     async def talked() -> None:
         client = Client()
@@ -115,7 +115,7 @@ def talk(
 
 
 def test_on_connect_it_says_only_that_it_lives_until_it_is_asked() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         await client.until(lambda: len(client.all("HEARTBEAT")) > 12 and client.all("TIMESYNC"))
         by_itself = {"HEARTBEAT", "TIMESYNC", "STATUSTEXT", "GPS_GLOBAL_ORIGIN", "HOME_POSITION"}
         assert {message.get_type() for message in client.heard} == by_itself
@@ -125,7 +125,7 @@ def test_on_connect_it_says_only_that_it_lives_until_it_is_asked() -> None:
 
 
 def test_data_streams_bring_everything_but_the_landed_state() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         client.say(mavlink.MAVLink_request_data_stream_message(1, 1, mavlink.MAV_DATA_STREAM_ALL, 10, 1))
         wanted = {"GLOBAL_POSITION_INT", "SYS_STATUS", "ATTITUDE", "EKF_STATUS_REPORT", "BATTERY_STATUS"}
         await client.until(lambda: wanted <= {message.get_type() for message in client.heard})
@@ -140,7 +140,7 @@ def test_data_streams_bring_everything_but_the_landed_state() -> None:
 
 
 def test_until_it_can_be_armed_it_says_why_and_its_filter_shows_when() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         await client.stream(mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT)
         await client.stream(GLOBAL_POSITION)
         await client.stream(mavlink.MAVLINK_MSG_ID_SYS_STATUS)
@@ -158,7 +158,7 @@ def test_until_it_can_be_armed_it_says_why_and_its_filter_shows_when() -> None:
 
 
 def test_heartbeats_and_landed_states_come_in_the_recorded_order() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         await client.stream(EXTENDED_STATE)
         await client.stream(mavlink.MAVLINK_MSG_ID_HEARTBEAT)  # often enough to miss no state
         await client.until(lambda: client.beats()[-1] == (81, 0, 3))
@@ -192,7 +192,7 @@ def test_heartbeats_and_landed_states_come_in_the_recorded_order() -> None:
 
 
 def test_the_answers_to_commands() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         long = client.long
         assert await long(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 10.0) == 4  # disarmed
         assert await long(mavlink.MAV_CMD_DO_PARACHUTE) == 3
@@ -217,7 +217,7 @@ def test_the_answers_to_commands() -> None:
 
 
 def test_a_mode_set_the_old_way_changes_without_an_answer() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         client.say(mavlink.MAVLink_set_mode_message(1, 1, mavlink.COPTER_MODE_GUIDED))
         await client.until(lambda: client.all("HEARTBEAT")[-1].custom_mode == mavlink.COPTER_MODE_GUIDED)
         assert not client.all("COMMAND_ACK")
@@ -226,7 +226,7 @@ def test_a_mode_set_the_old_way_changes_without_an_answer() -> None:
 
 
 def test_targets_are_ignored_in_silence_outside_guided() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         await client.take_off()
         assert await client.long(mavlink.MAV_CMD_DO_SET_MODE, 1, mavlink.COPTER_MODE_LOITER) == 0
         answers = len(client.all("COMMAND_ACK"))
@@ -240,7 +240,7 @@ def test_targets_are_ignored_in_silence_outside_guided() -> None:
 
 
 def test_a_speed_is_lost_before_the_first_target_and_kept_after_it() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         await client.take_off()
         assert await client.long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 3.0) == 0
         client.target(east_e7=20_000)
@@ -255,7 +255,7 @@ def test_a_speed_is_lost_before_the_first_target_and_kept_after_it() -> None:
 
 
 def test_parameters_are_listed_read_and_set() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         client.say(mavlink.MAVLink_param_request_list_message(1, 1))
         await client.until(lambda: (told := client.all("PARAM_VALUE")) and len(told) == told[0].param_count)
         told = client.all("PARAM_VALUE")
@@ -272,7 +272,7 @@ def test_parameters_are_listed_read_and_set() -> None:
 
 
 def test_it_has_no_mission_and_takes_none() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         client.say(mavlink.MAVLink_mission_request_list_message(1, 1))
         assert (await client.next("MISSION_COUNT")).count == 0
         client.say(mavlink.MAVLink_mission_count_message(1, 1, 3))
@@ -307,7 +307,7 @@ async def upload_fence(client: Client, items: list[FenceRow]) -> int:
 def test_a_fence_is_taken_and_given_back() -> None:
     items: list[FenceRow] = [*SQUARE, (KEEP_OUT, 5.0, 1, 1)]
 
-    async def scenario(client: Client, vehicle: Vehicle) -> None:
+    async def scenario(client: Client, vehicle: StandIn) -> None:
         assert await upload_fence(client, items) == mavlink.MAV_MISSION_ACCEPTED
         client.say(mavlink.MAVLink_mission_request_list_message(1, 1, 1))
         assert (await client.next("MISSION_COUNT")).count == len(items)
@@ -325,7 +325,7 @@ def test_a_fence_is_taken_and_given_back() -> None:
 
 
 def test_a_fence_that_is_none_is_refused_in_words_and_leaves_none() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         assert await upload_fence(client, SQUARE) == mavlink.MAV_MISSION_ACCEPTED
         assert await upload_fence(client, SQUARE[:2]) == mavlink.MAV_MISSION_ERROR
         await client.until(lambda: client.all("STATUSTEXT")[-1].text == "Fence validation failed")
@@ -336,7 +336,7 @@ def test_a_fence_that_is_none_is_refused_in_words_and_leaves_none() -> None:
 
 
 def test_targets_outside_the_fence_are_failed_or_ignored_in_silence() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         assert await upload_fence(client, [*SQUARE, (KEEP_OUT, 5.0, 1, 1)]) == 0
         await client.take_off()
         reposition = mavlink.MAV_CMD_DO_REPOSITION
@@ -355,7 +355,7 @@ def test_targets_outside_the_fence_are_failed_or_ignored_in_silence() -> None:
 
 
 def test_a_fence_of_areas_without_any_keeps_it_on_the_ground() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         assert await client.long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 4
         assert client.all("STATUSTEXT")[-1].text == "Arm: Fences enabled, but none selected"
 
@@ -363,7 +363,7 @@ def test_a_fence_of_areas_without_any_keeps_it_on_the_ground() -> None:
 
 
 def test_heartbeats_come_at_the_interval_that_was_asked_for() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         for interval_us, beats, told_us in (200_000, 50, 200_000), (-1, 0, -1), (0, 10, 1_000_000):
             assert await client.long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, interval_us) == 0
             known = len(client.all("HEARTBEAT"))
@@ -376,7 +376,7 @@ def test_heartbeats_come_at_the_interval_that_was_asked_for() -> None:
 
 
 def test_it_tells_its_home_and_the_time_of_day() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         assert await client.long(mavlink.MAV_CMD_GET_HOME_POSITION) == 4  # it does not know it yet
         assert await client.long(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_SYSTEM_TIME) == 0
         assert client.all("SYSTEM_TIME")[-1].time_unix_usec == 0
@@ -396,7 +396,7 @@ def test_the_ground_stations_silence_is_noticed_not_a_companions() -> None:
         codec = mavlink.MAVLink(None, srcSystem=system, srcComponent=190)
         return bytes(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(codec))
 
-    async def scenario(client: Client, vehicle: Vehicle) -> None:
+    async def scenario(client: Client, vehicle: StandIn) -> None:
         def say_as(system: int) -> None:
             (connection,) = vehicle.connections
             for message in mavlink.MAVLink(None).parse_buffer(beat(system)) or ():
@@ -421,7 +421,7 @@ def test_a_parameter_that_it_does_not_have_is_refused() -> None:
 
 
 def test_with_its_link_down_it_says_nothing_and_hears_nothing() -> None:
-    async def scenario(client: Client, vehicle: Vehicle) -> None:
+    async def scenario(client: Client, vehicle: StandIn) -> None:
         vehicle.firmware.copter.fail(FaultKind.LINK, vehicle.now_s())
         known = len(client.heard)
         client.say(mavlink.MAVLink_set_mode_message(1, 1, mavlink.COPTER_MODE_GUIDED))
@@ -440,16 +440,16 @@ def test_a_fault_that_is_none_is_refused(text: str) -> None:
 
 
 def test_faults_are_read_with_their_times() -> None:
-    assert read_fault("arming") == Fault(FaultKind.ARMING)
-    assert read_fault("link:30") == Fault(FaultKind.LINK, 30.0)
-    assert read_fault("gps:60-90") == Fault(FaultKind.GPS, 60.0, 90.0)
+    assert read_fault("arming") == VehicleFault(FaultKind.ARMING)
+    assert read_fault("link:30") == VehicleFault(FaultKind.LINK, 30.0)
+    assert read_fault("gps:60-90") == VehicleFault(FaultKind.GPS, 60.0, 90.0)
 
 
 @pytest.mark.parametrize(
     ("version", "name", "value"), [("4.7.0-dev", "RTL_ALT", 2_000.0), ("4.7.0", "RTL_ALT_M", 20.0)]
 )
 def test_parameters_have_the_names_and_units_of_the_version(version: str, name: str, value: float) -> None:
-    async def scenario(client: Client, vehicle: Vehicle) -> None:
+    async def scenario(client: Client, vehicle: StandIn) -> None:
         other = {"RTL_ALT": "RTL_ALT_M", "RTL_ALT_M": "RTL_ALT"}[name]
         for asked in (other, name):
             client.say(mavlink.MAVLink_param_request_read_message(1, 1, asked.encode(), -1))
@@ -483,14 +483,14 @@ def test_a_parameter_of_another_version_is_refused() -> None:
     ],
 )
 def test_commands_of_payloads_have_its_answers(command: int, result: int) -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         assert await client.long(command, 1.0) == result
 
     talk(scenario)
 
 
 def test_each_photo_is_told_and_one_while_the_shutter_is_held_is_not_taken() -> None:
-    async def scenario(client: Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Client, _vehicle: StandIn) -> None:
         async def shoot() -> None:
             assert await client.long(mavlink.MAV_CMD_DO_DIGICAM_CONTROL, 0, 0, 0, 0, 1) == 0
 

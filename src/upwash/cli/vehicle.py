@@ -12,8 +12,8 @@ from upwash.errors import UsageError
 
 if TYPE_CHECKING:
     from upwash.cli.arguments import Commands
+    from upwash.vehicle.ardupilot.settings import VehicleSettings
     from upwash.vehicle.px4.settings import Px4Settings
-    from upwash.vehicle.settings import VehicleSettings
 
 
 def add(commands: Commands) -> None:
@@ -110,9 +110,9 @@ def run(options: argparse.Namespace) -> bool:
 
 def _arducopter(options: argparse.Namespace) -> VehicleSettings:
     from upwash.core.geo import GeoPosition
-    from upwash.vehicle.faults import read_fault
-    from upwash.vehicle.parameters import read_setting
-    from upwash.vehicle.settings import VehicleSettings
+    from upwash.vehicle.ardupilot.settings import VehicleSettings
+    from upwash.vehicle.body.condition import read_fault
+    from upwash.vehicle.body.parameters import read_setting
 
     _refuse(options, {"--one-peer": options.one_peer})
     given = _given(options)
@@ -135,8 +135,8 @@ def _arducopter(options: argparse.Namespace) -> VehicleSettings:
 
 def _px4(options: argparse.Namespace) -> Px4Settings:
     from upwash.core.geo import GeoPosition
-    from upwash.vehicle.faults import read_fault
-    from upwash.vehicle.parameters import read_setting
+    from upwash.vehicle.body.condition import read_fault
+    from upwash.vehicle.body.parameters import read_setting
     from upwash.vehicle.px4.settings import Px4Settings
 
     _refuse(

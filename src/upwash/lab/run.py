@@ -58,7 +58,7 @@ from upwash.sim.vehicle import Manner
 from upwash.sim.world import DroneComputer, Radio, Wire
 from upwash.support.background import beside
 from upwash.support.heat import Heat, Surroundings
-from upwash.vehicle import arducopter
+from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.px4 import airframe as px4
 
 _LONGEST_S = 48 * 3600.0  # of virtual time, and for each waypoint of the longest plan so much more:

@@ -9,9 +9,9 @@ from pathlib import Path
 from upwash.mavlink.signing import Signing
 from upwash.real.host.signals import stopping_politely
 from upwash.real.mavlink.signing import read_key
+from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.server import serve_vehicle
-from upwash.vehicle.settings import VehicleSettings
 
 
 async def run_vehicle(

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from upwash.core.geo import Circle, Position, ground_distance_m
 from upwash.core.knowledge.area_index import AreaIndex
-from upwash.vehicle.kinematics import Motion, Phase, elapsed_s
+from upwash.vehicle.body.kinematics import Motion, Phase, elapsed_s
 
 _ROUNDING_M = 1e-6
 _PAST_THE_BORDER_S = 1e-6

@@ -32,7 +32,7 @@ from collections import deque
 from upwash.config import EnergyConfig
 from upwash.core.geo import Velocity
 from upwash.eventlog.schema import EnergyUsed
-from upwash.vehicle.kinematics import Motion, Phase
+from upwash.vehicle.body.kinematics import Motion, Phase
 
 _J_IN_WH = 3600.0
 _NODES = (

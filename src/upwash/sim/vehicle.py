@@ -17,7 +17,7 @@ from upwash.core.geo import Position, Velocity
 from upwash.core.vehicle.control import Report
 from upwash.core.vehicle.energy import WayHome
 from upwash.sim.borders import Borders
-from upwash.vehicle.kinematics import Motion, Phase
+from upwash.vehicle.body.kinematics import Motion, Phase
 
 GUIDED, LOITER, RETURN, LAND, STABILIZE = "GUIDED", "LOITER", "RTL", "LAND", "STABILIZE"
 

@@ -9,26 +9,25 @@ from upwash.errors import UsageError
 from upwash.mavlink.packets import PacketReader
 from upwash.mavlink.signing import Refusal, Signing
 from upwash.support.background import end, start
-from upwash.vehicle.ardupilot import ArduCopter
-from upwash.vehicle.clock import Clock
-from upwash.vehicle.connection import Connection, Vehicle
-from upwash.vehicle.copter import Copter
-from upwash.vehicle.faults import FaultKind
-from upwash.vehicle.firmware import Firmware
-from upwash.vehicle.px4.firmware import Px4
+from upwash.vehicle.ardupilot.copter import Copter
+from upwash.vehicle.ardupilot.firmware import ArduCopterFirmware
+from upwash.vehicle.ardupilot.settings import VehicleSettings
+from upwash.vehicle.body.condition import FaultKind
+from upwash.vehicle.body.connection import PeerConnection, StandIn
+from upwash.vehicle.body.firmware import StandInFirmware
+from upwash.vehicle.px4.firmware import Px4Firmware
 from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.px4.vehicle import Quadrotor
-from upwash.vehicle.settings import VehicleSettings
 
 _FORGOTTEN_AFTER_S = 10.0
 _MOST_UNSENT_BYTES = 65_536
 
 
-def firmware(settings: VehicleSettings | Px4Settings, *, now_s: float) -> Firmware:
+def firmware(settings: VehicleSettings | Px4Settings, *, now_s: float) -> StandInFirmware:
     """The autopilot that the settings are for, just switched on."""
     if isinstance(settings, Px4Settings):
-        return Px4(Quadrotor(settings, now_s=now_s))
-    return ArduCopter(Copter(settings, now_s=now_s))
+        return Px4Firmware(Quadrotor(settings, now_s=now_s))
+    return ArduCopterFirmware(Copter(settings, now_s=now_s))
 
 
 async def serve_vehicle(
@@ -40,8 +39,7 @@ async def serve_vehicle(
     """
     kind, host, port = _parse(listen)
     loop = asyncio.get_running_loop()
-    clock = Clock(settings.speedup)
-    vehicle = Vehicle(firmware(settings, now_s=clock.now_s()), clock, signing)
+    vehicle = StandIn(firmware(settings, now_s=loop.time()), settings.speedup, signing)
     one_peer = isinstance(settings, Px4Settings) and settings.one_peer
     endpoint: _Endpoint
     try:
@@ -76,7 +74,7 @@ class _Endpoint(Protocol):
 class VehicleServer:
     """A stand-in that is switched on and reachable at `address`, such as `udp:127.0.0.1:14550`."""
 
-    def __init__(self, address: str, vehicle: Vehicle, endpoint: _Endpoint) -> None:
+    def __init__(self, address: str, vehicle: StandIn, endpoint: _Endpoint) -> None:
         self.address = address
         self._vehicle = vehicle
         self._endpoint = endpoint
@@ -108,10 +106,10 @@ class _Datagrams(asyncio.DatagramProtocol):
     With one peer only, it hears everyone and answers the first, until it is switched off.
     """
 
-    def __init__(self, vehicle: Vehicle, *, one_peer: bool) -> None:
+    def __init__(self, vehicle: StandIn, *, one_peer: bool) -> None:
         self._vehicle = vehicle
         self._one_peer = one_peer
-        self._connections: dict[Any, Connection] = {}
+        self._connections: dict[Any, PeerConnection] = {}
 
     def connection_made(self, transport: asyncio.DatagramTransport) -> None:  # type: ignore[override]
         self._transport = transport
@@ -124,12 +122,12 @@ class _Datagrams(asyncio.DatagramProtocol):
             elif refusal is Refusal.STALE:
                 self._connection(address)  # who has the key and a clock that is behind learns the time so
 
-    def _connection(self, address: Any) -> Connection:
+    def _connection(self, address: Any) -> PeerConnection:
         if self._one_peer and self._connections:
             return next(iter(self._connections.values()))
         if address not in self._connections:
             self._forget_the_silent()
-            self._connections[address] = Connection(
+            self._connections[address] = PeerConnection(
                 self._vehicle, write=lambda data: self._transport.sendto(data, address)
             )
         return self._connections[address]
@@ -145,13 +143,13 @@ class _Datagrams(asyncio.DatagramProtocol):
 class _Stream(asyncio.Protocol):
     """TCP: one for each connection."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: StandIn) -> None:
         self._vehicle = vehicle
         self._reader = PacketReader(vehicle.signing)
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         self._transport = transport
-        self._connection = Connection(self._vehicle, write=self._write, hang_up=transport.abort)
+        self._connection = PeerConnection(self._vehicle, write=self._write, hang_up=transport.abort)
 
     def data_received(self, data: bytes) -> None:
         for message, refusal in self._reader.read(data):

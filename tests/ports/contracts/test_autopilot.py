@@ -18,10 +18,10 @@ from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.loop import run_virtually
 from upwash.sim.plain import Plain
 from upwash.sim.vehicle import Manner
-from upwash.vehicle import arducopter
+from upwash.vehicle.ardupilot import airframe as arducopter
+from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.server import serve_vehicle
-from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 SPEED_M_S = 60.0

@@ -19,8 +19,8 @@ from upwash.core.geo import GeoPosition, LocalFrame, Position, distance_m
 from upwash.errors import AutopilotError
 from upwash.mavlink.signing import Signing
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience, connect_autopilot
+from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.server import serve_vehicle
-from upwash.vehicle.settings import VehicleSettings
 
 HOME = GeoPosition(39.3666, 22.9507)
 AGILE = VehicleSettings(

@@ -15,7 +15,7 @@ from tests.vehicle.test_table import Client
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.mavlink.px4 import CURRENT_MODE, Mode, bytes_of_float, event_text, float_of_bytes, understood
 from upwash.sim.loop import run_virtually
-from upwash.vehicle.connection import Vehicle
+from upwash.vehicle.body.connection import StandIn
 from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.px4.telemetry import UNASKED_S
 
@@ -188,7 +188,7 @@ class Px4Client(Client):
         return beat.base_mode, beat.custom_mode, beat.system_status
 
 
-def talk(scenario: Callable[[Px4Client, Vehicle], Awaitable[None]], settings: Px4Settings = SETTINGS) -> None:
+def talk(scenario: Callable[[Px4Client, StandIn], Awaitable[None]], settings: Px4Settings = SETTINGS) -> None:
     """Runs it with a client on virtual time."""
 
     async def talked() -> None:

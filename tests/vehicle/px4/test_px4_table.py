@@ -26,8 +26,8 @@ from upwash.mavlink.px4 import (
     RequestEventMessage,
     float_of_bytes,
 )
-from upwash.vehicle.connection import Vehicle
-from upwash.vehicle.faults import FaultKind
+from upwash.vehicle.body.condition import FaultKind
+from upwash.vehicle.body.connection import StandIn
 
 NAN, IGNORED = math.nan, 2**31 - 1
 ARMABLE = mavlink.MAV_SYS_STATUS_PREARM_CHECK
@@ -37,7 +37,7 @@ FAR = Position(120.0, 0.0, 10.0)
 
 
 def test_it_is_a_px4_that_can_be_armed_after_some_seconds_and_says_why_not_before() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.until(lambda: client.all("HEARTBEAT"))
         beat = client.all("HEARTBEAT")[0]
         assert (beat.autopilot, client.heartbeat()) == (12, (29, 0x03040000, 0))
@@ -57,7 +57,7 @@ def test_it_is_a_px4_that_can_be_armed_after_some_seconds_and_says_why_not_befor
 
 
 def test_its_heartbeat_is_1_hz_whatever_is_asked_and_it_streams_by_itself() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await asyncio.sleep(10.0)
         assert 9 <= len(client.all("HEARTBEAT")) <= 10
         rates = {"ATTITUDE": 100, "GLOBAL_POSITION_INT": 50, "LOCAL_POSITION_NED": 30, "SYS_STATUS": 5}
@@ -78,7 +78,7 @@ def test_its_heartbeat_is_1_hz_whatever_is_asked_and_it_streams_by_itself() -> N
 
 
 def test_a_mode_is_answered_twice_and_only_the_mode_tells_the_truth() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.take_off()
         assert await client.mode(Mode.MISSION) == [0, 1]  # it has no mission
         assert await client.mode(Mode.OFFBOARD) == [0, 1]  # nobody streams setpoints
@@ -92,7 +92,7 @@ def test_a_mode_is_answered_twice_and_only_the_mode_tells_the_truth() -> None:
 
 @pytest.mark.parametrize("altitude_m", [0.0, 10.0, -5.0, 1e6, math.inf])
 def test_a_take_off_to_a_relative_altitude_is_accepted_and_stays_on_the_ground(altitude_m: float) -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.quietly()
         await client.armable()
         assert await client.arm() == 0
@@ -105,7 +105,7 @@ def test_a_take_off_to_a_relative_altitude_is_accepted_and_stays_on_the_ground(a
 
 
 def test_a_take_off_without_altitude_goes_to_the_usual_one_and_then_it_holds() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.quietly()
         await client.armable()
         assert await client.arm() == 0
@@ -120,7 +120,7 @@ def test_a_take_off_without_altitude_goes_to_the_usual_one_and_then_it_holds() -
 
 
 def test_a_take_off_is_accepted_disarmed_and_does_nothing_when_armed_later() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.quietly()
         await client.armable()
         assert await client.long(TAKEOFF, NAN, 0, 0, NAN, NAN, NAN, HOME_ALTITUDE_M + 10) == 0
@@ -133,7 +133,7 @@ def test_a_take_off_is_accepted_disarmed_and_does_nothing_when_armed_later() -> 
 
 
 def test_home_rises_before_the_flight() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.armable()
         before_m = await client.home_altitude_m()
         assert await client.arm() == 0
@@ -143,7 +143,7 @@ def test_home_rises_before_the_flight() -> None:
 
 
 def test_a_reposition_needs_its_flag_and_here_is_a_stop() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.take_off()
         assert await client.placed(REPOSITION, 0, 393_667_000, 229_507_000, 498.0, flags=0) == 3
         assert await client.reposition(FAR) == 0
@@ -161,7 +161,7 @@ def test_a_reposition_needs_its_flag_and_here_is_a_stop() -> None:
 
 
 def test_hold_by_its_mode_does_not_stop_a_reposition() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.take_off()
         assert await client.reposition(FAR) == 0
         await client.until(lambda: client.speed_m_s() > 3.3)
@@ -174,7 +174,7 @@ def test_hold_by_its_mode_does_not_stop_a_reposition() -> None:
 
 
 def test_a_speed_is_lost_before_take_off_and_kept_by_the_next_reposition_in_hold() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.armable()
         await client.arm()
         assert await client.long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 3.0, -1) == 0
@@ -192,7 +192,7 @@ def test_a_speed_is_lost_before_take_off_and_kept_by_the_next_reposition_in_hold
 
 
 def test_outside_the_fence_a_reposition_is_accepted_and_only_an_event_says_no() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.take_off()
         await asyncio.sleep(5.0)
         assert await client.reposition(Position(100.0, 0.0, 10.0)) == 0
@@ -206,7 +206,7 @@ def test_outside_the_fence_a_reposition_is_accepted_and_only_an_event_says_no() 
 
 @pytest.mark.parametrize(("action", "mode", "after_s"), [(2, Mode.LOITER, 0.0), (3, Mode.RTL, 5.0)])
 def test_a_breach_in_offboard_holds_or_returns_after_a_hold(action: int, mode: Mode, after_s: float) -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.take_off()
         client.setpoint(FAR)
         await asyncio.sleep(0.5)
@@ -238,7 +238,7 @@ def test_a_fence_is_uploaded_obeyed_downloaded_and_cleared() -> None:
     items = [fence_item(seq, 5001, 4, corner) for seq, corner in enumerate(corners)]
     items.append(fence_item(4, 5004, 10, Position(30, 0)))
 
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.take_off()
         client.say(mavlink.MAVLink_mission_count_message(1, 1, len(items), FENCE))
         for item in items:
@@ -270,7 +270,7 @@ def test_a_fence_is_uploaded_obeyed_downloaded_and_cleared() -> None:
 
 
 def test_a_fence_item_that_got_lost_is_asked_for_again_and_missions_are_refused() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.quietly()
         client.say(mavlink.MAVLink_mission_count_message(1, 1, 1, FENCE))
         first = await client.next("MISSION_REQUEST_INT")
@@ -288,7 +288,7 @@ def test_a_fence_item_that_got_lost_is_asked_for_again_and_missions_are_refused(
     ("action", "mode"), [(0, Mode.POSCTL), (3, Mode.RTL), (4, Mode.LAND), (5, Mode.LOITER)]
 )
 def test_offboard_without_setpoints_fails_safe_and_resumes_by_itself(action: int, mode: Mode) -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.take_off()
         client.setpoint(FAR)
         await asyncio.sleep(0.5)
@@ -306,7 +306,7 @@ def test_offboard_without_setpoints_fails_safe_and_resumes_by_itself(action: int
 
 
 def test_offboard_obeys_velocities_global_targets_and_yaw() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.take_off()
         local = mavlink.MAVLink_set_position_target_local_ned_message
         client.keep(
@@ -333,7 +333,7 @@ def test_offboard_obeys_velocities_global_targets_and_yaw() -> None:
 
 
 def test_a_cap_on_all_speeds_lowers_the_cruise_and_says_so() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         assert await client.set_parameter("MPC_XY_VEL_MAX", 4.0) == 4.0
         assert {each.param_id for each in client.all("PARAM_VALUE")} >= {"MPC_XY_CRUISE", "MPC_VEL_MANUAL"}
         assert await client.set_parameter("COM_OBL_RC_ACT", 5) == 5
@@ -349,7 +349,7 @@ def test_a_cap_on_all_speeds_lowers_the_cruise_and_says_so() -> None:
 
 
 def test_sticks_take_over_from_auto_modes_and_not_from_offboard() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         client.sticks()
         await client.take_off()
         assert await client.reposition(FAR) == 0
@@ -375,7 +375,7 @@ def test_sticks_take_over_from_auto_modes_and_not_from_offboard() -> None:
 
 
 def test_lost_sticks_hold_and_then_return() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         client.sticks()
         await client.take_off()
         assert await client.mode(Mode.POSCTL) == [0, 0]
@@ -391,7 +391,7 @@ def test_lost_sticks_hold_and_then_return() -> None:
 
 
 def test_a_full_battery_runs_down_through_warning_return_and_landing() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.take_off(30.0)
         await client.stream(mavlink.MAVLINK_MSG_ID_BATTERY_STATUS)
         await client.hears("low battery level")
@@ -411,7 +411,7 @@ def test_a_full_battery_runs_down_through_warning_return_and_landing() -> None:
 
 
 def test_a_battery_that_fails_suddenly_is_flown_home() -> None:
-    async def scenario(client: Px4Client, vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, vehicle: StandIn) -> None:
         await client.take_off()
         vehicle.firmware.copter.fail(FaultKind.BATTERY, vehicle.now_s())
         await client.in_mode(Mode.RTL)
@@ -423,7 +423,7 @@ def test_a_battery_that_fails_suddenly_is_flown_home() -> None:
 
 
 def test_without_gps_it_cannot_be_armed_and_in_flight_it_obeys_no_mode_that_needs_a_place() -> None:
-    async def scenario(client: Px4Client, vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, vehicle: StandIn) -> None:
         await client.take_off()
         assert await client.set_parameter("SIM_GPS_USED", 0) == 0
         await client.in_mode(Mode.LAND)
@@ -443,7 +443,7 @@ def test_without_gps_it_cannot_be_armed_and_in_flight_it_obeys_no_mode_that_need
 
 
 def test_a_lost_ground_station_returns_the_vehicle_and_a_reposition_cancels_that() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.quietly()
         await asyncio.sleep(6.0)
         assert await client.arm() == 1  # without a ground station it must not
@@ -461,7 +461,7 @@ def test_a_lost_ground_station_returns_the_vehicle_and_a_reposition_cancels_that
 
 
 def test_words_come_only_where_a_ground_station_speaks_and_events_everywhere() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         client.as_companion()
         await asyncio.sleep(3.0)
         await client.arm()
@@ -476,7 +476,7 @@ def test_words_come_only_where_a_ground_station_speaks_and_events_everywhere() -
 
 
 def test_the_checks_are_told_again_on_request_and_a_missed_event_too() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.quietly()
         await client.armable()
         await asyncio.sleep(3.0)
@@ -498,7 +498,7 @@ def test_the_checks_are_told_again_on_request_and_a_missed_event_too() -> None:
 
 
 def test_commands_that_it_cannot_obey_are_answered() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         assert await client.long(mavlink.MAV_CMD_DO_PARACHUTE) == 3
         assert await client.long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, NAN) == 3
         assert await client.long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 9999, 1e5) == 4
@@ -513,7 +513,7 @@ def test_commands_that_it_cannot_obey_are_answered() -> None:
 
 
 def test_it_lands_where_it_is_told_and_goes_back_to_hold_when_disarmed() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.take_off()
         assert await client.reposition(Position(20.0, 0.0, 10.0)) == 0
         await asyncio.sleep(20.0)

@@ -19,8 +19,8 @@ from tests.vehicle.px4.client import SETTINGS, Px4Client, talk
 
 from upwash.core.geo import Position, ground_distance_m
 from upwash.mavlink.px4 import Mode
-from upwash.vehicle.connection import Vehicle
-from upwash.vehicle.faults import FaultKind
+from upwash.vehicle.body.condition import FaultKind
+from upwash.vehicle.body.connection import StandIn
 
 DATA = Path(__file__).parent / "data"
 RECORDED = {
@@ -58,7 +58,7 @@ async def arrive(client: Px4Client, place: Position) -> None:
 
 @pytest.mark.parametrize("kind", SPEEDS_M_S)
 def test_a_leg_of_40_m_takes_as_long_and_is_as_fast(kind: str) -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.take_off()
         start = Position(0.0, 0.0, 10.0)
         await go(client, kind, start)
@@ -90,7 +90,7 @@ def test_a_leg_of_40_m_takes_as_long_and_is_as_fast(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", SPEEDS_M_S)
 def test_a_leg_runs_along_the_recorded_profile(kind: str) -> None:
-    async def scenario(client: Px4Client, vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, vehicle: StandIn) -> None:
         await client.take_off()
         await go(client, kind, Position(0.0, 0.0, 10.0))
         if kind == "offboard_4":
@@ -115,7 +115,7 @@ def test_a_leg_runs_along_the_recorded_profile(kind: str) -> None:
 
 
 def test_take_off_return_and_landing_take_as_long() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.quietly()
         await client.armable()
         assert await client.arm() == 0
@@ -147,12 +147,12 @@ def test_take_off_return_and_landing_take_as_long() -> None:
     talk(scenario)
 
 
-def timed(scenario: Callable[[Px4Client, Vehicle], Awaitable[None]], **parameters: float) -> None:
+def timed(scenario: Callable[[Px4Client, StandIn], Awaitable[None]], **parameters: float) -> None:
     talk(scenario, replace(SETTINGS, parameters=parameters))
 
 
 def test_a_landing_from_10_m_takes_as_long() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.take_off()
         await asyncio.sleep(5.0)
         begun_s = client.now_s()
@@ -163,7 +163,7 @@ def test_a_landing_from_10_m_takes_as_long() -> None:
 
 
 def test_armed_and_left_alone_it_disarms_when_it_was_seen_to() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await client.armable()
         await client.arm()
         begun_s = client.now_s()
@@ -186,7 +186,7 @@ async def offboard_at_full_speed(client: Px4Client) -> float:
 
 
 def test_silence_in_offboard_is_noticed_and_hold_stops_as_far_away() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         silent_s = await offboard_at_full_speed(client)
         lost_s = await client.hears("switching to Hold") - silent_s
         assert lost_s == pytest.approx(
@@ -202,7 +202,7 @@ def test_silence_in_offboard_is_noticed_and_hold_stops_as_far_away() -> None:
 
 
 def test_without_pilot_and_setpoints_it_sinks_as_long() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         await offboard_at_full_speed(client)
         begun_s = await client.in_mode(Mode.POSCTL)
         agrees("sinks_from_10_m_s", await client.in_state(1) - begun_s)
@@ -213,7 +213,7 @@ def test_without_pilot_and_setpoints_it_sinks_as_long() -> None:
 
 
 def test_without_gps_it_descends_when_it_was_seen_to() -> None:
-    async def scenario(client: Px4Client, vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, vehicle: StandIn) -> None:
         await client.take_off()
         await asyncio.sleep(5.0)
         vehicle.firmware.copter.fail(FaultKind.GPS, vehicle.now_s())
@@ -226,7 +226,7 @@ def test_without_gps_it_descends_when_it_was_seen_to() -> None:
 
 
 def test_a_lost_ground_station_is_answered_when_it_was_seen_to() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         client.as_ground_station()
         await client.take_off()
         await client.reposition(Position(200.0, 0.0, 10.0))
@@ -243,7 +243,7 @@ def test_a_lost_ground_station_is_answered_when_it_was_seen_to() -> None:
 
 
 def test_a_pilot_s_mode_stops_as_far_away() -> None:
-    async def scenario(client: Px4Client, _vehicle: Vehicle) -> None:
+    async def scenario(client: Px4Client, _vehicle: StandIn) -> None:
         client.sticks()
         await client.take_off()
         await client.reposition(Position(120.0, 0.0, 10.0))

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 from upwash.core.geo import Position, Velocity, distance_m
 from upwash.core.vehicle.energy import PX4
-from upwash.vehicle.kinematics import Phase, heading_of
+from upwash.vehicle.body.kinematics import Phase, heading_of
 from upwash.vehicle.px4.body import (
     CLIMB_M_S,
     CLIMB_RETURNING_M_S,

@@ -12,8 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import GeoPosition
 from upwash.core.vehicle.payload import PAYLOAD_COMMANDS
 from upwash.mavlink.px4 import Mode
-from upwash.vehicle.answers import Result
-from upwash.vehicle.firmware import Message
+from upwash.vehicle.body.firmware import Message, Result
 from upwash.vehicle.px4.navigator import Reposition
 from upwash.vehicle.px4.vehicle import FORCED, Quadrotor
 

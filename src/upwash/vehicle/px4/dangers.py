@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from upwash.mavlink.px4 import Mode
 from upwash.vehicle.px4.events import Tell
-from upwash.vehicle.px4.failsafe import Action, Cause, Change, Danger
-from upwash.vehicle.px4.inputs import Heard
+from upwash.vehicle.px4.failsafe import Action, Cause, Danger, FailsafeChange
+from upwash.vehicle.px4.inputs import Px4Inputs
 from upwash.vehicle.px4.parameters import Parameters
 
 _FENCE_ACTIONS = {1: Action.WARN, 2: Action.HOLD, 3: Action.RTL, 4: Action.TERMINATE, 5: Action.LAND}
@@ -44,12 +44,12 @@ class Situation:
     battery_level: int  # MAV_BATTERY_CHARGE_STATE
 
 
-def dangers(situation: Situation, heard: Heard, parameters: Parameters) -> dict[Cause, Danger]:
+def dangers(situation: Situation, heard: Px4Inputs, parameters: Parameters) -> dict[Cause, Danger]:
     """What is dangerous now, and what each calls for."""
     return dict((*_links(situation, heard, parameters), *_itself(situation, parameters)))
 
 
-def _links(situation: Situation, heard: Heard, parameters: Parameters) -> Iterator[tuple[Cause, Danger]]:
+def _links(situation: Situation, heard: Px4Inputs, parameters: Parameters) -> Iterator[tuple[Cause, Danger]]:
     now_s, intended = situation.now_s, situation.intended
     if intended is Mode.OFFBOARD and situation.placed and not heard.hears_setpoints(now_s):
         action = _OFFBOARD_ACTIONS.get(round(parameters["COM_OBL_RC_ACT"]), Action.WARN)
@@ -83,7 +83,9 @@ def _itself(situation: Situation, parameters: Parameters) -> Iterator[tuple[Caus
         yield Cause.POSITION, Danger(Action.DESCEND, at_once=True)
 
 
-def announce(change: Change, *, intended: Mode, breaches: list[str], delay_s: float, tell: Tell) -> None:
+def announce(
+    change: FailsafeChange, *, intended: Mode, breaches: list[str], delay_s: float, tell: Tell
+) -> None:
     """Tells what a fail-safe begins, after a delay in Hold where it waits."""
     if change.action is Action.WARN:
         if change.cause is Cause.LOW_BATTERY:

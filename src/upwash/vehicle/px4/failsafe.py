@@ -59,7 +59,7 @@ class Danger:
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class FailsafeChange:
     """What is begun: the action, or the time in Hold before it."""
 
     cause: Cause
@@ -79,7 +79,7 @@ class Failsafe:
     def __init__(self) -> None:
         self._known: dict[Cause, _Known] = {}
         self._acts_s = 0.0
-        self._announced: Change | None = None
+        self._announced: FailsafeChange | None = None
         self.action: Action | None = None
 
     @property
@@ -91,7 +91,9 @@ class Failsafe:
         """Whether that is why it acts."""
         return self.action is not None and self._announced is not None and self._announced.cause is cause
 
-    def watch(self, dangers: Mapping[Cause, Danger], now_s: float, *, delay_s: float) -> Iterator[Change]:
+    def watch(
+        self, dangers: Mapping[Cause, Danger], now_s: float, *, delay_s: float
+    ) -> Iterator[FailsafeChange]:
         """Takes note of what is dangerous now; yields what is begun because of it."""
         for cause in [cause for cause, known in self._known.items() if cause not in dangers]:
             if not self._known[cause].danger.sticks or self._known[cause].overruled:
@@ -100,12 +102,12 @@ class Failsafe:
             if cause not in self._known:
                 self._known[cause] = _Known(danger)
                 if danger.action is Action.WARN:
-                    yield Change(cause, danger.action)
+                    yield FailsafeChange(cause, danger.action)
             elif self._known[cause].danger != danger:
                 self._known[cause] = replace(self._known[cause], danger=danger)
         yield from self._choose(now_s, delay_s)
 
-    def _choose(self, now_s: float, delay_s: float) -> Iterator[Change]:
+    def _choose(self, now_s: float, delay_s: float) -> Iterator[FailsafeChange]:
         acting = {
             cause: known.danger
             for cause, known in self._known.items()
@@ -121,7 +123,7 @@ class Failsafe:
             self._acts_s = now_s + delay_s if waits else now_s
         elif danger.at_once or danger.action >= Action.DISARM:
             self._acts_s = min(self._acts_s, now_s)
-        change = Change(cause, danger.action, waits=now_s < self._acts_s)
+        change = FailsafeChange(cause, danger.action, waits=now_s < self._acts_s)
         if change != self._announced and not (change.waits and self.waits):
             yield change
         self._announced = change

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Circle, GeoPosition
-from upwash.vehicle.firmware import NOTHING, Message, Reply
+from upwash.vehicle.body.firmware import NOTHING, Message, Reply
 from upwash.vehicle.px4.fence import Disc, Fence, Vertex, assembled
 from upwash.vehicle.px4.vehicle import Quadrotor
 

@@ -18,7 +18,7 @@ from upwash.mavlink.px4 import (
     event_text,
 )
 from upwash.mavlink.version import Version
-from upwash.vehicle.firmware import NOTHING, Message, Reply, Report, asked_by_number
+from upwash.vehicle.body.firmware import NOTHING, Message, Reply, Report, asked_by_number
 from upwash.vehicle.px4.commands import obey, set_mode
 from upwash.vehicle.px4.fence_transfer import FenceTransfer
 from upwash.vehicle.px4.inputs import Setpoint, Sticks
@@ -44,7 +44,7 @@ _SUMMARY_ILL = (0, 17956864, 128, 2147564416, 2147564416)
 _HEALTH_WELL, _HEALTH_ILL = (0, 939658250, 0, 0), (0, 939658242, 0, 0)
 
 
-class Px4:
+class Px4Firmware:
     """A quadrotor that reports, obeys and speaks as PX4 does on an onboard link."""
 
     stream_groups: Mapping[int, tuple[int, ...]] = {}  # never changed
@@ -287,11 +287,11 @@ _CHECKS = {
 }
 """The modes that a check concerns, and its health component, as recorded."""
 
-_LISTENERS: dict[str, Callable[[Px4, float, Message], Reply]] = {
-    "HEARTBEAT": Px4._hear_heartbeat,
-    "SET_MODE": Px4._hear_mode,
-    "MANUAL_CONTROL": Px4._hear_sticks,
-    "SET_POSITION_TARGET_LOCAL_NED": Px4._hear_local_setpoint,
-    "SET_POSITION_TARGET_GLOBAL_INT": Px4._hear_global_setpoint,
-    "REQUEST_EVENT": Px4._hear_event_request,
+_LISTENERS: dict[str, Callable[[Px4Firmware, float, Message], Reply]] = {
+    "HEARTBEAT": Px4Firmware._hear_heartbeat,
+    "SET_MODE": Px4Firmware._hear_mode,
+    "MANUAL_CONTROL": Px4Firmware._hear_sticks,
+    "SET_POSITION_TARGET_LOCAL_NED": Px4Firmware._hear_local_setpoint,
+    "SET_POSITION_TARGET_GLOBAL_INT": Px4Firmware._hear_global_setpoint,
+    "REQUEST_EVENT": Px4Firmware._hear_event_request,
 }

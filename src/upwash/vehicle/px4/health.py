@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from upwash.vehicle.faults import Condition, FaultKind
+from upwash.vehicle.body.condition import Condition, FaultKind
 from upwash.vehicle.px4.parameters import Parameters
 from upwash.vehicle.px4.settings import Px4Settings
 

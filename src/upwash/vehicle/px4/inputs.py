@@ -49,7 +49,7 @@ def past_deadzone(share: float) -> float:
     return math.copysign(min(1.0, (abs(share) - DEADZONE) / (1 - DEADZONE)), share)
 
 
-class Heard:
+class Px4Inputs:
     """Who is heard, and since when no more: a pilot's sticks, a ground station, a companion and its setpoints."""
 
     def __init__(self, parameters: Parameters) -> None:

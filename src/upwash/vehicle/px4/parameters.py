@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.errors import UsageError
 from upwash.mavlink.px4 import bytes_of_float, float_of_bytes
-from upwash.vehicle.parameters import Parameter
+from upwash.vehicle.body.parameters import Parameter
 
 _INT32 = mavlink.MAV_PARAM_TYPE_INT32
 _REAL32 = mavlink.MAV_PARAM_TYPE_REAL32

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
 from upwash.mavlink.version import Version
-from upwash.vehicle.faults import Fault
+from upwash.vehicle.body.condition import VehicleFault
 
 RECORDED_VERSION = Version(1, 16, 1)
 
@@ -28,7 +28,7 @@ class Px4Settings:
     endurance_s: float = 1_200.0  # of a full battery with the motors running
     version: Version = RECORDED_VERSION
     speedup: float = 1.0  # of its clock, against everyone else's
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[VehicleFault, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
     one_peer: bool = False
 

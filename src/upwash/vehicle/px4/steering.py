@@ -7,7 +7,7 @@ import math
 from upwash.core.geo import Position, Velocity
 from upwash.mavlink.px4 import Mode
 from upwash.vehicle.px4.body import BLIND_SINKING_M_S, Steering
-from upwash.vehicle.px4.inputs import DEADZONE, THROTTLE_MIDDLE, Heard, Setpoint, Sticks, past_deadzone
+from upwash.vehicle.px4.inputs import DEADZONE, THROTTLE_MIDDLE, Px4Inputs, Setpoint, Sticks, past_deadzone
 from upwash.vehicle.px4.parameters import Parameters
 
 MANUAL = (Mode.MANUAL, Mode.ALTCTL, Mode.POSCTL, Mode.ACRO, Mode.STABILIZED)
@@ -39,7 +39,7 @@ def following(setpoint: Setpoint, parameters: Parameters) -> Steering:
 
 
 def by_stick(
-    heard: Heard, parameters: Parameters, now_s: float, *, mode: Mode, heading_deg: float
+    heard: Px4Inputs, parameters: Parameters, now_s: float, *, mode: Mode, heading_deg: float
 ) -> Steering:
     """By the pilot's sticks; without them it brakes and sinks to the ground."""
     if not heard.hears_sticks(now_s):

@@ -10,9 +10,9 @@ from typing import TypeAlias
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.mavlink.px4 import AVAILABLE_MODES, CURRENT_MODE, AvailableModesMessage, CurrentModeMessage, Mode
-from upwash.vehicle import messages
-from upwash.vehicle.firmware import Message
-from upwash.vehicle.messages import above_sea_mm, boot_ms, degrees_e7
+from upwash.vehicle.body import messages
+from upwash.vehicle.body.firmware import Message
+from upwash.vehicle.body.messages import above_sea_mm, boot_ms, degrees_e7
 from upwash.vehicle.px4.vehicle import Quadrotor
 
 QuadrotorReport: TypeAlias = Callable[[Quadrotor, float], Message | None]

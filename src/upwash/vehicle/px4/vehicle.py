@@ -1,6 +1,6 @@
 """What the stand-in does when told, as a PX4 would: modes, arming, take-off, repositions, OFFBOARD, fail-safes.
 
-It decides its modes; its `Flight` moves it in them. It lives in steps of `STEP_S`: whoever asks or commands it says
+It decides its modes; `Px4Flight` moves it in them. It lives in steps of `STEP_S`: whoever asks or commands it says
 what time it is, and it catches up. Nothing here needs a clock, a socket or a timer.
 """
 
@@ -10,17 +10,17 @@ import math
 
 from upwash.core.geo import LocalFrame, Position, Velocity
 from upwash.mavlink.px4 import Mode
-from upwash.vehicle.answers import LandedState, Result
-from upwash.vehicle.faults import FaultKind
+from upwash.vehicle.body.condition import FaultKind
+from upwash.vehicle.body.firmware import LandedState, Result
 from upwash.vehicle.px4.body import STEP_S, Body
 from upwash.vehicle.px4.dangers import Situation, announce, dangers
 from upwash.vehicle.px4.events import Events
 from upwash.vehicle.px4.failsafe import MODES_OF_ACTIONS, Action, Cause, Danger, Failsafe
 from upwash.vehicle.px4.fence import Fence, breaches
-from upwash.vehicle.px4.flight import Flight
+from upwash.vehicle.px4.flight import Px4Flight
 from upwash.vehicle.px4.ground import DISARMED_BY_COMMAND, Ground
 from upwash.vehicle.px4.health import Health
-from upwash.vehicle.px4.inputs import Gps, Heard, Setpoint, Sticks
+from upwash.vehicle.px4.inputs import Gps, Px4Inputs, Setpoint, Sticks
 from upwash.vehicle.px4.navigator import Navigator, Reposition, is_sensible
 from upwash.vehicle.px4.parameters import Parameters
 from upwash.vehicle.px4.settings import Px4Settings
@@ -43,7 +43,7 @@ class Quadrotor:
         self.health = Health(settings, self.parameters, now_s=now_s)
         self.events = Events()
         self.fence = Fence()
-        self.heard = Heard(self.parameters)
+        self.heard = Px4Inputs(self.parameters)
         self.gps = Gps(booted_s=now_s, settles_s=settings.armable_after_s)
         self.mode = Mode.LOITER
         self.intended = Mode.LOITER
@@ -58,7 +58,7 @@ class Quadrotor:
             home_altitude_m=settings.home_altitude_m,
             now_s=now_s,
         )
-        self._flight = Flight(self.parameters, self.heard, self._body, self._ground, self._navigator)
+        self._flight = Px4Flight(self.parameters, self.heard, self._body, self._ground, self._navigator)
         self._time_s = now_s
         self._armed_s: float | None = None
         self._ever_armed = False

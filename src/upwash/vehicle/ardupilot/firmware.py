@@ -7,14 +7,20 @@ from functools import partial
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.vehicle.boot import Text
-from upwash.vehicle.commands import change_mode, obey, position_in_frame, read_command
-from upwash.vehicle.copter import Copter
-from upwash.vehicle.dead_man import MAV_CMD_SCRIPTING, Scripting
-from upwash.vehicle.fence_transfer import FenceTransfer, fence_message
-from upwash.vehicle.firmware import NOTHING, Message, Reply, Report, asked_by_number
-from upwash.vehicle.ftp import Files
-from upwash.vehicle.telemetry import REPORTS, STREAMS, camera_feedback, gps_global_origin, home_position
+from upwash.vehicle.ardupilot.boot import Text
+from upwash.vehicle.ardupilot.commands import change_mode, obey, position_in_frame, read_command
+from upwash.vehicle.ardupilot.copter import Copter
+from upwash.vehicle.ardupilot.dead_man import MAV_CMD_SCRIPTING, Scripting
+from upwash.vehicle.ardupilot.fence_transfer import FenceTransfer, fence_message
+from upwash.vehicle.ardupilot.telemetry import (
+    REPORTS,
+    STREAMS,
+    camera_feedback,
+    gps_global_origin,
+    home_position,
+)
+from upwash.vehicle.body.firmware import NOTHING, Message, Reply, Report, asked_by_number
+from upwash.vehicle.body.ftp import Files
 
 _HEARTBEAT_S = 1.0
 _TICK_S = 0.2  # how often it looks whether something has happened to it
@@ -22,7 +28,7 @@ _TIMESYNC_S = 10.0
 _POSITION_BITS = 0b111
 
 
-class ArduCopter:
+class ArduCopterFirmware:
     """A copter that reports, obeys and speaks as ArduCopter does."""
 
     stream_groups: Mapping[int, tuple[int, ...]] = STREAMS
@@ -187,16 +193,16 @@ def _text(text: Text) -> Message:
     return mavlink.MAVLink_statustext_message(text.severity, text.words.encode())
 
 
-_LISTENERS: dict[str, Callable[[ArduCopter, float, Message], Reply]] = {
-    "HEARTBEAT": ArduCopter._hear_heartbeat,
-    "FILE_TRANSFER_PROTOCOL": ArduCopter._hear_file_request,
-    "SET_MODE": ArduCopter._hear_mode,
-    "SET_POSITION_TARGET_GLOBAL_INT": ArduCopter._hear_target,
-    "MISSION_REQUEST_LIST": ArduCopter._hear_mission_list_request,
-    "MISSION_REQUEST": ArduCopter._hear_mission_item_request,
-    "MISSION_REQUEST_INT": ArduCopter._hear_mission_item_request,
-    "MISSION_CLEAR_ALL": ArduCopter._hear_mission_clearing,
-    "MISSION_COUNT": ArduCopter._hear_mission_upload,
-    "MISSION_ITEM": ArduCopter._hear_mission_item,
-    "MISSION_ITEM_INT": ArduCopter._hear_mission_item,
+_LISTENERS: dict[str, Callable[[ArduCopterFirmware, float, Message], Reply]] = {
+    "HEARTBEAT": ArduCopterFirmware._hear_heartbeat,
+    "FILE_TRANSFER_PROTOCOL": ArduCopterFirmware._hear_file_request,
+    "SET_MODE": ArduCopterFirmware._hear_mode,
+    "SET_POSITION_TARGET_GLOBAL_INT": ArduCopterFirmware._hear_target,
+    "MISSION_REQUEST_LIST": ArduCopterFirmware._hear_mission_list_request,
+    "MISSION_REQUEST": ArduCopterFirmware._hear_mission_item_request,
+    "MISSION_REQUEST_INT": ArduCopterFirmware._hear_mission_item_request,
+    "MISSION_CLEAR_ALL": ArduCopterFirmware._hear_mission_clearing,
+    "MISSION_COUNT": ArduCopterFirmware._hear_mission_upload,
+    "MISSION_ITEM": ArduCopterFirmware._hear_mission_item,
+    "MISSION_ITEM_INT": ArduCopterFirmware._hear_mission_item,
 }

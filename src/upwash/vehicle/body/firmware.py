@@ -4,13 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any, Protocol, TypeAlias
 
-from upwash.vehicle.faults import FaultKind
-from upwash.vehicle.parameters import Parameter
+from upwash.vehicle.body.condition import FaultKind
+from upwash.vehicle.body.parameters import Parameter
 
 Message: TypeAlias = Any  # pymavlink's messages are not typed
 Report: TypeAlias = Callable[[float], Message | None]
+
+
+class Result(IntEnum):
+    """MAV_RESULT."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+
+
+class LandedState(IntEnum):
+    """MAV_LANDED_STATE."""
+
+    ON_GROUND = 1
+    IN_AIR = 2
+    TAKEOFF = 3
+    LANDING = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +74,7 @@ class Flown(Protocol):
         """Nothing of that kind is wrong with it any more."""
 
 
-class Firmware(Protocol):
+class StandInFirmware(Protocol):
     """An autopilot between two messages; time is an argument everywhere."""
 
     @property

@@ -11,16 +11,16 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.vehicle.answers import Result
-from upwash.vehicle.boot import INFORMATION, WARNING, Text
-from upwash.vehicle.copter import Copter
-from upwash.vehicle.ftp import Files
-from upwash.vehicle.modes import Mode
+from upwash.vehicle.ardupilot.boot import INFORMATION, WARNING, Text
+from upwash.vehicle.ardupilot.copter import Copter
+from upwash.vehicle.ardupilot.settings import CopterMode
+from upwash.vehicle.body.firmware import Result
+from upwash.vehicle.body.ftp import Files
 
 _FILE = "scripts/upwash_dead_man.lua"
 _VERSION = re.compile(rb"^local VERSION = (\d+)$", re.MULTILINE)
 _MAGIC = 0x5550
-_MODES = {1: Mode.RTL, 2: Mode.LAND}
+_MODES = {1: CopterMode.RTL, 2: CopterMode.LAND}
 _EARLY_S = 1.0
 _STOP_AND_RESTART = 3
 MAV_CMD_SCRIPTING = 42701
@@ -59,7 +59,7 @@ class _DeadMan:
         self._copter = copter
         self._say = say
         self._promised_s = 0.0  # 0: nobody is to be missed
-        self._mode = Mode.RTL
+        self._mode = CopterMode.RTL
         self._heard_s = 0.0
         self._was_armed = False
         copter.parameters.add("UPW_VERSION", version)
@@ -100,11 +100,11 @@ class _DeadMan:
     def _act(self, now_s: float) -> None:
         self._say(Text(f"upwash: companion silent, {self._mode.name}", WARNING))
         if self._copter.change_mode(now_s, self._mode).result is not Result.ACCEPTED:
-            self._copter.change_mode(now_s, Mode.LAND)
+            self._copter.change_mode(now_s, CopterMode.LAND)
 
     def _may_be_watched(self, now_s: float) -> bool:
         flies = self._copter.armed(now_s) and self._copter.flying(now_s)
-        return not flies or self._copter.mode is Mode.GUIDED
+        return not flies or self._copter.mode is CopterMode.GUIDED
 
     def _promise(self, silence_s: float) -> None:
         self._promised_s = silence_s

@@ -18,7 +18,7 @@ NO_LENGTH_M = 1e-9  # shorter is no way at all: its share of a speed would be no
 _HALVINGS = 50  # of an interval in which something is looked for: finer than any float that matters here
 
 
-class Stretch(Protocol):
+class MotionPart(Protocol):
     """A part of a motion."""
 
     @property
@@ -128,11 +128,11 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
-class Together:
+class CombinedMotion:
     """Two motions from time 0 on at once: one over the ground, one up or down."""
 
-    over_ground: Motion[Stretch]
-    vertical: Motion[Stretch]
+    over_ground: Motion[MotionPart]
+    vertical: Motion[MotionPart]
 
     @property
     def duration_s(self) -> float:
@@ -155,7 +155,7 @@ class Together:
         return Velocity(along.east_m_s, along.north_m_s, up.up_m_s)
 
 
-AnyStretch_co = TypeVar("AnyStretch_co", bound=Stretch, covariant=True)
+AnyStretch_co = TypeVar("AnyStretch_co", bound=MotionPart, covariant=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +190,7 @@ class Motion(Generic[AnyStretch_co]):
         return None
 
 
-def duration_s(phases: Sequence[Stretch]) -> float:
+def duration_s(phases: Sequence[MotionPart]) -> float:
     """How long the phases take together."""
     return sum(phase.duration_s for phase in phases)
 

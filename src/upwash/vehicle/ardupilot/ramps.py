@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from upwash.core.geo import Position, Velocity, distance_m
-from upwash.vehicle.kinematics import NO_LENGTH_M, Phase, heading_of, last_true
+from upwash.vehicle.body.kinematics import NO_LENGTH_M, Phase, heading_of, last_true
 
 
 @dataclass(frozen=True)

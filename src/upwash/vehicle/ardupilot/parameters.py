@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.errors import UsageError
 from upwash.mavlink.version import Version
+from upwash.vehicle.body.parameters import Parameter
 
 _INT8 = mavlink.MAV_PARAM_TYPE_INT8
 _INT16 = mavlink.MAV_PARAM_TYPE_INT16
@@ -117,16 +116,6 @@ _RENAMED: dict[str, tuple[str, float]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """One parameter as it is told: its place in the list, its value and its MAV_PARAM_TYPE."""
-
-    name: str
-    index: int
-    value: float
-    type: int
-
-
 class Parameters:
     """All parameters, in an order that stays; outside, each has the name of the version."""
 
@@ -171,14 +160,3 @@ class Parameters:
             return False
         self._values[inside] = value / size if kind == _REAL32 else round(value / size)
         return True
-
-
-def read_setting(text: str) -> tuple[str, float]:
-    """The parameter and the value that are written as `NAME=VALUE`; UsageError if they are not."""
-    name, _, value = text.partition("=")
-    try:
-        return name, float(value)
-    except ValueError:
-        raise UsageError(
-            f'"{text}" sets no parameter; write its name and value, such as FENCE_RADIUS=60'
-        ) from None

@@ -7,9 +7,9 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition
-from upwash.vehicle.boot import WARNING, Text
-from upwash.vehicle.copter import Copter
-from upwash.vehicle.fence import FenceItem
+from upwash.vehicle.ardupilot.boot import WARNING, Text
+from upwash.vehicle.ardupilot.copter import Copter
+from upwash.vehicle.ardupilot.fence import FenceItem
 
 _MOST_ITEMS = 500
 

@@ -1,7 +1,7 @@
 """What the stand-in does when told, as an ArduCopter would: modes, arming, take-off, targets, landing; and by itself.
 
-How it moves is its `Flight`'s, what it knows of its own state its `Health`'s. Nothing here needs a clock, a socket or
-a timer. Wishes that make no sense, NaN among them, fail every comparison and are refused.
+`CopterFlight` moves it, `Health` knows its state. Nothing here needs a clock, a socket or a timer. Wishes that make
+no sense, NaN among them, fail every comparison and are refused.
 """
 
 from __future__ import annotations
@@ -11,17 +11,15 @@ from dataclasses import dataclass
 
 from upwash.core.geo import LocalFrame, Position, Velocity
 from upwash.errors import UsageError
-from upwash.vehicle.answers import LandedState, Result
-from upwash.vehicle.battery import Battery
-from upwash.vehicle.boot import INFORMATION, WARNING, Text
-from upwash.vehicle.camera import Camera
-from upwash.vehicle.faults import FaultKind
-from upwash.vehicle.fence import Breach, FenceWatch
-from upwash.vehicle.flight import Flight, is_sensible
-from upwash.vehicle.health import Health
-from upwash.vehicle.modes import BY_POSITION, Mode
-from upwash.vehicle.parameters import Parameters
-from upwash.vehicle.settings import FASTEST_M_S, VehicleSettings
+from upwash.vehicle.ardupilot.boot import INFORMATION, WARNING, Text
+from upwash.vehicle.ardupilot.camera import ServoCamera
+from upwash.vehicle.ardupilot.fence import Breach, FenceWatch
+from upwash.vehicle.ardupilot.flight import CopterFlight, is_sensible
+from upwash.vehicle.ardupilot.health import Health
+from upwash.vehicle.ardupilot.parameters import Parameters
+from upwash.vehicle.ardupilot.settings import BY_POSITION, FASTEST_M_S, CopterMode, VehicleSettings
+from upwash.vehicle.body.condition import Battery, FaultKind
+from upwash.vehicle.body.firmware import LandedState, Result
 
 _EMPTY_PERCENT = 8.0
 _FULL_V, _EMPTY_V, _SAGGING_V = 12.6, 10.6, 10.0
@@ -44,7 +42,7 @@ _ARMING, _DISARMING = Text("Arming motors", INFORMATION), Text("Disarming motors
 _ALIGNED_IN_FLIGHT = tuple(
     Text(f"EKF3 IMU{number} MAG0 in-flight yaw alignment complete", INFORMATION) for number in (0, 1)
 )
-_MODES = frozenset(Mode)
+_MODES = frozenset(CopterMode)
 
 
 class Copter:
@@ -68,8 +66,10 @@ class Copter:
                 )
         self.fence = FenceWatch(self.parameters, now_s)
         self.health = Health(settings, now_s=now_s)
-        self.camera = Camera()
-        self._flight = Flight(settings, self.parameters, now_s=now_s, ceiling_m=lambda: self.fence.ceiling_m)
+        self.camera = ServoCamera()
+        self._flight = CopterFlight(
+            settings, self.parameters, now_s=now_s, ceiling_m=lambda: self.fence.ceiling_m
+        )
         self._was_armed = False
         self._aligned_in_flight = False
         self._is_up = False  # its take-off has ended
@@ -96,7 +96,7 @@ class Copter:
         return self._flight.home
 
     @property
-    def mode(self) -> Mode:
+    def mode(self) -> CopterMode:
         """Its flight mode."""
         return self._flight.mode
 
@@ -236,7 +236,7 @@ class Copter:
         """Changes the flight mode, and does in flight what the mode is for."""
         if number not in _MODES:
             return Answer(Result.FAILED, (Text("Mode change failed", WARNING),))
-        mode = Mode(int(number))
+        mode = CopterMode(int(number))
         if self.health.lacks_place(now_s) and mode in BY_POSITION and self.armed(now_s):
             refusal = Text(f"Mode change to {mode.name} failed: requires position", WARNING)
             return Answer(Result.FAILED, (refusal,))
@@ -292,11 +292,11 @@ class Copter:
         ):
             said += trigger.texts
             self._flight.shift(now_s, trigger.jump_m)
-            mode = Mode(trigger.mode) if trigger.mode in _MODES else None
-            if mode is not None and flying and self.mode not in (mode, Mode.LAND):
-                if self.health.failsafes.lost_place and mode is not Mode.LAND:
-                    mode = Mode.LAND
-                pause_s = 0.0 if mode is not Mode.LAND else _FAILSAFE_LANDING_PAUSE_S
+            mode = CopterMode(trigger.mode) if trigger.mode in _MODES else None
+            if mode is not None and flying and self.mode not in (mode, CopterMode.LAND):
+                if self.health.failsafes.lost_place and mode is not CopterMode.LAND:
+                    mode = CopterMode.LAND
+                pause_s = 0.0 if mode is not CopterMode.LAND else _FAILSAFE_LANDING_PAUSE_S
                 self._flight.take_mode(now_s, mode, pause_s=pause_s)
         return said
 
@@ -306,9 +306,9 @@ class Copter:
         watched = self.armed(now_s) and self.flying(now_s)
         said += self.fence.watch(self.position(now_s) if watched else None, now_s)
         self._recovers_from_fence &= self.fence.breach is not Breach.NONE
-        acts = self.parameters["FENCE_ACTION"] and self.mode not in (Mode.RTL, Mode.LAND)
+        acts = self.parameters["FENCE_ACTION"] and self.mode not in (CopterMode.RTL, CopterMode.LAND)
         if self.fence.breaches > breaches and acts:
-            self._flight.take_mode(now_s, Mode.RTL)
+            self._flight.take_mode(now_s, CopterMode.RTL)
             self._recovers_from_fence = True
             said.append(Text("Manual recovery started", INFORMATION))
         return said

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from upwash.vehicle.boot import EKF_FLIES_BY_GPS, EKF_HOLDS_STILL, WARNING, Text
-from upwash.vehicle.faults import FaultKind
-from upwash.vehicle.parameters import Parameters
+from upwash.vehicle.ardupilot.boot import EKF_FLIES_BY_GPS, EKF_HOLDS_STILL, WARNING, Text
+from upwash.vehicle.ardupilot.parameters import Parameters
+from upwash.vehicle.body.condition import FaultKind
 
 _RETURN, _LAND = 6, 9  # modes
 _LOST_EKF_FLAGS = 37  # attitude, height and a speed upwards
@@ -20,7 +20,7 @@ GLITCH_M, GLITCH_CLEARED_S = 55.66, _GLITCH_OVER_S  # to the north; the text com
 
 
 @dataclass(frozen=True, slots=True)
-class Trigger:
+class FailsafeTrigger:
     """What is said now, the mode to change to, and how far north the vehicle's place seems to have jumped."""
 
     texts: tuple[Text, ...] = ()
@@ -32,17 +32,17 @@ def _lane_switch(lane: int) -> tuple[Text, ...]:
     return Text(f"EKF3 lane switch {lane}"), Text(f"EKF primary changed:{lane}", WARNING)
 
 
-_Story: TypeAlias = tuple[tuple[float, Trigger], ...]
-_CLEARED = Trigger((Text("Glitch cleared"),))
+_Story: TypeAlias = tuple[tuple[float, FailsafeTrigger], ...]
+_CLEARED = FailsafeTrigger((Text("Glitch cleared"),))
 
 
 def _gps_jumps(jump_m: float, cleared_s: float) -> _Story:
     """The vehicle doubts its GPS, believes it, and takes the glitch for over, whether it is or not."""
     return (
-        (0.2, Trigger(_lane_switch(1))),
-        (0.4, Trigger(_lane_switch(0))),
-        (_GLITCH_NOTICED_S, Trigger((Text("GPS Glitch or Compass error"),))),
-        (_GLITCH_BELIEVED_S, Trigger(_lane_switch(1), jump_m=jump_m)),
+        (0.2, FailsafeTrigger(_lane_switch(1))),
+        (0.4, FailsafeTrigger(_lane_switch(0))),
+        (_GLITCH_NOTICED_S, FailsafeTrigger((Text("GPS Glitch or Compass error"),))),
+        (_GLITCH_BELIEVED_S, FailsafeTrigger(_lane_switch(1), jump_m=jump_m)),
         (cleared_s, _CLEARED),
     )
 
@@ -50,20 +50,20 @@ def _gps_jumps(jump_m: float, cleared_s: float) -> _Story:
 def _glitch_ends(jump_m: float) -> _Story:
     """The GPS jumps back before the vehicle took the glitch for over."""
     return (
-        (0.2, Trigger(_lane_switch(0))),
-        (5.2, Trigger(_lane_switch(1))),
-        (_GLITCH_BELIEVED_S, Trigger(_lane_switch(0), jump_m=jump_m)),
+        (0.2, FailsafeTrigger(_lane_switch(0))),
+        (5.2, FailsafeTrigger(_lane_switch(1))),
+        (_GLITCH_BELIEVED_S, FailsafeTrigger(_lane_switch(0), jump_m=jump_m)),
         (_GLITCH_OVER_S, _CLEARED),
     )
 
 
 _NO_GPS = (
-    (_LANDS_S, Trigger((Text("EKF variance"), Text("EKF Failsafe: changed to LAND Mode")), _LAND)),
+    (_LANDS_S, FailsafeTrigger((Text("EKF variance"), Text("EKF Failsafe: changed to LAND Mode")), _LAND)),
     (
         _STANDS_STILL_S,
-        Trigger(tuple(Text(f"EKF3 IMU{number} stopped aiding", WARNING) for number in (0, 1))),
+        FailsafeTrigger(tuple(Text(f"EKF3 IMU{number} stopped aiding", WARNING) for number in (0, 1))),
     ),
-    (_GIVES_UP_WAY_BACK_S, Trigger((Text("SmartRTL deactivated: bad position", WARNING),))),
+    (_GIVES_UP_WAY_BACK_S, FailsafeTrigger((Text("SmartRTL deactivated: bad position", WARNING),))),
 )
 
 
@@ -100,7 +100,7 @@ class Failsafes:
         armed: bool,
         low_battery: str,
         by_position: bool,
-    ) -> Iterator[Trigger]:
+    ) -> Iterator[FailsafeTrigger]:
         """What happens now, where those faults have lasted since those times."""
         yield from self._without_gps(
             now_s, since_s.get(FaultKind.GPS), flying=flying, by_position=by_position
@@ -112,7 +112,7 @@ class Failsafes:
 
     def _without_gps(
         self, now_s: float, since_s: float | None, *, flying: bool, by_position: bool
-    ) -> Iterator[Trigger]:
+    ) -> Iterator[FailsafeTrigger]:
         if since_s is None:
             self.lost_place = self._landed = False
             self.ekf_flags = EKF_FLIES_BY_GPS
@@ -130,7 +130,7 @@ class Failsafes:
                 yield trigger
         self.lost_place = lost_s >= _LANDS_S
 
-    def _glitching(self, now_s: float, since_s: float | None) -> Iterator[Trigger]:
+    def _glitching(self, now_s: float, since_s: float | None) -> Iterator[FailsafeTrigger]:
         begins, ends = (FaultKind.GLITCH, True), (FaultKind.GLITCH, False)
         if since_s is not None:
             if self._glitch_s is None:
@@ -152,47 +152,47 @@ class Failsafes:
             self.ekf_flags = _GLITCHING_EKF_FLAGS
         story = self._glitch_ends_later if self._cleared_early else self._glitch_ends
         for trigger in self._story(ends, story, ended_s):
-            yield trigger if believed or not trigger.jump_m else Trigger(trigger.texts)
+            yield trigger if believed or not trigger.jump_m else FailsafeTrigger(trigger.texts)
         if ended_s >= _GLITCH_OVER_S:
             self._glitch_s, self.ekf_flags = None, EKF_FLIES_BY_GPS
 
     def _empty(
         self, now_s: float, since_s: float | None, parameters: Parameters, low: str, *, armed: bool
-    ) -> Iterator[Trigger]:
+    ) -> Iterator[FailsafeTrigger]:
         if self.battery or since_s is None or not armed:
             return
         if now_s - since_s >= parameters["BATT_LOW_TIMER"]:
             self.battery = True
             mode = {1: _LAND, 2: _RETURN, 3: _RETURN, 4: _RETURN}.get(int(parameters["BATT_FS_LOW_ACT"]))
             acts = (Text("Battery Failsafe", WARNING),) if mode else ()
-            yield Trigger((Text(low, WARNING), *acts), mode)
+            yield FailsafeTrigger((Text(low, WARNING), *acts), mode)
 
     def _out_of_reach(
         self, now_s: float, since_s: float | None, parameters: Parameters, *, armed: bool
-    ) -> Iterator[Trigger]:
+    ) -> Iterator[FailsafeTrigger]:
         lost = since_s is not None and now_s - since_s >= _RADIO_S and bool(parameters["FS_THR_ENABLE"])
         if lost and not self._radio and armed:
             mode = _LAND if parameters["FS_THR_ENABLE"] == 3 else _RETURN
-            yield Trigger((Text("Radio Failsafe", WARNING),), mode)
+            yield FailsafeTrigger((Text("Radio Failsafe", WARNING),), mode)
             self._radio = True
         elif not lost and self._radio:
             self._radio = False
-            yield Trigger((Text("Radio Failsafe Cleared", WARNING),))
+            yield FailsafeTrigger((Text("Radio Failsafe Cleared", WARNING),))
 
-    def _unheard(self, now_s: float, parameters: Parameters, *, armed: bool) -> Iterator[Trigger]:
+    def _unheard(self, now_s: float, parameters: Parameters, *, armed: bool) -> Iterator[FailsafeTrigger]:
         action = int(parameters["FS_GCS_ENABLE"])
         heard_s = self.heard_ground_s
         lost = bool(action) and heard_s is not None and now_s - heard_s >= parameters["FS_GCS_TIMEOUT"]
         if lost and not self._ground and armed:
-            yield Trigger((Text("GCS Failsafe", WARNING),), _LAND if action == 5 else _RETURN)
+            yield FailsafeTrigger((Text("GCS Failsafe", WARNING),), _LAND if action == 5 else _RETURN)
             self._ground = True
         elif not lost and self._ground:
             self._ground = False
-            yield Trigger((Text("GCS Failsafe Cleared", WARNING),))
+            yield FailsafeTrigger((Text("GCS Failsafe Cleared", WARNING),))
 
     def _story(
-        self, name: tuple[FaultKind, bool], story: tuple[tuple[float, Trigger], ...], elapsed_s: float
-    ) -> Iterator[Trigger]:
+        self, name: tuple[FaultKind, bool], story: tuple[tuple[float, FailsafeTrigger], ...], elapsed_s: float
+    ) -> Iterator[FailsafeTrigger]:
         """What of a story comes next, up to now."""
         told_s = self._done.get(name, -1.0)
         self._done[name] = elapsed_s

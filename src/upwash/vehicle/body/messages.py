@@ -8,7 +8,7 @@ from typing import Protocol
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position, Velocity
-from upwash.vehicle.firmware import Message
+from upwash.vehicle.body.firmware import Message
 
 _ONLY_POSITION, _NO_POSITION = 0b110111111000, 0b110000000111
 _UNKNOWN_MV = 0xFFFF

@@ -11,10 +11,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.mavlink.packets import packed
 from upwash.mavlink.signing import Signing
 from upwash.support.background import only_logged, start
-from upwash.vehicle.clock import Clock
-from upwash.vehicle.faults import FaultKind
-from upwash.vehicle.firmware import Firmware, Message, Reply, asked_by_number
-from upwash.vehicle.parameters import Parameter
+from upwash.vehicle.body.condition import FaultKind
+from upwash.vehicle.body.firmware import Message, Reply, StandInFirmware, asked_by_number
+from upwash.vehicle.body.parameters import Parameter
 
 _SYSTEM = 1
 _COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
@@ -24,18 +23,26 @@ _BEHIND_S = 1.0  # a stream so late begins anew, instead of catching up
 _ACCEPTED, _FAILED = Reply((mavlink.MAV_RESULT_ACCEPTED,)), Reply((mavlink.MAV_RESULT_FAILED,))
 
 
-class Vehicle:
-    """The vehicle and everyone it talks to, on its clock."""
+class StandIn:
+    """The vehicle and its peers. Its clock starts at the event loop's time and runs `speedup` times as fast."""
 
-    def __init__(self, firmware: Firmware, clock: Clock, signing: Signing | None = None) -> None:
+    def __init__(
+        self, firmware: StandInFirmware, speedup: float = 1.0, signing: Signing | None = None
+    ) -> None:
         self.firmware = firmware
-        self.clock = clock
         self.signing = signing
-        self.connections: set[Connection] = set()
+        self.connections: set[PeerConnection] = set()
+        self._loop = asyncio.get_running_loop()
+        self._speedup = speedup
+        self._started_s = self._loop.time()
 
     def now_s(self) -> float:
         """The vehicle's time."""
-        return self.clock.now_s()
+        return self._started_s + (self._loop.time() - self._started_s) * self._speedup
+
+    async def sleep_until(self, time_s: float) -> None:
+        """Returns when the clock shows the time, and not before others had their turn."""
+        await asyncio.sleep(max(0.0, (time_s - self.now_s()) / self._speedup))
 
     def silent(self) -> bool:
         """Whether its link is down."""
@@ -49,7 +56,7 @@ class Vehicle:
             for message in self.firmware.live(now_s):
                 self.tell_everyone(message)
             wakes_s = max(wakes_s + self.firmware.wakes_every_s, now_s)
-            await self.clock.sleep_until(wakes_s)
+            await self.sleep_until(wakes_s)
 
     def tell_everyone(self, message: Message) -> None:
         """Sends a message to everyone whom it concerns."""
@@ -58,11 +65,11 @@ class Vehicle:
                 connection.send(message)
 
 
-class Connection:
+class PeerConnection:
     """One peer: what it says, and the streams of reports that it asked for."""
 
     def __init__(
-        self, vehicle: Vehicle, *, write: Callable[[bytes], None], hang_up: Callable[[], None] = lambda: None
+        self, vehicle: StandIn, *, write: Callable[[bytes], None], hang_up: Callable[[], None] = lambda: None
     ) -> None:
         self.heard_s = asyncio.get_running_loop().time()
         self._vehicle = vehicle
@@ -164,9 +171,7 @@ class Connection:
             interval_s = self._firmware.unasked_s.get(int(number), 0.0)  # the default, where there is one
         if 0 < interval_s < math.inf:
             every_s = max(interval_s, _SHORTEST_INTERVAL_S)
-            self._streams[number] = _Stream(
-                self._vehicle.clock, every_s, lambda: self._report(self._now(number))
-            )
+            self._streams[number] = _Stream(self._vehicle, every_s, lambda: self._report(self._now(number)))
         return _ACCEPTED
 
     def _tell_interval(self, number: float) -> Reply:
@@ -233,33 +238,33 @@ class Connection:
             )
 
 
-_LISTENERS: dict[str, Callable[[Connection, Message], None]] = {
-    "COMMAND_LONG": Connection._hear_command,
-    "COMMAND_INT": Connection._hear_command,
-    "REQUEST_DATA_STREAM": Connection._hear_stream_request,
-    "TIMESYNC": Connection._hear_timesync,
-    "AUTOPILOT_VERSION_REQUEST": Connection._hear_version_request,
-    "PARAM_REQUEST_LIST": Connection._hear_list_request,
-    "PARAM_REQUEST_READ": Connection._hear_read_request,
-    "PARAM_SET": Connection._hear_parameter,
+_LISTENERS: dict[str, Callable[[PeerConnection, Message], None]] = {
+    "COMMAND_LONG": PeerConnection._hear_command,
+    "COMMAND_INT": PeerConnection._hear_command,
+    "REQUEST_DATA_STREAM": PeerConnection._hear_stream_request,
+    "TIMESYNC": PeerConnection._hear_timesync,
+    "AUTOPILOT_VERSION_REQUEST": PeerConnection._hear_version_request,
+    "PARAM_REQUEST_LIST": PeerConnection._hear_list_request,
+    "PARAM_REQUEST_READ": PeerConnection._hear_read_request,
+    "PARAM_SET": PeerConnection._hear_parameter,
 }
 
 
 class _Stream:
     """One report, again and again."""
 
-    def __init__(self, clock: Clock, interval_s: float, report: Callable[[], object]) -> None:
+    def __init__(self, vehicle: StandIn, interval_s: float, report: Callable[[], object]) -> None:
         self.interval_s = interval_s
-        self._task = start(self._repeat(clock, report), name="a report of the stand-in", failed=only_logged)
+        self._task = start(self._repeat(vehicle, report), name="a report of the stand-in", failed=only_logged)
 
     def end(self) -> None:
         self._task.cancel()
 
-    async def _repeat(self, clock: Clock, report: Callable[[], object]) -> None:
-        next_s = clock.now_s()
+    async def _repeat(self, vehicle: StandIn, report: Callable[[], object]) -> None:
+        next_s = vehicle.now_s()
         while True:
             report()
             next_s += self.interval_s
-            if next_s < clock.now_s() - _BEHIND_S:
-                next_s = clock.now_s()
-            await clock.sleep_until(next_s)
+            if next_s < vehicle.now_s() - _BEHIND_S:
+                next_s = vehicle.now_s()
+            await vehicle.sleep_until(next_s)

@@ -7,14 +7,12 @@ from collections.abc import Callable
 from enum import Enum, auto
 
 from upwash.core.geo import Position, Velocity, distance_m, ground_distance_m
-from upwash.vehicle import arducopter
-from upwash.vehicle.airframe import Airframe
-from upwash.vehicle.answers import LandedState
-from upwash.vehicle.kinematics import Motion, Phase, Stretch, duration_s
-from upwash.vehicle.modes import Mode
-from upwash.vehicle.parameters import Parameters
-from upwash.vehicle.settings import FASTEST_M_S, VehicleSettings
-from upwash.vehicle.symmetric import Symmetric
+from upwash.vehicle.ardupilot import airframe as arducopter
+from upwash.vehicle.ardupilot.parameters import Parameters
+from upwash.vehicle.ardupilot.settings import FASTEST_M_S, CopterMode, VehicleSettings
+from upwash.vehicle.ardupilot.symmetric import Airframe, Symmetric
+from upwash.vehicle.body.firmware import LandedState
+from upwash.vehicle.body.kinematics import Motion, MotionPart, Phase, duration_s
 
 _FARTHEST_M = 10_000.0
 _HIGHEST_M = 1_000.0
@@ -39,7 +37,7 @@ class _Doing(Enum):
     FALLING = auto()
 
 
-class Flight:
+class CopterFlight:
     """The flight mode, the motors, and the motion that comes of them."""
 
     def __init__(
@@ -50,7 +48,7 @@ class Flight:
         now_s: float,
         ceiling_m: Callable[[], float | None] = lambda: None,
     ) -> None:
-        self.mode = Mode.STABILIZE
+        self.mode = CopterMode.STABILIZE
         self._ceiling_m = ceiling_m  # as high as its fence lets it return
         self.home = _GROUND
         self._parameters = parameters
@@ -63,7 +61,7 @@ class Flight:
         self._motors_started = False
         self._armed_s = now_s
         self._doing = _Doing.NOTHING
-        self._motion: Motion[Stretch] = Motion(now_s, (), _GROUND)
+        self._motion: Motion[MotionPart] = Motion(now_s, (), _GROUND)
         self._lifts_off_s = now_s
         self._descends_s = math.inf
         self._target: Position | None = None
@@ -92,7 +90,7 @@ class Flight:
             fast = math.hypot(velocity.east_m_s, velocity.north_m_s) > _TURNS_ABOVE_M_S
             course_deg = math.degrees(math.atan2(velocity.east_m_s, velocity.north_m_s)) if fast else None
             wanted_deg = course_deg if self._told_deg is None else self._told_deg
-            if wanted_deg is not None and self.mode is Mode.GUIDED:
+            if wanted_deg is not None and self.mode is CopterMode.GUIDED:
                 left_deg = math.remainder(wanted_deg - self._heading_deg, 360)
                 turn_deg = math.copysign(min(abs(left_deg), TURN_DEG_S * step_s), left_deg)
                 self._heading_deg = (self._heading_deg + turn_deg) % 360
@@ -100,13 +98,13 @@ class Flight:
 
     def turn(self, now_s: float, heading_deg: float) -> None:
         """Turns there by the shortest way, if it flies in GUIDED, until its next target."""
-        if self.mode is Mode.GUIDED and self.flying(now_s):
+        if self.mode is CopterMode.GUIDED and self.flying(now_s):
             self.heading_deg(now_s)
             self._told_deg = heading_deg
 
     def target(self, now_s: float) -> Position | None:
         """Where it was sent in GUIDED, if it was: a take-off is no target."""
-        return self._target if self.mode is Mode.GUIDED and self.armed(now_s) else None
+        return self._target if self.mode is CopterMode.GUIDED and self.armed(now_s) else None
 
     @property
     def climbs_to(self) -> Position | None:
@@ -163,7 +161,7 @@ class Flight:
 
     def take_off(self, now_s: float, altitude_m: float) -> bool:
         """Climbs straight up, if it stands armed in GUIDED; whether it does."""
-        ready = self.armed(now_s) and not self.flying(now_s) and self.mode is Mode.GUIDED
+        ready = self.armed(now_s) and not self.flying(now_s) and self.mode is CopterMode.GUIDED
         if not (ready and 0 < altitude_m <= _HIGHEST_M):
             return False
         self._doing = _Doing.TAKING_OFF
@@ -184,7 +182,7 @@ class Flight:
 
     def steer(self, now_s: float, target: Position) -> bool:
         """Flies to the target, if it flies in GUIDED; whether it does."""
-        if self.mode is not Mode.GUIDED or not self.flying(now_s):
+        if self.mode is not CopterMode.GUIDED or not self.flying(now_s):
             return False
         if self._told_deg is not None:
             self.heading_deg(now_s)
@@ -195,7 +193,7 @@ class Flight:
             self._depart(now_s, target)
         return True
 
-    def take_mode(self, now_s: float, mode: Mode, *, pause_s: float = 0.0) -> None:
+    def take_mode(self, now_s: float, mode: CopterMode, *, pause_s: float = 0.0) -> None:
         """Changes the flight mode, and does in flight what the mode is for; a landing begins after a pause."""
         if self.flying(now_s) and self.armed(now_s) and mode is not self.mode:
             self.heading_deg(now_s)
@@ -217,23 +215,23 @@ class Flight:
             return
         here = self.position(now_s)
         believed = Position(here.east_m, here.north_m + north_m, here.altitude_m)
-        if self._doing is _Doing.FLYING and self.mode is Mode.GUIDED:
+        if self._doing is _Doing.FLYING and self.mode is CopterMode.GUIDED:
             target = self._target or here
             self._redirect(now_s, believed, target)
         else:
             self._motion = Motion(now_s, (), believed)
 
-    def _enter(self, now_s: float, mode: Mode, *, pause_s: float) -> None:
+    def _enter(self, now_s: float, mode: CopterMode, *, pause_s: float) -> None:
         self._target = self._told_deg = None
         self._speed_m_s = self._default_speed_m_s()
         here, velocity = self.position(now_s), self.velocity(now_s)
-        if mode not in (Mode.RTL, Mode.LAND):
+        if mode not in (CopterMode.RTL, CopterMode.LAND):
             self._doing = _Doing.FLYING
             self._stop(now_s)
             return
         self._doing = _Doing.LANDING
-        stretches: tuple[Stretch, ...]
-        if mode is Mode.RTL:
+        stretches: tuple[MotionPart, ...]
+        if mode is CopterMode.RTL:
             stretches = self._airframe.way_home(
                 here,
                 velocity,
@@ -247,7 +245,7 @@ class Flight:
             here = stretches[-1].end if stretches else here
             if (left_s := pause_s - duration_s(stretches)) > 0:
                 stretches = *stretches, Phase(here, Velocity(), 0.0, 0.0, left_s)
-        self._descends_s = now_s + (duration_s(stretches) if mode is Mode.RTL else 0.0)
+        self._descends_s = now_s + (duration_s(stretches) if mode is CopterMode.RTL else 0.0)
         stretches = *stretches, *self._airframe.landing(here)
         self._move(now_s, stretches, here.at_altitude(0.0))
 
@@ -268,14 +266,14 @@ class Flight:
     def _redirect(self, now_s: float, here: Position, target: Position) -> None:
         self.heading_deg(now_s)
         velocity = self.velocity(now_s)
-        stretches: tuple[Stretch, ...]
+        stretches: tuple[MotionPart, ...]
         if velocity.speed_m_s <= _SLOWEST_M_S:
             stretches = self._airframe.waypoint_leg(here, target, ground_speed_m_s=self._speed_m_s)
         else:
             stretches = self._airframe.redirected(here, velocity, target, ground_speed_m_s=self._speed_m_s)
         self._move(now_s, stretches, target)
 
-    def _move(self, begun_s: float, stretches: tuple[Stretch, ...], end: Position) -> None:
+    def _move(self, begun_s: float, stretches: tuple[MotionPart, ...], end: Position) -> None:
         self._motion = Motion(begun_s, stretches, end)
 
     def _default_speed_m_s(self) -> float:

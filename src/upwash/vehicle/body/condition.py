@@ -24,7 +24,7 @@ class FaultKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class VehicleFault:
     """Something that is wrong from one time after boot to another, in seconds of the vehicle's clock."""
 
     kind: FaultKind
@@ -39,7 +39,7 @@ class Fault:
 class Condition:
     """What is wrong with a vehicle, by the time since it was switched on."""
 
-    def __init__(self, faults: Iterable[Fault], *, now_s: float) -> None:
+    def __init__(self, faults: Iterable[VehicleFault], *, now_s: float) -> None:
         self.faults = list(faults)
         self._booted_s = now_s
 
@@ -53,19 +53,38 @@ class Condition:
 
     def fail(self, kind: FaultKind, now_s: float) -> None:
         """Something is wrong with it from now on."""
-        self.faults.append(Fault(kind, begins_s=self.uptime_s(now_s)))
+        self.faults.append(VehicleFault(kind, begins_s=self.uptime_s(now_s)))
 
     def mend(self, kind: FaultKind) -> None:
         """Nothing of that kind is wrong with it any more."""
         self.faults = [fault for fault in self.faults if fault.kind is not kind]
 
 
-def read_fault(text: str) -> Fault:
+@dataclass(slots=True)
+class Battery:
+    """How full it is, from how long the motors have run."""
+
+    percent: float
+    drain_percent_s: float
+    draining_since_s: float | None = None
+
+    def left_percent(self, now_s: float) -> float:
+        """How full it is."""
+        used_s = 0.0 if self.draining_since_s is None else now_s - self.draining_since_s
+        return max(0.0, self.percent - used_s * self.drain_percent_s)
+
+    def stop(self, now_s: float) -> None:
+        """The motors draw nothing more."""
+        self.percent = self.left_percent(now_s)
+        self.draining_since_s = None
+
+
+def read_fault(text: str) -> VehicleFault:
     """The fault that is written as `KIND`, `KIND:FROM` or `KIND:FROM-TO`; UsageError if it is none."""
     name, _, times = text.partition(":")
     begin, _, end = times.partition("-")
     try:
-        fault = Fault(FaultKind(name), float(begin or 0), float(end or math.inf))
+        fault = VehicleFault(FaultKind(name), float(begin or 0), float(end or math.inf))
     except ValueError:
         fault = None
     if fault is None or not 0 <= fault.begins_s < fault.ends_s:

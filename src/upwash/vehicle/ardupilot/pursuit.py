@@ -20,7 +20,7 @@ _MARGIN_S = 0.5  # before it brakes
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class PursuitSample:
     """Where the vehicle is and how it moves, so long after the start."""
 
     elapsed_s: float
@@ -44,14 +44,14 @@ class Pursuit:
     drag_per_s: float
     foresight: float  # the share of the way's acceleration that it does not wait to be behind for
 
-    def chase(self, length_m: float, velocity_m_s: complex, *, cruise_m_s: float) -> Iterator[Sample]:
+    def chase(self, length_m: float, velocity_m_s: complex, *, cruise_m_s: float) -> Iterator[PursuitSample]:
         """The motion from place 0, at that velocity, to rest at the length, which is the last sample."""
         way_m, way_m_s, way_m_s2 = 0j, velocity_m_s, 0j
         place_m, vehicle_m_s = 0j, velocity_m_s
         learned_m_s2 = self.drag_per_s * velocity_m_s
         thrust_m_s2 = learned_m_s2
         elapsed_s, steps = 0.0, 0
-        yield Sample(elapsed_s, place_m, vehicle_m_s)
+        yield PursuitSample(elapsed_s, place_m, vehicle_m_s)
         while not _at_rest(length_m - place_m, vehicle_m_s) and steps < _MOST_STEPS:
             steps += 1
             steady_m = self._steady_m(length_m - way_m, way_m_s, way_m_s2, vehicle_m_s, cruise_m_s)
@@ -60,7 +60,7 @@ class Pursuit:
                 elapsed_s += skipped_s
                 way_m += way_m_s * skipped_s
                 place_m += way_m_s * skipped_s
-                yield Sample(elapsed_s, place_m, vehicle_m_s)
+                yield PursuitSample(elapsed_s, place_m, vehicle_m_s)
                 continue
             wanted_m_s = _limited(
                 _approach(length_m - way_m, self.place_gain_per_s, self.braking_m_s2), cruise_m_s
@@ -79,8 +79,8 @@ class Pursuit:
             place_m += (vehicle_m_s + gained_m_s / 2) * _STEP_S
             vehicle_m_s += gained_m_s
             elapsed_s += _STEP_S
-            yield Sample(elapsed_s, place_m, vehicle_m_s)
-        yield Sample(elapsed_s + _SETTLING_S, complex(length_m), 0j)
+            yield PursuitSample(elapsed_s, place_m, vehicle_m_s)
+        yield PursuitSample(elapsed_s + _SETTLING_S, complex(length_m), 0j)
 
     def _steady_m(
         self, left_m: complex, way_m_s: complex, way_m_s2: complex, vehicle_m_s: complex, cruise_m_s: float

@@ -14,8 +14,8 @@ from enum import IntEnum
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Position, ground_distance_m
-from upwash.vehicle.boot import NOTICE, Text
-from upwash.vehicle.parameters import Parameters
+from upwash.vehicle.ardupilot.boot import NOTICE, Text
+from upwash.vehicle.ardupilot.parameters import Parameters
 
 _CEILING, _CIRCLE, _AREAS, _FLOOR = 1, 2, 4, 8  # FENCE_TYPE's bits
 _ALL = _CEILING | _CIRCLE | _AREAS | _FLOOR

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 
-from upwash.vehicle.boot import EKF_FLIES_BY_GPS, EKF_HOLDS_STILL, Boot
-from upwash.vehicle.failsafe import Failsafes
-from upwash.vehicle.faults import Condition, FaultKind
-from upwash.vehicle.settings import VehicleSettings
+from upwash.vehicle.ardupilot.boot import EKF_FLIES_BY_GPS, EKF_HOLDS_STILL, Boot
+from upwash.vehicle.ardupilot.failsafe import Failsafes
+from upwash.vehicle.ardupilot.settings import VehicleSettings
+from upwash.vehicle.body.condition import Condition, FaultKind
 
 
 class Health(Condition):

@@ -12,11 +12,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import GeoPosition, Position
 from upwash.core.vehicle.payload import PAYLOAD_COMMANDS
 from upwash.mavlink.version import Version
-from upwash.vehicle.answers import Result
-from upwash.vehicle.boot import Text
-from upwash.vehicle.copter import FORCED_ARM, FORCED_DISARM, Answer, Copter
-from upwash.vehicle.flight import is_sensible
-from upwash.vehicle.modes import Mode
+from upwash.vehicle.ardupilot.boot import Text
+from upwash.vehicle.ardupilot.copter import FORCED_ARM, FORCED_DISARM, Answer, Copter
+from upwash.vehicle.ardupilot.flight import is_sensible
+from upwash.vehicle.ardupilot.settings import CopterMode
+from upwash.vehicle.body.firmware import Result
 
 _RELATIVE = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 _ABOVE_SEA = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
@@ -111,7 +111,7 @@ def _run_prearm_checks(copter: Copter, now_s: float, _order: VehicleCommand) -> 
     return Answer(Result.ACCEPTED, tuple(Text(f"PreArm: {reason}") for reason in reasons))
 
 
-def _enter(mode: Mode) -> Handler:
+def _enter(mode: CopterMode) -> Handler:
     return lambda copter, now_s, _order: copter.change_mode(now_s, mode)
 
 
@@ -174,10 +174,10 @@ def _reposition(copter: Copter, now_s: float, command: VehicleCommand) -> Answer
     )
     if target is None or not is_sensible(target):
         return Answer(Result.DENIED)
-    if copter.mode is not Mode.GUIDED:
+    if copter.mode is not CopterMode.GUIDED:
         if not _has_flag(command.parameters[1], mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE):
             return Answer(Result.DENIED)
-        answer = copter.change_mode(now_s, Mode.GUIDED)
+        answer = copter.change_mode(now_s, CopterMode.GUIDED)
         if answer.result is not Result.ACCEPTED:
             return answer
     if not copter.fence.allows(target):
@@ -195,9 +195,9 @@ Handler: TypeAlias = Callable[[Copter, float, VehicleCommand], Answer]
 _HANDLERS: dict[int, Handler] = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_or_disarm,
     mavlink.MAV_CMD_NAV_TAKEOFF: _take_off,
-    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: _enter(Mode.RTL),
-    mavlink.MAV_CMD_NAV_LAND: _enter(Mode.LAND),
-    mavlink.MAV_CMD_NAV_LOITER_UNLIM: _enter(Mode.LOITER),
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: _enter(CopterMode.RTL),
+    mavlink.MAV_CMD_NAV_LAND: _enter(CopterMode.LAND),
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM: _enter(CopterMode.LOITER),
     mavlink.MAV_CMD_DO_SET_MODE: _set_mode,
     mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
     mavlink.MAV_CMD_DO_REPOSITION: _reposition,

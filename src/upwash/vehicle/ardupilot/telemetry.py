@@ -8,15 +8,14 @@ from typing import TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.vehicle import messages
-from upwash.vehicle.answers import LandedState
-from upwash.vehicle.camera import Shot
-from upwash.vehicle.copter import Copter
-from upwash.vehicle.faults import FaultKind
-from upwash.vehicle.fence import Breach
-from upwash.vehicle.firmware import Message
-from upwash.vehicle.messages import above_sea_mm, boot_ms, degrees_e7, heading_cdeg
-from upwash.vehicle.modes import Mode
+from upwash.vehicle.ardupilot.camera import CameraShot
+from upwash.vehicle.ardupilot.copter import Copter
+from upwash.vehicle.ardupilot.fence import Breach
+from upwash.vehicle.ardupilot.settings import CopterMode
+from upwash.vehicle.body import messages
+from upwash.vehicle.body.condition import FaultKind
+from upwash.vehicle.body.firmware import LandedState, Message
+from upwash.vehicle.body.messages import above_sea_mm, boot_ms, degrees_e7, heading_cdeg
 
 Report: TypeAlias = Callable[[Copter, float], Message]
 
@@ -25,7 +24,13 @@ _BASE_MODE = (
     | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
     | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
 )
-_HOVERS_ONLY_WHEN_ARMED = (Mode.LOITER, Mode.RTL, Mode.LAND, Mode.POSHOLD, Mode.BRAKE)
+_HOVERS_ONLY_WHEN_ARMED = (
+    CopterMode.LOITER,
+    CopterMode.RTL,
+    CopterMode.LAND,
+    CopterMode.POSHOLD,
+    CopterMode.BRAKE,
+)
 _SENSORS = (
     mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
     | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
@@ -53,7 +58,7 @@ def heartbeat(copter: Copter, now_s: float) -> Message:
     base_mode = _BASE_MODE
     if armed:
         base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
-    if booting or copter.mode is Mode.GUIDED or (armed and copter.mode in _HOVERS_ONLY_WHEN_ARMED):
+    if booting or copter.mode is CopterMode.GUIDED or (armed and copter.mode in _HOVERS_ONLY_WHEN_ARMED):
         base_mode |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
     if copter.critical():
         status = mavlink.MAV_STATE_CRITICAL
@@ -144,7 +149,7 @@ def position_target(copter: Copter, now_s: float) -> Message | None:
 
 def position_target_local(copter: Copter, now_s: float) -> Message | None:
     """POSITION_TARGET_LOCAL_NED in GUIDED: its target or the top of its take-off; else that it has a velocity."""
-    if copter.mode is not Mode.GUIDED or not copter.armed(now_s):
+    if copter.mode is not CopterMode.GUIDED or not copter.armed(now_s):
         return None
     return messages.position_target_local(copter, now_s, copter.target(now_s) or copter.climbs_to)
 
@@ -198,7 +203,7 @@ def autopilot_version(copter: Copter, _now_s: float) -> Message:
     )
 
 
-def camera_feedback(copter: Copter, shot: Shot) -> Message:
+def camera_feedback(copter: Copter, shot: CameraShot) -> Message:
     """CAMERA_FEEDBACK: a photo that was taken."""
     geo = copter.frame.geo(shot.position)
     return mavlink.MAVLink_camera_feedback_message(

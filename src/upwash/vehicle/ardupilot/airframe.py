@@ -12,12 +12,14 @@ from functools import lru_cache
 
 from upwash.core.geo import Position, Velocity, distance_m
 from upwash.core.vehicle.energy import ARDUCOPTER
-from upwash.vehicle.kinematics import (
+from upwash.vehicle.ardupilot.pursuit import Pursuit, PursuitSample
+from upwash.vehicle.ardupilot.ramps import Ramp, ramped_leg
+from upwash.vehicle.body.kinematics import (
+    CombinedMotion,
     Curve,
     Motion,
+    MotionPart,
     Phase,
-    Stretch,
-    Together,
     duration_s,
     heading_of,
     leg,
@@ -25,8 +27,6 @@ from upwash.vehicle.kinematics import (
     smooth_phase,
     steadily,
 )
-from upwash.vehicle.pursuit import Pursuit, Sample
-from upwash.vehicle.ramps import Ramp, ramped_leg
 
 _REACTION_S = 0.1
 _GUIDED = Pursuit(
@@ -100,7 +100,7 @@ def waypoint_leg(start: Position, end: Position, *, ground_speed_m_s: float) -> 
 
 def redirected(
     start: Position, velocity: Velocity, end: Position, *, ground_speed_m_s: float
-) -> tuple[Stretch, ...]:
+) -> tuple[MotionPart, ...]:
     """From whatever it does to rest at another target, or to the same at another speed."""
     length_m = distance_m(start, end)
     ahead = heading_of(start, end) if length_m else _direction(velocity)
@@ -153,13 +153,13 @@ def return_and_land(start: Position, home: Position) -> tuple[Phase, ...]:
 
 def way_home(
     start: Position, velocity: Velocity, home: Position, *, ground_speed_m_s: float, altitude_m: float
-) -> tuple[Stretch, ...]:
+) -> tuple[MotionPart, ...]:
     """Brakes and climbs to the altitude if it is lower, flies home and hovers there."""
     climb = _return_climb(start, altitude_m)
     braking = brake(start, Velocity(velocity.east_m_s, velocity.north_m_s))
     if braking:
         ground, up = Motion(0.0, braking, braking[-1].end), Motion(0.0, climb, climb[-1].end)
-        stopping: tuple[Stretch, ...] = (Together(ground, up),)
+        stopping: tuple[MotionPart, ...] = (CombinedMotion(ground, up),)
     else:
         stopping = climb
     above = stopping[-1].end
@@ -213,21 +213,21 @@ def _chased(length_m: float, cruise_m_s: float) -> tuple[tuple[float, float, flo
     )
 
 
-def _turning(samples: list[Sample]) -> list[Sample]:
+def _turning(samples: list[PursuitSample]) -> list[PursuitSample]:
     """The samples of a straight way, at rest where it turns back: a phase leads one way only."""
     for number, (before, after) in enumerate(itertools.pairwise(samples)):
         if before.velocity_m_s.real * after.velocity_m_s.real < 0:
             turns = min((number, number + 1), key=lambda each: abs(samples[each].velocity_m_s))
-            samples[turns] = Sample(samples[turns].elapsed_s, samples[turns].place_m, 0j)
+            samples[turns] = PursuitSample(samples[turns].elapsed_s, samples[turns].place_m, 0j)
     return samples
 
 
-def _thinned(samples: Sequence[Sample]) -> list[Sample]:
+def _thinned(samples: Sequence[PursuitSample]) -> list[PursuitSample]:
     """The first and last of the samples, and as many between as it takes to draw the rest from them."""
     return [samples[number] for number in _knots(samples)]
 
 
-def _knots(samples: Sequence[Sample]) -> Iterator[int]:
+def _knots(samples: Sequence[PursuitSample]) -> Iterator[int]:
     begin, last = 0, len(samples) - 1
     yield begin
     while begin < last:
@@ -240,7 +240,7 @@ def _knots(samples: Sequence[Sample]) -> Iterator[int]:
         begin = end
 
 
-def _drawn_well(samples: Sequence[Sample], begin: int, end: int) -> bool:
+def _drawn_well(samples: Sequence[PursuitSample], begin: int, end: int) -> bool:
     """Whether one curve between two samples is as good as those between."""
     before, after = samples[begin], samples[end]
     if any(not sample.velocity_m_s for sample in samples[begin + 1 : end]):

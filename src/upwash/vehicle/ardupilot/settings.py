@@ -5,17 +5,35 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import IntEnum
 
 from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
 from upwash.mavlink.version import Version
-from upwash.vehicle.boot import RECORDED_S
-from upwash.vehicle.failsafe import GLITCH_CLEARED_S, GLITCH_M
-from upwash.vehicle.faults import Fault
+from upwash.vehicle.ardupilot.boot import RECORDED_S
+from upwash.vehicle.ardupilot.failsafe import GLITCH_CLEARED_S, GLITCH_M
+from upwash.vehicle.body.condition import VehicleFault
 
 RECORDED_VERSION = Version(4, 7, kind=0)  # in development: with the parameters' names of 4.6
 FASTEST_M_S = 300.0  # a report holds 327 m/s at most
 _RATES = ("ground_speed_m_s", "climb_m_s", "descent_m_s", "return_speed_m_s", "endurance_s", "speedup")
+
+
+class CopterMode(IntEnum):
+    """The flight modes that the stand-in knows, by ArduCopter's numbers."""
+
+    STABILIZE = 0
+    ALT_HOLD = 2
+    GUIDED = 4
+    LOITER = 5
+    RTL = 6
+    LAND = 9
+    POSHOLD = 16
+    BRAKE = 17
+
+
+BY_POSITION = (CopterMode.GUIDED, CopterMode.LOITER, CopterMode.RTL, CopterMode.POSHOLD, CopterMode.BRAKE)
+"""Those that need to know the place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +62,7 @@ class VehicleSettings:
         0.0  # of its receiver's time of day, against this machine's; None: it tells none
     )
     parameters: Mapping[str, float] = field(default_factory=dict)
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[VehicleFault, ...] = ()
     glitch_m: float = GLITCH_M  # by which a glitch puts its GPS off to the north
     glitch_cleared_after_s: float = GLITCH_CLEARED_S  # it then takes the glitch for over, though it lasts
 

@@ -11,7 +11,7 @@ _BUSY_S = 0.1  # CAM1_DURATION
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class CameraShot:
     """One photo: its number, when and where it was taken."""
 
     number: int
@@ -19,23 +19,23 @@ class Shot:
     position: Position
 
 
-class Camera:
+class ServoCamera:
     """Takes photos, and keeps each until the vehicle has told everyone of it."""
 
     def __init__(self) -> None:
         self._shots = 0
         self._last_s = -math.inf
-        self._untold: list[Shot] = []
+        self._untold: list[CameraShot] = []
 
     def shoot(self, now_s: float, position: Position) -> bool:
         """Takes a photo, unless the shutter is still held from the last one; whether it did."""
         if now_s < self._last_s + _BUSY_S:
             return False
         self._shots, self._last_s = self._shots + 1, now_s
-        self._untold.append(Shot(self._shots, now_s, position))
+        self._untold.append(CameraShot(self._shots, now_s, position))
         return True
 
-    def told(self) -> list[Shot]:
+    def told(self) -> list[CameraShot]:
         """The photos that nobody was told of yet."""
         untold, self._untold = self._untold, []
         return untold

@@ -1,0 +1,1 @@
+"""A multicopter that flies, obeys and speaks as an ArduCopter does."""

@@ -1,0 +1,1 @@
+"""What every stand-in multicopter has, whatever its autopilot."""
