@@ -18,7 +18,7 @@ from upwash.core.selection.events import LocalCallEnded, RemoteCallEnded
 from upwash.core.selection.selection import Selection
 from upwash.drone.server_session import ServerSession
 from upwash.eventlog.narration import Narrator
-from upwash.eventlog.reasons import told_calls
+from upwash.eventlog.reasons import explained_calls
 from upwash.lab.run import Run, simulate_fleet
 
 PROGRAM = """
@@ -147,7 +147,7 @@ def test_a_server_whose_exception_the_drone_does_not_confirm_is_blacklisted(tmp_
 def test_the_log_says_why_a_call_was_made_again_on_the_drone(tmp_path: Path) -> None:
     with lying():
         run = fly(tmp_path, "looking", blacklist_s=1000.0)
-    lines = [line for call in told_calls(run.events) for line in call]
+    lines = [line for call in explained_calls(run.events) for line in call]
     assert (
         "the server said that it raised, so the drone did it itself, and nothing was wrong with it" in lines
     )

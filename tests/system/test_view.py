@@ -24,7 +24,7 @@ from tests.waiting import wait_for
 from upwash.cli.flying import read_log
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
-from upwash.eventlog.reasons import told_calls
+from upwash.eventlog.reasons import explained_calls
 from upwash.lab.run import simulate
 from upwash.launch.processes import ready_program
 from upwash.report.record import Record, read_records
@@ -195,7 +195,7 @@ def test_the_estimates_and_the_decision_are_told_in_words(
     assert "expected: " in page.text(".reasons")
     assert "decided: wait for" in page.text(".reasons")
     seek(page, round(waited.result.at_s + waited.result.delay_s + 0.1, 1))
-    _, *reasons = told_calls(record.events)[record.calls.index(waited)]
+    _, *reasons = explained_calls(record.events)[record.calls.index(waited)]
     assert all(reason in page.text(".reasons") for reason in reasons)
 
 

@@ -14,7 +14,7 @@ from tests.scenarios import scenario as survey
 from upwash.cli.main import main
 from upwash.eventlog import log as event_log
 from upwash.eventlog import schema
-from upwash.eventlog.reasons import told_calls
+from upwash.eventlog.reasons import explained_calls
 from upwash.eventlog.schema import Event
 from upwash.lab.run import simulate
 from upwash.report.record import Record, read_records
@@ -37,7 +37,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def told(log: Path) -> list[Fact]:
+def call_lines(log: Path) -> list[Fact]:
     return tell(event_log.read(log))
 
 
@@ -70,7 +70,7 @@ def test_each_call_is_told_as_the_report_tells_it(told: list[Fact], record: Reco
     assert [(call.waypoint, call.place, call.delay_s, call.waited_s) for call in calls] == [
         (call.waypoint, call.place, call.delay_s, call.waited_s) for call in record.result.calls
     ]
-    assert [call.words for call in calls] == [reasons for _, *reasons in told_calls(record.events)]
+    assert [call.words for call in calls] == [reasons for _, *reasons in explained_calls(record.events)]
     assert [call.at_s - call.delay_s for call in calls] == pytest.approx(
         [call.at_s for call in record.result.calls]
     )

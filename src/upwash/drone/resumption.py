@@ -10,9 +10,8 @@ from upwash.core.geo import Waypoint
 from upwash.core.planning.order import Order
 from upwash.errors import UsageError
 from upwash.eventlog import schema
-from upwash.eventlog.owed import Owed
+from upwash.eventlog.progress import CallPlaces, OpenDemands
 from upwash.eventlog.schema import Event
-from upwash.eventlog.whereabouts import Whereabouts
 
 _SAME_PLACE_M = 0.01
 
@@ -27,16 +26,16 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
     plan = {each.index: each for each in waypoints(config.mission)}
     results: dict[int, int] = {}  # of the last visit to each waypoint
     left: set[int] = set()
-    owed = Owed()
+    owed = OpenDemands()
     here: int | None = None
-    whereabouts = Whereabouts()
+    whereabouts = CallPlaces()
     completed = False
     for event in events:
         whereabouts.take(event)
         owed.take(event)
         match event:
             case schema.LogOpened():
-                results, left, owed, here, completed = {}, set(), Owed(), None, False
+                results, left, owed, here, completed = {}, set(), OpenDemands(), None, False
             case schema.MissionCompleted():
                 completed = True
             case schema.MissionStarted():

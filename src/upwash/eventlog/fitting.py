@@ -1,4 +1,4 @@
-"""Events as their log's readers take them: what is too much for a log is shortened before it is written."""
+"""Shortens events that exceed the bounds of a log before they are written."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from upwash.eventlog.schema import LONGEST, LONGEST_TEXT, MOST_FEW, Event
 from upwash.support.text import json_line, printable
 
 _LONGEST_WHY = 200  # characters
-_DEEPEST = {schema.Notified: 3, schema.Photo: 3}  # of what comes from elsewhere: containers in each other
-_FLAT = 10  # of what does not: deeper than any event
+_DEEPEST = {schema.Notified: 3, schema.Photo: 3}  # containers in containers, of events with foreign content
+_FLAT = 10  # of all other events: deeper than any
 
 
 def line_of(event: Event) -> bytes:
-    """The event as a line of a log, without its end; what is no text, as some file names, is escaped."""
+    """The event as a line of a log, without its line end; file names that are no Unicode are escaped."""
     try:
         line = msgspec.json.encode(event)
     except UnicodeEncodeError:
@@ -28,11 +28,11 @@ def line_of(event: Event) -> bytes:
 
 
 def fitted(event: Event) -> Sequence[Event]:
-    """The event where readers of a log take it; else what they take of it, and a `shortened` with the reason."""
+    """The event itself if readers accept it; else a shortened event, if possible, and a `shortened` with the reason."""
     why = _refused(event)
     if not why:
         return (event,)
-    told = schema.Shortened(t=event.t, of=event.kind, why=why)
+    notice = schema.Shortened(t=event.t, of=event.kind, why=why)
     for most in (LONGEST_TEXT, MOST_FEW, 30):
         facts = _part(msgspec.to_builtins(event), most=most, depth=_DEEPEST.get(type(event), _FLAT))
         try:
@@ -40,12 +40,12 @@ def fitted(event: Event) -> Sequence[Event]:
         except msgspec.ValidationError:
             continue
         if not _refused(part):
-            return part, told
-    return (told,)
+            return part, notice
+    return (notice,)
 
 
 def _refused(event: Event) -> str:
-    """Why readers would leave the event out; empty where they would not."""
+    """Why readers would leave the event out; empty if they accept it."""
     try:
         line = line_of(event)
         decode(line)
@@ -55,7 +55,7 @@ def _refused(event: Event) -> str:
 
 
 def _part(fact: object, *, most: int | None, depth: int) -> object:
-    """So much of each text and each list, within the numbers that a log has; deeper containers become text."""
+    """The first `most` entries of texts and lists, numbers within the bounds, and deeper containers as text."""
     match fact:
         case str():
             text = fact.encode(errors="backslashreplace").decode()
@@ -65,7 +65,7 @@ def _part(fact: object, *, most: int | None, depth: int) -> object:
         case list() | dict() if depth < 0:
             return f"{len(fact)} entries"
         case list():
-            return [_part(each, most=most, depth=depth - 1) for each in fact[:most]]
+            return [_part(entry, most=most, depth=depth - 1) for entry in fact[:most]]
         case dict():
             return {
                 _part(key, most=most, depth=0): _part(value, most=most, depth=depth - 1)

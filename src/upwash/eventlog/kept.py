@@ -1,4 +1,4 @@
-"""The events of one run, of which a long run's earlier ones lie in a file without a name, not in memory."""
+"""The events of one run. In a long run the earlier events lie in an unnamed file, not in memory."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _IN_MEMORY = 8 * _BLOCK  # a mission of some thousand waypoints: it never needs 
 
 
 class KeptEvents(Sequence[Event]):
-    """A sequence of events that grows at its end; what was put into the file comes back as logs are read."""
+    """A sequence of events that grows at its end; events in the file are decoded like a log."""
 
     def __init__(self, events: Iterable[Event] = ()) -> None:
         self._latest: list[Event] = list(events)
         self._file: IO[bytes] | None = None
-        self._blocks: list[tuple[int, int]] = []  # of the file: where each begins, and its bytes
+        self._blocks: list[tuple[int, int]] = []  # of the file: begin and length
         self._read: tuple[int, list[Event]] = (-1, [])  # the block that was read last
 
     def append(self, event: Event) -> None:
@@ -32,14 +32,14 @@ class KeptEvents(Sequence[Event]):
         self._latest.append(event)
 
     def lines(self) -> Iterator[bytes]:
-        """The events as a log has them, in pieces of whole lines."""
+        """The events as the content of a log, in pieces of whole lines."""
         for begin, length in self._blocks:
             yield self._bytes_at(begin, length)
         for begin in range(0, len(self._latest), _BLOCK):
             yield _encoded(self._latest[begin : begin + _BLOCK])
 
     def as_read(self) -> KeptEvents:
-        """The same events as they are when their log is read."""
+        """The same events after a pass through a log: encoded and decoded."""
         if self._blocks:
             self._put_away(len(self._latest) // _BLOCK * _BLOCK)
         self._latest = _decoded(_encoded(self._latest))
@@ -59,7 +59,7 @@ class KeptEvents(Sequence[Event]):
     def __getitem__(self, index: slice) -> list[Event]: ...
     def __getitem__(self, index: int | slice) -> Event | list[Event]:
         if isinstance(index, slice):
-            return [self[each] for each in range(*index.indices(len(self)))]
+            return [self[position] for position in range(*index.indices(len(self)))]
         number = range(len(self))[index]
         block, within = divmod(number, _BLOCK)
         if block < len(self._blocks):
@@ -80,9 +80,9 @@ class KeptEvents(Sequence[Event]):
         return type(self), (list(self),)
 
     def _put_away(self, count: int) -> None:
-        """Has so many of the events in memory, a multiple of a block, go to the file."""
+        """Move `count` events, a multiple of a block, from memory to the file."""
         if self._file is None:
-            self._file = tempfile.TemporaryFile()  # noqa: SIM115 - it goes with this object:
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed with this object
             weakref.finalize(self, self._file.close)
         for begin in range(0, count, _BLOCK):
             content = _encoded(self._latest[begin : begin + _BLOCK])
@@ -102,7 +102,7 @@ class KeptEvents(Sequence[Event]):
 
 
 def lines_of(events: Sequence[Event]) -> Iterator[bytes]:
-    """Events as a log has them, in pieces of whole lines."""
+    """Events as the content of a log, in pieces of whole lines."""
     return events.lines() if isinstance(events, KeptEvents) else KeptEvents(events).lines()
 
 

@@ -1,9 +1,8 @@
 """The event log as it is read: JSON lines, one object an event.
 
-A log can be anybody's, and can have been torn as it was written, by a full disk or by a computer that lost its power.
-A line that is no event of this version, or too long, costs itself alone: it is left out, and readers say so. A log of
-a later version is refused. In one of an earlier release, which says no version, events that are not known any more
-are passed over.
+A log may come from a stranger, and a full disk or a power cut may have torn its lines. A reader leaves out a line
+that is too long or no event of this version, and reports it. A reader refuses a log of a later version. A log of an
+early release names no version: a reader skips its unknown events.
 """
 
 from __future__ import annotations
@@ -23,9 +22,9 @@ from upwash.eventlog.schema import Event
 from upwash.support.text import printable
 
 LONGEST_LINE_BYTES = 2**24
-MOST_EVENTS = 2_000_000  # 23 days of positions: what readers keep of the calls among them fits into memory
+MOST_EVENTS = 2_000_000  # 23 days of positions: the calls among them fit into memory
 _PIECE_BYTES = 2**16
-_LINES_BEFORE_AN_EVENT = 1000  # at most, for a file is no log that begins with more than these
+_LINES_BEFORE_AN_EVENT = 1000  # a file that begins with more is no log
 _LONGEST_WHY = 200  # characters
 _VERSIONED = frozenset({schema.LogOpened, schema.LogResumed, schema.Simulated})
 _BEGINNINGS = (b'{"event":', b'{"t":')  # of every line that is written, and of those of earlier releases
@@ -42,9 +41,9 @@ def read(file: str | os.PathLike[str]) -> list[Event]:
 
 
 class EventLog(Iterable[Event]):
-    """The same one after the other, read anew by each pass, of which it holds no more than one.
+    """The events of a log, one after the other; each pass reads the file anew and holds one event.
 
-    After a pass to the end `left_out` says which lines are no events, and why; empty where all are.
+    After a full pass `left_out` names the lines that are no events, and why; empty if there are none.
     """
 
     def __init__(self, path: Path) -> None:
@@ -86,17 +85,17 @@ class LineReader:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._rest = bytearray()  # of a line without its end yet
-        self._is_too_long = False  # that line, of which the rest has gone
+        self._rest = bytearray()  # an unfinished line
+        self._is_too_long = False  # the unfinished line; its begin is discarded
         self._number = 0  # of the last line
         self._events = 0
-        self._version = 0  # that the log has said last
+        self._version = 0  # the last that the log named
         self._left_out = 0
         self._first_left_out = ""
 
     @property
     def left_out(self) -> str:
-        """How many lines are no events, and why the first is none; empty where all are."""
+        """The number of lines that are no events, and why the first is none; empty if there are none."""
         if not self._left_out:
             return ""
         if self._left_out == 1:
@@ -104,15 +103,15 @@ class LineReader:
         return f"{self._left_out} lines of the log are left out, the first is {self._first_left_out}"
 
     def require_events(self) -> None:
-        """Raises UsageError where there was none."""
+        """Raise UsageError if the log has no event."""
         if not self._events:
             why = self._first_left_out or "it is empty"
             raise UsageError(f"{self._path} is not an event log: {why}")
 
     def take_all(self, content: bytes) -> Iterable[Event]:
-        """The events of the next lines; what follows the last line's end waits for its own.
+        """The events of the complete lines; an unfinished last line waits for the next content.
 
-        Raises UsageError, where it comes to it, for a version that cannot be read, and for what is no log at all.
+        Raises UsageError, when its line is reached, for a later version or a file that is no log.
         """
         lines, end, rest = content.rpartition(b"\n")
         if end:
@@ -146,7 +145,7 @@ class LineReader:
                 yield event
 
     def _take(self, line: bytes) -> Event | None:
-        """The event of the next line, or of its end where it is torn; None where it has none."""
+        """The event of the next line; of a torn line the event at its end; None without one."""
         try:
             event = decode(line)
         except (ValueError, RecursionError) as error:
@@ -177,7 +176,7 @@ class LineReader:
         return None
 
     def _leave_out(self, why: str, lines: int = 1) -> None:
-        """The next lines are none of the events."""
+        """Leave out the next lines."""
         if not self._left_out:
             self._first_left_out = f"line {self._number + 1}: {why}"
         self._number += lines
@@ -194,7 +193,7 @@ class LineReader:
 
 
 class _Header(msgspec.Struct):
-    """What each line of each version has."""
+    """The fields of a line in every version."""
 
     event: str
     t: float
@@ -206,7 +205,7 @@ _NO_EVENT = "each line of one has an event and its time"
 
 
 def decode(line: bytes) -> Event:
-    """The event of one line; raises ValueError or RecursionError where it is none."""
+    """The event of one line; raises ValueError or RecursionError for any other content."""
     event = schema.DECODER.decode(line)  # its errors are ValueErrors
     if not event.is_stamped:
         raise ValueError(_NO_EVENT)
@@ -214,7 +213,7 @@ def decode(line: bytes) -> Event:
 
 
 def _decode_all(lines: bytes, count: int) -> list[Event] | None:
-    """The events of lines that are read at once, in half the time; None where a line is to be looked at by itself."""
+    """The events of lines read at once, in half the time; None if the lines must be read one by one."""
     try:
         events = schema.DECODER.decode_lines(lines)
     except (ValueError, RecursionError):
@@ -224,19 +223,19 @@ def _decode_all(lines: bytes, count: int) -> list[Event] | None:
 
 
 def _last_beginning(line: bytes) -> int:
-    return max(0, *(line.rfind(each) for each in _BEGINNINGS))
+    return max(0, *(line.rfind(beginning) for beginning in _BEGINNINGS))
 
 
 def _is_torn(line: bytes) -> bool:
-    """Whether it begins as events do and then is no JSON, or has bytes that a disk never got."""
+    """Whether a line begins like an event and is no JSON, or has the zero bytes of a lost disk write."""
     if b"\0" in line:
         return True
     if not line.startswith(_BEGINNINGS):
-        return any(each.startswith(line) for each in _BEGINNINGS)
+        return any(beginning.startswith(line) for beginning in _BEGINNINGS)
     try:
         msgspec.json.decode(line, type=msgspec.Raw)
     except msgspec.DecodeError:
         return True
-    except RecursionError:  # JSON as far as it was followed
+    except RecursionError:  # JSON as far as it was read
         return False
     return False

@@ -137,7 +137,7 @@ def _vehicle(event: Event) -> Iterator[Notice]:
 
 
 def _link(event: Event) -> Iterator[Notice]:
-    """Whether the vehicle is heard, and how well."""
+    """The link to the vehicle."""
     match event:
         case schema.WaitingForVehicle(why=why):
             yield Notice("waiting", f"The vehicle is waited for: {why}")

@@ -1,4 +1,4 @@
-"""Why each call of a flight ran where it ran, and whether the drone waited for it, read from its events, in words."""
+"""Why each call of a flight ran at its place, and whether the drone waited for the answer, from the log, as text."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ import msgspec
 from upwash.core.geo import Position, ground_distance_m
 from upwash.core.knowledge.servers import State
 from upwash.eventlog import schema
-from upwash.eventlog.beginning import Beginning
 from upwash.eventlog.narration import ran_on
+from upwash.eventlog.progress import CallPlaces, MissionTime
 from upwash.eventlog.schema import Event
-from upwash.eventlog.whereabouts import Whereabouts
 
-_TOLD = (
+_SELECTION_CHANGES = (
     schema.Selected,
     schema.CheckFailed,
     schema.CallFailedInRange,
@@ -23,7 +22,7 @@ _TOLD = (
     schema.Deselected,
     schema.DeselectedAfterStart,
 )
-_WORTH_SAYING_S = 0.005  # less is printed as 0.00 s
+_SHORTEST_S = 0.005  # less is printed as 0.00 s
 _FELL_BACK = {
     "": "no usable answer came, so the drone did it itself",
     "confirmed": "the server said that it raised, so the drone did it itself, and it raised there too",
@@ -33,10 +32,10 @@ _FELL_BACK = {
 
 @dataclass(frozen=True, slots=True)
 class ExplainedCall:
-    """One call, the decisions made for it, and what happened to the selection since the call before.
+    """One call, its decisions, and the changes of the selection since the call before.
 
-    All times are seconds of the mission; the call began at `at_s`. `going` says whether the drone went on before it
-    was over, where that was asked.
+    Times are seconds of the mission; the call began at `at_s`. `going` is the decision to wait for the answer or to
+    fly on, if the mission asked for that decision.
     """
 
     waypoint: int | None
@@ -48,16 +47,16 @@ class ExplainedCall:
 
     @property
     def position(self) -> Position | None:
-        """Where the drone was as the call began; None where nothing was decided."""
+        """The position of the drone at the begin of the call; None without a decision."""
         return self.decisions[0].position if self.decisions else None
 
 
 @dataclass(frozen=True, slots=True)
 class ExplainedAnswer:
-    """What came of going on before the answer of a call, the `number`th of the run, counted from 0.
+    """The result of flying on before the answer of call `number` of the run, counted from 0.
 
-    `hidden_s` of the call the mission did something else, and `back_m` is how far the drone flew back for the answer,
-    None where it did not.
+    The mission did something else during `hidden_s` of the call. `back_m` is the distance that the drone flew back for
+    the answer; None if it did not turn back.
     """
 
     number: int
@@ -67,20 +66,20 @@ class ExplainedAnswer:
 
 
 class Reasons:
-    """Gathers, event by event, why each call of a run ran where it ran; times become seconds of the mission."""
+    """Gathers the reasons of each call of a run, event by event; times become seconds of the mission."""
 
     def __init__(self) -> None:
-        self._began = Beginning()
-        self._whereabouts = Whereabouts()
+        self._began = MissionTime()
+        self._whereabouts = CallPlaces()
         self._decisions: list[schema.Decided] = []
         self._changes: list[schema.Step] = []
         self._delays_s: list[float] = []
-        self._going: dict[int | None, schema.StayOrGo] = {}  # by waypoint, until its answer is taken
+        self._going: dict[int | None, schema.StayOrGo] = {}  # by waypoint, until the mission takes the answer
         self._turned: dict[int | None, Position] = {}
         self._back_m: dict[int | None, float] = {}
 
     def take(self, event: Event) -> ExplainedCall | ExplainedAnswer | None:
-        """Takes in the next event; the call, where it ends one, or what came of going on before its answer."""
+        """Take the next event; return the call that it ends, or the result of flying on before an answer."""
         self._began.take(event)
         self._whereabouts.take(event)
         now_s = event.t - (self._began.at_s or 0.0)
@@ -89,7 +88,7 @@ class Reasons:
                 self._decisions.append(event)
             case schema.Call():
                 return self._explain(msgspec.structs.replace(event, t=now_s))
-            case schema.Step() if isinstance(event, _TOLD):
+            case schema.Step() if isinstance(event, _SELECTION_CHANGES):
                 self._changes.append(msgspec.structs.replace(event, t=now_s))
             case schema.StayOrGo(waypoint=waypoint):
                 self._going[waypoint] = event
@@ -103,7 +102,7 @@ class Reasons:
         return None
 
     def _explain_answer(self, taken: schema.AnswerTaken) -> ExplainedAnswer | None:
-        """None where the drone stayed, or the call has failed and is none of those that are explained."""
+        """None if the drone stayed or the call failed."""
         going, back_m = self._going.pop(taken.waypoint, None), self._back_m.pop(taken.waypoint, None)
         number = self._whereabouts.answered
         if number is None or going is None or not going.goes:
@@ -127,40 +126,40 @@ class Reasons:
         )
 
 
-def told_calls(events: Iterable[Event]) -> list[list[str]]:
-    """The calls of the last of the runs that a log holds, each a heading and its reasons."""
-    reasons, calls = Reasons(), Told()
+def explained_calls(events: Iterable[Event]) -> list[list[str]]:
+    """The calls of the last run in a log: for each a heading and its reasons, a line each."""
+    reasons, calls = Reasons(), CallTexts()
     for event in events:
         if isinstance(event, schema.LogOpened):
-            reasons, calls = Reasons(), Told()
+            reasons, calls = Reasons(), CallTexts()
         calls.take(reasons.take(event))
     return calls.lines
 
 
-class Told:
-    """The calls of a run in words, a list of lines each."""
+class CallTexts:
+    """The calls of a run as text, a list of lines for each call."""
 
     def __init__(self) -> None:
         self.lines: list[list[str]] = []
 
     def take(self, explained: ExplainedCall | ExplainedAnswer | None) -> None:
-        """Takes in what an event explains."""
+        """Add the explanation of an event, if it has one."""
         match explained:
             case ExplainedCall():
-                self.lines.append(list(told(explained)))
+                self.lines.append(list(call_lines(explained)))
             case ExplainedAnswer(number=number):
-                self.lines[number].append(told_answer(explained))
+                self.lines[number].append(answer_text(explained))
 
 
-def told(call: ExplainedCall) -> Iterator[str]:
-    """The call and its reasons, a line each."""
+def call_lines(call: ExplainedCall) -> Iterator[str]:
+    """A call and its reasons, a line each."""
     outcome = call.outcome
     where = "" if call.waypoint is None else f"waypoint {call.waypoint}, "
     yield f"{where}{call.at_s:.1f} s: {outcome.operation} {ran_on(outcome.server)}, {outcome.delay_s:.2f} s"
     for change in call.changes:
         yield f"at {change.t:.1f} s {change.server} was {change.kind.replace('_', ' ')}: {change.why}"
     for decision in call.decisions:
-        yield from told_decision(decision)
+        yield from decision_lines(decision)
     if outcome.asked and outcome.forecast_s is not None and outcome.finish_by_s is not None:
         yield (
             f"{outcome.asked} was asked for: so the mission would have ended at {outcome.forecast_s:.0f} s, "
@@ -168,16 +167,16 @@ def told(call: ExplainedCall) -> Iterator[str]:
         )
     if outcome.hedged_s is not None:
         yield f"    no answer had come after {outcome.hedged_s:.2f} s, so the drone began on it too"
-    if outcome.queued_s and outcome.queued_s >= _WORTH_SAYING_S:
+    if outcome.queued_s and outcome.queued_s >= _SHORTEST_S:
         yield f"    the drone was busy with an earlier call for {outcome.queued_s:.2f} s"
     if outcome.fell_back:
         yield _FELL_BACK[outcome.remote_fault]
     if call.going is not None:
-        yield _told_going(call.going)
+        yield _going_text(call.going)
 
 
-def told_answer(answer: ExplainedAnswer) -> str:
-    """What came of going on before it."""
+def answer_text(answer: ExplainedAnswer) -> str:
+    """The result of flying on before an answer."""
     taken = answer.taken
     waited = f" after a wait of {taken.waited_s:.2f} s" if taken.waited_s else ""
     if answer.back_m is None:
@@ -185,7 +184,7 @@ def told_answer(answer: ExplainedAnswer) -> str:
     return f"the answer demanded something{waited}: the drone turned back, and flew {answer.back_m:.1f} m"
 
 
-def _told_going(going: schema.StayOrGo) -> str:
+def _going_text(going: schema.StayOrGo) -> str:
     did = "went on before the answer" if going.goes else "stayed for the answer"
     if going.saved_s is None or going.lost_s is None:
         return f"the drone {did}: {going.why}"
@@ -195,8 +194,8 @@ def _told_going(going: schema.StayOrGo) -> str:
     )
 
 
-def told_decision(decision: schema.Decided) -> Iterator[str]:
-    """What was believed when it was made, and what it came to."""
+def decision_lines(decision: schema.Decided) -> Iterator[str]:
+    """The estimates behind a decision, and the decision."""
     yield _beliefs(decision)
     yield f"decided: {_verdict(decision)} ({decision.why})"
 

@@ -13,15 +13,13 @@ import msgspec
 from upwash.core.knowledge.servers import State
 from upwash.core.selection.places import server_of
 from upwash.eventlog import schema
-from upwash.eventlog.beginning import BEGINNING, Beginning
-from upwash.eventlog.owed import OWED, Owed
+from upwash.eventlog.progress import DEMAND_EVENTS, TIME_EVENTS, CallPlaces, MissionTime, OpenDemands
 from upwash.eventlog.schema import Event
-from upwash.eventlog.whereabouts import Whereabouts
 
-# Most events of a long log are positions, which are passed over at once: each case of a match takes time.
+# Most events of a long log are positions: a set lookup skips them faster than a match statement.
 _COUNTED = (
-    BEGINNING
-    | OWED
+    TIME_EVENTS
+    | DEMAND_EVENTS
     | {
         schema.StayOrGo,
         schema.TurnedBack,
@@ -34,17 +32,17 @@ _COUNTED = (
     }
 )
 _RARE = ("hidden_s", "went_on", "turned_back", "never_ready", "not_acted_on", "not_looked_at", "failed_calls")
-_LEAST_HIDDEN_S = 0.01  # what is less is the time between a call's end and the mission's next step
+_LEAST_HIDDEN_S = 0.01  # less is the time between the end of a call and the mission's next step
 
 
 @dataclass(frozen=True, slots=True)
 class CallResult:
     """One service call, as the mission experienced it; `waypoint` is None before the first arrival.
 
-    `place` is where it ran in the end, "local" for the drone or a server's name. `delay_s` is how long its answer
-    took, and `waited_s` the part of it that was spent on waiting for a server. `at_s` is when the mission made the
-    call, in the mission's time. `asked` is the operation that the mission asked for, where a lighter operation ran.
-    During `hidden_s` of the delay the mission did other things.
+    `place` is where the call ran in the end: "local" for the drone, or a server's name. `delay_s` is the delay of the
+    answer, `waited_s` the part spent waiting for a server. The mission made the call at `at_s` of its time. `asked` is
+    the operation that the mission asked for, if a lighter one ran. During `hidden_s` of the delay the mission did
+    other things.
     """
 
     waypoint: int | None
@@ -59,12 +57,12 @@ class CallResult:
 
     @property
     def key(self) -> str:
-        """The profile key under which it ran; "" for an operation without any."""
+        """The profile key of the operation; "" without one."""
         return self.operation.partition("[")[2].removesuffix("]")
 
     @property
     def server(self) -> str | None:
-        """The server that it ran on; None for the drone."""
+        """The server that ran the call; None for the drone."""
         return server_of(self.place)
 
 
@@ -72,10 +70,10 @@ class CallResult:
 class Totals:
     """Sums over all calls; `remote` counts by server, `fallbacks` remote calls that ended on the drone.
 
-    `waits` counts the calls that waited for a server, `waits_failed` those whose server was not ready in time, and
-    `switches` how often a server was selected. `lighter` counts the calls that ran lighter than the mission asked
-    for. The drone `went_on` before that number of answers, and `turned_back` for that number; during `hidden_s`
-    of the `service_delay_s`, the delays of all calls, the mission did other things.
+    `waits` counts the calls that waited for a server, `waits_failed` the waits for a server that was not ready in
+    time, and `switches` the selections of a server. `lighter` counts the calls that ran lighter than the mission asked
+    for, `went_on` the answers before which the drone flew on, and `turned_back` the answers for which it came back.
+    `service_delay_s` is the sum of all delays; during `hidden_s` of it the mission did other things.
     """
 
     calls: int
@@ -94,9 +92,9 @@ class Totals:
 
 @dataclass(frozen=True, slots=True)
 class EnergyTotals:
-    """What a simulated flight drew from the battery: the rotors while it moved and while it hovered, and the rest.
+    """The energy that a simulated flight drew: rotors in motion, rotors in hover, computing, radio.
 
-    `battery_wh` is what the battery held when it was full, None where it was endless.
+    `battery_wh` is the capacity of the battery; None for an endless one.
     """
 
     total_wh: float
@@ -169,25 +167,25 @@ class Tally:
     def __init__(self) -> None:
         self.completed = False
         self._policy, self._ended_s = "", 0.0
-        self._began = Beginning()
-        self._whereabouts = Whereabouts()
+        self._began = MissionTime()
+        self._whereabouts = CallPlaces()
         self._calls: list[CallResult] = []
         self._waypoints, self._reached, self._left_hovering = 0, set[int | None](), False
         self._waits: list[str] = []
         self._switches = self._fallbacks = self._went_on = self._turned_back = 0
         self._energy: EnergyTotals | None = None
-        self._owed = Owed()
+        self._open = OpenDemands()
         self._calling: set[int | None] = set()  # where the call was made that is not over
         self._ready, self._failed = set[str](), dict[str, str]()  # servers; why each failed last
 
     def take(self, event: Event) -> None:
         """Takes in the next event."""
-        self._ended_s = max(self._ended_s, event.t)  # a log is anybody's: times in it may go back
+        self._ended_s = max(self._ended_s, event.t)  # in a stranger's log times may go back
         if type(event) not in _COUNTED:
             return
         self._began.take(event)
         self._whereabouts.take(event)
-        self._owed.take(event)
+        self._open.take(event)
         match event:
             case schema.MissionStarted():
                 self._policy, self._waypoints = event.policy, event.waypoints
@@ -225,7 +223,7 @@ class Tally:
 
     @property
     def _not_looked_at(self) -> set[int | None]:
-        return (self._calling | self._owed.answers) - self._owed.demands - self._owed.failures
+        return (self._calling | self._open.answers) - self._open.demands - self._open.failures
 
     @property
     def began_s(self) -> float | None:
@@ -233,7 +231,7 @@ class Tally:
         return self._began.at_s
 
     def result(self) -> RunResult:
-        """The result so far."""
+        """The result of the events taken until now."""
         remote = Counter(call.server for call in self._calls if call.server is not None)
         return RunResult(
             policy=self._policy,
@@ -262,8 +260,8 @@ class Tally:
             never_ready={
                 server: why for server, why in sorted(self._failed.items()) if server not in self._ready
             },
-            not_acted_on=_in_order(self._owed.demands),
-            failed_calls=_in_order(self._owed.failures),
+            not_acted_on=_in_order(self._open.demands),
+            failed_calls=_in_order(self._open.failures),
             not_looked_at=[] if self.completed else _in_order(self._not_looked_at),
         )
 
@@ -272,17 +270,17 @@ def as_json(value: object) -> Any:
     """A result, or a value made of results, for JSON; fields that are empty in most runs are left out when empty."""
     match msgspec.to_builtins(value):
         case dict() as members:
-            told = {name: as_json(each) for name, each in members.items()}
-            return {name: each for name, each in told.items() if each or name not in _RARE}
+            fields = {name: as_json(field) for name, field in members.items()}
+            return {name: field for name, field in fields.items() if field or name not in _RARE}
         case list() as items:
-            return [as_json(each) for each in items]
+            return [as_json(item) for item in items]
         case plain:
             return plain
 
 
 def _in_order(waypoints: Iterable[int | None]) -> list[int | None]:
     """Places beside the plan first."""
-    return sorted(waypoints, key=lambda each: -1 if each is None else each)
+    return sorted(waypoints, key=lambda waypoint: -1 if waypoint is None else waypoint)
 
 
 def _call(event: schema.Call, waypoint: int | None, began_s: float) -> CallResult:

@@ -837,8 +837,8 @@ class Call(Event, frozen=True, kw_only=True, omit_defaults=True):
     `place` is a server's name, or `local` for the drone; `check` is the number of the server's selection, absent for
     the drone. `wait` is empty, `paid off` or `failed`. `hedged_s` is when the drone's own service joined the call,
     and `queued_s` how long an earlier call kept that service busy. `remote_fault` is `confirmed` or `denied` if the
-    server reported an exception and the drone's own service repeated the call. `at_s` is by the program's clock, not the
-    log's. `operation` is what ran. If a heavier operation was `asked` for, the mission would have ended at
+    server reported an exception and the drone's own service repeated the call. `at_s` is by the program's clock, not
+    the log's. `operation` is what ran. If a heavier operation was `asked` for, the mission would have ended at
     `forecast_s` of its time, later than `finish_by_s`.
     """
 

@@ -1,4 +1,4 @@
-"""What a person sees of a flight in a terminal: progress while it lasts, a table at the end."""
+"""A flight in a terminal: progress during the flight, a table at the end."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from rich.table import Table
 from rich.text import Text
 
 from upwash.eventlog import schema
-from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Said, Tone, counted, spans
+from upwash.eventlog.narration import LEFT_HOVERING, Narrator, Sentence, Tone, counted, left_undone, spans
 from upwash.eventlog.results import EnergyTotals, RunResult, Totals
 from upwash.eventlog.schema import Event
-from upwash.eventlog.undone import left_undone
 from upwash.support.sentences import say
 from upwash.support.text import printable
 
-_STILL_WAITING_S = 10.0  # without a line, before a line repeats the state, where there is no picture
+_STILL_WAITING_S = 10.0  # without a line; then a line repeats the state, if the terminal shows no picture
 _DECISION = 16  # columns at least, so that few words are longer
 _WIDE = 400  # columns of a log file, so that a row is one line
 _WORTH_SHOWING_S = 0.05
@@ -38,9 +37,9 @@ TONE_STYLES = {
 
 
 class LiveDisplay:
-    """Each line as it comes, and on a terminal a picture below them that is kept up.
+    """Prints lines; on a terminal an updated picture stays below them.
 
-    What a program prints meanwhile stands among the lines.
+    Output of other programs appears among the lines.
     """
 
     def __init__(self, console: Console) -> None:
@@ -94,19 +93,19 @@ class Progress(LiveDisplay):
             return
         self._said_s = event.t
         self._show(
-            Text(f"{self._narrator.began.told(event.t):>11}  ")
+            Text(f"{self._narrator.began.text(event.t):>11}  ")
             + Text(printable(said.text), style=TONE_STYLES.get(said.tone, ""))
         )
 
-    def _still_waiting(self) -> Said | None:
+    def _still_waiting(self) -> Sentence | None:
         now = self._narrator
         if self._now_s - self._said_s < _STILL_WAITING_S or self._console.is_terminal:
             return None
         if now.down_s is not None:
-            return Said(f"{now.doing}: {_down(now.down_s)}", Tone.ASIDE)
+            return Sentence(f"{now.doing}: {_down(now.down_s)}", Tone.ASIDE)
         if now.waits_since_s is None:
             return None
-        return Said(
+        return Sentence(
             f"still {now.doing}, for {self._now_s - now.waits_since_s:.0f} s: {now.waits_for}", Tone.ASIDE
         )
 

@@ -14,7 +14,7 @@ from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog
 from upwash.eventlog.narration import ran_on
-from upwash.eventlog.reasons import told_calls
+from upwash.eventlog.reasons import explained_calls
 from upwash.eventlog.results import CallResult, read_result
 from upwash.eventlog.schema import Event
 from upwash.lab.fleet import simulate_fleet
@@ -121,7 +121,7 @@ def _among_others(scenario: Path, drone: str, policy: str, seed: int | None) -> 
 def explain(events: Iterable[Event], replayed: Replay, wanted: Wanted) -> Iterator[str]:
     """The explanation of the wanted calls, line by line."""
     result = read_result(events)
-    calls = told_calls(events)
+    calls = explained_calls(events)
     for number in wanted.of(result.calls):
         heading, *reasons = calls[number]
         yield heading

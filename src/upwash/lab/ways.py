@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from upwash.core.planning.bound import Onward
 from upwash.eventlog import schema
+from upwash.eventlog.progress import CallPlaces
 from upwash.eventlog.schema import Event
-from upwash.eventlog.whereabouts import Whereabouts
 
 
 @dataclass(slots=True)
@@ -42,7 +42,7 @@ class Ways:
     def __init__(self) -> None:
         self.waited_s: dict[int, float] = {}
         self.in_vain_s = 0.0
-        self._whereabouts = Whereabouts()
+        self._whereabouts = CallPlaces()
         self._ways: dict[int, _Way] = {}
         self._way: _Way | None = None
         self._started = 0  # calls that are not over

@@ -12,8 +12,8 @@ import msgspec
 from upwash.core.geo import Circle, LocalFrame, Position
 from upwash.errors import UsageError
 from upwash.eventlog import schema
+from upwash.eventlog.progress import CallPlaces
 from upwash.eventlog.results import RunResult, as_json
-from upwash.eventlog.whereabouts import Whereabouts
 from upwash.report.palette import LIGHT
 from upwash.report.record import Record
 
@@ -114,7 +114,7 @@ def _features(record: Record) -> Iterator[dict[str, Any]]:
 
 def _photos(record: Record, frame: LocalFrame) -> Iterator[dict[str, Any]]:
     """Each photo where it was taken, by its number from 0 on; what is not known of it is absent."""
-    whereabouts, number = Whereabouts(), 0
+    whereabouts, number = CallPlaces(), 0
     for event in record.events:
         whereabouts.take(event)
         if not isinstance(event, schema.Photo):

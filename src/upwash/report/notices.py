@@ -15,12 +15,12 @@ from upwash.eventlog.narration import (
     Narrator,
     Tone,
     counted,
+    left_undone,
     spans,
     who_has_it,
 )
 from upwash.eventlog.results import RunResult
 from upwash.eventlog.schema import SEVERITIES, Event
-from upwash.eventlog.undone import left_undone
 from upwash.support.text import printable
 
 _LONGEST_LIST = 200  # characters

@@ -13,9 +13,9 @@ from upwash.core.geo import Position
 from upwash.core.knowledge.servers import State
 from upwash.errors import UsageError
 from upwash.eventlog import schema
-from upwash.eventlog.beginning import Beginning
 from upwash.eventlog.log import EventLog
-from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, told, told_answer
+from upwash.eventlog.progress import MissionTime
+from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, answer_text, call_lines
 from upwash.eventlog.results import CallResult, RunResult, Tally
 from upwash.eventlog.schema import Event
 from upwash.report.findings import Finding, Findings
@@ -78,10 +78,10 @@ class MissionEvents:
         self._look_through()
 
     def _look_through(self) -> None:
-        began, completed = Beginning(), False
+        began, completed = MissionTime(), False
         for number, event in enumerate(self._events):
             if isinstance(event, schema.LogOpened) or number == 0:
-                began, completed = Beginning(), False
+                began, completed = MissionTime(), False
                 self._first, self.opening, self.planned = number, event, UNPLANNED
             if completed:
                 continue
@@ -237,14 +237,14 @@ class _Calls:
                 outcome, number = explained.outcome, len(self._facts)
                 self._facts.append((explained.position, outcome.wait, outcome.fell_back))
                 if len(self._worst) < _WORST or outcome.delay_s > self._worst[0][0]:
-                    _, *reasons = told(explained)
+                    _, *reasons = call_lines(explained)
                     heapq.heappush(self._worst, (outcome.delay_s, -number, reasons))
                 if len(self._worst) > _WORST:
                     heapq.heappop(self._worst)
             case ExplainedAnswer(number=number) as answer:
                 for _, numbered, reasons in self._worst:
                     if numbered == -number:
-                        reasons.append(told_answer(answer))
+                        reasons.append(answer_text(answer))
 
     def with_results(self, results: Sequence[CallResult]) -> list[ReportedCall]:
         """The calls, with their results in the same order."""

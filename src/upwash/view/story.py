@@ -7,12 +7,11 @@ from collections.abc import Callable, Iterable, Iterator
 from upwash.core.geo import LocalFrame, Position
 from upwash.core.knowledge.servers import CHECKING, State
 from upwash.eventlog import schema
-from upwash.eventlog.beginning import Beginning
 from upwash.eventlog.narration import MEANINGS, Narrator, in_one_line, tone_of
 from upwash.eventlog.notices import Level, Notices
-from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, told, told_decision
+from upwash.eventlog.progress import CallPlaces, MissionTime
+from upwash.eventlog.reasons import ExplainedAnswer, ExplainedCall, Reasons, call_lines, decision_lines
 from upwash.eventlog.schema import Event
-from upwash.eventlog.whereabouts import Whereabouts
 from upwash.report.findings import Pairing, outlines
 from upwash.report.photos import Shot
 from upwash.report.record import place_of
@@ -38,9 +37,9 @@ class Story:
         self._reasons = Reasons()
         self._notices = Notices()
         self._now_s = 0.0
-        self._beginning = Beginning()
+        self._beginning = MissionTime()
         self._policy = ""
-        self._calls_at = Whereabouts()
+        self._calls_at = CallPlaces()
         self._pairing = Pairing()
         self._place: Position | None = None
         self._placed_s = 0.0
@@ -75,7 +74,7 @@ class Story:
                 at_s=self._now_s,
                 operation=event.operation,
                 waypoint=self._calls_at.of_call_under_way,
-                words=list(told_decision(event)),
+                words=list(decision_lines(event)),
             )
         if isinstance(explained, ExplainedCall):
             yield self._call(explained)
@@ -208,7 +207,7 @@ class Story:
             delay_s=outcome.delay_s,
             waited_s=outcome.waited_s,
             wait=outcome.wait,
-            words=list(told(call))[1:],
+            words=list(call_lines(call))[1:],
             east_m=place.east_m if place else None,
             north_m=place.north_m if place else None,
         )

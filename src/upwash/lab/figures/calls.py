@@ -9,8 +9,8 @@ from enum import Enum
 from upwash.core.geo import Position
 from upwash.core.knowledge.servers import CHECKING
 from upwash.eventlog import schema
+from upwash.eventlog.progress import CallPlaces
 from upwash.eventlog.schema import Event
-from upwash.eventlog.whereabouts import Whereabouts
 
 
 class Wait(Enum):
@@ -34,7 +34,7 @@ class CallPoint:
 
 def read_call_points(events: Iterable[Event]) -> Iterator[CallPoint]:
     """The calls at waypoints, in the order of the events."""
-    whereabouts = Whereabouts()
+    whereabouts = CallPlaces()
     decided: schema.Decided | None = None  # the first decision of the call; another follows a wait
     for event in events:
         whereabouts.take(event)

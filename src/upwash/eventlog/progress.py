@@ -1,0 +1,146 @@
+"""What readers of a log follow event by event: the mission's time, the place of each call, and the open demands."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from upwash.eventlog import schema
+from upwash.eventlog.schema import Event
+
+# Most events of a long log are positions: a set lookup skips them faster than a match statement.
+TIME_EVENTS = frozenset(
+    {
+        schema.MissionStarted,
+        schema.Armed,
+        schema.Photo,
+        schema.CallStarted,
+        schema.Call,
+        schema.Leg,
+        schema.LogResumed,
+    }
+)
+
+
+class MissionTime:
+    """The begin of the mission's time, followed event by event: the arming for the first leg.
+
+    `at_s` is None before the mission has started. A mission that took photos or called services before arming, or that
+    was resumed in the air, begins with its start.
+    """
+
+    def __init__(self) -> None:
+        self.at_s: float | None = None
+        self.arming_s = 0.0
+        self._settled = False
+
+    def take(self, event: Event) -> None:
+        """Takes in the next event."""
+        if type(event) not in TIME_EVENTS:
+            return
+        match event:
+            case schema.MissionStarted() if self.at_s is None:
+                self.at_s = event.t
+            case schema.Armed() if self.at_s is not None and not self._settled:
+                self.arming_s = event.t - self.at_s
+                self.at_s, self._settled = event.t, True
+            case (
+                schema.Photo() | schema.CallStarted() | schema.Call() | schema.Leg() | schema.LogResumed()
+            ) if self.at_s is not None:
+                self._settled = True
+
+    def text(self, t: float) -> str:
+        """A second of the log as text: of the mission; before its begin the second of the log, in brackets."""
+        if self.at_s is None or not self._settled:
+            return f"[{t:.1f} s]"
+        return f"{t - self.at_s:.1f} s"
+
+
+class CallPlaces:
+    """The waypoints of a flight's calls: `here` is the last arrival, `of_call` the waypoint of the last call.
+
+    `answered` is the number, from 0, of the call whose answer the last event took; None after any other event.
+    """
+
+    def __init__(self) -> None:
+        self.here: int | None = None
+        self.of_call: int | None = None
+        self.answered: int | None = None
+        self._calls = 0  # ended
+        self._under_way: deque[int | None] = deque()  # waypoints of the open calls
+        self._untaken: list[tuple[int | None, int]] = []  # ended calls: waypoint and number
+
+    @property
+    def of_call_under_way(self) -> int | None:
+        """The waypoint of the open call; without one, of a call that begins now."""
+        return self._under_way[0] if self._under_way else self.here
+
+    def take(self, event: Event) -> None:
+        """Takes in the next event."""
+        self.answered = None
+        match event:
+            case schema.MissionStarted():
+                self.here = None
+                self._under_way.clear()
+                self._untaken.clear()
+            case schema.Arrived(waypoint=waypoint):
+                self.here = waypoint
+            case schema.CallStarted(waypoint=waypoint):
+                self._under_way.append(waypoint)
+            case schema.Call():
+                self.of_call = self.of_call_under_way
+                if self._under_way:
+                    self._untaken.append((self._under_way.popleft(), self._calls))
+                self._calls += 1
+            case schema.AnswerTaken(waypoint=waypoint, failed=""):
+                self.answered = self._taken(waypoint)
+            case schema.AnswerTaken(waypoint=waypoint) if waypoint in self._under_way:
+                self._under_way.remove(waypoint)  # no event reports the end of a failed call
+
+    def _taken(self, waypoint: int | None) -> int | None:
+        """The number of the last call at the waypoint; the mission dropped earlier ones."""
+        for made_at, number in reversed(self._untaken):
+            if made_at == waypoint:
+                self._untaken.remove((made_at, number))
+                return number
+        return None
+
+
+DEMAND_EVENTS = frozenset({schema.CallStarted, schema.Demanded, schema.AnswerTaken, schema.Acted})
+
+
+class OpenDemands:
+    """What a flight, and the flights that resumed it, have left open, by waypoint.
+
+    `answers`: started calls whose answers the mission has not taken. `demands`: answers whose demanded action is not
+    done. `failures`: failed calls without a reaction.
+    """
+
+    def __init__(self) -> None:
+        self.answers: set[int | None] = set()
+        self.demands: set[int | None] = set()
+        self.failures: set[int | None] = set()
+
+    @property
+    def waypoints(self) -> set[int | None]:
+        """All waypoints with something open."""
+        return self.answers | self.demands | self.failures
+
+    def take(self, event: Event) -> None:
+        """Takes in the next event."""
+        match event:
+            case schema.CallStarted(waypoint=waypoint):
+                self.answers.add(waypoint)
+            case schema.Demanded(waypoint=waypoint, failed=failed):
+                (self.failures if failed else self.demands).add(waypoint)
+            case schema.AnswerTaken(waypoint=waypoint):
+                self._settle(waypoint)
+                if event.failed:
+                    self.failures.add(waypoint)
+                elif event.demanded:
+                    self.demands.add(waypoint)
+            case schema.Acted(waypoint=waypoint):
+                self._settle(waypoint)
+
+    def _settle(self, waypoint: int | None) -> None:
+        for open_ones in (self.answers, self.demands, self.failures):
+            open_ones.discard(waypoint)
