@@ -37,7 +37,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def call_lines(log: Path) -> list[Fact]:
+def told(log: Path) -> list[Fact]:
     return tell(event_log.read(log))
 
 

@@ -28,7 +28,7 @@ def line_of(event: Event) -> bytes:
 
 
 def fitted(event: Event) -> Sequence[Event]:
-    """The event itself if readers accept it; else a shortened event, if possible, and a `shortened` with the reason."""
+    """The event itself if readers accept it; else a shortened event, if possible, and a `shortened`."""
     why = _refused(event)
     if not why:
         return (event,)

@@ -24,8 +24,8 @@ TIME_EVENTS = frozenset(
 class MissionTime:
     """The begin of the mission's time, followed event by event: the arming for the first leg.
 
-    `at_s` is None before the mission has started. A mission that took photos or called services before arming, or that
-    was resumed in the air, begins with its start.
+    `at_s` is None before the mission has started. A mission that took photos or called services before arming, or
+    that was resumed in the air, begins with its start.
     """
 
     def __init__(self) -> None:

@@ -40,8 +40,8 @@ class CallResult:
     """One service call, as the mission experienced it; `waypoint` is None before the first arrival.
 
     `place` is where the call ran in the end: "local" for the drone, or a server's name. `delay_s` is the delay of the
-    answer, `waited_s` the part spent waiting for a server. The mission made the call at `at_s` of its time. `asked` is
-    the operation that the mission asked for, if a lighter one ran. During `hidden_s` of the delay the mission did
+    answer, `waited_s` the part spent waiting for a server. The mission made the call at `at_s` of its time. `asked`
+    is the operation that the mission asked for, if a lighter one ran. During `hidden_s` of the delay the mission did
     other things.
     """
 
@@ -71,9 +71,9 @@ class Totals:
     """Sums over all calls; `remote` counts by server, `fallbacks` remote calls that ended on the drone.
 
     `waits` counts the calls that waited for a server, `waits_failed` the waits for a server that was not ready in
-    time, and `switches` the selections of a server. `lighter` counts the calls that ran lighter than the mission asked
-    for, `went_on` the answers before which the drone flew on, and `turned_back` the answers for which it came back.
-    `service_delay_s` is the sum of all delays; during `hidden_s` of it the mission did other things.
+    time, and `switches` the selections of a server. `lighter` counts the calls that ran lighter than the mission
+    asked for, `went_on` the answers before which the drone flew on, and `turned_back` the answers for which it came
+    back. `service_delay_s` is the sum of all delays; during `hidden_s` of it the mission did other things.
     """
 
     calls: int
