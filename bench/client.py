@@ -92,7 +92,7 @@ async def fly(folder: Path, rounds: int, addresses: Addresses) -> dict[str, list
     warm_up_rounds = min(rounds, MOST_WARM_UP_ROUNDS)
 
     def watch(event: Event) -> None:
-        if isinstance(event, schema.Step) and event.after is State.READY:
+        if isinstance(event, schema.ServerStep) and event.after is State.READY:
             ready.set()
 
     def mission(drone: Drone) -> None:

@@ -18,10 +18,10 @@ from bench.program import command_line, machine
 from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.knowledge.estimates import Beliefs, Estimates
 from upwash.core.operation import Operation
-from upwash.core.planning.mission_model import MissionBeliefs, Step
+from upwash.core.planning.mission_model import MissionBeliefs, StopCall
 from upwash.core.policies.look_ahead import HORIZON
 from upwash.core.policies.names import make_policy
-from upwash.core.selection.events import Arrived, CheckAnswered, LegBegun, LocalCallEnded, RemoteCallEnded
+from upwash.core.selection.events import CheckAnswered, LegBegun, LegEnded, LocalCallEnded, RemoteCallEnded
 from upwash.core.selection.selection import Selection
 
 HEAVY = Operation("detector", "process_photo", "heavy")
@@ -57,7 +57,7 @@ def fly(least_m: float, most_m: float, side: int) -> Iterator[float]:
         begun = LegBegun(end.position, None)
         yield timed(selection.handle, begun, now_s=now_s, position=start.position)
         now_s += LEG_S
-        yield timed(selection.handle, Arrived(), now_s=now_s, position=end.position)
+        yield timed(selection.handle, LegEnded(), now_s=now_s, position=end.position)
         current = selection.current
         if current is not None and selection.is_awaited(current.check):
             answered = CheckAnswered(current.check, running=True)
@@ -101,7 +101,7 @@ def world(least_m: float, most_m: float, side: int) -> tuple[Selection, list[Way
         areas,
         estimates=Estimates(local_s={HEAVY: LOCAL_S}, servers=beliefs),
         policy=make_policy("look-ahead", gain_switch=0.25, gain_wait=0.25),
-        mission=MissionBeliefs(plan, stop=[Step(HEAVY, PHOTO_S)]),
+        mission=MissionBeliefs(plan, stop=[StopCall(HEAVY, PHOTO_S)]),
     )
     return selection, plan
 

@@ -11,7 +11,7 @@ import msgspec
 
 from upwash.eventlog import schema
 from upwash.eventlog.log import LONGEST_LINE_BYTES, MOST_EVENTS
-from upwash.eventlog.schema import LONGEST, LONGEST_TEXT, MOST_FEW, MOST_ITEMS, Event, Step
+from upwash.eventlog.schema import LONGEST, LONGEST_TEXT, MOST_FEW, MOST_ITEMS, Event, ServerStep
 
 PAGE = Path(__file__).parents[1] / "docs" / "event-log.md"
 _HEADING = re.compile(r"# --- (.+?) -+")
@@ -51,15 +51,22 @@ def _tables() -> Iterator[str]:
     for line in inspect.getsource(schema).splitlines():
         if heading := _HEADING.match(line):
             yield f"\n## {heading[1].capitalize()}\n\n| event | with | what it says |\n|---|---|---|\n"
-        elif (found := _CLASS.match(line)) and (kind := getattr(schema, found[1])) in (Step, *schema.EVENTS):
+        elif (found := _CLASS.match(line)) and (kind := getattr(schema, found[1])) in (
+            ServerStep,
+            *schema.EVENTS,
+        ):
             yield f"| {' | '.join(_row(kind))} |\n"
 
 
 def _row(kind: type[Event]) -> tuple[str, str, str]:
     said = " ".join(inspect.cleandoc(kind.__doc__ or "").split())
-    if kind is Step:
+    if kind is ServerStep:
         return "each step of a server", _fields(kind), said
-    return f"`{schema.kind_of(kind)}`", "as each step" if issubclass(kind, Step) else _fields(kind), said
+    return (
+        f"`{schema.kind_of(kind)}`",
+        "as each step" if issubclass(kind, ServerStep) else _fields(kind),
+        said,
+    )
 
 
 def _fields(kind: type[Event]) -> str:

@@ -83,9 +83,8 @@ if TYPE_CHECKING:
     from upwash.core.planning.bound import Bound, FleetBound
     from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
     from upwash.drone.api import Drone, User, Vehicle
-    from upwash.drone.payload import Payload
+    from upwash.drone.payload import Payload, Photographer
     from upwash.drone.pending import Demand, Pending
-    from upwash.drone.photographer import Photographer
     from upwash.eventlog.log import read as read_log
     from upwash.eventlog.results import CallResult, EnergyTotals, RunResult, Totals, read_result
     from upwash.eventlog.schema import Event
@@ -108,7 +107,7 @@ else:
         "GpsFix": "upwash.core.vehicle.telemetry",
         "Payload": "upwash.drone.payload",
         "Pending": "upwash.drone.pending",
-        "Photographer": "upwash.drone.photographer",
+        "Photographer": "upwash.drone.payload",
         "Position": "upwash.core.geo",
         "RunResult": "upwash.eventlog.results",
         "Simulation": "upwash.lab.simulation",

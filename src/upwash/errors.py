@@ -180,7 +180,7 @@ class NoLease(Refused):
     """An instance serves this drone no more, or not yet: it has to ask for a slot."""
 
 
-class NoSlot(Refused):
+class ServerFull(Refused):
     """A server serves as many drones as it can; so many wait, with this one, which is to ask again in so long."""
 
     def __init__(self, why: str, *, waiting: int, ask_again_s: float) -> None:
@@ -189,7 +189,7 @@ class NoSlot(Refused):
         self.ask_again_s = ask_again_s
 
 
-class Paused(Refused):
+class ServicePaused(Refused):
     """A server leaves a service alone that keeps failing there, for another `pause_s`."""
 
     def __init__(self, why: str, *, pause_s: float) -> None:

@@ -13,11 +13,11 @@ from typing import Literal, Protocol, TypeAlias
 
 from upwash.core.admission.limits import NO_LIMITS, Limits
 from upwash.core.geo import Circle, EarthPosition, Position, Velocity
-from upwash.core.planning.pace import Pace
+from upwash.core.planning.legs import Pace
 from upwash.core.vehicle.control import Control
-from upwash.core.vehicle.energy import EnergyFacts
 from upwash.core.vehicle.geofence import Fence
 from upwash.core.vehicle.telemetry import Telemetry
+from upwash.core.vehicle.way_home import EnergyFacts
 from upwash.eventlog.schema import Event, LinkTroubleName
 from upwash.support.heat import Surroundings
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.core.admission.allowance import Allowance
+from upwash.core.admission.limits import Allowance
 
 
 def test_an_allowance_is_spent_at_once_and_comes_back_with_time() -> None:

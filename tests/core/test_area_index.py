@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.geo import Circle, Position, ground_distance_m
-from upwash.core.knowledge.area_index import AreaIndex
+from upwash.core.knowledge.ranges import AreaIndex
 
 metres = st.floats(-5_000.0, 5_000.0)
 places = st.builds(Position, metres, metres)

@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.geo import Position
-from upwash.core.vehicle.control import TRANSITIONS, Change, Latch, Owner, Report
+from upwash.core.vehicle.control import TRANSITIONS, ControlChange, Heartbeat, Latch, Owner
 from upwash.errors import AutopilotOverruled
 
 OWN, OTHERS = "GUIDED", ("LOITER", "STABILIZE", "RTL", "LAND")
 MODES = st.sampled_from((OWN, *OTHERS))
-STANDS, FLIES = Report(OWN, armed=False), Report(OWN, armed=True)
+STANDS, FLIES = Heartbeat(OWN, armed=False), Heartbeat(OWN, armed=True)
 
 
 def claimed(*, flying: bool = False) -> Latch:
@@ -25,27 +25,32 @@ def claimed(*, flying: bool = False) -> Latch:
 
 
 def test_every_owner_has_a_row_for_every_change_that_can_come() -> None:
-    told: set[tuple[Owner, Change]] = {
-        (Owner.NOBODY, change) for change in Change if change is not Change.DISARMED
+    told: set[tuple[Owner, ControlChange]] = {
+        (Owner.NOBODY, change) for change in ControlChange if change is not ControlChange.DISARMED
     }
-    told |= {(Owner.PROGRAM, change) for change in Change if change is not Change.REMOTE_MOVED}
-    told |= {(Owner.GROUND_STATION, Change.REMOTE_MOVED)}
+    told |= {(Owner.PROGRAM, change) for change in ControlChange if change is not ControlChange.REMOTE_MOVED}
+    told |= {(Owner.GROUND_STATION, ControlChange.REMOTE_MOVED)}
     told -= {
-        (Owner.NOBODY, change) for change in (Change.TARGET_CHANGED, Change.RESTARTED, Change.REMOTE_MOVED)
+        (Owner.NOBODY, change)
+        for change in (ControlChange.TARGET_CHANGED, ControlChange.RESTARTED, ControlChange.REMOTE_MOVED)
     }
     for lost in (Owner.PILOT, Owner.GROUND_STATION, Owner.FAILSAFE, Owner.UNKNOWN):
         changes = (
-            Change.MODE_CHANGED, Change.MODE_COMMANDED, Change.MODE_FAILED_SAFE, Change.ARMED, Change.RESTARTED
-        )  # fmt: skip
+            ControlChange.MODE_CHANGED,
+            ControlChange.MODE_COMMANDED,
+            ControlChange.MODE_FAILED_SAFE,
+            ControlChange.ARMED,
+            ControlChange.RESTARTED,
+        )
         told |= {(lost, change) for change in changes}
     assert set(TRANSITIONS) == told
 
 
 def test_only_a_claim_makes_it_the_programs() -> None:
     assert {change for (_, change), owner in TRANSITIONS.items() if owner is Owner.PROGRAM} == {
-        Change.CLAIMED
+        ControlChange.CLAIMED
     }
-    assert {owner for owner, change in TRANSITIONS if change is Change.CLAIMED} == {
+    assert {owner for owner, change in TRANSITIONS if change is ControlChange.CLAIMED} == {
         Owner.NOBODY,
         Owner.PROGRAM,
     }
@@ -56,13 +61,13 @@ def test_only_a_claim_makes_it_the_programs() -> None:
     [
         (STANDS, False, Owner.PROGRAM),
         (STANDS, True, Owner.PROGRAM),
-        (Report("STABILIZE", armed=False), False, Owner.PROGRAM),
+        (Heartbeat("STABILIZE", armed=False), False, Owner.PROGRAM),
         (FLIES, True, Owner.PROGRAM),
         (FLIES, False, Owner.PILOT),
-        (Report("LOITER", armed=True), True, Owner.PILOT),
+        (Heartbeat("LOITER", armed=True), True, Owner.PILOT),
     ],
 )
-def test_what_can_be_claimed(report: Report, resumes: bool, owner: Owner) -> None:
+def test_what_can_be_claimed(report: Heartbeat, resumes: bool, owner: Owner) -> None:
     latch = Latch(0.0)
     latch.report(report, 1.0)
     latch.claim(2.0, own_mode=OWN, resumes=resumes)
@@ -78,22 +83,30 @@ def test_before_the_first_report_nothing_can_be_claimed_and_nothing_sent() -> No
 
 def test_switches_of_a_vehicle_that_stands_disarmed_are_nobodys_takeover() -> None:
     latch = claimed()
-    latch.report(Report("LOITER", armed=False), 3.0)
+    latch.report(Heartbeat("LOITER", armed=False), 3.0)
     assert latch.control.is_ours
 
 
 @pytest.mark.parametrize(
     ("report", "owner", "why"),
     [
-        (Report("LOITER", armed=True), Owner.PILOT, "mode LOITER, GUIDED was commanded"),
-        (Report("LAND", armed=True, failsafe="battery"), Owner.FAILSAFE, "mode LAND .battery., GUIDED was"),
-        (Report(OWN, armed=False, on_ground=True), Owner.UNKNOWN, "disarmed on the ground"),
-        (Report(OWN, armed=False, on_ground=False), Owner.UNKNOWN, "its motors stopped in the air"),
-        (Report(OWN, armed=False), Owner.UNKNOWN, "does not say whether it stands"),
-        (Report("STABILIZE", armed=False, on_ground=False), Owner.UNKNOWN, "its motors stopped in the air"),
+        (Heartbeat("LOITER", armed=True), Owner.PILOT, "mode LOITER, GUIDED was commanded"),
+        (
+            Heartbeat("LAND", armed=True, failsafe="battery"),
+            Owner.FAILSAFE,
+            "mode LAND .battery., GUIDED was",
+        ),
+        (Heartbeat(OWN, armed=False, on_ground=True), Owner.UNKNOWN, "disarmed on the ground"),
+        (Heartbeat(OWN, armed=False, on_ground=False), Owner.UNKNOWN, "its motors stopped in the air"),
+        (Heartbeat(OWN, armed=False), Owner.UNKNOWN, "does not say whether it stands"),
+        (
+            Heartbeat("STABILIZE", armed=False, on_ground=False),
+            Owner.UNKNOWN,
+            "its motors stopped in the air",
+        ),
     ],
 )
-def test_the_first_difference_closes_the_latch(report: Report, owner: Owner, why: str) -> None:
+def test_the_first_difference_closes_the_latch(report: Heartbeat, owner: Owner, why: str) -> None:
     latch = claimed(flying=True)
     latch.report(report, 7.5)
     assert (latch.control.owner, latch.control.since_s) == (owner, 7.5)
@@ -109,14 +122,14 @@ def test_a_mode_is_the_ground_stations_where_the_remote_control_is_known_not_to_
         ("POSHOLD", False, 9.0),
         ("POSHOLD", True, 12.0),  # sticks that move later say nothing of the mode
     ]:
-        latch.report(Report(mode, armed=True, remote_moved=moved), now_s)
+        latch.report(Heartbeat(mode, armed=True, remote_moved=moved), now_s)
         owners.append(latch.control.owner)
     assert owners == [Owner.GROUND_STATION, Owner.PILOT, Owner.GROUND_STATION, Owner.GROUND_STATION]
 
 
 def test_a_pilot_who_arms_while_the_program_waits_has_the_vehicle() -> None:
     latch = claimed()
-    latch.report(Report("STABILIZE", armed=True), 3.0)
+    latch.report(Heartbeat("STABILIZE", armed=True), 3.0)
     assert latch.control.owner is Owner.PILOT
 
 
@@ -124,9 +137,9 @@ def test_a_command_on_its_way_may_not_have_been_obeyed_yet_and_leads_through_its
     latch = claimed(flying=True)
     latch.expect_modes(("TAKEOFF", "LOITER"))
     for mode in OWN, "TAKEOFF", "TAKEOFF", "LOITER":
-        latch.report(Report(mode, armed=True), 3.0)
+        latch.report(Heartbeat(mode, armed=True), 3.0)
         assert latch.control.is_ours
-    latch.report(Report("TAKEOFF", armed=True), 4.0)
+    latch.report(Heartbeat("TAKEOFF", armed=True), 4.0)
     assert latch.control.owner is Owner.PILOT
 
 
@@ -146,7 +159,7 @@ def test_arming_and_disarming_by_command_are_no_difference_and_a_refused_one_is_
 def test_a_fail_safe_that_is_told_after_its_mode_is_still_known_as_one_and_a_pilot_may_end_it() -> None:
     latch = claimed(flying=True)
     owners = []
-    for report in Report("RTL", True), Report("RTL", True, failsafe="fence"), Report("LOITER", True):
+    for report in Heartbeat("RTL", True), Heartbeat("RTL", True, failsafe="fence"), Heartbeat("LOITER", True):
         latch.report(report, 3.0)
         owners.append(latch.control.owner)
     assert owners == [Owner.PILOT, Owner.FAILSAFE, Owner.PILOT]
@@ -222,7 +235,7 @@ def test_targets_of_a_mode_that_was_commanded_say_nothing() -> None:
 
 def test_a_restart_in_flight_closes_the_latch_and_names_no_person() -> None:
     latch = claimed(flying=True)
-    latch.report(Report("STABILIZE", armed=False), 3.0)
+    latch.report(Heartbeat("STABILIZE", armed=False), 3.0)
     latch.report_restart("the autopilot restarted", 3.5)
     assert (latch.control.owner, latch.control.why) == (Owner.UNKNOWN, "the autopilot restarted")
 
@@ -233,7 +246,7 @@ def test_a_mode_beside_motors_that_stopped_is_nobodys_act() -> None:
     latch.expect_armed(True)
     latch.report(FLIES, 3.0)
     latch.expect_modes([OWN])
-    latch.report(Report("STABILIZE", armed=False, on_ground=False), 4.0)
+    latch.report(Heartbeat("STABILIZE", armed=False, on_ground=False), 4.0)
     assert latch.control.owner is Owner.UNKNOWN
     latch.report_restart("its clock went back", 5.0)
     assert latch.control.owner is Owner.UNKNOWN
@@ -245,7 +258,7 @@ def test_a_restart_on_the_ground_before_the_flight_is_no_loss() -> None:
     assert latch.control.is_ours
 
 
-REPORTS = st.builds(Report, MODES, st.booleans(), st.sampled_from(("", "battery")))
+REPORTS = st.builds(Heartbeat, MODES, st.booleans(), st.sampled_from(("", "battery")))
 PLACES = st.sampled_from((None, HERE, THERE, ELSEWHERE))
 STEPS = st.lists(
     st.one_of(
@@ -281,7 +294,7 @@ def test_once_lost_it_is_never_the_programs_again(steps: list[Callable[[Latch, f
 
 @given(REPORTS)
 def test_while_nothing_was_commanded_the_only_state_that_keeps_it_is_the_one_that_was_claimed(
-    report: Report,
+    report: Heartbeat,
 ) -> None:
     latch = claimed(flying=True)
     latch.report(report, 3.0)

@@ -12,21 +12,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from upwash.core.geo import Position, Velocity
-from upwash.core.vehicle.energy import (
-    ARDUCOPTER,
-    PX4,
-    STILL,
-    Consumption,
-    Energy,
-    EnergyFacts,
-    Report,
-    Reserve,
-    WayHome,
-    Wind,
-    descent_s,
-    margin,
-    time_home_s,
-)
+from upwash.core.vehicle.energy import Consumption, FlightEnergy, FlightReport, Reserve, Wind, margin
+from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, STILL, EnergyFacts, WayHome, descent_s, time_home_s
 
 HOME = Position(0.0, 0.0)
 RETURNS = Path(__file__).parent / "data/returns.csv"
@@ -60,8 +47,8 @@ def test_no_recorded_return_took_longer_than_expected_nor_much_less(
 
 
 def test_what_is_guessed_is_among_the_words_of_a_margin() -> None:
-    energy = Energy(Reserve(60.0), endurance_s=1000.0)
-    report = Report(0.0, HOME, percent=50.0)
+    energy = FlightEnergy(Reserve(60.0), endurance_s=1000.0)
+    report = FlightReport(0.0, HOME, percent=50.0)
     energy.take(report)
     known = energy.margin(report, HOME, EnergyFacts(way_home=PX4))
     guessed = energy.margin(report, HOME, EnergyFacts(way_home=PX4, guessed=("RTL_ALT",)))
@@ -128,7 +115,7 @@ def test_more_wind_of_the_same_direction_never_takes_less(
 ) -> None:
     def against(wind: Velocity) -> float:
         seen = Wind()
-        seen.take(Report(0.0, start, wind=wind))
+        seen.take(FlightReport(0.0, start, wind=wind))
         return seen.against_m_s(start, HOME, speed_m_s)
 
     more = Velocity(wind.east_m_s * stronger, wind.north_m_s * stronger)
@@ -192,9 +179,9 @@ def test_a_battery_that_is_never_reported_tells_nothing() -> None:
     for second in range(300):
         silent.take(float(second), None)
     assert silent.rate_percent_s is None
-    energy = Energy(Reserve(60.0))
-    energy.take(Report(0.0, HOME))
-    assert energy.margin(Report(0.0, HOME), HOME, EnergyFacts()) is None
+    energy = FlightEnergy(Reserve(60.0))
+    energy.take(FlightReport(0.0, HOME))
+    assert energy.margin(FlightReport(0.0, HOME), HOME, EnergyFacts()) is None
 
 
 def test_a_battery_that_was_swapped_is_measured_anew_and_until_then_believed_no_better() -> None:
@@ -225,7 +212,7 @@ def flown_east(told_m_s: float, ground_m_s: float, seconds: int = 10, up_m_s: fl
     wind = Wind()
     for second in range(seconds):
         velocity = Velocity(ground_m_s, 0.0, up_m_s)
-        wind.take(Report(float(second), HOME, velocity=velocity, leg_speed_m_s=told_m_s))
+        wind.take(FlightReport(float(second), HOME, velocity=velocity, leg_speed_m_s=told_m_s))
     return wind
 
 
@@ -247,24 +234,24 @@ def test_what_is_slow_for_another_reason_tells_nothing() -> None:
     ]
     speeding_up = Wind()
     for second in range(8):
-        speeding_up.take(Report(float(second), HOME, velocity=Velocity(second), leg_speed_m_s=8.0))
+        speeding_up.take(FlightReport(float(second), HOME, velocity=Velocity(second), leg_speed_m_s=8.0))
     holding = Wind()
     for second in range(8):
-        holding.take(Report(float(second), HOME, velocity=Velocity(5.0)))
+        holding.take(FlightReport(float(second), HOME, velocity=Velocity(5.0)))
     for wind in (*slow, speeding_up, holding):
         assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 0.0
 
 
 def test_a_slow_leg_is_forgotten_in_time() -> None:
     wind = flown_east(8.0, 5.0)
-    wind.take(Report(700.0, HOME))
+    wind.take(FlightReport(700.0, HOME))
     assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 0.0
 
 
 def test_a_reported_wind_counts_by_its_direction_and_never_as_a_help() -> None:
     wind = Wind()
-    wind.take(Report(0.0, HOME, wind=Velocity(-6.0, 0.0)))
-    wind.take(Report(1.0, HOME))  # a report without it
+    wind.take(FlightReport(0.0, HOME, wind=Velocity(-6.0, 0.0)))
+    wind.take(FlightReport(1.0, HOME))  # a report without it
     assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 6.0
     assert wind.against_m_s(HOME, Position(-100, 0), 10.0) == 0.0
     assert wind.against_m_s(HOME, Position(0, 100), 10.0) == pytest.approx(
@@ -274,7 +261,7 @@ def test_a_reported_wind_counts_by_its_direction_and_never_as_a_help() -> None:
 
 def test_the_worse_of_report_and_legs_counts() -> None:
     wind = flown_east(8.0, 5.0)
-    wind.take(Report(10.0, HOME, wind=Velocity(-1.0)))
+    wind.take(FlightReport(10.0, HOME, wind=Velocity(-1.0)))
     assert wind.against_m_s(HOME, Position(100, 0), 10.0) == 3.0
 
 
@@ -303,12 +290,12 @@ def test_a_flight_that_turns_back_when_told_arrives_with_at_least_the_reserve(
     It looks once a second, and is told a second later: together the 2 s that the way home is expected to begin with.
     """
     facts = EnergyFacts(low_percent=low, way_home=way)
-    energy = Energy(reserve, endurance_s=endurance * 100 / rate)
+    energy = FlightEnergy(reserve, endurance_s=endurance * 100 / rate)
     east, north = math.cos(angle), math.sin(angle)
     for second in range(3600):
         left = full - rate * second
         here = Position(east * speed_m_s * second, north * speed_m_s * second, altitude_m)
-        report = Report(
+        report = FlightReport(
             float(second), here, float(math.floor(left)), Velocity(east * speed_m_s, north * speed_m_s), speed_m_s,
             wind if told else None,
         )  # fmt: skip
@@ -322,7 +309,7 @@ def test_a_flight_that_turns_back_when_told_arrives_with_at_least_the_reserve(
     if second == 0:
         return  # too little was left for any flight
     seen = Wind()
-    seen.take(Report(0.0, here, wind=wind if told else STILL))
+    seen.take(FlightReport(0.0, here, wind=wind if told else STILL))
     against_m_s = seen.against_m_s(here, HOME, way.speed_m_s)
     before = Position(here.east_m - east * speed_m_s, here.north_m - north * speed_m_s, altitude_m)
     takes_s = 1.0 + time_home_s(before, HOME, way, against_m_s=against_m_s, velocity=Velocity(speed_m_s))
@@ -331,8 +318,8 @@ def test_a_flight_that_turns_back_when_told_arrives_with_at_least_the_reserve(
 
 
 def test_the_vehicle_says_where_it_returns_to() -> None:
-    energy = Energy(Reserve(60.0), endurance_s=1000.0)
-    report = Report(0.0, Position(400, 0, 30), 50.0)
+    energy = FlightEnergy(Reserve(60.0), endurance_s=1000.0)
+    report = FlightReport(0.0, Position(400, 0, 30), 50.0)
     energy.take(report)
     far = energy.margin(report, HOME, EnergyFacts(way_home=PX4))
     near = energy.margin(report, HOME, EnergyFacts(way_home=PX4, home=Position(400, 0)))
@@ -341,8 +328,8 @@ def test_the_vehicle_says_where_it_returns_to() -> None:
 
 
 def test_a_flight_that_ends_where_it_is_needs_the_way_down_only() -> None:
-    energy = Energy(Reserve(60.0), endurance_s=1000.0, lands=True)
-    report = Report(0.0, Position(400, 0, 30), 50.0)
+    energy = FlightEnergy(Reserve(60.0), endurance_s=1000.0, lands=True)
+    report = FlightReport(0.0, Position(400, 0, 30), 50.0)
     energy.take(report)
     now = energy.margin(report, HOME, EnergyFacts(way_home=PX4))
     assert now is not None
@@ -350,11 +337,11 @@ def test_a_flight_that_ends_where_it_is_needs_the_way_down_only() -> None:
 
 
 def test_while_no_report_comes_the_battery_is_believed_to_empty_as_before() -> None:
-    energy = Energy(Reserve(60.0), endurance_s=1000.0)
-    energy.take(Report(0.0, HOME, 50.0))
+    energy = FlightEnergy(Reserve(60.0), endurance_s=1000.0)
+    energy.take(FlightReport(0.0, HOME, 50.0))
     for second in range(1, 31):
-        energy.take(Report(float(second), HOME))
-    now = energy.margin(Report(30.0, HOME), HOME, EnergyFacts())
+        energy.take(FlightReport(float(second), HOME))
+    now = energy.margin(FlightReport(30.0, HOME), HOME, EnergyFacts())
     assert now is not None
     assert now.left_percent == pytest.approx(47.0)
 

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from upwash.core.knowledge.estimates import Beliefs, Estimates, offline_remote_s
-from upwash.core.knowledge.window import Window
+from upwash.core.knowledge.estimates import Beliefs, Estimates, Window, offline_remote_s
 from upwash.core.operation import Operation
 
 LIGHT = Operation("detector", "process_photo", "light")

@@ -9,9 +9,9 @@ from upwash.core.admission.admission import (
     AdmissionSettings,
     Available,
     Denied,
-    Pending,
-    Running,
     ServerOffer,
+    ServiceRunning,
+    StartPending,
 )
 from upwash.core.admission.clients import (
     AccountStatus,
@@ -111,7 +111,7 @@ def test_as_many_drones_as_slots() -> None:
 def test_each_server_of_a_daemon_has_its_own_slots_and_instances() -> None:
     machine = with_detector_running()
     answer, commands = machine.start("s2", "detector", Client("d2"), now_s=9.0)
-    assert isinstance(answer, Pending)
+    assert isinstance(answer, StartPending)
     assert commands == [admit("d2", server="s2"), StartInstance("s2", "detector", 2)]
     assert machine.state("s1", "detector") is RUNNING
 
@@ -198,7 +198,7 @@ def test_leaving_where_one_never_was_changes_nothing(server: str, drone: str) ->
 def test_a_start_makes_an_instance_and_holds_a_slot() -> None:
     machine = host()
     answer, commands = machine.start("s1", "detector", Client("d1"), now_s=0.0)
-    assert answer == Pending(1, stopping=False)
+    assert answer == StartPending(1, stopping=False)
     assert commands == [admit("d1"), StartInstance("s1", "detector", 1)]
     assert machine.state("s1", "detector") is STARTING
 
@@ -207,7 +207,7 @@ def test_two_starts_of_one_service_make_one_instance() -> None:
     machine = host(slots=2)
     machine.start("s1", "detector", Client("d1"), now_s=0.0)
     answer, commands = machine.start("s1", "detector", Client("d2"), now_s=1.0)
-    assert answer == Pending(1, stopping=False)
+    assert answer == StartPending(1, stopping=False)
     assert commands == [admit("d1", "d2")]
 
 
@@ -221,7 +221,7 @@ def test_an_instance_that_starts_is_not_offered_before_it_is_ready() -> None:
         endpoints
     )
     assert machine.availability("s1", ["counter"], Client("d1"), now_s=9.0)[0] == Available({})
-    assert machine.start("s1", "detector", Client("d1"), now_s=9.0) == (Running("10.0.0.1:9000"), [])
+    assert machine.start("s1", "detector", Client("d1"), now_s=9.0) == (ServiceRunning("10.0.0.1:9000"), [])
 
 
 def test_an_instance_that_becomes_ready_after_the_drone_left_admits_nobody() -> None:
@@ -236,7 +236,7 @@ def test_an_instance_that_crashed_is_absent_and_started_again_on_request() -> No
     machine.gone("s1", "detector", 1)
     assert machine.availability("s1", ["detector"], Client("d1"), now_s=9.0)[0] == Available({})
     answer, commands = machine.start("s1", "detector", Client("d1"), now_s=9.0)
-    assert answer == Pending(2, stopping=False)
+    assert answer == StartPending(2, stopping=False)
     assert commands == [StartInstance("s1", "detector", 2)]
 
 
@@ -258,7 +258,7 @@ def test_what_is_told_of_an_earlier_instance_changes_nothing() -> None:
     assert machine.state("s1", "detector") is STARTING
     machine.ready("s1", "detector", 2, "10.0.0.1:9001", now_s=12.0)
     machine.gone("s1", "detector", 1)
-    assert machine.start("s1", "detector", Client("d1"), now_s=13.0)[0] == Running("10.0.0.1:9001")
+    assert machine.start("s1", "detector", Client("d1"), now_s=13.0)[0] == ServiceRunning("10.0.0.1:9001")
 
 
 def test_an_instance_that_nobody_uses_is_stopped_once() -> None:
@@ -309,7 +309,7 @@ def test_an_instance_that_stops_is_started_again_only_once_it_is_gone() -> None:
     machine.look(now_s=608.0)
     assert machine.availability("s1", ["detector"], Client("d1"), now_s=609.0)[0] == Available({})
     answer, commands = machine.start("s1", "detector", Client("d1"), now_s=609.0)
-    assert answer == Pending(1, stopping=True)
+    assert answer == StartPending(1, stopping=True)
     assert commands == []
     machine.gone("s1", "detector", 1)
     assert machine.start("s1", "detector", Client("d1"), now_s=610.0)[1] == [

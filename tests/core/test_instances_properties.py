@@ -20,9 +20,9 @@ from upwash.core.admission.admission import (
     Command,
     Denied,
     Held,
-    Pending,
-    Running,
     ServerOffer,
+    ServiceRunning,
+    StartPending,
 )
 from upwash.core.admission.clients import Client, Role
 from upwash.core.admission.instances import InstanceState, StartInstance, StopInstance
@@ -100,11 +100,11 @@ class Daemon(RuleBasedStateMachine):
         )
         started = [command for command in commands if isinstance(command, StartInstance)]
         match answer:
-            case Running(endpoint):
+            case ServiceRunning(endpoint):
                 assert self.serving[place] == endpoint
                 assert place not in self.stopping
                 assert started == []
-            case Pending(number, stopping):
+            case StartPending(number, stopping):
                 assert self.living[place] == number
                 assert stopping == (place in self.stopping)
                 assert started == ([] if place in lived else [StartInstance(server, service, number)])

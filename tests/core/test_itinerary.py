@@ -6,8 +6,8 @@ import pytest
 
 from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.operation import Operation
-from upwash.core.planning.mission_model import ExpectedCall, MissionBeliefs, MissionModel, Step
-from upwash.core.planning.pace import Pace
+from upwash.core.planning.legs import Pace
+from upwash.core.planning.mission_model import ExpectedCall, MissionBeliefs, MissionModel, StopCall
 
 HEAVY = Operation("detector", "process_photo", "heavy")
 DIRT = Operation("dirt", "measure")
@@ -18,7 +18,7 @@ LEG_S, PHOTO_S = 9.0, 1.0  # 20 m at 4 m/s and 1 m/s²
 
 def mission_model(*, speeds_m_s: dict[int, float] | None = None) -> MissionModel:
     plan = [Waypoint(number, place, (speeds_m_s or {}).get(number)) for number, place in enumerate(PLACES)]
-    return MissionModel(MissionBeliefs(plan, 4.0, Pace(1.0), [Step(HEAVY, PHOTO_S)]), AREAS)
+    return MissionModel(MissionBeliefs(plan, 4.0, Pace(1.0), [StopCall(HEAVY, PHOTO_S)]), AREAS)
 
 
 def gaps_s(calls: list[ExpectedCall]) -> list[float]:
@@ -60,7 +60,7 @@ def test_a_range_counts_from_where_it_is_entered_on_the_way() -> None:
 def test_holds_of_the_plan_count_before_the_calls_of_their_stops() -> None:
     hold_s = 5.0
     plan = [Waypoint(number, place, hold_s=hold_s) for number, place in enumerate(PLACES)]
-    expected = MissionModel(MissionBeliefs(plan, 4.0, Pace(1.0), [Step(HEAVY, PHOTO_S)]), AREAS)
+    expected = MissionModel(MissionBeliefs(plan, 4.0, Pace(1.0), [StopCall(HEAVY, PHOTO_S)]), AREAS)
     expected.leg_begun(PLACES[0], PLACES[0], None, now_s=0.0)
     held_s = hold_s + PHOTO_S
     assert gaps_s(expected.coming(PLACES[0], now_s=0.0, count=2)) == [held_s, LEG_S + held_s]

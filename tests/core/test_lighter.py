@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.knowledge.estimates import Beliefs, Estimates
 from upwash.core.operation import Operation
-from upwash.core.planning.mission_model import MissionBeliefs, Step
-from upwash.core.planning.pace import Pace
+from upwash.core.planning.legs import Pace
+from upwash.core.planning.mission_model import MissionBeliefs, StopCall
 from upwash.core.policies.names import make_policy
 from upwash.core.policies.policy import Lightened
-from upwash.core.selection.commands import Foreseen
-from upwash.core.selection.events import Arrived, LegBegun, LocalCallEnded, MissionBegun
-from upwash.core.selection.lighter import LighterSettings, is_lighter
+from upwash.core.selection.commands import ExpectedTimes
+from upwash.core.selection.events import LegBegun, LegEnded, LocalCallEnded, MissionBegun
+from upwash.core.selection.mission_times import LighterSettings, is_lighter
 from upwash.core.selection.selection import Selection, SelectionSettings
-from upwash.core.vehicle.energy import EnergyFacts, WayHome
+from upwash.core.vehicle.way_home import EnergyFacts, WayHome
 
 HEAVY, LIGHT = Operation("detector", "look", "heavy"), Operation("detector", "look", "light")
 
@@ -117,7 +117,7 @@ VEHICLE = EnergyFacts(
 )
 
 
-def begun(finish_by_s: float, *, policy: str = "location-aware") -> tuple[Selection, Foreseen]:
+def begun(finish_by_s: float, *, policy: str = "location-aware") -> tuple[Selection, ExpectedTimes]:
     """Six waypoints, of which a server's range has those at 40 and 60 m; the vehicle has just been armed."""
     estimates = Estimates(
         local_s={HEAVY: 10.0, LIGHT: 3.0},
@@ -128,10 +128,10 @@ def begun(finish_by_s: float, *, policy: str = "location-aware") -> tuple[Select
         estimates=estimates,
         policy=make_policy(policy, gain_switch=0.25, gain_wait=0.25),
         settings=SelectionSettings(lighter=LighterSettings(finish_by_s, {HEAVY: LIGHT})),
-        mission=MissionBeliefs(PLAN, 4.0, Pace(1.0, lifting_s=TAKEOFF_S), [Step(HEAVY, PHOTO_S)]),
+        mission=MissionBeliefs(PLAN, 4.0, Pace(1.0, lifting_s=TAKEOFF_S), [StopCall(HEAVY, PHOTO_S)]),
     )
     (foreseen,) = selection.handle(MissionBegun(VEHICLE), now_s=0.0, position=Position(0.0, 0.0))
-    assert isinstance(foreseen, Foreseen)
+    assert isinstance(foreseen, ExpectedTimes)
     return selection, foreseen
 
 
@@ -155,7 +155,7 @@ def first_call(selection: Selection, *, at_s: float, operation: Operation = HEAV
     """As it is decided at the first waypoint, where the photo has just been taken."""
     here = PLAN[0].position
     selection.handle(LegBegun(here, None), now_s=at_s - PHOTO_S, position=here)
-    selection.handle(Arrived(), now_s=at_s - PHOTO_S, position=here)
+    selection.handle(LegEnded(), now_s=at_s - PHOTO_S, position=here)
     decision, _ = selection.decide(operation, now_s=at_s, position=here)
     return decision.inputs.lightened
 
@@ -186,7 +186,7 @@ def test_nothing_is_lighter_before_the_mission_has_begun() -> None:
         estimates=estimates,
         policy=make_policy("look-ahead", gain_switch=0.25, gain_wait=0.25),
         settings=SelectionSettings(lighter=LighterSettings(1.0, {HEAVY: LIGHT})),
-        mission=MissionBeliefs(PLAN, 4.0, Pace(1.0), [Step(HEAVY, PHOTO_S)]),
+        mission=MissionBeliefs(PLAN, 4.0, Pace(1.0), [StopCall(HEAVY, PHOTO_S)]),
     )
     assert first_call(selection, at_s=10.0) is None
 
@@ -209,7 +209,7 @@ def test_a_call_that_falls_back_is_judged_as_one_on_the_drone() -> None:
     here = PLAN[2].position
     at_s = TAKEOFF_S + 2 * (LEG_S + PHOTO_S + 10.0) + PHOTO_S
     selection.handle(LegBegun(here, None), now_s=at_s - 2.0, position=here)
-    selection.handle(Arrived(), now_s=at_s - PHOTO_S, position=here)
+    selection.handle(LegEnded(), now_s=at_s - PHOTO_S, position=here)
     decision, _ = selection.decide(HEAVY, now_s=at_s, position=here)
     assert decision.inputs.lightened is None
     lightened = selection.fall_back(HEAVY, now_s=at_s + 3.0, position=here)

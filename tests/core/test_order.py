@@ -9,10 +9,9 @@ import pytest
 from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.knowledge.estimates import Beliefs, Estimates
 from upwash.core.operation import Operation
-from upwash.core.planning.mission_model import MissionBeliefs, Step
-from upwash.core.planning.order import Forecaster, best_order
-from upwash.core.planning.pace import Pace
-from upwash.core.planning.sweeps import sweeps
+from upwash.core.planning.legs import Pace
+from upwash.core.planning.mission_model import MissionBeliefs, StopCall
+from upwash.core.planning.order import Forecaster, best_order, sweeps
 
 GIVEN = [Waypoint(index, Position(20.0 * index, 0.0, 20.0)) for index in range(3)]
 LOOK = Operation("detector", "process_photo", "heavy")
@@ -22,7 +21,7 @@ LEG_S, PHOTO_S, LOCAL_S, REMOTE_S, CHECK_S = 9.0, 1.0, 10.0, 0.5, 3.0  # 20 m at
 def forecaster(*, stands: Position = GIVEN[0].position, **areas: Circle) -> Forecaster:
     there = Beliefs(check_s=CHECK_S, check_running_s=CHECK_S, remote_s={LOOK: REMOTE_S})
     return Forecaster(
-        MissionBeliefs(GIVEN, 4.0, Pace(1.0), [Step(LOOK, PHOTO_S)]),
+        MissionBeliefs(GIVEN, 4.0, Pace(1.0), [StopCall(LOOK, PHOTO_S)]),
         Estimates(local_s={LOOK: LOCAL_S}, servers=dict.fromkeys(areas, there)),
         areas,
         gain_wait=0.25,

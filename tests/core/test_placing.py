@@ -8,18 +8,18 @@ from upwash.core.knowledge.estimates import Beliefs, Estimates
 from upwash.core.operation import Operation
 from upwash.core.planning.mission_model import ExpectedCall
 from upwash.core.policies.names import make_policy
-from upwash.core.selection.placing import Place, Placing
+from upwash.core.selection.call_forecast import CallForecast, CallPlace
 
 HEAVY, UNKNOWN = Operation("detector", "look", "heavy"), Operation("detector", "count")
 LOCAL_S, REMOTE_S, CHECK_S, CHECK_RUNNING_S = 10.0, 0.7, 12.0, 3.0
 
 
 def placing(
-    here: Place | None = None,
+    here: CallPlace | None = None,
     *,
     policy: str = "location-aware",
     unusable_s: Mapping[str, float] | None = None,
-) -> Placing:
+) -> CallForecast:
     """With a server that is much faster than the drone, and one that is slower."""
     estimates = Estimates(
         local_s={HEAVY: LOCAL_S},
@@ -29,7 +29,7 @@ def placing(
         },
     )
     chosen = make_policy(policy, gain_switch=0.25, gain_wait=0.25)
-    return Placing(chosen, estimates, here=here or Place(), unusable_s=unusable_s or {})
+    return CallForecast(chosen, estimates, here=here or CallPlace(), unusable_s=unusable_s or {})
 
 
 def call(gap_s: float, **in_range_s: float) -> ExpectedCall:
@@ -39,20 +39,20 @@ def call(gap_s: float, **in_range_s: float) -> ExpectedCall:
 def test_a_check_begins_as_a_range_is_entered_and_goes_on_while_the_drone_computes() -> None:
     ahead = placing()
     places = list(ahead.places([call(5.0, s1=2.0), call(1.0, s1=1.0)]))
-    assert places == [Place("s1", CHECK_S - 2.0), Place("s1", 0.0)]
+    assert places == [CallPlace("s1", CHECK_S - 2.0), CallPlace("s1", 0.0)]
     assert [ahead.delay_s(place, call(0.0)) for place in places] == [LOCAL_S, REMOTE_S]
 
 
 def test_a_check_that_is_nearly_over_is_waited_for() -> None:
-    ahead = placing(Place("s1", 8.0))
+    ahead = placing(CallPlace("s1", 8.0))
     (place,) = ahead.places([call(3.0, s1=3.0)])
-    assert place == Place("s1", 5.0)
+    assert place == CallPlace("s1", 5.0)
     assert ahead.delay_s(place, call(0.0)) == 5.0 + REMOTE_S
 
 
 def test_services_run_on_a_server_that_was_checked_before() -> None:
     places = list(placing().places([call(1.0, s1=1.0), call(1.0), call(1.0, s1=1.0)]))
-    assert places == [Place("s1", CHECK_S - 1.0), Place(), Place("s1", CHECK_RUNNING_S - 1.0)]
+    assert places == [CallPlace("s1", CHECK_S - 1.0), CallPlace(), CallPlace("s1", CHECK_RUNNING_S - 1.0)]
 
 
 def test_a_server_counts_once_it_can_be_used_again() -> None:
@@ -66,10 +66,10 @@ def test_a_server_counts_once_it_can_be_used_again() -> None:
 
 def test_the_policy_has_its_say() -> None:
     calls = [call(1.0, slow=1.0)]
-    assert list(placing().places(calls)) == [Place()]
-    assert list(placing(policy="opportunistic").places(calls)) == [Place("slow")]
-    assert list(placing(policy="local-only").places([call(20.0, s1=20.0)])) == [Place()]
+    assert list(placing().places(calls)) == [CallPlace()]
+    assert list(placing(policy="opportunistic").places(calls)) == [CallPlace("slow")]
+    assert list(placing(policy="local-only").places([call(20.0, s1=20.0)])) == [CallPlace()]
 
 
 def test_a_call_of_which_nothing_is_known_takes_no_time() -> None:
-    assert placing().delay_s(Place("s1"), call(0.0), UNKNOWN) == 0.0
+    assert placing().delay_s(CallPlace("s1"), call(0.0), UNKNOWN) == 0.0

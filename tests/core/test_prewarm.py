@@ -6,7 +6,7 @@ from upwash.core.geo import Circle, Position
 from upwash.core.knowledge.servers import Server, Trigger
 from upwash.core.policies.policy import Coming
 from upwash.core.selection.commands import Prepare
-from upwash.core.selection.prewarm import PrewarmNotifier
+from upwash.core.selection.server_planning import PrewarmNotifier
 
 START_S = 8.0
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.operation import Operation
-from upwash.core.selection.recovery import Failures, Probing, Recovery
+from upwash.core.selection.recovery import Probing, Recovery, ServerFailures
 
 LOOK, READ = Operation("detector", "look"), Operation("gauge", "read")
 
@@ -27,7 +27,7 @@ def test_pauses_begin_with_the_longer_of_the_two_and_grow_to_the_longest(
 
 
 def test_each_failure_leaves_a_server_alone_for_twice_as_long_up_to_ten_seconds() -> None:
-    failures, now_s, alone_s = Failures(), 0.0, []
+    failures, now_s, alone_s = ServerFailures(), 0.0, []
     for _ in range(7):
         failures = failures.after(now_s)
         alone_s.append(failures.alone_s)
@@ -36,7 +36,7 @@ def test_each_failure_leaves_a_server_alone_for_twice_as_long_up_to_ten_seconds(
 
 
 def test_failures_are_forgotten_after_a_minute_without_any() -> None:
-    twice = Failures().after(0.0).after(1.0)
+    twice = ServerFailures().after(0.0).after(1.0)
     assert twice.after(61.9).count == 3
     assert twice.after(62.1).count == 1
 

@@ -19,25 +19,25 @@ from upwash.core.policies.policy import (
     Wait,
     WaitRule,
 )
-from upwash.core.selection.commands import Check, Effect, Full, Leave, Paused, Probe, Start
+from upwash.core.selection.commands import Check, Effect, Full, Leave, Probe, ServerPaused, Start
 from upwash.core.selection.events import (
     CheckAnswered,
-    CheckFailed,
     DescentBegun,
     LeaseRenewed,
     LocalCallEnded,
-    MissionEnded,
-    NetworkLost,
-    Prepared,
+    NetworkGone,
+    NoMoreCalls,
+    PeerPrepared,
     ProbePaused,
     RemoteCallEnded,
     RemoteCallFailed,
     RemoteCallRaised,
     RemoteFaultTested,
+    ServerUnusable,
     ServicesStarted,
     SlotRefused,
+    SlotTaken,
     Tick,
-    TurnOver,
 )
 from upwash.core.selection.recovery import Probing
 from upwash.core.selection.selection import Selection, SelectionSettings
@@ -155,11 +155,11 @@ def test_another_server_is_preferred_to_one_without_a_slot_and_of_two_such_the_d
 
 def test_a_turn_that_is_over_has_the_server_asked_again_over_the_same_network() -> None:
     machine = with_s1_ready(selection())
-    again = machine.handle(TurnOver(1, "others wait"), now_s=50.0, position=UNDER_S1)
+    again = machine.handle(SlotTaken(1, "others wait"), now_s=50.0, position=UNDER_S1)
     assert written(again) == ["s1 READY CHECK-R", "check s1 2"]
     decision, _ = machine.decide(HEAVY, now_s=51.0, position=UNDER_S1)
     assert decision == Local("s1 has no free slot")
-    assert machine.handle(TurnOver(1, "others wait"), now_s=52.0, position=UNDER_S1) == [], (
+    assert machine.handle(SlotTaken(1, "others wait"), now_s=52.0, position=UNDER_S1) == [], (
         "of an earlier turn"
     )
     ready = machine.handle(CheckAnswered(2, running=True), now_s=80.0, position=UNDER_S1)
@@ -169,10 +169,10 @@ def test_a_turn_that_is_over_has_the_server_asked_again_over_the_same_network() 
 def test_a_server_that_gives_turns_and_answers_no_call_has_failed() -> None:
     machine = with_s1_ready(selection())
     for check in (1, 2):
-        machine.handle(TurnOver(check, "no lease", in_call=True), now_s=20.0 * check, position=UNDER_S1)
+        machine.handle(SlotTaken(check, "no lease", in_call=True), now_s=20.0 * check, position=UNDER_S1)
         machine.handle(CheckAnswered(check + 1, running=True), now_s=20.0 * check + 2, position=UNDER_S1)
         assert machine.servers["s1"].state is State.READY
-    machine.handle(TurnOver(3, "no lease", in_call=True), now_s=60.0, position=UNDER_S1)
+    machine.handle(SlotTaken(3, "no lease", in_call=True), now_s=60.0, position=UNDER_S1)
     assert machine.servers["s1"].state is State.BLACKLISTED
 
 
@@ -180,7 +180,7 @@ def test_answers_between_turns_keep_a_server_from_being_taken_for_failed() -> No
     machine = with_s1_ready(selection())
     for check in range(1, 6):
         machine.handle(RemoteCallEnded("s1", HEAVY, 0.75), now_s=20.0 * check - 5, position=UNDER_S1)
-        machine.handle(TurnOver(check, "no lease", in_call=True), now_s=20.0 * check, position=UNDER_S1)
+        machine.handle(SlotTaken(check, "no lease", in_call=True), now_s=20.0 * check, position=UNDER_S1)
         machine.handle(CheckAnswered(check + 1, running=True), now_s=20.0 * check + 2, position=UNDER_S1)
     assert machine.servers["s1"].state is State.READY
 
@@ -273,7 +273,7 @@ def test_a_belief_that_proves_wrong_falls_back_without_starting_the_clock_again(
 def test_after_a_failed_check_the_next_best_is_selected_in_the_same_step() -> None:
     machine = selection()
     machine.handle(Tick(), now_s=0.0, position=UNDER_BOTH)
-    failed = CheckFailed(1, "no slot")
+    failed = ServerUnusable(1, "no slot")
     assert written(machine.handle(failed, now_s=3.0, position=UNDER_BOTH)) == [
         "s1 CHECK BLACKLISTED",
         "leave s1",
@@ -288,8 +288,8 @@ def test_a_server_that_names_a_pause_is_left_and_not_asked_until_the_pause_is_ov
 ) -> None:
     machine = selection(probing=probing)
     machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-    told = machine.handle(CheckFailed(1, "no model", pause_s=80.0), now_s=3.0, position=UNDER_S1)
-    assert told[0] == Paused("s1", 1, 80.0, "no model")
+    told = machine.handle(ServerUnusable(1, "no model", pause_s=80.0), now_s=3.0, position=UNDER_S1)
+    assert told[0] == ServerPaused("s1", 1, 80.0, "no model")
     assert written(told[1:]) == ["s1 CHECK BLACKLISTED", "leave s1"]
     for now_s in (3.5, 14.0, 64.0, 82.9):
         assert machine.handle(Tick(), now_s=now_s, position=UNDER_S1) == []
@@ -299,10 +299,10 @@ def test_a_server_that_names_a_pause_is_left_and_not_asked_until_the_pause_is_ov
 def test_a_probe_that_hears_of_a_pause_ends_and_the_server_is_left_out() -> None:
     machine = selection(probing=Probing())
     machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-    probe = machine.handle(CheckFailed(1, "no answer"), now_s=3.0, position=UNDER_S1)[-1]
+    probe = machine.handle(ServerUnusable(1, "no answer"), now_s=3.0, position=UNDER_S1)[-1]
     assert isinstance(probe, Probe)
     told = machine.handle(ProbePaused(probe.check, "no model", 40.0), now_s=5.0, position=UNDER_S1)
-    assert told == [Paused("s1", probe.check, 40.0, "no model"), Leave("s1", probe.check)]
+    assert told == [ServerPaused("s1", probe.check, 40.0, "no model"), Leave("s1", probe.check)]
     for now_s in (5.5, 13.0, 44.9):
         assert machine.handle(Tick(), now_s=now_s, position=UNDER_S1) == []
     assert "check s1" in " ".join(written(machine.handle(Tick(), now_s=45.0, position=UNDER_S1)))
@@ -311,8 +311,8 @@ def test_a_probe_that_hears_of_a_pause_ends_and_the_server_is_left_out() -> None
 def test_when_all_servers_are_blacklisted_the_drone_is_on_its_own() -> None:
     machine = selection()
     machine.handle(Tick(), now_s=0.0, position=UNDER_BOTH)
-    machine.handle(CheckFailed(1, "no slot"), now_s=3.0, position=UNDER_BOTH)
-    last = machine.handle(CheckFailed(2, "no answer"), now_s=8.0, position=UNDER_BOTH)
+    machine.handle(ServerUnusable(1, "no slot"), now_s=3.0, position=UNDER_BOTH)
+    last = machine.handle(ServerUnusable(2, "no answer"), now_s=8.0, position=UNDER_BOTH)
     assert written(last) == ["s2 CHECK BLACKLISTED", "leave s2"]
     assert machine.current is None
 
@@ -320,13 +320,13 @@ def test_when_all_servers_are_blacklisted_the_drone_is_on_its_own() -> None:
 def test_the_reason_of_a_failure_is_kept() -> None:
     machine = selection()
     machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-    change = machine.handle(CheckFailed(1, "no slot"), now_s=3.0, position=UNDER_S1)[0]
+    change = machine.handle(ServerUnusable(1, "no slot"), now_s=3.0, position=UNDER_S1)[0]
     assert isinstance(change, Change)
     assert (change.why, change.at_s) == ("no slot", 3.0)
 
 
 def test_a_check_that_leaves_the_range_is_no_failure_of_the_server() -> None:
-    for event in (Tick(), CheckFailed(1, "no answer")):
+    for event in (Tick(), ServerUnusable(1, "no answer")):
         machine = selection()
         machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
         commands = machine.handle(event, now_s=3.0, position=NOWHERE)
@@ -334,7 +334,7 @@ def test_a_check_that_leaves_the_range_is_no_failure_of_the_server() -> None:
 
 
 def test_a_check_that_leaves_the_range_after_the_start_was_requested() -> None:
-    for event in (Tick(), CheckFailed(1, "no answer")):
+    for event in (Tick(), ServerUnusable(1, "no answer")):
         machine = selection()
         machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
         machine.handle(CheckAnswered(1, running=False), now_s=2.0, position=UNDER_S1)
@@ -345,7 +345,7 @@ def test_a_check_that_leaves_the_range_after_the_start_was_requested() -> None:
 def test_a_check_of_a_running_server_that_leaves_the_range() -> None:
     machine = with_s1_left_running(selection())
     machine.handle(Tick(), now_s=30.0, position=UNDER_S1)
-    commands = machine.handle(CheckFailed(2, "no answer"), now_s=31.0, position=NOWHERE)
+    commands = machine.handle(ServerUnusable(2, "no answer"), now_s=31.0, position=NOWHERE)
     assert written(commands) == ["s1 CHECK-R AVL-R", "leave s1"]
 
 
@@ -353,7 +353,7 @@ def test_a_start_that_failed_is_a_failed_check() -> None:
     machine = selection()
     machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
     machine.handle(CheckAnswered(1, running=False), now_s=2.0, position=UNDER_S1)
-    failed = machine.handle(CheckFailed(1, "no image"), now_s=3.0, position=UNDER_S1)
+    failed = machine.handle(ServerUnusable(1, "no image"), now_s=3.0, position=UNDER_S1)
     assert written(failed) == ["s1 CHECK BLACKLISTED", "leave s1"]
 
 
@@ -363,11 +363,11 @@ def test_a_start_that_failed_is_a_failed_check() -> None:
         CheckAnswered(1, running=True),
         CheckAnswered(1, running=False),
         ServicesStarted(1),
-        CheckFailed(1, "late"),
+        ServerUnusable(1, "late"),
     ],
 )
 def test_a_result_of_an_earlier_check_changes_nothing(
-    stale: CheckAnswered | ServicesStarted | CheckFailed,
+    stale: CheckAnswered | ServicesStarted | ServerUnusable,
 ) -> None:
     machine = selection()
     machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
@@ -383,7 +383,7 @@ def test_a_result_of_an_earlier_check_changes_nothing(
 def test_a_result_that_comes_again_changes_nothing() -> None:
     machine = with_s1_ready(selection())
     check_s = machine.estimates.check_s("s1", running=False)
-    for again in (CheckAnswered(1, running=True), ServicesStarted(1), CheckFailed(1, "late")):
+    for again in (CheckAnswered(1, running=True), ServicesStarted(1), ServerUnusable(1, "late")):
         assert machine.handle(again, now_s=11.0, position=UNDER_S1) == []
     assert machine.estimates.check_s("s1", running=False) == check_s
 
@@ -400,31 +400,31 @@ def test_services_cannot_be_started_by_a_check_that_asked_for_no_start() -> None
 
 def test_a_network_that_is_lost_in_range_blacklists_and_the_next_best_is_selected() -> None:
     machine = with_s1_ready(selection(), position=UNDER_BOTH)
-    lost = machine.handle(NetworkLost(1, "no carrier"), now_s=20.0, position=UNDER_BOTH)
+    lost = machine.handle(NetworkGone(1, "no carrier"), now_s=20.0, position=UNDER_BOTH)
     assert written(lost) == ["s1 READY BLACKLISTED", "leave s1", "s2 AVL CHECK", "check s2 2"]
     assert isinstance(lost[0], Change) and lost[0].why == "no carrier"
 
 
 def test_a_network_that_is_lost_out_of_range_is_no_failure_of_the_server() -> None:
     machine = with_s1_ready(selection())
-    lost = machine.handle(NetworkLost(1, "no carrier"), now_s=20.0, position=NOWHERE)
+    lost = machine.handle(NetworkGone(1, "no carrier"), now_s=20.0, position=NOWHERE)
     assert written(lost) == ["s1 READY AVL-R", "leave s1"]
 
 
 def test_a_network_that_is_lost_during_a_check_ends_it() -> None:
     machine = selection()
     machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-    lost = machine.handle(NetworkLost(1, "no carrier"), now_s=4.0, position=UNDER_S1)
+    lost = machine.handle(NetworkGone(1, "no carrier"), now_s=4.0, position=UNDER_S1)
     assert written(lost) == ["s1 CHECK BLACKLISTED", "leave s1"]
 
 
 def test_a_network_that_an_earlier_check_joined_can_be_lost_without_consequence() -> None:
     machine = with_s1_left_running(selection())
     machine.handle(Tick(), now_s=21.0, position=UNDER_S1)
-    assert machine.handle(NetworkLost(1, "no carrier"), now_s=22.0, position=UNDER_S1) == []
+    assert machine.handle(NetworkGone(1, "no carrier"), now_s=22.0, position=UNDER_S1) == []
     assert machine.is_awaited(2)
     assert (
-        with_s1_left_running(selection()).handle(NetworkLost(1, "late"), now_s=22.0, position=NOWHERE) == []
+        with_s1_left_running(selection()).handle(NetworkGone(1, "late"), now_s=22.0, position=NOWHERE) == []
     )
 
 
@@ -550,8 +550,8 @@ def test_opportunistic_counts_from_when_a_range_was_entered() -> None:
     machine = selection(Opportunistic())
     machine.handle(Tick(), now_s=0.0, position=UNDER_S2)
     machine.handle(Tick(), now_s=1.0, position=UNDER_BOTH)
-    machine.handle(CheckFailed(1, "no slot"), now_s=2.0, position=UNDER_BOTH)  # s2; s1 is being checked
-    machine.handle(CheckFailed(2, "no slot"), now_s=3.0, position=UNDER_BOTH)
+    machine.handle(ServerUnusable(1, "no slot"), now_s=2.0, position=UNDER_BOTH)  # s2; s1 is being checked
+    machine.handle(ServerUnusable(2, "no slot"), now_s=3.0, position=UNDER_BOTH)
     both_back = machine.handle(Tick(), now_s=63.0, position=UNDER_BOTH)
     assert written(both_back) == ["s1 BLACKLISTED AVL", "s2 BLACKLISTED AVL", "s2 AVL CHECK", "check s2 3"]
 
@@ -574,7 +574,7 @@ def test_a_server_without_the_drones_services_is_no_candidate() -> None:
 def test_a_blacklisted_server_is_left_alone_for_its_time() -> None:
     machine = selection()
     machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-    machine.handle(CheckFailed(1, "no slot"), now_s=3.0, position=UNDER_S1)
+    machine.handle(ServerUnusable(1, "no slot"), now_s=3.0, position=UNDER_S1)
     assert machine.handle(Tick(), now_s=62.9, position=UNDER_S1) == []
     over = machine.handle(Tick(), now_s=63.0, position=UNDER_S1)
     assert written(over) == ["s1 BLACKLISTED AVL", "s1 AVL CHECK", "check s1 2"]
@@ -623,7 +623,7 @@ def test_the_first_call_after_a_start_is_told_from_the_others() -> None:
     machine.handle(CheckAnswered(2, running=True), now_s=52.0, position=UNDER_S1)
     assert deadline_s(53.0) == 3.0  # the same instance
     machine.handle(Tick(), now_s=60.0, position=NOWHERE)
-    machine.handle(Prepared("s1", "s2"), now_s=70.0, position=NOWHERE)
+    machine.handle(PeerPrepared("s1", "s2"), now_s=70.0, position=NOWHERE)
     machine.handle(Tick(), now_s=80.0, position=UNDER_S1)
     machine.handle(CheckAnswered(3, running=True), now_s=82.0, position=UNDER_S1)
     assert deadline_s(83.0) == 8.0
@@ -730,7 +730,7 @@ def test_after_a_wait_that_was_too_short_the_call_runs_here() -> None:
 def test_after_a_wait_for_a_check_that_failed_the_call_runs_here() -> None:
     machine = selection()
     machine.handle(Tick(), now_s=0.0, position=UNDER_S1)
-    machine.handle(CheckFailed(1, "no slot"), now_s=3.0, position=UNDER_S1)
+    machine.handle(ServerUnusable(1, "no slot"), now_s=3.0, position=UNDER_S1)
     decision, _ = machine.decide_after_wait(HEAVY, 1, now_s=3.0, position=UNDER_S1)
     assert isinstance(decision, Local)
 
@@ -738,7 +738,7 @@ def test_after_a_wait_for_a_check_that_failed_the_call_runs_here() -> None:
 def test_after_a_wait_for_one_check_the_outcome_of_another_does_not_count() -> None:
     machine = selection()
     machine.handle(Tick(), now_s=0.0, position=UNDER_BOTH)
-    machine.handle(CheckFailed(1, "no slot"), now_s=3.0, position=UNDER_BOTH)
+    machine.handle(ServerUnusable(1, "no slot"), now_s=3.0, position=UNDER_BOTH)
     machine.handle(CheckAnswered(2, running=True), now_s=4.0, position=UNDER_BOTH)
     assert machine.servers["s2"].state is State.READY
     decision, _ = machine.decide_after_wait(HEAVY, 1, now_s=4.0, position=UNDER_BOTH)
@@ -757,7 +757,7 @@ def test_after_a_wait_out_of_range_the_call_runs_here() -> None:
 
 def test_after_the_mission_nobody_is_selected_any_more() -> None:
     machine = with_s1_ready(selection())
-    ended = machine.handle(MissionEnded(), now_s=20.0, position=UNDER_S1)
+    ended = machine.handle(NoMoreCalls(), now_s=20.0, position=UNDER_S1)
     assert written(ended) == ["s1 READY AVL-R", "leave s1"]
     assert machine.handle(Tick(), now_s=21.0, position=UNDER_BOTH) == []
     assert machine.current is None
@@ -857,7 +857,7 @@ def test_the_server_in_preparation_takes_the_place_of_one_that_is_lost() -> None
 def test_a_failed_preparation_leaves_the_server_in_use_alone() -> None:
     machine = with_two_radios(s2_s=0.5)
     machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH)
-    failed = machine.handle(CheckFailed(2, "no carrier"), now_s=22.0, position=UNDER_BOTH)
+    failed = machine.handle(ServerUnusable(2, "no carrier"), now_s=22.0, position=UNDER_BOTH)
     assert written(failed) == ["s2 CHECK BLACKLISTED", "leave s2"]
     assert machine.current is machine.servers["s1"]
 
@@ -916,5 +916,5 @@ def test_what_was_prepared_is_given_up_too_for_a_third_server() -> None:
 def test_both_are_left_at_the_end() -> None:
     machine = with_two_radios(s2_s=0.5)
     machine.handle(Tick(), now_s=20.0, position=UNDER_BOTH)
-    ended = machine.handle(MissionEnded(), now_s=22.0, position=UNDER_BOTH)
+    ended = machine.handle(NoMoreCalls(), now_s=22.0, position=UNDER_BOTH)
     assert written(ended) == ["s1 READY AVL-R", "leave s1", "s2 CHECK AVL", "leave s2"]

@@ -19,7 +19,7 @@ from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.knowledge.estimates import Beliefs, Estimates
 from upwash.core.knowledge.servers import CHECKING, SELECTED, TRANSITIONS, Change, State
 from upwash.core.operation import Operation
-from upwash.core.planning.mission_model import MissionBeliefs, Step
+from upwash.core.planning.mission_model import MissionBeliefs, StopCall
 from upwash.core.policies.look_ahead import LookAhead
 from upwash.core.policies.policy import (
     Decision,
@@ -34,26 +34,26 @@ from upwash.core.policies.policy import (
 )
 from upwash.core.selection.commands import Check, Effect, Leave, Prepare, Probe, Start
 from upwash.core.selection.events import (
-    Arrived,
     CheckAnswered,
-    CheckFailed,
     Event,
     LeaseRenewed,
     LegBegun,
+    LegEnded,
     LocalCallEnded,
-    MissionEnded,
-    NetworkLost,
-    Prepared,
+    NetworkGone,
+    NoMoreCalls,
+    PeerPrepared,
     ProbeAnswered,
     RemoteCallEnded,
     RemoteCallFailed,
     RemoteCallRaised,
     RemoteFaultTested,
+    ServerUnusable,
     ServicesStarted,
     SlotRefused,
+    SlotTaken,
     TargetUnknown,
     Tick,
-    TurnOver,
 )
 from upwash.core.selection.recovery import REST_S, Probing
 from upwash.core.selection.selection import Selection, SelectionSettings
@@ -125,7 +125,7 @@ class Flights(RuleBasedStateMachine):
             settings=replace(SETTINGS, radios=radios, probing=probing),
             mission=MissionBeliefs(
                 [Waypoint(number, place) for number, place in enumerate(plan)],
-                stop=[Step(operation, 1.0) for operation in sorted(local_s)],
+                stop=[StopCall(operation, 1.0) for operation in sorted(local_s)],
             ),
         )
         self.plan = plan
@@ -164,7 +164,7 @@ class Flights(RuleBasedStateMachine):
     @rule(position=positions)
     def leg_ends(self, position: Position) -> None:
         self.fly(position)
-        self.happens(Arrived())
+        self.happens(LegEnded())
 
     @rule()
     def course_is_lost(self) -> None:
@@ -216,13 +216,13 @@ class Flights(RuleBasedStateMachine):
     @rule(back=BACK, in_call=st.booleans())
     def turn_is_over(self, back: int, *, in_call: bool) -> None:
         check = self.checks[-1 - back % len(self.checks)]
-        self.happens(TurnOver(check, "others wait", in_call), check=check, states={State.READY})
+        self.happens(SlotTaken(check, "others wait", in_call), check=check, states={State.READY})
 
     @precondition(lambda self: self.announced)
     @rule()
     def peer_is_prepared(self) -> None:
         server, peer = self.announced.pop()
-        self.happens(Prepared(peer, server))
+        self.happens(PeerPrepared(peer, server))
 
     @precondition(lambda self: self.starts)
     @rule(back=BACK)
@@ -234,14 +234,14 @@ class Flights(RuleBasedStateMachine):
     @rule(back=BACK)
     def check_fails(self, back: int) -> None:
         check = self.checks[-1 - back % len(self.checks)]
-        self.happens(CheckFailed(check, "no answer"), check=check)
+        self.happens(ServerUnusable(check, "no answer"), check=check)
 
     @precondition(lambda self: self.checks)
     @rule(back=BACK)
     def network_is_lost(self, back: int) -> None:
         check = self.checks[-1 - back % len(self.checks)]
         is_joined = self.asked[check] in self.joined and check == self.latest(self.asked[check])
-        self.happens(NetworkLost(check, "no carrier"), check=None if is_joined else check)
+        self.happens(NetworkGone(check, "no carrier"), check=None if is_joined else check)
 
     @precondition(lambda self: self.probed)
     @rule(running=st.booleans(), number=st.integers(0, 1))
@@ -282,7 +282,7 @@ class Flights(RuleBasedStateMachine):
     @rule()
     def mission_ends(self) -> None:
         self.ended = True
-        self.happens(MissionEnded())
+        self.happens(NoMoreCalls())
 
     @rule(operation=operations)
     def program_calls(self, operation: Operation) -> None:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.planning.legs import Leg
-from upwash.core.planning.stay_or_go import Outlook, StayOrGo
+from upwash.core.planning.stay_or_go import Outlook, StayRule
 
 LEG = Leg(20.0, 4.0, 1.0)  # 9 s
 delays_s = st.floats(0.01, 60.0)
@@ -17,8 +17,8 @@ def outlook(delay_s: float, *, leg: Leg = LEG, photo_s: float = 1.0, go_s: float
     return Outlook(leg, photo_s, delay_s, delay_s if go_s is None else go_s)
 
 
-def learnt(demands: int, answers: int) -> StayOrGo:
-    rule = StayOrGo("learn")
+def learnt(demands: int, answers: int) -> StayRule:
+    rule = StayRule("learn")
     for number in range(answers):
         rule.answered(demanded=number < demands)
     return rule
@@ -50,7 +50,7 @@ def test_what_the_leg_and_the_photo_do_not_hide_is_waited_for() -> None:
 
 
 def test_a_call_that_loses_its_server_on_the_way_is_no_reason_to_go() -> None:
-    assert StayOrGo("learn").decide(outlook(0.7, go_s=30.0)).goes is False
+    assert StayRule("learn").decide(outlook(0.7, go_s=30.0)).goes is False
     assert outlook(0.7, go_s=30.0).saved_s < 0
 
 
@@ -67,9 +67,9 @@ def test_what_was_long_ago_is_forgotten() -> None:
 
 
 def test_the_last_waypoint_stays_and_so_does_who_is_told_to() -> None:
-    assert not StayOrGo("go").decide(None).goes
-    assert not StayOrGo("stay").decide(outlook(10.0)).goes
-    assert StayOrGo("go").decide(outlook(10.0)).goes
+    assert not StayRule("go").decide(None).goes
+    assert not StayRule("stay").decide(outlook(10.0)).goes
+    assert StayRule("go").decide(outlook(10.0)).goes
 
 
 @given(delay_s=delays_s, photo_s=st.floats(0.0, 3.0), length_m=st.floats(1.0, 200.0))

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from upwash.core.geo import Position, Waypoint, distance_m
-from upwash.core.planning.sweeps import SWEEPS, Sweep, sweeps
+from upwash.core.planning.order import SWEEPS, Sweep, sweeps
 
 SPACING_M = 20.0
 

@@ -9,14 +9,13 @@ import pytest
 from upwash.core.geo import Circle, Position, Waypoint
 from upwash.core.knowledge.estimates import Beliefs, Estimates
 from upwash.core.operation import Operation
-from upwash.core.planning.legs import Leg
-from upwash.core.planning.mission_model import MissionBeliefs, MissionModel, Step
-from upwash.core.planning.pace import ARDUCOPTER, Pace
+from upwash.core.planning.legs import ARDUCOPTER, Leg, Pace
+from upwash.core.planning.mission_model import MissionBeliefs, MissionModel, StopCall
 from upwash.core.policies.names import make_policy
-from upwash.core.selection.commands import Effect, Foreseen
+from upwash.core.selection.commands import Effect, ExpectedTimes
 from upwash.core.selection.events import MissionBegun
 from upwash.core.selection.selection import Selection, SelectionSettings
-from upwash.core.vehicle.energy import EnergyFacts, WayHome
+from upwash.core.vehicle.way_home import EnergyFacts, WayHome
 
 LOOK, COUNT = Operation("detector", "look"), Operation("counter", "count")
 LEG_S, PHOTO_S, TAKEOFF_S, AT_ONCE = 9.0, 1.0, 10.0, 1e9  # a leg of 20 m at 4 m/s and 1 m/s²
@@ -31,7 +30,7 @@ RETURNS_AT_4_M_S = replace(VEHICLE, way_home=WayHome(0.0, AT_ONCE, 4.0, 1.0, 16.
 
 
 def begin(
-    plan: list[Waypoint], stop: list[Step], *, vehicle: EnergyFacts = VEHICLE, lands: bool = False
+    plan: list[Waypoint], stop: list[StopCall], *, vehicle: EnergyFacts = VEHICLE, lands: bool = False
 ) -> list[Effect]:
     """A mission over these waypoints begins; a server has those at 20 and 40 m in range, and gains at looks alone."""
     selection = Selection(
@@ -48,15 +47,15 @@ def begin(
 
 
 def foreseen(
-    plan: list[Waypoint], stop: list[Step], *, vehicle: EnergyFacts = VEHICLE, lands: bool = False
-) -> Foreseen:
+    plan: list[Waypoint], stop: list[StopCall], *, vehicle: EnergyFacts = VEHICLE, lands: bool = False
+) -> ExpectedTimes:
     (effect,) = begin(plan, stop, vehicle=vehicle, lands=lands)
-    assert isinstance(effect, Foreseen)
+    assert isinstance(effect, ExpectedTimes)
     return effect
 
 
 def test_each_waypoint_is_foreseen_after_the_legs_photos_and_calls_before_it() -> None:
-    expected = foreseen(PLAN, [Step(LOOK, PHOTO_S)])
+    expected = foreseen(PLAN, [StopCall(LOOK, PHOTO_S)])
     first = TAKEOFF_S
     second = first + PHOTO_S + 10.0 + LEG_S
     third = second + PHOTO_S + 1.0 + LEG_S
@@ -75,12 +74,12 @@ def test_the_pace_of_the_vehicle_that_was_found_counts_where_the_file_has_none(a
         policy=make_policy("local-only", gain_switch=0.25, gain_wait=0.25),
         settings=SelectionSettings(takeoff_m=20.0),
         mission=MissionBeliefs(
-            PLAN, 4.0, Pace(1.0, lifting_s=TAKEOFF_S), [Step(LOOK, PHOTO_S)], assumed=assumed
+            PLAN, 4.0, Pace(1.0, lifting_s=TAKEOFF_S), [StopCall(LOOK, PHOTO_S)], assumed=assumed
         ),
     )
     begun = MissionBegun(VEHICLE, found)
     (effect,) = selection.handle(begun, now_s=3.0, position=Position(0.0, 0.0))
-    assert isinstance(effect, Foreseen)
+    assert isinstance(effect, ExpectedTimes)
     takeoff_s, leg_s, home_s = (13.0, 6.5, 8.0) if assumed else (TAKEOFF_S, LEG_S, 16.0)
     stops_s = [takeoff_s + number * (leg_s + PHOTO_S + 10.0) for number in range(4)]
     assert effect.reached_s == pytest.approx(stops_s, abs=0.01)
@@ -88,7 +87,7 @@ def test_the_pace_of_the_vehicle_that_was_found_counts_where_the_file_has_none(a
 
 
 def test_a_leg_of_the_pace_that_was_found_teaches_nothing_new() -> None:
-    beliefs = MissionBeliefs(PLAN, 4.0, stop=[Step(LOOK, PHOTO_S)], assumed=True)
+    beliefs = MissionBeliefs(PLAN, 4.0, stop=[StopCall(LOOK, PHOTO_S)], assumed=True)
     model = MissionModel(beliefs, {})
     model.begun(ARDUCOPTER)
     expected_s = Leg(20.0, 4.0, ARDUCOPTER.acceleration_m_s2, ARDUCOPTER.settling_s).duration_s
@@ -99,8 +98,8 @@ def test_a_leg_of_the_pace_that_was_found_teaches_nothing_new() -> None:
 
 
 def test_every_call_of_a_stop_counts() -> None:
-    one = foreseen(PLAN, [Step(LOOK, PHOTO_S)])
-    two = foreseen(PLAN, [Step(LOOK, PHOTO_S), Step(COUNT, 0.0)])
+    one = foreseen(PLAN, [StopCall(LOOK, PHOTO_S)])
+    two = foreseen(PLAN, [StopCall(LOOK, PHOTO_S), StopCall(COUNT, 0.0)])
     assert len(two.reached_s) == len(PLAN)
     longer_s = [after - before for after, before in zip(two.reached_s, one.reached_s, strict=True)]
     assert longer_s == pytest.approx([0.0, 2.0, 4.0, 6.0], abs=0.01)
@@ -108,15 +107,15 @@ def test_every_call_of_a_stop_counts() -> None:
 
 
 def test_a_mission_that_lands_at_its_last_waypoint_does_not_fly_home() -> None:
-    stop = [Step(LOOK, PHOTO_S)]
+    stop = [StopCall(LOOK, PHOTO_S)]
     returns = foreseen(PLAN, stop, vehicle=RETURNS_AT_4_M_S)
     lands = foreseen(PLAN, stop, vehicle=RETURNS_AT_4_M_S, lands=True)
     assert returns.reached_s == lands.reached_s
     assert returns.as_asked_s - lands.as_asked_s == pytest.approx(60 / 4.0 + 4.0, abs=0.01)
 
 
-@pytest.mark.parametrize(("plan", "stop"), [([], [Step(LOOK, PHOTO_S)]), (PLAN, [])])
+@pytest.mark.parametrize(("plan", "stop"), [([], [StopCall(LOOK, PHOTO_S)]), (PLAN, [])])
 def test_nothing_is_foreseen_where_no_waypoint_or_no_call_is_known(
-    plan: list[Waypoint], stop: list[Step]
+    plan: list[Waypoint], stop: list[StopCall]
 ) -> None:
     assert begin(plan, stop) == []

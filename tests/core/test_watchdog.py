@@ -9,8 +9,8 @@ from upwash.core.admission.admission import (
     AdmissionSettings,
     Available,
     Denied,
-    Pending,
     ServerOffer,
+    StartPending,
 )
 from upwash.core.admission.clients import Client
 from upwash.core.admission.instances import InstanceState, StartInstance, StopInstance
@@ -21,7 +21,7 @@ from upwash.core.admission.watchdog import (
     FORGOTTEN_S,
     LEAST_LIMIT_S,
     LONGEST_PAUSE_S,
-    Failures,
+    InstanceFailures,
     Limit,
     Watch,
 )
@@ -139,7 +139,7 @@ def test_a_denial_counts_only_where_the_instance_has_raised() -> None:
 
 
 def test_a_service_that_does_not_start_is_left_alone_for_pauses_that_double() -> None:
-    failures, now_s, pauses_s = Failures(), 0.0, []
+    failures, now_s, pauses_s = InstanceFailures(), 0.0, []
     for _ in range(8):
         failures.add("no model", frozenset(), had_started=False, now_s=now_s)
         pauses_s.append(failures.pause_s("d1", now_s=now_s))
@@ -148,7 +148,7 @@ def test_a_service_that_does_not_start_is_left_alone_for_pauses_that_double() ->
 
 
 def test_the_first_failure_of_one_that_had_started_costs_no_pause_and_is_forgotten_at_last() -> None:
-    failures = Failures()
+    failures = InstanceFailures()
     failures.add("killed", frozenset(), had_started=True, now_s=0.0)
     assert failures.pause_s("d1", now_s=0.0) == 0.0
     failures.add("killed", frozenset(), had_started=True, now_s=FORGOTTEN_S)
@@ -159,7 +159,7 @@ def test_the_first_failure_of_one_that_had_started_costs_no_pause_and_is_forgott
 
 
 def test_a_drone_that_was_at_each_failure_has_the_pause_alone() -> None:
-    failures = Failures()
+    failures = InstanceFailures()
     failures.add("busy", BOTH, had_started=True, now_s=0.0)
     failures.add("busy", frozenset({"d2", "d3"}), had_started=True, now_s=60.0)
     assert failures.pause_s("d2", now_s=60.0) == FIRST_PAUSE_S
@@ -167,7 +167,7 @@ def test_a_drone_that_was_at_each_failure_has_the_pause_alone() -> None:
 
 
 def test_failures_of_different_drones_are_the_services_and_count_from_there() -> None:
-    failures, now_s = Failures(), 0.0
+    failures, now_s = InstanceFailures(), 0.0
     for _ in range(6):
         failures.add("busy", frozenset({"d2"}), had_started=True, now_s=now_s)
         now_s += failures.pause_s("d2", now_s=now_s)
@@ -178,7 +178,7 @@ def test_failures_of_different_drones_are_the_services_and_count_from_there() ->
 
 
 def test_no_pause_is_longer_than_its_bound_however_often_a_service_fails() -> None:
-    failures = Failures()
+    failures = InstanceFailures()
     for _ in range(5_000):
         failures.add("no model", frozenset(), had_started=False, now_s=0.0)
     assert failures.pause_s("d1", now_s=0.0) == LONGEST_PAUSE_S
@@ -230,7 +230,7 @@ def test_a_drone_whose_calls_hang_again_and_again_is_shut_out_and_another_is_ser
     assert isinstance(answer, Denied) and answer.pause_s == FIRST_PAUSE_S
     assert isinstance(machine.availability("s1", ["detector"], D1, now_s=now_s)[0], Available)
     assert isinstance(machine.availability("s1", [], D2, now_s=now_s)[0], Available), "other services are"
-    assert isinstance(machine.start("s1", "detector", D2, now_s=now_s + FIRST_PAUSE_S)[0], Pending)
+    assert isinstance(machine.start("s1", "detector", D2, now_s=now_s + FIRST_PAUSE_S)[0], StartPending)
 
 
 def test_a_service_that_does_not_start_is_offered_to_nobody_during_the_pause() -> None:

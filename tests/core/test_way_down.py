@@ -7,8 +7,7 @@ import itertools
 import pytest
 
 from upwash.core.geo import Position
-from upwash.core.vehicle.energy import ARDUCOPTER, PX4, WayHome, time_home_s
-from upwash.core.vehicle.way_down import WayDown
+from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, WayDown, WayHome, time_home_s
 from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.body.kinematics import Motion
 from upwash.vehicle.px4 import airframe as px4

@@ -10,8 +10,7 @@ import pytest
 
 from upwash.config import DroneConfig, drone_config, waypoints
 from upwash.core.geo import Position
-from upwash.drone.altitudes import above_home
-from upwash.drone.planned_home import planned_home
+from upwash.drone.home import above_home, planned_home
 from upwash.errors import AutopilotRefused
 from upwash.ports import VehicleLimits
 

@@ -14,7 +14,7 @@ from tests.scenarios import scenario, server
 from upwash import simulate
 from upwash.config import DroneConfig, fleet_of, read_drone_config
 from upwash.core.planning.order import Order
-from upwash.drone.order import order_of
+from upwash.drone.preparation import order_of
 from upwash.drone.resumption import order_begun
 from upwash.errors import ConfigError, UsageError
 from upwash.eventlog import schema

@@ -49,7 +49,7 @@ def test_a_photo_says_where_it_was_taken(tmp_path: Path) -> None:
         statement="assert drone.autopilot.earth_position.above_sea_m is None",
     )
     assert run.failure == ""
-    (taken,) = (event for event in run.events if isinstance(event, schema.Photo))
+    (taken,) = (event for event in run.events if isinstance(event, schema.PhotoTaken))
     assert taken.latitude_deg is not None and taken.longitude_deg is not None
     assert taken.latitude_deg == pytest.approx(-20.5 - 50 / 110_700, abs=1e-5)
     assert taken.longitude_deg == pytest.approx(130.25 + 100 / 104_300, abs=1e-5)
@@ -65,6 +65,6 @@ def test_a_photo_says_where_it_was_taken(tmp_path: Path) -> None:
 def test_without_a_home_nothing_is_known_of_the_place(tmp_path: Path) -> None:
     run, photo = fly(tmp_path, home="", statement="assert told is drone.autopilot.earth_position is None")
     assert run.failure == ""
-    (taken,) = (event for event in run.events if isinstance(event, schema.Photo))
+    (taken,) = (event for event in run.events if isinstance(event, schema.PhotoTaken))
     assert taken.latitude_deg is taken.longitude_deg is None
     assert not Image.open(io.BytesIO(photo)).getexif()

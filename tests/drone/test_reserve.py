@@ -18,7 +18,7 @@ from tests.events import written
 from upwash.config import DroneConfig, SafeEnd
 from upwash.config.drone_file import drone_config
 from upwash.core.geo import Position, Velocity
-from upwash.core.vehicle.energy import STILL, EnergyFacts, time_home_s
+from upwash.core.vehicle.way_home import STILL, EnergyFacts, time_home_s
 from upwash.errors import MissionStopped, ReserveReached
 from upwash.eventlog.schema import Event
 from upwash.lab.run import Run, simulate

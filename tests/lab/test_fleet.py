@@ -44,7 +44,7 @@ def test_the_first_drones_chance_is_the_files() -> None:
     alone = simulate(msgspec.structs.replace(fleet(noise=noise), name="d1"))
     runs = simulate_drones(fleet({"name": "d1"}, {"name": "d2"}, noise=noise, policy={"name": "local-only"}))
     legs = [
-        [event for event in run.events if isinstance(event, schema.Leg)] for run in (alone, *runs.values())
+        [event for event in run.events if isinstance(event, schema.SetOff)] for run in (alone, *runs.values())
     ]
     times_s = [[after.t - before.t for before, after in itertools.pairwise(own)] for own in legs]
     assert runs["d1"].result.mission_time_s != pytest.approx(runs["d2"].result.mission_time_s)

@@ -53,7 +53,7 @@ def run() -> Run:
 
 @pytest.fixture(scope="module")
 def drone(run: Run) -> DroneMetrics:
-    servers = {event.server for event in run.events if isinstance(event, schema.Step)}
+    servers = {event.server for event in run.events if isinstance(event, schema.ServerStep)}
     metrics = DroneMetrics(sorted(servers))
     for event in run.events:
         metrics.follow(event)
@@ -98,7 +98,7 @@ def test_delays_and_waits_are_those_of_the_calls(run: Run, drone: DroneMetrics) 
 def test_each_server_is_in_the_one_state_that_the_log_left_it_in(run: Run, drone: DroneMetrics) -> None:
     last: dict[str, str] = {}
     for event in run.events:
-        if isinstance(event, schema.Step):
+        if isinstance(event, schema.ServerStep):
             last[event.server] = event.after
     for server, state in last.items():
         states = {

@@ -20,7 +20,7 @@ from upwash.core.geo import Position
 from upwash.errors import UsageError
 from upwash.eventlog import schema
 from upwash.eventlog.log import EventLog
-from upwash.eventlog.schema import Event, Leg
+from upwash.eventlog.schema import Event, SetOff
 from upwash.real.host import journal as journal_module
 from upwash.real.host import log_file as log_file_module
 from upwash.real.host.journal import FileJournal, JournalNotifier, read_events
@@ -328,10 +328,12 @@ def nested(depth: int) -> Any:
 
 
 ODD = [
-    Leg(waypoint=1, east_m=math.nan, north_m=0.0),
-    Leg(waypoint=1, east_m=math.inf, north_m=0.0),
-    Leg(waypoint=-1, east_m=0.0, north_m=0.0),
-    schema.Photo(source="\udcff", bytes=2**70, age_s=1e300, position=Position(1e20, 0.0), truth=[nested(9)]),
+    SetOff(waypoint=1, east_m=math.nan, north_m=0.0),
+    SetOff(waypoint=1, east_m=math.inf, north_m=0.0),
+    SetOff(waypoint=-1, east_m=0.0, north_m=0.0),
+    schema.PhotoTaken(
+        source="\udcff", bytes=2**70, age_s=1e300, position=Position(1e20, 0.0), truth=[nested(9)]
+    ),
     schema.Notified(message=nested(50), at=Position(0.0, 0.0)),
     schema.Notified(message={str(number): [1.0] * 50 for number in range(10_000)}, at=Position(0.0, 0.0)),
     schema.VehicleSetting(name="RTL_ALT", value=math.nan, advice="fly higher"),

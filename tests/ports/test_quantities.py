@@ -15,7 +15,7 @@ from tests.ports.memory import AGILE, Bench, bench
 from tests.ports.steps import take_off
 
 from upwash.core.geo import GeoPosition
-from upwash.core.vehicle.energy import EnergyFacts
+from upwash.core.vehicle.way_home import EnergyFacts
 from upwash.mavlink.version import Version
 from upwash.ports import VehicleNews, VehicleSetting
 from upwash.real.mavlink import MavlinkAutopilot

@@ -335,7 +335,7 @@ def test_geojson_is_as_rfc_7946_has_it_and_lies_where_the_mission_was(
         assert away_m == pytest.approx([area.radius_m] * len(ring), abs=0.02)
     told = [feature["properties"]["delay_s"] for feature in kinds["call"]]
     assert told == [call.delay_s for call in record.result.calls]
-    photos = [event for event in record.events if isinstance(event, schema.Photo)]
+    photos = [event for event in record.events if isinstance(event, schema.PhotoTaken)]
     assert [feature["properties"]["photo"] for feature in kinds["photo"]] == list(range(len(photos)))
     for feature, photo in zip(kinds["photo"], photos, strict=True):
         place = position(frame, feature["geometry"]["coordinates"])

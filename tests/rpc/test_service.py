@@ -480,7 +480,7 @@ def test_only_exception_classes_are_made(type_path: str) -> None:
     "type_path",
     [
         "upwash.drone.flight:AutopilotOverruled",
-        "upwash.drone.contingency:AutopilotOverruled",
+        "upwash.drone.coming_down:AutopilotOverruled",
         "upwash.drone.mission:MissionStopped",
         "upwash.errors:UpwashError",
         "upwash.rpc.service:ServiceError",

@@ -30,26 +30,23 @@ from upwash.core.admission.instances import StartInstance
 from upwash.core.admission.leases import Admit, Leases
 from upwash.core.admission.peers import Peers
 from upwash.core.admission.turns import Turns
-from upwash.core.admission.watchdog import Failures as DaemonFailures
+from upwash.core.admission.watchdog import InstanceFailures as DaemonFailures
 from upwash.core.admission.watchdog import Limit, Watch
 from upwash.core.geo import Position, Waypoint
 from upwash.core.knowledge.estimates import Estimates
-from upwash.core.knowledge.server_table import ServerTable
-from upwash.core.knowledge.servers import Server, State, Trigger
-from upwash.core.planning.stay_or_go import Outlook, StayOrGo, Verdict
+from upwash.core.knowledge.servers import Server, ServerTable, State, Trigger
+from upwash.core.planning.stay_or_go import Outlook, StayRule, StayVerdict
 from upwash.core.policies.policy import CallInputs, Deadline, Decision, Remote, Wait, WaitRule
 from upwash.core.selection.hedging import Hedging
 from upwash.core.selection.radios import Radios
-from upwash.core.selection.recovery import Failures, Probing, Recovery
+from upwash.core.selection.recovery import Probing, Recovery, ServerFailures
 from upwash.drone.api import position_of
-from upwash.drone.background import Background
-from upwash.drone.calling import Calling
-from upwash.drone.decisions import Decisions
-from upwash.drone.open_answer import OpenAnswer
-from upwash.drone.racing import Racing
+from upwash.drone.calling import Calling, Racing
+from upwash.drone.decisions import Background, Decisions
+from upwash.drone.pending import AnswerAction
 from upwash.drone.resumption import waypoints_done
 from upwash.drone.server_session import ServerSession
-from upwash.errors import GarbledReply, LinkError, NoSlot, Refused
+from upwash.errors import GarbledReply, LinkError, Refused, ServerFull
 from upwash.eventlog import schema
 from upwash.eventlog.schema import Event
 from upwash.lab.faults import campaign as chaos
@@ -307,7 +304,7 @@ def asks_without_pause() -> contextlib.AbstractContextManager[object]:
     def eager(self: ServerSession, reply: Any) -> None:
         try:
             raise_if_full(self, reply)
-        except NoSlot as refusal:
+        except ServerFull as refusal:
             refusal.ask_again_s = 0.01
             raise
 
@@ -317,55 +314,55 @@ def asks_without_pause() -> contextlib.AbstractContextManager[object]:
 def acts_on_the_spot() -> contextlib.AbstractContextManager[object]:
     """The drone does not come back for an answer that demands something."""
 
-    def stay_away(self: OpenAnswer[Any], waited_s: float) -> None:
+    def stay_away(self: AnswerAction[Any], waited_s: float) -> None:
         self._finish(waited_s)
 
-    return patch.object(OpenAnswer, "_come_back", stay_away)
+    return patch.object(AnswerAction, "_come_back", stay_away)
 
 
 def forgets_what_is_late() -> contextlib.AbstractContextManager[object]:
     """An answer that comes when the drone has left its waypoint counts as one that demands nothing."""
-    finish = OpenAnswer._finish
+    finish = AnswerAction._finish
 
-    def forgetful(self: OpenAnswer[Any], waited_s: float) -> None:
+    def forgetful(self: AnswerAction[Any], waited_s: float) -> None:
         if self.is_away:
             self._demand._holds = False
         finish(self, waited_s)
 
-    return patch.object(OpenAnswer, "_finish", forgetful)
+    return patch.object(AnswerAction, "_finish", forgetful)
 
 
 def acts_twice() -> contextlib.AbstractContextManager[object]:
-    finish = OpenAnswer._finish
+    finish = AnswerAction._finish
 
-    def eager(self: OpenAnswer[Any], waited_s: float) -> None:
+    def eager(self: AnswerAction[Any], waited_s: float) -> None:
         finish(self, waited_s)
         if self.is_away and self._demand.holds():
             finish(self, waited_s)
 
-    return patch.object(OpenAnswer, "_finish", eager)
+    return patch.object(AnswerAction, "_finish", eager)
 
 
 def last_waypoint_goes() -> contextlib.AbstractContextManager[object]:
-    decide = StayOrGo.decide
+    decide = StayRule.decide
 
-    def hasty(self: StayOrGo, outlook: Outlook | None) -> Verdict:
+    def hasty(self: StayRule, outlook: Outlook | None) -> StayVerdict:
         verdict = decide(self, outlook)
         return replace(verdict, goes=True) if self.manner == "go" else verdict
 
-    return patch.object(StayOrGo, "decide", hasty)
+    return patch.object(StayRule, "decide", hasty)
 
 
 def leaves_two_waypoints() -> contextlib.AbstractContextManager[object]:
     """The photo and the leg after the next waypoint do not wait for the answer that is open."""
-    fly_on = OpenAnswer.fly_on
+    fly_on = AnswerAction.fly_on
 
-    def further(self: OpenAnswer[Any], place: Waypoint | Position) -> None:
+    def further(self: AnswerAction[Any], place: Waypoint | Position) -> None:
         fly_on(self, place)
         if not self.is_over:
             self._wings._fly(Position(position_of(place).east_m + 30.0, 0.0, position_of(place).altitude_m))
 
-    return patch.object(OpenAnswer, "fly_on", further)
+    return patch.object(AnswerAction, "fly_on", further)
 
 
 def done_before_its_answer() -> contextlib.AbstractContextManager[object]:
@@ -587,7 +584,7 @@ def probed_once() -> contextlib.AbstractContextManager[object]:
 
 def trusted_however_often_it_fails() -> contextlib.AbstractContextManager[object]:
     """A server that keeps failing is asked as soon as one that failed once."""
-    return patch.object(Failures, "alone_s", 0.0)
+    return patch.object(ServerFailures, "alone_s", 0.0)
 
 
 def trusted_without_trial() -> contextlib.AbstractContextManager[object]:

@@ -9,8 +9,8 @@ from unittest.mock import patch
 from upwash.core.geo import Position
 from upwash.core.vehicle import control
 from upwash.core.vehicle.continuity import Continuity, Track
-from upwash.core.vehicle.control import Change, Control, Latch, Owner, Report
-from upwash.drone import contingency as safety
+from upwash.core.vehicle.control import Control, ControlChange, Heartbeat, Latch, Owner
+from upwash.drone import coming_down as safety
 from upwash.drone import flight as drone
 from upwash.sim.autopilot import ModelAutopilot
 from upwash.sim.hearing import Hearing
@@ -28,7 +28,7 @@ def latch_opens_again() -> contextlib.AbstractContextManager[object]:
     """A pilot who switches back to the program's mode is taken to have given the vehicle back."""
     report = Latch.report
 
-    def forgiving(self: Latch, heard: Report, now_s: float) -> None:
+    def forgiving(self: Latch, heard: Heartbeat, now_s: float) -> None:
         was_claimed = self.control.owner is not Owner.NOBODY
         report(self, heard, now_s)
         if was_claimed and not self.control.is_ours and heard.mode == "GUIDED" and heard.armed:
@@ -41,7 +41,7 @@ def failsafe_overlooked() -> contextlib.AbstractContextManager[object]:
     """A mode that a fail-safe chose is no difference."""
     report = Latch.report
 
-    def blind(self: Latch, heard: Report, now_s: float) -> None:
+    def blind(self: Latch, heard: Heartbeat, now_s: float) -> None:
         if not heard.failsafe:
             report(self, heard, now_s)
 
@@ -76,7 +76,7 @@ def target_not_watched() -> contextlib.AbstractContextManager[object]:
 
 
 def restart_blamed_on_pilot() -> contextlib.AbstractContextManager[object]:
-    restarts = {(owner, Change.RESTARTED): Owner.PILOT for owner in Owner}
+    restarts = {(owner, ControlChange.RESTARTED): Owner.PILOT for owner in Owner}
     return patch.dict(control.TRANSITIONS, restarts)
 
 
@@ -90,7 +90,7 @@ def restart_on_ground_is_loss() -> contextlib.AbstractContextManager[object]:
 
     def strict(self: Latch, why: str, now_s: float) -> None:
         if self.control.is_ours:
-            self._take(Change.RESTARTED, why, now_s)
+            self._take(ControlChange.RESTARTED, why, now_s)
 
     return patch.object(Latch, "report_restart", strict)
 

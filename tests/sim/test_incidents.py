@@ -256,7 +256,7 @@ def test_a_mission_tells_a_moved_home_once_and_ends_by_a_jump_in_the_action_that
     (doubted,) = [event for event in run.events if isinstance(event, schema.PositionDoubted)]
     assert [(event.east_m, event.north_m) for event in moved] == [(40.0, 50.0)]
     assert doubted.jumped_m == pytest.approx(50.0) and "its reported position jumped 50 m" in run.failure
-    assert not [event for event in run.events if isinstance(event, schema.Photo) and event.t > doubted.t]
+    assert not [event for event in run.events if isinstance(event, schema.PhotoTaken) and event.t > doubted.t]
     (safe_end,) = [event for event in run.events if isinstance(event, schema.SafeEnd)]
     assert safe_end.action == "return" and "jumped" in safe_end.why
     assert max(each.off_m for each in seen if each.event == "reached") < 1.0

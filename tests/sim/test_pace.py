@@ -9,11 +9,10 @@ import pytest
 from tests.core.test_energy import recorded_returns
 
 from upwash.core.geo import Position, Velocity
-from upwash.core.planning.legs import Leg
-from upwash.core.planning.pace import ARDUCOPTER, PX4, Pace
-from upwash.core.vehicle.energy import ARDUCOPTER as ARDUCOPTER_HOME
-from upwash.core.vehicle.energy import PX4 as PX4_HOME
-from upwash.core.vehicle.energy import WayHome, time_home_s
+from upwash.core.planning.legs import ARDUCOPTER, PX4, Leg, Pace
+from upwash.core.vehicle.way_home import ARDUCOPTER as ARDUCOPTER_HOME
+from upwash.core.vehicle.way_home import PX4 as PX4_HOME
+from upwash.core.vehicle.way_home import WayHome, time_home_s
 from upwash.real.mavlink.course import Abilities, Course
 from upwash.vehicle.ardupilot import airframe as arducopter
 from upwash.vehicle.body.kinematics import duration_s

@@ -26,7 +26,7 @@ from upwash.config.problems import Problem, listed, metrics_problems, unknown
 from upwash.config.truth import server_truth
 from upwash.config.values import MDNS, is_address, repeated
 from upwash.core.geo import Position, ground_distance_m
-from upwash.core.selection.places import ON_DRONE
+from upwash.core.operation import ON_DRONE
 from upwash.core.vehicle.geofence import breached_by_leg, breached_by_position, breached_by_way
 from upwash.mavlink.connection import parse_connection
 from upwash.plans import Plan

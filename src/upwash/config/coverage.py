@@ -15,7 +15,7 @@ from msgspec import Meta, Struct
 
 from upwash.core.geo import GeoPosition, LocalFrame, Position
 from upwash.core.knowledge.coverage import MOST_PLACES, Coverage, MeasuredPlace
-from upwash.core.knowledge.window import WINDOW_LENGTH
+from upwash.core.knowledge.estimates import WINDOW_LENGTH
 from upwash.core.operation import Operation
 from upwash.errors import ConfigError
 from upwash.support.input_files import read_file, text_of, why_unreadable

@@ -41,7 +41,7 @@ from upwash.config.values import (
     is_on_this_machine,
     repeated,
 )
-from upwash.core.selection.places import ON_DRONE
+from upwash.core.operation import ON_DRONE
 from upwash.errors import ConfigError
 
 _REVOKED = "revoked.txt"

@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from upwash.config.drone import DroneConfig, FleetDroneConfig, MissionConfig, PolicyConfig, ServiceConfig
 from upwash.config.places import as_planned
-from upwash.core.planning.sweeps import SWEEPS
+from upwash.core.planning.order import SWEEPS
 
 _SEED_BYTES = 6  # of a seed that is derived: it fits every integer
 

@@ -9,7 +9,7 @@ from upwash.config.checks import times_problems, way_problems
 from upwash.config.drone import DroneConfig, FleetDroneConfig
 from upwash.config.problems import Problem
 from upwash.config.values import repeated
-from upwash.core.selection.places import ON_DRONE
+from upwash.core.operation import ON_DRONE
 from upwash.errors import ConfigError
 
 _MOST_DRONES = 1000  # that one simulation has been tried with

@@ -5,7 +5,7 @@ from __future__ import annotations
 from msgspec import structs
 
 from upwash.config.drone import VehicleConfig
-from upwash.core.planning.pace import PACES, Pace
+from upwash.core.planning.legs import PACES, Pace
 
 _USUAL_M_S2, _USUAL_TAKEOFF_S = 1.0, 10.0  # of a simulated vehicle of which nothing is said
 

@@ -12,7 +12,7 @@ from upwash.config.drone import DroneConfig, GridConfig, HomeConfig, MissionConf
 from upwash.config.values import PlanFile
 from upwash.core.geo import Circle, GeoPosition, LocalFrame, Position, Waypoint
 from upwash.core.knowledge.coverage import Coverage
-from upwash.core.planning.sweeps import Sweep, sweeps
+from upwash.core.planning.order import Sweep, sweeps
 from upwash.core.vehicle.geofence import Fence
 from upwash.plans import Ending, Plan
 

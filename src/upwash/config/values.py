@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from upwash.config.coverage import CoverageFile
-from upwash.core.planning.sweeps import SWEEPS
+from upwash.core.planning.order import SWEEPS
 from upwash.plans import Plan, read_plan
 
 Name = Annotated[

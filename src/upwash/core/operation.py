@@ -1,8 +1,24 @@
-"""What a call asks for: the method of a service, and the value of its profile argument."""
+"""What a call asks for, and the name of the place where it runs.
+
+A call runs at a server, which is known by its name, or on the drone, which is None. In files and messages the drone's
+name is one that no server may have: the configuration refuses it.
+"""
 
 from __future__ import annotations
 
 import msgspec
+
+ON_DRONE = "local"
+
+
+def name_of(server: str | None) -> str:
+    """The name of a place."""
+    return ON_DRONE if server is None else server
+
+
+def server_of(name: str) -> str | None:
+    """The server at the place of that name, None where it is the drone."""
+    return None if name == ON_DRONE else name
 
 
 class Operation(msgspec.Struct, frozen=True, order=True, gc=False):

@@ -9,14 +9,12 @@ from typing import Any, Literal, ParamSpec, TypeVar
 
 from upwash.core.geo import EarthPosition, Position, Waypoint, distance_m, rounded
 from upwash.core.operation import Operation
-from upwash.core.selection.events import Arrived, DescentBegun, Event, LegBegun, MissionBegun, TargetUnknown
+from upwash.core.selection.events import DescentBegun, Event, LegBegun, LegEnded, MissionBegun, TargetUnknown
 from upwash.core.vehicle.telemetry import Telemetry
-from upwash.drone.descent import ComingDown
+from upwash.drone.coming_down import ComingDown
 from upwash.drone.mission import MissionThread
-from upwash.drone.open_answer import Errand, Errands, OpenAnswer, index_of
-from upwash.drone.payload import Payload
-from upwash.drone.pending import Calls, Demand, Pending
-from upwash.drone.photographer import Photographer
+from upwash.drone.payload import Payload, Photographer
+from upwash.drone.pending import AnswerAction, AnswerActions, Calls, Demand, DemandedAction, Pending, index_of
 from upwash.drone.site import Site, require_altitude
 from upwash.errors import AutopilotError, UsageError
 from upwash.eventlog import schema
@@ -63,7 +61,7 @@ class Vehicle:
         self._on_a_leg = False
         self._stands_at: Position | None = None  # where exactly it was sent, which is not quite where it is
         self._place: Waypoint | Position | None = None  # where it was last sent to
-        self._open: OpenAnswer[Any] | None = None
+        self._open: AnswerAction[Any] | None = None
         self._leg: asyncio.Task[None] | None = None  # that is flown while the mission looks at an answer
 
     @property
@@ -204,7 +202,7 @@ class Vehicle:
         self._settle()
         self._thread.call(self._logged(self._autopilot.disarm, schema.Disarmed))
 
-    def _leave_open(self, answer: OpenAnswer[Any]) -> None:
+    def _leave_open(self, answer: AnswerAction[Any]) -> None:
         """The mission goes on, and the answer is settled on the way: for `Drone.stay_or_go`, not for a mission."""
         self._open = answer
 
@@ -245,7 +243,7 @@ class Vehicle:
         return goes_on
 
     @contextlib.contextmanager
-    def _settling(self, answer: OpenAnswer[Any]) -> Iterator[OpenAnswer[Any]]:
+    def _settling(self, answer: AnswerAction[Any]) -> Iterator[AnswerAction[Any]]:
         """It is not open meanwhile, as what is done about it flies, too; it still is after an error before that."""
         self._thread.require_turn()
         self._open = None
@@ -291,7 +289,7 @@ class Vehicle:
         if ground_speed_m_s is not None and ground_speed_m_s != self._ground_speed_m_s:
             await self._set_ground_speed(ground_speed_m_s)
         self._journal.record(
-            schema.Leg(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m, back=back)
+            schema.SetOff(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m, back=back)
         )
         self._tell(LegBegun(position, self._ground_speed_m_s, back=back))
         self._stands_at = None
@@ -301,7 +299,7 @@ class Vehicle:
         finally:
             self._on_a_leg = False
         self._stands_at = position
-        self._tell(Arrived())
+        self._tell(LegEnded())
         self._journal.record(
             schema.Arrived(waypoint=waypoint, east_m=position.east_m, north_m=position.north_m, hold_s=hold_s)
         )
@@ -359,7 +357,7 @@ class Vehicle:
 
     def _record_limits(self, limits: VehicleLimits) -> None:
         self._journal.record(
-            schema.VehicleLimits(
+            schema.LimitsRead(
                 home=rounded(limits.home) if limits.home else None,
                 home_above_sea_m=limits.home_above_sea_m,
                 highest_m=limits.highest_m,
@@ -437,7 +435,7 @@ class Drone:
         user: User,
         services: frozenset[str],
         calls: Calls,
-        errands: Errands,
+        errands: AnswerActions,
         action_s: float = 0.0,
     ) -> None:
         self.plan = plan
@@ -497,7 +495,7 @@ class Drone:
         wherever the drone is. An exception of the call goes to `failed`, at this waypoint; without that the verb that
         waits raises it there.
         """
-        self._errands.run(Errand(pending, act, demands, failed, self.autopilot.place))
+        self._errands.run(DemandedAction(pending, act, demands, failed, self.autopilot.place))
 
     def _call(self, operation: Operation, method: Method, request: bytes) -> Any:
         self.autopilot._settle()

@@ -1,33 +1,44 @@
-"""One call at one place: at a server, or at the drone's own service."""
+"""One call, at a server or at the drone's own service, or at both: the first answer counts.
+
+    sent to a server alone    the drone's own service starts when that has failed
+    hedged                    ... or when the server is late (core/selection/hedging.py); the first answer counts
+    raced                     both start at once, as the server is on trial
+    on the drone              a server that becomes of use before the drone is done gets the call too
+
+The loser runs on, as a computation cannot be broken off, and its answer is dropped. The drone's own service is busy
+until then: the next call of that service waits for it.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
+import contextlib
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
 from upwash.core.geo import Position
-from upwash.core.operation import Operation
-from upwash.core.policies.policy import Lightened
+from upwash.core.operation import ON_DRONE, Operation
+from upwash.core.policies.policy import Decision, Lightened, Remote
 from upwash.core.selection.events import (
+    LocalCallEnded,
     Reached,
     RemoteCallCut,
     RemoteCallEnded,
     RemoteCallFailed,
     RemoteCallRaised,
     RemoteFaultTested,
-    TurnOver,
+    SlotTaken,
 )
-from upwash.core.selection.hedging import Hedging
+from upwash.core.selection.hedging import Hedge, Hedging
 from upwash.drone.decisions import Decisions, now_s
 from upwash.drone.onboard import OnboardServices
-from upwash.drone.radio_worker import RadioWorker
-from upwash.drone.radios import Radios
+from upwash.drone.radios import RadioWorker, RadioWorkers
 from upwash.drone.server_session import ServerSession
-from upwash.errors import UNREACHED, DeadlineExceeded, LinkError, NoLease
+from upwash.errors import UNREACHED, DeadlineExceeded, LinkError, NoLease, UpwashError
 from upwash.eventlog import schema
 from upwash.ports import Journal
 from upwash.rpc.service import Method
+from upwash.support.background import begin, end
 
 RemoteFault: TypeAlias = Literal["", "confirmed", "denied"]  # by the drone's own service
 _LOCAL_LEAST_S = 30.0
@@ -35,7 +46,7 @@ _LOCAL_FACTOR = 10.0  # times the estimate: a local call that takes longer hangs
 
 
 @dataclass(frozen=True, slots=True)
-class Call:
+class Invocation:
     """What the mission asked for, or, where it is `lightened`, less than that."""
 
     operation: Operation
@@ -43,16 +54,16 @@ class Call:
     request: bytes
     lightened: Lightened | None = None
 
-    def lighter(self, lightened: Lightened | None) -> Call:
+    def lighter(self, lightened: Lightened | None) -> Invocation:
         """The same call as the lighter operation, if there is one."""
         if lightened is None:
             return self
         request = self.method.under(lightened.operation.key, self.request)
-        return Call(lightened.operation, self.method, request, lightened)
+        return Invocation(lightened.operation, self.method, request, lightened)
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class ReportedFault:
     """What a server says that the service raised in a call, and after how long."""
 
     raised: str
@@ -63,7 +74,7 @@ class Said:
 class Attempt:
     """A call to a server, bound to the check that made it READY, and the drone's own service at the same call."""
 
-    call: Call
+    call: Invocation
     server: str
     worker: RadioWorker
     session: ServerSession
@@ -72,7 +83,7 @@ class Attempt:
     position: Position  # of the drone when it was made
     reply: asyncio.Task[Any] | None = None  # where it is not simply waited for
     rival: asyncio.Task[Any] | None = None  # the drone's own service
-    said: Said | None = None
+    said: ReportedFault | None = None
     verdict: RemoteFault = ""  # on what it said
 
     @property
@@ -87,7 +98,7 @@ class Calling:
     def __init__(
         self,
         decisions: Decisions,
-        radios: Radios,
+        radios: RadioWorkers,
         onboard: OnboardServices,
         journal: Journal,
         hedging: Hedging | None,
@@ -98,7 +109,7 @@ class Calling:
         self._journal = journal
         self._hedging = hedging
 
-    def attempt(self, call: Call, server: str, deadline_s: float) -> Attempt:
+    def attempt(self, call: Invocation, server: str, deadline_s: float) -> Attempt:
         """An attempt at the server, which is READY; it is not begun."""
         worker = self._radios.worker_at(server)
         assert worker.session is not None  # noqa: S101 - a server is READY only by its session
@@ -122,7 +133,7 @@ class Calling:
             )
             reply = method.decode(answer)
         except NoLease as error:
-            self._decisions.tell(TurnOver(attempt.check, str(error), in_call=True))
+            self._decisions.tell(SlotTaken(attempt.check, str(error), in_call=True))
             return None
         except LinkError as error:
             self._journal.record(schema.RemoteFailed(server=server, check=attempt.check, why=str(error)))
@@ -134,7 +145,7 @@ class Calling:
             return None
         delay_s = now_s() - began_s
         if raised := method.raised(reply):
-            attempt.said = Said(raised, delay_s)
+            attempt.said = ReportedFault(raised, delay_s)
             self._doubt(attempt, attempt.said)
             self._reached(attempt, delay_s, len(answer))
             return None
@@ -146,7 +157,7 @@ class Calling:
         self._reached(attempt, delay_s, len(answer))
         return reply
 
-    async def onboard(self, call: Call) -> Any:
+    async def onboard(self, call: Invocation) -> Any:
         """The decoded reply of the drone's own service; raises InstanceError where that fails."""
         expected_s = self._decisions.estimates.local_s(call.operation) or 0.0
         return call.method.decode(
@@ -187,7 +198,7 @@ class Calling:
         answered = answer_bytes is not None
         self._decisions.tell(Reached(server, attempt.position, answered, call.operation, delay_s, size_bytes))
 
-    def _doubt(self, attempt: Attempt, said: Said) -> None:
+    def _doubt(self, attempt: Attempt, said: ReportedFault) -> None:
         """Notes what the server says that the service raised; the mission hears only what the drone's own raises."""
         server, rival = attempt.server, attempt.rival
         operation = str(attempt.call.operation)
@@ -204,3 +215,249 @@ class Calling:
 def has_failed(call: asyncio.Task[Any]) -> bool:
     """Whether the call is over without an answer."""
     return call.done() and (call.cancelled() or call.exception() is not None or call.result() is None)
+
+
+@dataclass(frozen=True, slots=True)
+class CallResult:
+    """What one call came to; the fields are those of the event `schema.Call`."""
+
+    reply: Any
+    call: Invocation
+    attempt: Attempt | None = None  # that answered it; None where the drone did
+    onboard_s: float = 0.0
+    fell_back: bool = False
+    hedged_s: float | None = None
+    queued_s: float = 0.0
+    remote_fault: RemoteFault = ""
+    overtook: bool = False  # a server that became of use while the drone was at it
+
+    @property
+    def server(self) -> str | None:
+        """The server that answered it; None where the drone did."""
+        return self.attempt.server if self.attempt is not None else None
+
+
+@dataclass(slots=True)
+class _Computing:
+    """The drone's own service at a call: first it may have to be done with an earlier one."""
+
+    call: Invocation
+    asked_s: float
+    began_s: float | None = None
+    task: asyncio.Task[Any] = field(init=False)
+
+
+@dataclass(frozen=True, slots=True)
+class _Loser:
+    """What still runs of a call that is answered; `service` is the drone's own that is busy with it, if one is."""
+
+    task: asyncio.Task[Any]
+    service: str | None = None
+
+
+class Racing:
+    """Answers calls, each once."""
+
+    def __init__(
+        self, decisions: Decisions, calling: Calling, journal: Journal, hedging: Hedging | None
+    ) -> None:
+        self._decisions = decisions
+        self._calling = calling
+        self._journal = journal
+        self._hedging = hedging
+        self._losers: list[_Loser] = []
+
+    async def answer(self, decision: Decision, call: Invocation) -> CallResult:
+        """The answer to a call that runs where the decision says, or on the drone when that fails."""
+        local_s = self._decisions.estimates.local_s(call.operation)
+        if self._hedging is not None and local_s is not None:
+            self._hedging.count(local_s)
+        if not isinstance(decision, Remote):
+            return await self._answer_onboard(call)
+        if decision.raced:
+            return await self._answer_onboard(call, instead_of=self._begin_at_server(call, decision))
+        if (hedge := self._plan_hedge(decision, call.operation)) is not None:
+            return await self._answer_hedged(decision, hedge, call)
+        attempt = self._calling.attempt(call, decision.server, decision.deadline_s)
+        reply = await self._calling.at_server(attempt)
+        if reply is not None:
+            return CallResult(reply, call, attempt)
+        return await self._fall_back(call, attempt)
+
+    async def queue(self, service: str) -> float:
+        """Waits until the drone's own service is done with calls that servers answered; returns for how long."""
+        began_s = now_s()
+        for loser in [each for each in self._losers if each.service == service and not each.task.done()]:
+            await asyncio.shield(loser.task)
+        return now_s() - began_s
+
+    async def stop_losers(self) -> None:
+        """Ends what still runs of calls that are answered."""
+        await end(*(each.task for each in self._losers))
+
+    # --- hedging --------------------------------------------------------------------------------------------
+
+    def _plan_hedge(self, decision: Remote, operation: Operation) -> Hedge | None:
+        """None where there is no hedging, no budget left for it, or a loser that still runs."""
+        local_s = self._decisions.estimates.local_s(operation)
+        if self._hedging is None or local_s is None or any(not each.task.done() for each in self._losers):
+            return None
+        return self._hedging.plan(decision.server, operation, local_s=local_s, deadline_s=decision.deadline_s)
+
+    async def _answer_hedged(self, decision: Remote, hedge: Hedge, call: Invocation) -> CallResult:
+        attempt = self._begin_at_server(call, replace(decision, deadline_s=hedge.deadline_s))
+        remote = attempt.reply
+        assert remote is not None  # noqa: S101 - it was just begun
+        try:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(hedge.after_s):
+                    await asyncio.shield(remote)
+        except BaseException:
+            await end(remote)
+            raise
+        if remote.done():
+            if (reply := remote.result()) is not None:
+                return CallResult(reply, call, attempt)
+            return await self._fall_back(call, attempt)
+        self._journal.record(
+            schema.Hedged(
+                server=decision.server,
+                check=attempt.check,
+                after_s=hedge.after_s,
+                deadline_s=hedge.deadline_s,
+            )
+        )
+        answer = await self._race(call, self._begin_onboard(call), attempt)
+        in_time = hedge.after_s + answer.onboard_s <= decision.deadline_s
+        if self._hedging is not None and answer.server == decision.server and in_time:
+            self._hedging.added(self._decisions.estimates.local_s(call.operation) or 0.0)
+        return replace(answer, hedged_s=hedge.after_s)
+
+    # --- the race -------------------------------------------------------------------------------------------
+
+    async def _fall_back(self, call: Invocation, attempt: Attempt) -> CallResult:
+        """Has the drone compute a call that the server has not answered.
+
+        What the server says that the service raised is tested by the same call, which is not made lighter.
+        """
+        if attempt.said is None and call.lightened is None:
+            call = call.lighter(self._decisions.fall_back(call.operation))
+        return await self._answer_onboard(call, instead_of=attempt)
+
+    async def _answer_onboard(self, call: Invocation, *, instead_of: Attempt | None = None) -> CallResult:
+        """Has the drone compute the call, and each server that is of use before the drone is done."""
+        return await self._race(call, self._begin_onboard(call), instead_of)
+
+    async def _race(self, call: Invocation, computing: _Computing, attempt: Attempt | None) -> CallResult:
+        """The first answer of the drone's own service and of servers.
+
+        `attempt` is the last one at a server, which is over, or under way where it has a `reply`.
+        """
+        overtaking = False
+        try:
+            while True:
+                if attempt is not None and attempt.reply is not None:
+                    attempt.rival = computing.task
+                    if await _first_over(attempt.reply, computing.task) is attempt.reply:
+                        return replace(self._won(attempt, computing), overtook=overtaking)
+                if computing.task.done() or (attempt is not None and attempt.said is not None):
+                    break
+                decision = await self._overtaken(computing)
+                if decision is None:
+                    break
+                attempt, overtaking = self._begin_at_server(call, decision), True
+            reply = await asyncio.shield(computing.task)
+        except BaseException:
+            under_way = [attempt.reply] if attempt is not None and attempt.reply is not None else []
+            await end(computing.task, *under_way)
+            raise
+        return self._done_onboard(reply, computing, attempt)
+
+    def _begin_at_server(self, call: Invocation, decision: Remote) -> Attempt:
+        attempt = self._calling.attempt(call, decision.server, decision.deadline_s)
+        attempt.reply = begin(self._calling.at_server(attempt))
+        return attempt
+
+    def _begin_onboard(self, call: Invocation) -> _Computing:
+        computing = _Computing(call, now_s())
+
+        async def compute() -> Any:
+            await self.queue(call.operation.service)
+            computing.began_s = now_s()
+            return await self._calling.onboard(call)
+
+        computing.task = begin(compute())
+        return computing
+
+    async def _overtaken(self, computing: _Computing) -> Remote | None:
+        """Which server is to be at the call too, as soon as one is of use; None where the drone is done before."""
+        if not self._decisions.overtakes:
+            return None
+        while not computing.task.done():
+            began_s = now_s() if computing.began_s is None else computing.began_s
+            decision, again_s = self._decisions.overtake(computing.call.operation, began_s=began_s)
+            if decision is not None:
+                return decision
+            await self._decisions.until_told(computing.task, until_s=again_s)
+        return None
+
+    def _done_onboard(self, reply: Any, computing: _Computing, attempt: Attempt | None) -> CallResult:
+        """The drone's own answer, which was first; `attempt` is the last one at a server, if any was made."""
+        began_s = computing.asked_s if computing.began_s is None else computing.began_s
+        delay_s = now_s() - began_s
+        late = attempt is not None and attempt.reply is not None and not attempt.reply.done()
+        if attempt is not None:
+            self._calling.test(attempt, reply)
+            if late and attempt.reply is not None:
+                self._keep(_Loser(attempt.reply))
+        self._decisions.tell(LocalCallEnded(computing.call.operation, delay_s))
+        return CallResult(
+            reply,
+            computing.call,
+            onboard_s=delay_s,
+            fell_back=attempt is not None and not late,
+            queued_s=began_s - computing.asked_s,
+            remote_fault=attempt.verdict if attempt is not None else "",
+        )
+
+    def _won(self, attempt: Attempt, computing: _Computing) -> CallResult:
+        """The server's answer, which was first."""
+        assert attempt.reply is not None  # noqa: S101 - it has answered
+        ended_s, call = now_s(), computing.call
+        began_s = ended_s if computing.began_s is None else computing.began_s
+        if computing.began_s is None:
+            computing.task.cancel()  # it was still in line
+        else:
+            drop = begin(self._drop(call.operation, computing.task))
+            self._keep(_Loser(drop, call.operation.service))
+        return CallResult(
+            attempt.reply.result(), call, attempt, ended_s - began_s, queued_s=began_s - computing.asked_s
+        )
+
+    async def _drop(self, operation: Operation, local: asyncio.Task[Any]) -> None:
+        with contextlib.suppress(UpwashError):  # which is in the log
+            await local
+        self._journal.record(schema.Dropped(operation=str(operation), place=ON_DRONE))
+
+    def _keep(self, loser: _Loser) -> None:
+        for each in self._losers:
+            if each.task.done() and not each.task.cancelled():
+                each.task.result()  # which raises a defect, and so ends offloading
+        self._losers = [each for each in (*self._losers, loser) if not each.task.done()]
+
+
+async def _first_over(remote: asyncio.Task[Any], local: asyncio.Task[Any]) -> asyncio.Task[Any] | None:
+    """The one that answers first; None once the remote one has failed before that."""
+    first: asyncio.Future[asyncio.Task[Any] | None] = asyncio.get_running_loop().create_future()
+
+    def note(ended: asyncio.Task[Any]) -> None:
+        if first.done():
+            return
+        if not has_failed(ended):
+            first.set_result(ended)
+        elif remote.done():
+            first.set_result(None)
+
+    remote.add_done_callback(note)
+    local.add_done_callback(note)
+    return await first

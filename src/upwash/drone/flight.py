@@ -12,23 +12,18 @@ from dataclasses import dataclass
 from upwash.config import DroneConfig, ending, geofence, measured_servers, server_areas
 from upwash.core.geo import GeoPosition, rounded
 from upwash.core.planning.order import Order
-from upwash.core.planning.stay_or_go import StayOrGo
+from upwash.core.planning.stay_or_go import StayRule
 from upwash.core.selection.selection import Selection
 from upwash.core.vehicle.control import Control
 from upwash.drone.api import Drone, Mission, User, Vehicle
-from upwash.drone.contingency import end_safely, follow
-from upwash.drone.descent import ComingDown, Descent
-from upwash.drone.guard import FailSafeOffloading
+from upwash.drone.coming_down import ComingDown, Descent, end_safely, follow
+from upwash.drone.home import planned_home
 from upwash.drone.mission import MissionThread, mission_failed
-from upwash.drone.offloading import Offloading
+from upwash.drone.offloading import FailSafeOffloading, Offloading
 from upwash.drone.onboard import OnboardServices
-from upwash.drone.open_answer import Errands
-from upwash.drone.order import order_of
-from upwash.drone.payload import Payload
-from upwash.drone.pending import Calls
-from upwash.drone.photographer import Photographer
-from upwash.drone.planned_home import planned_home
-from upwash.drone.preparation import endpoints, make_hedging, make_selection
+from upwash.drone.payload import Payload, Photographer
+from upwash.drone.pending import AnswerActions, Calls
+from upwash.drone.preparation import endpoints, make_hedging, make_selection, order_of
 from upwash.drone.reserve import ReserveWatch
 from upwash.drone.site import Site
 from upwash.errors import (
@@ -184,7 +179,7 @@ class Flight:
             order_why=self._order.why,
             ranges={name: area for name, area in server_areas(self._config).items() if name not in measured},
             measured={
-                server: [schema.Measured.of(place) for place in self.coverage.places(server)]
+                server: [schema.MeasuredRecord.of(place) for place in self.coverage.places(server)]
                 for server in self.coverage.servers
             }
             if self.coverage is not None
@@ -244,7 +239,7 @@ class Flight:
             case ArmingDelayed(reasons):
                 journal.record(schema.ArmingDelayed(reasons=reasons))
             case Control(owner, _, why):
-                journal.record(schema.Control(owner=owner, why=why))
+                journal.record(schema.ControlChanged(owner=owner, why=why))
                 if not news.is_ours:
                     self._thread.stop(str(news))
 
@@ -412,10 +407,10 @@ class Flight:
             user=User(self._ports.notifier, self._thread),
             services=frozenset(service.name for service in self._config.services),
             calls=self._calls,
-            errands=Errands(
+            errands=AnswerActions(
                 self._vehicle,
                 self._calls,
-                rule=StayOrGo(self._config.policy.stay_or_go),
+                rule=StayRule(self._config.policy.stay_or_go),
                 outlook=self._offloading.outlook,
             ),
             action_s=self._config.mission.action_s,

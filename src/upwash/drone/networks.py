@@ -15,7 +15,7 @@ from upwash.support.waiting import never
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class NetworkCell:
     """Where a network can be joined, how long that and leaving it take, whether it is on the air, and until when.
 
     `stretch` gives a factor on the duration of each join, for noise.
@@ -35,7 +35,7 @@ class PositionNetwork:
     One that is left keeps the radio busy for its `leave_s`, which nobody waits for but the next join.
     """
 
-    def __init__(self, cells: Mapping[str, Sequence[Cell]], position: Callable[[], Position]) -> None:
+    def __init__(self, cells: Mapping[str, Sequence[NetworkCell]], position: Callable[[], Position]) -> None:
         self._cells = cells
         self._position = position
         self._joined: str | None = None

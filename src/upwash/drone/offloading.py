@@ -7,26 +7,28 @@ radio_worker.py); calls are made by calling.py and raced by racing.py.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping, Sequence
+import contextlib
+import traceback
+from collections.abc import AsyncIterator, Mapping, Sequence
 from typing import Any, Literal, NoReturn
 
-from upwash.core.operation import Operation
+from upwash.core.operation import ON_DRONE, Operation, name_of
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Remote, Wait
-from upwash.core.selection.events import Event, MissionEnded
+from upwash.core.selection.events import Event, NoMoreCalls
 from upwash.core.selection.hedging import Hedging
-from upwash.core.selection.places import ON_DRONE, name_of
 from upwash.core.selection.selection import Selection
-from upwash.drone.background import Background
-from upwash.drone.calling import Call, Calling
-from upwash.drone.decisions import Decisions, now_s
+from upwash.drone.calling import Calling, CallResult, Invocation, Racing
+from upwash.drone.decisions import Background, Decisions, now_s
 from upwash.drone.onboard import OnboardServices
-from upwash.drone.racing import Answer, Racing
-from upwash.drone.radios import Radios
+from upwash.drone.radios import RadioWorkers
 from upwash.drone.server_session import ServerEndpoint
+from upwash.errors import TransitionError, UpwashError
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Dialer, Journal, Network
 from upwash.rpc.service import Method
+from upwash.support.background import end, start
+from upwash.support.waiting import first
 
 
 class Offloading:
@@ -46,7 +48,7 @@ class Offloading:
         hedging: Hedging | None = None,
     ) -> None:
         self._journal = journal
-        self._radios = Radios(
+        self._radios = RadioWorkers(
             lambda server: selection.servers[server].in_range,
             endpoints,
             networks=networks,
@@ -80,7 +82,7 @@ class Offloading:
     async def end(self) -> None:
         """Leaves whatever server is selected; to be called while `run` runs, after the last call."""
         await self._racing.stop_losers()
-        self.tell(MissionEnded())
+        self.tell(NoMoreCalls())
         await self._radios.done()
 
     @property
@@ -106,7 +108,7 @@ class Offloading:
         """
         began_s = now_s()
         decision = self._decisions.decide(operation)
-        call = Call(operation, method, request).lighter(decision.inputs.lightened)
+        call = Invocation(operation, method, request).lighter(decision.inputs.lightened)
         wait: Literal["", "paid off", "failed"] = ""
         why = decision.why
         if isinstance(decision, Wait):
@@ -146,7 +148,7 @@ class Offloading:
         """Runs one call on the drone and decides nothing: where deciding has failed, or the method runs once."""
         began_s = now_s()
         queued_s = await self._racing.queue(operation.service)
-        reply = await self._calling.onboard(Call(operation, method, request))
+        reply = await self._calling.onboard(Invocation(operation, method, request))
         delay_s = now_s() - began_s
         self._journal.record(
             schema.Call(
@@ -165,8 +167,91 @@ class Offloading:
         return reply
 
 
-def _lost(answer: Answer) -> str:
+def _lost(answer: CallResult) -> str:
     """Why a call that was sent to a server was answered on the drone."""
     if answer.remote_fault:
         return f"it raised there, which was {answer.remote_fault}"
     return "no usable answer, so" if answer.fell_back else "late, and sooner"
+
+
+class FailSafeOffloading:
+    """Offloading whose own defects end it and are logged, and reach neither the mission nor a call."""
+
+    def __init__(self, offloading: Offloading, journal: Journal) -> None:
+        self._offloading = offloading
+        self._journal = journal
+        self._failed = False
+        self._background: asyncio.Task[Any] | None = None
+
+    @contextlib.asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Looks for servers and visits them until the end of the block, by when whatever was selected is left."""
+        background = self._background = start(self._offloading.run(), name="offloading", failed=self._fail)
+        try:
+            yield
+        finally:
+            await self._end(background)
+            await end(background)
+
+    async def invoke(self, operation: Operation, method: Method, request: bytes) -> Any:
+        """Runs one call where it is decided to run, or on the drone; returns its decoded reply.
+
+        Nothing is decided of a method that runs once, so that no defect has it run again. Raises InstanceError only
+        when the drone's own service fails too.
+        """
+        if not self._failed and not method.once:
+            try:
+                return await self._offloading.invoke(operation, method, request)
+            except Exception as error:
+                if not _is_defect(error):
+                    raise
+                self._fail(error)
+        return await self._offloading.invoke_alone(operation, method, request)
+
+    @property
+    def link(self) -> tuple[str | None, float | None]:
+        """The server in use, if one is, and what the last question to its daemon took, once one was answered."""
+        return (None, None) if self._failed else self._offloading.link
+
+    def outlook(self) -> Outlook | None:
+        """What going on before the call that is under way is over would come to; None where nothing is known."""
+        if not self._failed:
+            try:
+                return self._offloading.outlook()
+            except Exception as error:  # noqa: BLE001 - whatever it is, the drone flies on
+                self._fail(error)
+        return None
+
+    def tell(self, event: Event) -> None:
+        """Takes in what happened."""
+        if not self._failed:
+            try:
+                self._offloading.tell(event)
+            except Exception as error:  # noqa: BLE001 - whatever it is, the drone flies on
+                self._fail(error)
+
+    async def _end(self, background: asyncio.Task[Any]) -> None:
+        """Leaves the server, unless the background fails before or meanwhile: it is what leaves."""
+        if background.done():
+            return
+        try:
+            await first(self._offloading.end(), asyncio.wait([background]))
+        except Exception as error:  # noqa: BLE001 - the mission was flown all the same
+            self._fail(error)
+
+    def _fail(self, error: BaseException) -> None:
+        if self._failed:
+            return
+        self._failed = True
+        if self._background is not None:
+            self._background.cancel()
+        defect: BaseException = error
+        while isinstance(defect, BaseExceptionGroup):
+            defect = defect.exceptions[0]
+        trace = "".join(traceback.format_exception(error))
+        self._journal.record(schema.OffloadingFailed(why=f"{type(defect).__name__}: {defect}", trace=trace))
+
+
+def _is_defect(error: Exception) -> bool:
+    """Whether it is none of the errors that a call may end with."""
+    return isinstance(error, TransitionError) or not isinstance(error, UpwashError)

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from upwash.core.selection.places import ON_DRONE
+from upwash.core.operation import ON_DRONE
 from upwash.errors import InstanceError, LinkError, NotReadyInTime, OutcomeUnknown, Refused
 from upwash.eventlog import schema
 from upwash.ports import Dialer, Instance, InstanceSpec, Journal, Link, Runtime

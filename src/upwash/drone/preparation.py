@@ -1,8 +1,9 @@
-"""What a flight starts from: the configuration's beliefs, as the core wants them."""
+"""What a flight starts from: the configuration's beliefs as the core wants them, and the order of the waypoints."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from upwash.config import (
     DroneConfig,
@@ -11,20 +12,28 @@ from upwash.config import (
     coverage_of,
     ending,
     finish_by_s,
+    geofence,
     pace_in_numbers,
     server_areas,
+    stands,
+    sweeps_of,
     told_pace,
+    waypoints,
 )
 from upwash.config.values import MDNS
-from upwash.core.geo import Waypoint
+from upwash.core.geo import Position, Waypoint
 from upwash.core.knowledge.estimates import Beliefs, Estimates, offline_remote_s
 from upwash.core.operation import Operation
-from upwash.core.planning.mission_model import MissionBeliefs, Step
+from upwash.core.planning.legs import PACES
+from upwash.core.planning.mission_model import MissionBeliefs, StopCall
+from upwash.core.planning.order import Forecaster, Order, best_order
 from upwash.core.policies.names import make_policy
 from upwash.core.selection.hedging import Hedging
-from upwash.core.selection.lighter import LighterSettings
+from upwash.core.selection.mission_times import LighterSettings
 from upwash.core.selection.recovery import Probing
 from upwash.core.selection.selection import Selection, SelectionSettings
+from upwash.core.vehicle.geofence import breached_by_way
+from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, time_home_s
 from upwash.drone.server_session import ServerEndpoint
 from upwash.errors import UsageError
 from upwash.ports import Finder
@@ -179,7 +188,7 @@ def mission_beliefs(
         plan=plan,
         ground_speed_m_s=mission.ground_speed_m_s,
         pace=told or pace_in_numbers(config.vehicle),
-        stop=[Step(operation, pause_s) for operation, pause_s in zip(operations, pauses_s, strict=False)],
+        stop=[StopCall(operation, pause_s) for operation, pause_s in zip(operations, pauses_s, strict=False)],
         assumed=told is None,
     )
 
@@ -220,3 +229,56 @@ def _remote_s(server: ServerConfig, service: ServiceConfig, key: str) -> float |
         data_bytes=service.request_bytes + service.reply_bytes,
         bandwidth_bit_s=server.bandwidth_bit_s,
     )
+
+
+_HOME = Position(0.0, 0.0)
+_WAYS_HOME = {"arducopter": ARDUCOPTER, "px4": PX4}
+
+
+def order_of(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
+    """The order that `mission.order` asks for, of a configuration that was read from a file."""
+    mission = config.mission
+    match mission.order:
+        case int(number):
+            sweep = sweeps_of(mission)[number]
+            return Order(sweep.waypoints, str(sweep), number)
+        case "best-sweep":
+            return _best(config, specs)
+    return Order(waypoints(mission))
+
+
+def _best(config: DroneConfig, specs: Mapping[str, ServiceSpec]) -> Order:
+    """The best one that the plan's geofence allows."""
+    mission, estimates = config.mission, make_estimates(config, specs)
+    given, fences = waypoints(mission), geofence(mission)
+    beliefs = mission_beliefs(config, specs, estimates, given)
+    if not beliefs.stop:
+        return Order(given, "as given: nothing is known of any call that could be forecast")
+    start = stands(mission)
+    forecaster = Forecaster(
+        beliefs,
+        estimates,
+        {} if config.policy.name == "local-only" else server_areas(config),
+        gain_wait=config.policy.gain_wait,
+        stands=start,
+        home_s=lambda place: _home_s(config, place, start),
+    )
+    sweeps = sweeps_of(mission)
+    allowed = [
+        sweep
+        for sweep in sweeps
+        if breached_by_way(fences, [_HOME, *(each.position for each in sweep.waypoints)]) is None
+    ]
+    best = best_order(given, allowed, forecaster.mission_s)
+    if len(allowed) < len(sweeps):
+        forbidden = f"the geofence forbids {len(sweeps) - len(allowed)} of {len(sweeps)} sweeps"
+        return replace(best, why=f"{best.why}; {forbidden}")
+    return best
+
+
+def _home_s(config: DroneConfig, place: Position, start: Position) -> float:
+    """To the ground, as the simulated vehicle flies it: without a profile in the same time from everywhere."""
+    profile = config.vehicle.profile
+    if profile is None or ending(config.mission) == "land":
+        return config.vehicle.return_and_land_s
+    return PACES[profile].home_share * time_home_s(place, start, _WAYS_HOME[profile])

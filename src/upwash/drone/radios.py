@@ -1,20 +1,257 @@
-"""The drone's radios: each has a worker, and each command goes to the worker that is at its server.
+"""The drone's radios: each has a worker that visits one server at a time and reports the results to the core.
 
-The core decides for which servers there is a radio (core/selection/radios.py); this finds the radio.
+The core decides for which servers there is a radio (core/selection/radios.py); `Radios` sends each command to the
+worker that is at its server. A worker carries commands out one after the other.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import asyncio
+import functools
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from typing import NoReturn, TypeVar
 
-from upwash.core.selection.commands import Check, Command, Leave, Probe
-from upwash.core.selection.events import Event
-from upwash.drone.radio_worker import RadioWorker
-from upwash.drone.server_session import ServerEndpoint
+from upwash.core.selection.commands import Check, Command, Leave, Prepare, Probe, Start
+from upwash.core.selection.events import (
+    CheckAnswered,
+    Event,
+    LeaseRenewed,
+    NetworkGone,
+    PeerPrepared,
+    ProbeAnswered,
+    ProbePaused,
+    ProbeUnanswered,
+    RemoteCallCut,
+    ServerUnusable,
+    ServicesStarted,
+    SlotRefused,
+    SlotTaken,
+)
+from upwash.drone.server_session import ServerEndpoint, ServerSession
+from upwash.errors import UNREACHED, LinkError, NetworkError, ServerFull, ServicePaused
+from upwash.eventlog import schema
 from upwash.ports import Dialer, Journal, Network
+from upwash.support.background import begin, end
+
+T = TypeVar("T")
 
 
-class Radios:
+class RadioWorker:
+    """Visits one server at a time, with one radio."""
+
+    def __init__(
+        self,
+        in_range: Callable[[str], bool],
+        endpoints: Mapping[str, ServerEndpoint],
+        *,
+        network: Network,
+        dialer: Dialer,
+        journal: Journal,
+        tell: Callable[[Event], None],
+    ) -> None:
+        self.session: ServerSession | None = None
+        self._session_with = ""  # the server
+        self.cut: RemoteCallCut | None = None  # the call that ended the session by taking too long
+        self._in_range = in_range
+        self._endpoints = endpoints
+        self._network = network
+        self._dialer = dialer
+        self._journal = journal
+        self._tell = tell
+        self._commands: asyncio.Queue[Command] = asyncio.Queue()
+        self._tasks: asyncio.TaskGroup  # of `run`: the worker fails with any of them
+        self._errand: asyncio.Task[None] | None = None  # what the session is busy with
+        self._message: asyncio.Task[None] | None = None  # for a peer of the server
+        self._watch: asyncio.Task[None] | None = None  # over the network that the session joined
+
+    def round_trip_s(self, server: str) -> float | None:
+        """What the last question to that server's daemon took; None where it is not there, or got no answer yet."""
+        if self.session is None or self._session_with != server:
+            return None
+        return self.session.round_trip_s
+
+    def send(self, command: Command) -> None:
+        """Has the command carried out after those that were given before."""
+        self._commands.put_nowait(command)
+
+    async def done(self) -> None:
+        """Returns when every command is carried out; while `run` runs."""
+        await self._commands.join()
+
+    async def run(self) -> NoReturn:
+        """Carries the commands out, until cancelled."""
+        async with asyncio.TaskGroup() as self._tasks:
+            while True:
+                command = await self._commands.get()
+                try:
+                    await self._follow(command)
+                finally:
+                    self._commands.task_done()
+        raise AssertionError("it carries them out for ever")
+
+    async def _follow(self, command: Command) -> None:
+        match command:
+            case Check(server):
+                await self._pause()
+                self._errand = self._tasks.create_task(self._ask(self._session_at(server), command))
+            case Probe(server):
+                await self._pause()
+                session = self._session_at(server)
+                await session.tell_denied()
+                await session.hang_up()
+                self.cut = None  # which teaches nothing, as the server is probed
+                self._errand = self._tasks.create_task(self._probe(session, command))
+            case Start() if self.session is not None:
+                self._errand = self._tasks.create_task(self._start(self.session, command))
+            case Prepare() if self.session is not None:
+                await end(self._message)
+                self._message = self._tasks.create_task(self._prepare(self.session, command))
+            case Leave(server):
+                await end(self._message, self._errand)
+                if self.session is not None:
+                    answered = await self.session.end(in_range=self._in_range(server))
+                    if answered and self.cut is not None:
+                        self._tell(self.cut)
+                await end(self._watch)
+                self.session = self.cut = self._errand = self._message = self._watch = None
+
+    async def _pause(self) -> None:
+        """Drops what is under way with the server, without leaving it."""
+        await end(self._message, self._errand, self._watch)
+        self._message = self._errand = self._watch = None
+
+    def _session_at(self, server: str) -> ServerSession:
+        """The session that goes on there, or a new one."""
+        if self.session is None or self._session_with != server:
+            self.session = ServerSession(self._endpoints[server], network=self._network, dialer=self._dialer)
+            self._session_with = server
+        return self.session
+
+    async def _ask(self, session: ServerSession, command: Check) -> None:
+        check = command.check
+        try:
+            await self._join(session, command)
+            self._watch = self._tasks.create_task(self._notice_loss(session, check))
+            answer = await self._with_slot(session.ask, check)
+        except (NetworkError, LinkError) as error:
+            self._tell(_failed(check, error))
+            return
+        self._tell(CheckAnswered(check, answer.running, answer.peers, answer.waiting))
+        if answer.running:
+            await self._keep_lease(session, check)
+
+    async def _with_slot(self, ask: Callable[[], Awaitable[T]], check: int) -> T:
+        """What the server answers once it has a slot for the drone, however often it has to be asked."""
+        while True:
+            try:
+                return await ask()
+            except ServerFull as refusal:
+                self._tell(SlotRefused(check, refusal.waiting))
+                await asyncio.sleep(refusal.ask_again_s)
+
+    async def _keep_lease(self, session: ServerSession, check: int) -> None:
+        """Returns when the drone's turn is over."""
+        before = 0
+
+        def renewed(waiting: int) -> None:
+            nonlocal before
+            if waiting or before:
+                self._tell(LeaseRenewed(check, waiting))
+            before = waiting
+
+        def moved(service: str) -> None:
+            self._journal.record(schema.ServiceMoved(server=session.server, check=check, service=service))
+
+        try:
+            await session.keep_lease(renewed, moved)
+        except ServerFull as refusal:
+            self._tell(SlotTaken(check, str(refusal)))
+
+    async def _join(self, session: ServerSession, command: Check | Probe) -> None:
+        if await session.join(timeout_s=command.join_limit_s):
+            network = self._endpoints[command.server].network
+            self._journal.record(schema.Joined(server=command.server, network=network, check=command.check))
+
+    async def _probe(self, session: ServerSession, command: Probe) -> None:
+        """Returns at the first sign of life; a question that is not answered yet keeps the next one from nothing."""
+        asking: set[asyncio.Task[ProbeAnswered | ProbePaused]] = set()
+        asked = False
+        try:
+            for pause_s in command.probing.pauses_s(alone_s=command.alone_s):
+                answered = await _first_success(asking, within_s=pause_s)
+                if answered is not None:
+                    self._tell(answered)
+                    return
+                if asked:
+                    self._tell(ProbeUnanswered(command.check))
+                asked = True
+                asking = {task for task in asking if not task.done()}
+                try:
+                    await self._join(session, command)
+                except NetworkError:
+                    continue
+                if self._watch is None or self._watch.done():
+                    self._watch = self._tasks.create_task(_until_lost(session))
+                asking.add(begin(self._question(session, command.check)))
+        finally:
+            await end(*asking)
+
+    async def _question(self, session: ServerSession, check: int) -> ProbeAnswered | ProbePaused:
+        try:
+            return ProbeAnswered(check, await session.probe())
+        except ServicePaused as refusal:
+            return ProbePaused(check, str(refusal), refusal.pause_s)
+
+    async def _notice_loss(self, session: ServerSession, check: int) -> None:
+        self._tell(NetworkGone(check, await session.lost()))
+
+    async def _start(self, session: ServerSession, command: Start) -> None:
+        start = functools.partial(session.start, timeout_s=command.limit_s)
+        try:
+            await self._with_slot(start, command.check)
+        except LinkError as error:
+            self._tell(_failed(command.check, error))
+            return
+        self._tell(ServicesStarted(command.check))
+        await self._keep_lease(session, command.check)
+
+    async def _prepare(self, session: ServerSession, command: Prepare) -> None:
+        """Costs nothing but the message: whether the next server can be used, its own check tells."""
+        try:
+            await session.prepare(
+                self._endpoints[command.peer], arrives_in_s=command.arrives_in_s, hold_s=command.hold_s
+            )
+        except LinkError as error:
+            self._journal.record(schema.NotPrepared(server=command.peer, by=command.server, why=str(error)))
+            return
+        self._tell(PeerPrepared(command.peer, command.server))
+
+
+def _failed(check: int, error: NetworkError | LinkError) -> ServerUnusable:
+    pause_s = error.pause_s if isinstance(error, ServicePaused) else 0.0
+    return ServerUnusable(check, str(error), isinstance(error, UNREACHED), pause_s)
+
+
+async def _first_success(tasks: set[asyncio.Task[T]], *, within_s: float) -> T | None:
+    """What the first of them returns, none of which raises more than a LinkError; None after that time."""
+    loop = asyncio.get_running_loop()
+    until_s, left = loop.time() + within_s, set(tasks)
+    while (left_s := until_s - loop.time()) > 0:
+        if not left:
+            await asyncio.sleep(left_s)
+            break
+        done, left = await asyncio.wait(left, timeout=left_s, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            if not isinstance(task.exception(), LinkError):
+                return task.result()
+    return None
+
+
+async def _until_lost(session: ServerSession) -> None:
+    await session.lost()
+
+
+class RadioWorkers:
     """One worker for each network that the drone can be in at a time."""
 
     def __init__(

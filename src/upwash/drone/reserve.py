@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from upwash.config import DroneConfig
 from upwash.core.geo import Position
-from upwash.core.vehicle.energy import Energy, Margin, Report, Reserve, margin
+from upwash.core.vehicle.energy import FlightEnergy, FlightReport, Margin, Reserve, margin
 from upwash.eventlog import schema
 from upwash.ports import Autopilot, Journal
 
@@ -38,9 +38,9 @@ class ReserveWatch:
     ) -> None:
         mission = config.mission
         self._least_percent = mission.reserve_percent
-        self._energy: Energy | None = None
+        self._energy: FlightEnergy | None = None
         if mission.reserve_s is not None:
-            self._energy = Energy(
+            self._energy = FlightEnergy(
                 Reserve(mission.reserve_s, mission.reserve_percent),
                 endurance_s=config.vehicle.endurance_s,
                 lands=config.autopilot.on_failure == "land",
@@ -82,7 +82,7 @@ class ReserveWatch:
             )
         return ""
 
-    def _before_flight(self, energy: Energy, percent: float | None) -> Margin | None:
+    def _before_flight(self, energy: FlightEnergy, percent: float | None) -> Margin | None:
         """On the ground there is no way home; None once it has flown, as then the mission ends by itself."""
         if percent is None or self._has_flown:
             return None
@@ -95,10 +95,10 @@ class ReserveWatch:
             low_percent=self._autopilot.energy.low_percent,
         )
 
-    def _in_flight(self, energy: Energy) -> Margin | None:
+    def _in_flight(self, energy: FlightEnergy) -> Margin | None:
         self._has_flown = True
         vehicle = self._autopilot
-        report = Report(
+        report = FlightReport(
             time_s=asyncio.get_running_loop().time(),
             position=vehicle.position,
             percent=vehicle.battery_percent,

@@ -41,9 +41,9 @@ def waypoints_done(events: Iterable[Event], config: DroneConfig) -> frozenset[in
             case schema.MissionStarted():
                 _require_same_drone(event, config, len(plan))
                 here = None
-            case schema.Leg(back=True):
+            case schema.SetOff(back=True):
                 here = None  # its calls are still to be made, or over
-            case schema.Leg(waypoint=int(index)) if here is not None and index != here:
+            case schema.SetOff(waypoint=int(index)) if here is not None and index != here:
                 left.add(here)
                 here = None
             case schema.Arrived(waypoint=int(index), east_m=east_m, north_m=north_m):

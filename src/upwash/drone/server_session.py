@@ -14,10 +14,10 @@ import msgspec
 from upwash.errors import (
     DeadlineExceeded,
     LinkError,
-    NoSlot,
     NotReadyInTime,
-    Paused,
     Refused,
+    ServerFull,
+    ServicePaused,
     Unreachable,
     UpwashError,
 )
@@ -65,7 +65,7 @@ class ServerEndpoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class Availability:
     """What a server that is available says: whether all wanted services run, and whom it can have prepared.
 
     So many drones wait for a slot.
@@ -121,7 +121,7 @@ class ServerSession:
         await self._hang_up()
         return self._lost
 
-    async def ask(self) -> Answer:
+    async def ask(self) -> Availability:
         """Asks for the services; raises LinkError where the server is not available, NoSlot where it is full."""
         if self._daemon is None:
             self._daemon = await self._dial_daemon()
@@ -131,7 +131,7 @@ class ServerSession:
             if service in answer.endpoints:
                 await self._dial(service, answer.endpoints[service])
         running = all(service in self._instances for service in self._server.services)
-        return Answer(running, tuple(answer.peers), answer.waiting)
+        return Availability(running, tuple(answer.peers), answer.waiting)
 
     async def probe(self) -> bool:
         """Returns once the daemon, and each wanted service that runs, gives a sign of life; whether all of them run.
@@ -143,7 +143,7 @@ class ServerSession:
         try:
             try:
                 answer = await self._availability(daemon)
-            except NoSlot:  # which is an answer too
+            except ServerFull:  # which is an answer too
                 return False
             for service in self._server.services:
                 if service in answer.endpoints:
@@ -203,7 +203,7 @@ class ServerSession:
             try:
                 answer = await self._availability()
                 await self._follow(answer.endpoints, moved)
-            except NoSlot:
+            except ServerFull:
                 raise
             except UpwashError:
                 continue  # whether the server can still be used, the next call tells
@@ -308,7 +308,7 @@ class ServerSession:
 
     def _raise_if_full(self, reply: AvailabilityReply | StartReply) -> None:
         if reply.ask_again_s > 0:
-            raise NoSlot(
+            raise ServerFull(
                 f"{self._server.name}: {reply.reason}",
                 waiting=reply.waiting,
                 ask_again_s=min(max(_LEAST_ASK_S, reply.ask_again_s), _LONGEST_ASK_S),
@@ -318,7 +318,7 @@ class ServerSession:
         if reply.pause_s > 0:
             pause_s = min(reply.pause_s, _LONGEST_PAUSE_S)
             why = f"{self._server.name} is left out for {pause_s:.0f} s: {reply.reason}"
-            raise Paused(why, pause_s=pause_s)
+            raise ServicePaused(why, pause_s=pause_s)
 
     async def _tell(
         self, path: str, message: msgspec.Struct, *, timeout_s: float, daemon: Link | None = None

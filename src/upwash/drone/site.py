@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from upwash.core.geo import Circle, Position, Waypoint, ground_distance_m
 from upwash.core.vehicle.geofence import Fence, breached_by_leg, breached_by_move, breached_by_position
-from upwash.drone.planned_home import NO_PLANNED_HOME, PlannedHome
+from upwash.drone.home import NO_PLANNED_HOME, PlannedHome
 from upwash.errors import AutopilotRefused
 from upwash.plans import Ending
 from upwash.ports import VehicleLimits

@@ -70,7 +70,7 @@ class _Drone:
 
     def take(self, event: Event) -> Text | None:
         """What the event says."""
-        if isinstance(event, schema.Step):
+        if isinstance(event, schema.ServerStep):
             self._states[event.server] = event.after
         self.calls += isinstance(event, schema.Call)
         said = self.narrator.tell(event)

@@ -10,7 +10,7 @@ from enum import StrEnum
 
 from upwash.core.knowledge.servers import State
 from upwash.core.vehicle.control import Owner
-from upwash.core.vehicle.energy import in_words
+from upwash.core.vehicle.way_home import in_words
 from upwash.eventlog import schema
 from upwash.eventlog.progress import CallPlaces, MissionTime
 from upwash.eventlog.results import RunResult
@@ -36,7 +36,7 @@ _FAILURES = (
     schema.OffloadingFailed,
 )
 # Most events of a long log are of these kinds: a set lookup is faster than a match statement.
-_WITHOUT_SENTENCE = frozenset({schema.Photo, schema.Decided, schema.CallStarted})
+_WITHOUT_SENTENCE = frozenset({schema.PhotoTaken, schema.Decided, schema.CallStarted})
 _OWNERS = {
     Owner.NOBODY: "nobody",
     Owner.PROGRAM: "the program",
@@ -145,10 +145,10 @@ class Narrator:
                 return None
             case schema.Call():
                 return self._call(event)
-            case schema.Step(server=server, before=before, after=after, why=why):
+            case schema.ServerStep(server=server, before=before, after=after, why=why):
                 because = f" ({why})" if why else ""
                 return Sentence(f"{server}: {before} → {after}{because}", tone_of(after))
-            case schema.Leg(waypoint=waypoint, back=back):
+            case schema.SetOff(waypoint=waypoint, back=back):
                 self.doing = f"flying {'back ' * back}to {named(waypoint)}"
                 return None
             case schema.Arrived(waypoint=waypoint, hold_s=hold_s):
@@ -214,7 +214,7 @@ class Narrator:
     def _vehicle(self, event: Event) -> Sentence | None:
         """Control of the vehicle, take-off and landing."""
         match event:
-            case schema.Control(owner=owner, why=why):
+            case schema.ControlChanged(owner=owner, why=why):
                 taken = f"{who_has_it(owner)} has the vehicle since {self.began.text(event.t)}: {why}"
                 self.control = "" if owner == Owner.PROGRAM else taken
                 self.waits_since_s = None

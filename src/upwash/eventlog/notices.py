@@ -15,7 +15,9 @@ from upwash.eventlog.schema import SEVERITIES, Event
 _TAKE_OVER = "Take over with the remote control."
 _SAID_AT_ONCE = 3  # of the vehicle's warnings, the newest
 # Most events of a long log are of few kinds: each case of a match takes time.
-_NEVER_NOTICED = frozenset({schema.PositionReport, schema.Leg, schema.Arrived, schema.Photo, schema.Decided})
+_NEVER_NOTICED = frozenset(
+    {schema.PositionReport, schema.SetOff, schema.Arrived, schema.PhotoTaken, schema.Decided}
+)
 _ON_GROUND = (schema.Landed, schema.Disarmed, schema.Stood)
 
 
@@ -65,9 +67,9 @@ class Notices:
         yield from _link(event)
         yield from _defects(event)
         match event:
-            case schema.Step(server=server, after=State.BLACKLISTED, why=why):
+            case schema.ServerStep(server=server, after=State.BLACKLISTED, why=why):
                 yield Notice(f"server {server}", f"{server} is not used: {why or 'it failed'}")
-            case schema.Step(server=server):
+            case schema.ServerStep(server=server):
                 yield Notice(f"server {server}")
             case schema.Call(fell_back=True):
                 self._fell_back += 1
@@ -111,9 +113,9 @@ def _course(event: Event) -> Iterator[Notice]:
 def _vehicle(event: Event) -> Iterator[Notice]:
     """Who has the vehicle, and what it waits for."""
     match event:
-        case schema.Control(owner=Owner.PROGRAM):
+        case schema.ControlChanged(owner=Owner.PROGRAM):
             yield Notice("control")
-        case schema.Control(owner=owner, why=why):
+        case schema.ControlChanged(owner=owner, why=why):
             cause = _sentence(f"{who_has_it(owner)} has the vehicle: {why}")
             yield Notice("hovering")
             yield _alarm("control", cause, "Nothing is sent to it any more.")

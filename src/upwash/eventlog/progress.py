@@ -12,10 +12,10 @@ TIME_EVENTS = frozenset(
     {
         schema.MissionStarted,
         schema.Armed,
-        schema.Photo,
+        schema.PhotoTaken,
         schema.CallStarted,
         schema.Call,
-        schema.Leg,
+        schema.SetOff,
         schema.LogResumed,
     }
 )
@@ -44,7 +44,11 @@ class MissionTime:
                 self.arming_s = event.t - self.at_s
                 self.at_s, self._settled = event.t, True
             case (
-                schema.Photo() | schema.CallStarted() | schema.Call() | schema.Leg() | schema.LogResumed()
+                schema.PhotoTaken()
+                | schema.CallStarted()
+                | schema.Call()
+                | schema.SetOff()
+                | schema.LogResumed()
             ) if self.at_s is not None:
                 self._settled = True
 

@@ -42,7 +42,7 @@ class ExplainedCall:
     at_s: float
     outcome: schema.Call
     decisions: Sequence[schema.Decided]
-    changes: Sequence[schema.Step]
+    changes: Sequence[schema.ServerStep]
     going: schema.StayOrGo | None = None
 
     @property
@@ -72,7 +72,7 @@ class Reasons:
         self._began = MissionTime()
         self._whereabouts = CallPlaces()
         self._decisions: list[schema.Decided] = []
-        self._changes: list[schema.Step] = []
+        self._changes: list[schema.ServerStep] = []
         self._delays_s: list[float] = []
         self._going: dict[int | None, schema.StayOrGo] = {}  # by waypoint, until the mission takes the answer
         self._turned: dict[int | None, Position] = {}
@@ -88,7 +88,7 @@ class Reasons:
                 self._decisions.append(event)
             case schema.Call():
                 return self._explain(msgspec.structs.replace(event, t=now_s))
-            case schema.Step() if isinstance(event, _SELECTION_CHANGES):
+            case schema.ServerStep() if isinstance(event, _SELECTION_CHANGES):
                 self._changes.append(msgspec.structs.replace(event, t=now_s))
             case schema.StayOrGo(waypoint=waypoint):
                 self._going[waypoint] = event

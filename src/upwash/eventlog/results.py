@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from upwash.core.knowledge.servers import State
-from upwash.core.selection.places import server_of
+from upwash.core.operation import server_of
 from upwash.eventlog import schema
 from upwash.eventlog.progress import DEMAND_EVENTS, TIME_EVENTS, CallPlaces, MissionTime, OpenDemands
 from upwash.eventlog.schema import Event
@@ -196,7 +196,7 @@ class Tally:
                 self._reached.add(event.waypoint)
             case schema.LeftHovering():
                 self._left_hovering = True
-            case schema.Step():
+            case schema.ServerStep():
                 self._take_step(event)
             case schema.EnergyUsed():
                 self._energy = _energy(event)
@@ -214,7 +214,7 @@ class Tally:
             case schema.TurnedBack():
                 self._turned_back += 1
 
-    def _take_step(self, step: schema.Step) -> None:
+    def _take_step(self, step: schema.ServerStep) -> None:
         self._switches += isinstance(step, schema.Selected)
         if step.after is State.READY:
             self._ready.add(step.server)

@@ -19,7 +19,7 @@ import msgspec
 from upwash.core.geo import Circle, GeoPosition, Position
 from upwash.core.knowledge.coverage import MeasuredPlace
 from upwash.core.knowledge.servers import State, Trigger
-from upwash.core.selection.places import server_of
+from upwash.core.operation import server_of
 from upwash.core.vehicle.control import Owner
 
 VERSION = 5  # of the log; logs of earlier releases have none
@@ -131,7 +131,7 @@ class Shortened(Event, frozen=True, kw_only=True):
 # --- the mission --------------------------------------------------------------------------------------------
 
 
-class Measured(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class MeasuredRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The measurements of a server at a place: requests `tried` there, and requests `answered`.
 
     `call_s` is the mean delay of a call by operation; a failed call counts with the onboard computation that replaced
@@ -148,7 +148,7 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     flights_ago: Count = 0
 
     @classmethod
-    def of(cls, place: MeasuredPlace) -> Measured:
+    def of(cls, place: MeasuredPlace) -> MeasuredRecord:
         """The measurements of a place of the coverage map."""
         goodput_bit_s = place.goodput_bit_s
         return cls(
@@ -181,7 +181,7 @@ class Planned(Event, frozen=True, kw_only=True):
     paced: bool = False
     order: _Many[Index] = []
     order_why: Text = ""
-    measured: _ByName[_Many[Measured]] = {}
+    measured: _ByName[_Many[MeasuredRecord]] = {}
 
     @property
     def has_servers(self) -> bool:
@@ -249,7 +249,7 @@ class Stopping(Event, frozen=True, kw_only=True):
     why: Text
 
 
-class Leg(Event, frozen=True, kw_only=True, omit_defaults=True):
+class SetOff(Event, frozen=True, kw_only=True, omit_defaults=True, tag="leg"):
     """The drone sets off for a place; `waypoint` is its index, null for a place beside the plan.
 
     With `back` the drone returns to a waypoint because its answer demands an action or its call failed.
@@ -270,7 +270,7 @@ class Arrived(Event, frozen=True, kw_only=True, omit_defaults=True):
     hold_s: Number = 0.0
 
 
-class Photo(Event, frozen=True, kw_only=True, omit_defaults=True):
+class PhotoTaken(Event, frozen=True, kw_only=True, omit_defaults=True, tag="photo"):
     """A photo: its source, size in bytes, age on delivery, place, and for a rendered photo the true objects in it.
 
     The place in degrees (WGS 84) and the altitude above the sea are absent if they are unknown.
@@ -350,7 +350,7 @@ class Notified(Event, frozen=True, kw_only=True):
 # --- the vehicle --------------------------------------------------------------------------------------------
 
 
-class Control(Event, frozen=True, kw_only=True):
+class ControlChanged(Event, frozen=True, kw_only=True, tag="control"):
     """Who has the vehicle from now on (`program`, `pilot`, `fail-safe`, `unknown`), and why."""
 
     owner: Owner
@@ -454,7 +454,7 @@ class ArmingDelayed(Event, frozen=True, kw_only=True):
     reasons: _Few[Text]
 
 
-class VehicleLimits(Event, frozen=True, kw_only=True, omit_defaults=True):
+class LimitsRead(Event, frozen=True, kw_only=True, omit_defaults=True, tag="vehicle_limits"):
     """The vehicle's home, the altitudes between which it may fly, and its fences by name, as read before arming."""
 
     home: Position | None
@@ -662,7 +662,7 @@ class PositionReport(Event, frozen=True, kw_only=True, omit_defaults=True, tag="
 # --- servers ------------------------------------------------------------------------------------------------
 
 
-class Step(Event, frozen=True, kw_only=True):
+class ServerStep(Event, frozen=True, kw_only=True):
     """A server changes its state; `check` is the number of the drone's check or probe.
 
     The mean delays are those that a selection compares: of calls on the drone, and of calls on servers in range.
@@ -678,47 +678,47 @@ class Step(Event, frozen=True, kw_only=True):
     position: Position | None = None
 
 
-class Selected(Step, frozen=True, kw_only=True):
+class Selected(ServerStep, frozen=True, kw_only=True):
     """The drone selects the server, for now or as the next one: its check begins. Calls name the check."""
 
 
-class FoundStopped(Step, frozen=True, kw_only=True):
+class FoundStopped(ServerStep, frozen=True, kw_only=True):
     """The daemon answers: the server is available, but not all services run."""
 
 
-class FoundRunning(Step, frozen=True, kw_only=True):
+class FoundRunning(ServerStep, frozen=True, kw_only=True):
     """The daemon answers: the server is available, and all services run."""
 
 
-class Started(Step, frozen=True, kw_only=True):
+class Started(ServerStep, frozen=True, kw_only=True):
     """The services were started, and calls may be sent."""
 
 
-class CheckFailed(Step, frozen=True, kw_only=True):
+class CheckFailed(ServerStep, frozen=True, kw_only=True):
     """The check failed: no network, no answer in time, an unavailable server, or a service that did not start."""
 
 
-class Deselected(Step, frozen=True, kw_only=True):
+class Deselected(ServerStep, frozen=True, kw_only=True):
     """The drone leaves the server."""
 
 
-class DeselectedAfterStart(Step, frozen=True, kw_only=True):
+class DeselectedAfterStart(ServerStep, frozen=True, kw_only=True):
     """The drone leaves the server while its services start."""
 
 
-class CallFailedInRange(Step, frozen=True, kw_only=True):
+class CallFailedInRange(ServerStep, frozen=True, kw_only=True):
     """A call in the server's range got no usable answer."""
 
 
-class CallFailedOutOfRange(Step, frozen=True, kw_only=True):
+class CallFailedOutOfRange(ServerStep, frozen=True, kw_only=True):
     """A call got no usable answer because the drone had left the server's range."""
 
 
-class NetworkLost(Step, frozen=True, kw_only=True):
+class NetworkLost(ServerStep, frozen=True, kw_only=True):
     """The drone is in the server's range, and the server's network is disconnected."""
 
 
-class TurnOver(Step, frozen=True, kw_only=True):
+class TurnOver(ServerStep, frozen=True, kw_only=True):
     """The server gave the drone's slot to another drone; the drone requests a slot again, by a new check."""
 
 
@@ -751,26 +751,26 @@ class PlaceMeasured(Event, frozen=True, kw_only=True):
     """A new measurement of a server without a range, and all measurements at that place."""
 
     server: Text
-    place: Measured
+    place: MeasuredRecord
 
 
-class BlacklistExpired(Step, frozen=True, kw_only=True):
+class BlacklistExpired(ServerStep, frozen=True, kw_only=True):
     """The blacklisting of the server is over."""
 
 
-class Probed(Step, frozen=True, kw_only=True):
+class Probed(ServerStep, frozen=True, kw_only=True):
     """A server that had failed answered a probe; not all of its services run."""
 
 
-class ProbedRunning(Step, frozen=True, kw_only=True):
+class ProbedRunning(ServerStep, frozen=True, kw_only=True):
     """A server that had failed answered a probe, and all of its services run."""
 
 
-class IdleExpired(Step, frozen=True, kw_only=True):
+class IdleExpired(ServerStep, frozen=True, kw_only=True):
     """The services were unused for so long that the server may have stopped them."""
 
 
-class Prepared(Step, frozen=True, kw_only=True):
+class Prepared(ServerStep, frozen=True, kw_only=True):
     """The server in use prepares the next server, its peer, for the drone."""
 
 
@@ -966,7 +966,7 @@ def _leaves(cls: type[Event]) -> Iterator[type[Event]]:
 
 
 EVENTS: tuple[type[Event], ...] = tuple(_leaves(Event))  # in the order of this file
-STEPS: Mapping[Trigger, type[Step]] = {
-    Trigger(kind_of(kind)): kind for kind in EVENTS if issubclass(kind, Step)
+STEPS: Mapping[Trigger, type[ServerStep]] = {
+    Trigger(kind_of(kind)): kind for kind in EVENTS if issubclass(kind, ServerStep)
 }
 DECODER: msgspec.json.Decoder[Event] = msgspec.json.Decoder(functools.reduce(operator.or_, EVENTS))

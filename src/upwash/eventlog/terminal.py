@@ -85,7 +85,7 @@ class Progress(LiveDisplay):
 
     def follow(self, event: Event) -> None:
         """Takes in one event."""
-        if isinstance(event, schema.Step):
+        if isinstance(event, schema.ServerStep):
             self._states[event.server] = (event.after, printable(event.why))
         self._now_s = event.t
         said = self._narrator.tell(event) or self._still_waiting()

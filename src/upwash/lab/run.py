@@ -30,7 +30,7 @@ from upwash.config import (
 from upwash.core.geo import Circle, Position
 from upwash.core.knowledge.coverage import Coverage
 from upwash.drone.flight import Flight, Ports
-from upwash.drone.networks import Cell, PositionNetwork
+from upwash.drone.networks import NetworkCell, PositionNetwork
 from upwash.errors import MissionFailed, UpwashError, UsageError
 from upwash.eventlog.kept import KeptEvents
 from upwash.eventlog.results import RunResult, read_result
@@ -341,10 +341,10 @@ def _radios(
         energy=energy,
         reached=functools.partial(_is_reached, coverage_of(config), _truly_limited(config)),
     )
-    cells: dict[str, list[Cell]] = {}
+    cells: dict[str, list[NetworkCell]] = {}
     for server in config.servers:
         cells.setdefault(server.network, []).append(
-            Cell(
+            NetworkCell(
                 areas[server.name],
                 truths[server.name].join_s,
                 is_up=functools.partial(radio.is_up, server.name),

@@ -69,7 +69,7 @@ class Ways:
                 self._take_answer(event)
             case schema.Acted():
                 self._leave_out(event.t - self._taken_s)
-            case schema.Leg():
+            case schema.SetOff():
                 self._leg_begun_s = event.t
                 if self._way is not None and self._way.departed_s is None:
                     self._way.departed_s = event.t

@@ -10,8 +10,8 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from upwash.config import DroneConfig, altitudes_above_sea, coverage_kept, unsigned_port
-from upwash.drone.altitudes import above_home
 from upwash.drone.flight import Flight, Ports
+from upwash.drone.home import above_home
 from upwash.drone.resumption import order_begun, waypoints_done
 from upwash.errors import AutopilotError, NotWritten
 from upwash.eventlog import schema

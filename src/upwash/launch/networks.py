@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Sequence
 
 from upwash.config import DroneConfig, server_truth, true_areas
-from upwash.drone.networks import Cell, NoNetwork, PositionNetwork
+from upwash.drone.networks import NetworkCell, NoNetwork, PositionNetwork
 from upwash.ports import Autopilot, Journal, Network
 from upwash.support.loading import extra
 
@@ -23,10 +23,10 @@ async def opened_networks(
             await _managed_network(interfaces, config, journal, stack) for interfaces in _per_radio(config)
         ]
     areas = true_areas(config)
-    cells: dict[str, list[Cell]] = {}
+    cells: dict[str, list[NetworkCell]] = {}
     for server in config.servers:
         truth = server_truth(server, config.services)
-        cell = Cell(areas[server.name], truth.join_s, leave_s=truth.leave_s)
+        cell = NetworkCell(areas[server.name], truth.join_s, leave_s=truth.leave_s)
         cells.setdefault(server.network, []).append(cell)
     return [PositionNetwork(cells, lambda: autopilot.position) for _ in radios]
 

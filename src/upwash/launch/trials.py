@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from upwash.config import DroneConfig
 from upwash.core.knowledge.estimates import Estimates
-from upwash.core.selection.places import ON_DRONE
+from upwash.core.operation import ON_DRONE
 from upwash.drone.onboard import started
 from upwash.drone.preparation import make_estimates
 from upwash.errors import UpwashError, UsageError

@@ -73,10 +73,10 @@ class DroneMetrics:
                 self._failures.labels(server).inc()
             case schema.LocalFailed():
                 self._failures.labels(_ON_DRONE).inc()
-            case schema.Step(server=server, after=after):
+            case schema.ServerStep(server=server, after=after):
                 self._steps.labels(server, event.kind).inc()
                 self._be_in(server, after)
-            case schema.Photo():
+            case schema.PhotoTaken():
                 self._photos.inc()
             case schema.MissionStarted(waypoints=waypoints, done=done):
                 self._planned.set(waypoints)

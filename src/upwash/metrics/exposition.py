@@ -18,7 +18,7 @@ from prometheus_client import CollectorRegistry
 from prometheus_client.exposition import choose_encoder
 
 from upwash.config import is_on_this_machine
-from upwash.core.admission.allowance import Allowance
+from upwash.core.admission.limits import Allowance
 from upwash.errors import UsageError
 from upwash.support.background import only_logged, thread
 from upwash.support.http_host import names_this_machine

@@ -21,8 +21,7 @@ from upwash.config import (
     waypoints,
 )
 from upwash.core.planning.order import Order
-from upwash.drone.order import order_of
-from upwash.drone.preparation import make_estimates
+from upwash.drone.preparation import make_estimates, order_of
 from upwash.errors import UpwashError
 from upwash.eventlog import schema
 from upwash.lab.campaign import Fly
@@ -157,7 +156,7 @@ def _refusals(config: DroneConfig, alone: Run) -> Iterator[PreflightWarning]:
         yield PreflightWarning(refusal.kind, str(refusal.error))
     if trouble := expiry_trouble(config):
         yield PreflightWarning("certificate-ends", trouble)
-    if not needs_camera(config) and any(isinstance(event, schema.Photo) for event in alone.events):
+    if not needs_camera(config) and any(isinstance(event, schema.PhotoTaken) for event in alone.events):
         yield PreflightWarning("no-camera", NO_CAMERA)
     seen = Look({})
     if not any(refusal.kind == "no-camera" for refusal in refused):

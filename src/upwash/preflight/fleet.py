@@ -18,7 +18,7 @@ from upwash.config import (
     server_areas,
     waypoints,
 )
-from upwash.drone.order import order_of
+from upwash.drone.preparation import order_of
 from upwash.eventlog import schema
 from upwash.lab import processes
 from upwash.lab.run import Run, simulate_drones

@@ -6,7 +6,7 @@ from msgspec import Struct
 
 from upwash.config import DroneConfig, waypoints
 from upwash.core.geo import Position, ground_distance_m
-from upwash.core.vehicle.energy import ARDUCOPTER, UNKNOWN, WayHome, descent_s, time_home_s
+from upwash.core.vehicle.way_home import ARDUCOPTER, UNKNOWN, WayHome, descent_s, time_home_s
 
 _HOME = Position(0.0, 0.0)
 PX4_LOW_PERCENT = 15.0  # BAT_LOW_THR as a PX4 is delivered

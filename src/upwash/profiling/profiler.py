@@ -15,8 +15,7 @@ from dataclasses import dataclass
 
 from msgspec import inspect as types
 
-from upwash.core.operation import Operation
-from upwash.core.selection.places import ON_DRONE
+from upwash.core.operation import ON_DRONE, Operation
 from upwash.drone.onboard import started
 from upwash.drone.server_session import ServerEndpoint, ServerSession
 from upwash.errors import UpwashError, UsageError

@@ -37,7 +37,7 @@ def photos(
     pairing = Pairing()
     for event in record.events:
         pairing.take(event)
-        if isinstance(event, schema.Photo) and (photo := pairing.last) is not None:
+        if isinstance(event, schema.PhotoTaken) and (photo := pairing.last) is not None:
             jpeg = shelf.find(photo.shot)
             taken_s = event.t - event.age_s - record.began_s
             time, time_ns = clock.time(taken_s), clock.ns(taken_s)

@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from upwash.core.selection import places as place_names
+from upwash.core import operation as place_names
 from upwash.eventlog.narration import counted, ran_on
 from upwash.eventlog.results import mean_local_delay_s
 from upwash.report.axes import LEFT, RIGHT, TOP, WIDTH, Axis, figure, label

@@ -117,7 +117,7 @@ def _photos(record: Record, frame: LocalFrame) -> Iterator[dict[str, Any]]:
     whereabouts, number = CallPlaces(), 0
     for event in record.events:
         whereabouts.take(event)
-        if not isinstance(event, schema.Photo):
+        if not isinstance(event, schema.PhotoTaken):
             continue
         place = _degrees(frame, event.position)
         if event.longitude_deg is not None and event.latitude_deg is not None:

@@ -70,7 +70,7 @@ class Pairing:
         match event:
             case schema.Arrived(waypoint=waypoint):
                 self._here = waypoint
-            case schema.Photo(source=source, position=position):
+            case schema.PhotoTaken(source=source, position=position):
                 number = 0 if self.last is None else self.last.number + 1
                 self.last = TakenPhoto(number, Shot(source, position, self._since_start), self._here)
                 self.told_of = self.last

@@ -129,7 +129,7 @@ def _measured(record: Record, places: Places, view: View) -> Iterator[Markup]:
         )
 
 
-def _said(place: schema.Measured) -> str:
+def _said(place: schema.MeasuredRecord) -> str:
     """What is known of a server at a place."""
     calls = "".join(f", {operation} {call_s:.2f} s" for operation, call_s in place.call_s.items())
     goodput = "" if place.goodput_bit_s is None else f", {place.goodput_bit_s / 1e6:.1f} Mbit/s"

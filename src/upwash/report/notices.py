@@ -31,9 +31,9 @@ _PASSED_OVER = frozenset(
         schema.PositionReport,
         schema.Decided,
         schema.Call,
-        schema.Leg,
+        schema.SetOff,
         schema.Arrived,
-        schema.Photo,
+        schema.PhotoTaken,
         schema.CallStarted,
         schema.AnswerTaken,
         schema.Energy,
@@ -75,7 +75,7 @@ class NoticesTaken:
             self._urgent[urgent] = None
             return
         match event:
-            case schema.Step(before=before, after=State.BLACKLISTED) if before is not State.BLACKLISTED:
+            case schema.ServerStep(before=before, after=State.BLACKLISTED) if before is not State.BLACKLISTED:
                 self._blacklist(event)
             case schema.LinkLost():
                 self._lost_links += 1
@@ -88,7 +88,7 @@ class NoticesTaken:
                 self._trouble(f"the vehicle said: {text} ({SEVERITIES[severity]})")
             case schema.MissionCompleted():
                 self._has_end = True
-            case schema.Step():
+            case schema.ServerStep():
                 pass
             case _:
                 said = self._narrator.tell(event)
@@ -104,7 +104,7 @@ class NoticesTaken:
                 return f"At {at} the flight was ended early by {SAFE_ENDS[action]}: {why}"
             case schema.SafeEndFailed(action=action, why=why):
                 return f"At {at} the vehicle did not obey ({SAFE_ENDS[action]}): {why}"
-            case schema.Control(owner=owner, why=why) if owner not in {Owner.PROGRAM, Owner.NOBODY}:
+            case schema.ControlChanged(owner=owner, why=why) if owner not in {Owner.PROGRAM, Owner.NOBODY}:
                 return f"From {at} on {who_has_it(owner)} had the vehicle: {why}"
             case schema.LeftToPilot(why=why):
                 return f"From {at} on the program sent nothing to the vehicle: {why}"
@@ -119,7 +119,7 @@ class NoticesTaken:
                 self._has_end = False
         return None
 
-    def _blacklist(self, step: schema.Step) -> None:
+    def _blacklist(self, step: schema.ServerStep) -> None:
         times, _ = self._blacklisted.get(step.server, (0, ""))
         why = step.why.removeprefix(f"{step.server}: ")
         self._blacklisted[step.server] = (times + 1, f"at {step.t - self._began_s:.1f} s: {why}")

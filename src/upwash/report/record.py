@@ -122,7 +122,7 @@ class Record:
     notices: Notices
     findings: Sequence[Finding] = ()
     answers: Sequence[OpenAnswer] = ()
-    measured: Sequence[tuple[str, schema.Measured]] = ()
+    measured: Sequence[tuple[str, schema.MeasuredRecord]] = ()
 
     @property
     def turns(self) -> Iterator[tuple[int | None, Position]]:
@@ -301,7 +301,7 @@ class _States:
             for server in self._now:
                 self._end(server, at_s)
                 self._now[server] = (State.AVL, at_s, "taken up again")
-        elif isinstance(event, schema.Step):
+        elif isinstance(event, schema.ServerStep):
             server, at_s = event.server, max(0.0, at_s)
             if server not in self._now:
                 self._now[server], self._stretches[server] = (event.before, 0.0, ""), []

@@ -221,7 +221,7 @@ def measured_places(record: Record) -> Markup:
     if not record.measured:
         return Markup("")
 
-    def row(known: tuple[str, schema.Measured]) -> list[str]:
+    def row(known: tuple[str, schema.MeasuredRecord]) -> list[str]:
         server, place = known
         return [
             server,

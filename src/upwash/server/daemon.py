@@ -17,9 +17,9 @@ from upwash.core.admission.admission import (
     Available,
     Command,
     Denied,
-    Pending,
-    Running,
     ServerOffer,
+    ServiceRunning,
+    StartPending,
 )
 from upwash.core.admission.clients import Client, DoorStatus, DroneUsage, ServerStatus, TeamUsage
 from upwash.core.admission.instances import StartInstance, StopInstance
@@ -296,13 +296,13 @@ class EdgeServer:
             answer, commands = self._host.start(request.server, request.service, drone, now_s=self._now_s())
             await self._perform(commands)
             match answer:
-                case Running(endpoint):
+                case ServiceRunning(endpoint):
                     return StartReply(endpoint=endpoint)
                 case Denied(why, waiting, ask_again_s, _, pause_s):
                     return StartReply(
                         reason=printable(why), waiting=waiting, ask_again_s=ask_again_s, pause_s=pause_s
                     )
-                case Pending(number, stopping):
+                case StartPending(number, stopping):
                     settled = self._settled.get(number)
                     why = await asyncio.shield(settled) if settled else ""
                     if why and not stopping:

@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 
 from upwash.config import FaultConfig
 from upwash.core.geo import Circle, EarthPosition, LocalFrame, Position, Velocity, distance_m
-from upwash.core.planning.pace import Pace
+from upwash.core.planning.legs import Pace
 from upwash.core.vehicle.control import Control
-from upwash.core.vehicle.energy import EnergyFacts
 from upwash.core.vehicle.telemetry import Attitude, GpsFix, Telemetry
+from upwash.core.vehicle.way_home import EnergyFacts
 from upwash.errors import AutopilotRefused, AutopilotTimeout
 from upwash.ports import DeadMan, VehicleLimits, VehicleNews
 from upwash.sim.battery import Battery

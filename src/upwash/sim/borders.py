@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from upwash.core.geo import Circle, Position, ground_distance_m
-from upwash.core.knowledge.area_index import AreaIndex
+from upwash.core.knowledge.ranges import AreaIndex
 from upwash.vehicle.body.kinematics import Motion, Phase, elapsed_s
 
 _ROUNDING_M = 1e-6

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from upwash.core.geo import Position, Velocity
 from upwash.core.vehicle.continuity import Continuity
-from upwash.core.vehicle.control import Control, Latch, Report
+from upwash.core.vehicle.control import Control, Heartbeat, Latch
 from upwash.errors import AutopilotLost
 from upwash.eventlog.schema import SEVERITIES
 from upwash.ports import HomeMoved, PositionDoubted, VehicleNews, VehicleText
@@ -34,7 +34,7 @@ class Hearing:
         self.home = vehicle.home
         self._continuity = Continuity()
         self._doubted = False
-        self._reported: Report | None = None  # to the latch, last; the same again says nothing
+        self._reported: Heartbeat | None = None  # to the latch, last; the same again says nothing
         self._target: Position | None = None  # the same
         self._boots = vehicle.boots
         self._tell: Callable[[VehicleNews], None] = lambda _: None
@@ -94,7 +94,7 @@ class Hearing:
         elif self.control.is_ours:
             self._loop.call_later(_HEARTBEAT_S, self.take_soon)
 
-    def take_heartbeat(self, report: Report, *, by_autopilot: bool) -> None:
+    def take_heartbeat(self, report: Heartbeat, *, by_autopilot: bool) -> None:
         """Takes in a heartbeat with the vehicle's ids, which another program may have sent."""
         if not self.is_silent and self._is_believed(by_autopilot=by_autopilot):
             self._judge(lambda: self.latch.report(report, self._loop.time()))

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from upwash.config import FaultConfig
-from upwash.core.vehicle.control import Report
+from upwash.core.vehicle.control import Heartbeat
 from upwash.sim.hearing import Hearing
 from upwash.sim.vehicle import STABILIZE, ModelVehicle
 
@@ -74,7 +74,7 @@ class Incidents:
             self._hearing.take_jump(before, after)
 
     def _send_heartbeat(self, until_s: float) -> None:
-        self._hearing.take_heartbeat(Report(STABILIZE, armed=False), by_autopilot=False)
+        self._hearing.take_heartbeat(Heartbeat(STABILIZE, armed=False), by_autopilot=False)
         if self._loop.time() + _HEARTBEAT_S < until_s:
             self._loop.call_later(_HEARTBEAT_S, self._send_heartbeat, until_s)
 

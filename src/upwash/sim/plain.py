@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from upwash.core.geo import Position, Velocity
-from upwash.core.vehicle.energy import WayHome
+from upwash.core.vehicle.way_home import WayHome
 from upwash.vehicle.body.kinematics import Phase, braking, duration_s, leg, steadily
 
 _AT_ONCE = 1e9  # metres a second, and more of them each second

@@ -14,8 +14,8 @@ from typing import Any, Protocol, TypeAlias
 import msgspec
 
 from upwash.core.geo import Position, Velocity
-from upwash.core.vehicle.control import Report
-from upwash.core.vehicle.energy import WayHome
+from upwash.core.vehicle.control import Heartbeat
+from upwash.core.vehicle.way_home import WayHome
 from upwash.sim.borders import Borders
 from upwash.vehicle.body.kinematics import Motion, Phase
 
@@ -74,7 +74,7 @@ class ModelVehicle:
         moved: Callable[[Motion[Phase]], None] = lambda _: None,
     ) -> None:
         # What its heartbeat says; a new object whenever that changes.
-        self.report = Report(GUIDED, armed=hovers_at is not None)
+        self.report = Heartbeat(GUIDED, armed=hovers_at is not None)
         self.changed = asyncio.Event()
         self.ground_speed_m_s = ground_speed_m_s  # of its legs
         self.home = ground

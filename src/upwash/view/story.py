@@ -87,7 +87,7 @@ class Story:
                 cause=notice.cause,
                 action=notice.action,
             )
-        if isinstance(event, schema.Step):
+        if isinstance(event, schema.ServerStep):
             yield self._step(event.server, event.after, event.why)
         if said is not None:
             yield facts.Said(at_s=self._now_s, words=said.text, tone=said.tone)
@@ -100,7 +100,7 @@ class Story:
             here = self._inferred(event)
         if here is not None and self._is_news(here):
             yield self._fix(here, event if isinstance(event, schema.PositionReport) else None)
-        if isinstance(event, schema.VehicleLimits) and event.home is not None:
+        if isinstance(event, schema.LimitsRead) and event.home is not None:
             yield facts.Home(at_s=self._now_s, east_m=event.home.east_m, north_m=event.home.north_m)
 
     def _is_news(self, here: Position) -> bool:
@@ -127,7 +127,7 @@ class Story:
 
     def _inferred(self, event: Event) -> Position | None:
         """Where the drone is as it sets off: where it was; simulated logs do not say."""
-        return self._place if isinstance(event, schema.Leg) else None
+        return self._place if isinstance(event, schema.SetOff) else None
 
     def _progress(self, event: Event) -> Iterator[Fact]:
         match event:
@@ -165,7 +165,7 @@ class Story:
             yield facts.Doing(at_s=self._now_s, words=doing[0], reached=doing[1])
             self._doing = doing
 
-    def _measured(self, server: str, place: schema.Measured) -> facts.Measured:
+    def _measured(self, server: str, place: schema.MeasuredRecord) -> facts.Measured:
         return facts.Measured(
             at_s=self._now_s,
             server=server,
@@ -228,7 +228,7 @@ class Story:
     def _photos(self, event: Event) -> Iterator[Fact]:
         self._pairing.take(event)
         match event:
-            case schema.Photo(truth=truth) if (photo := self._pairing.last) is not None:
+            case schema.PhotoTaken(truth=truth) if (photo := self._pairing.last) is not None:
                 self.shots.append(photo.shot)
                 yield facts.Shot(
                     at_s=self._now_s,

@@ -10,7 +10,7 @@ import pytest
 from tests.system.fake_networkmanager import FakeDevice, FakeProfile, running
 
 from upwash.core.geo import Circle, Position
-from upwash.drone.networks import Cell, NoNetwork, PositionNetwork
+from upwash.drone.networks import NetworkCell, NoNetwork, PositionNetwork
 from upwash.errors import NetworkError
 from upwash.ports import Network
 from upwash.real.network.network import ManagedNetwork
@@ -41,8 +41,8 @@ def on_the_model(scene: Scene) -> None:
 
         area = Circle(Position(0.0, 0.0), 10.0)
         cells = {
-            "a": [Cell(area, JOIN_S, is_up=lambda: not off.is_set(), goes_down=goes_down)],
-            "b": [Cell(area, JOIN_S)],
+            "a": [NetworkCell(area, JOIN_S, is_up=lambda: not off.is_set(), goes_down=goes_down)],
+            "b": [NetworkCell(area, JOIN_S)],
         }
         await scene(Stage(PositionNetwork(cells, lambda: INSIDE), off.set))
 
@@ -136,7 +136,9 @@ def test_a_network_that_goes_off_the_air_is_lost_and_then_left(play: Callable[[S
 
 
 def model(position: Callable[[], Position] = lambda: INSIDE, *, is_up: bool = True) -> PositionNetwork:
-    return PositionNetwork({"a": [Cell(Circle(Position(0.0, 0.0), 10.0), JOIN_S, lambda: is_up)]}, position)
+    return PositionNetwork(
+        {"a": [NetworkCell(Circle(Position(0.0, 0.0), 10.0), JOIN_S, lambda: is_up)]}, position
+    )
 
 
 def test_joining_takes_its_time_and_is_tried_where_the_drone_is_by_then() -> None:
@@ -166,7 +168,7 @@ def test_what_cannot_be_joined(network: Network, joined: str, problem: str) -> N
 def test_a_network_that_is_left_keeps_the_radio_from_joining_the_next_one_for_its_time() -> None:
     async def scene(flies_on_s: float) -> float:
         clock = asyncio.get_running_loop().time
-        cell = Cell(Circle(Position(0.0, 0.0), 10.0), JOIN_S, leave_s=2.0)
+        cell = NetworkCell(Circle(Position(0.0, 0.0), 10.0), JOIN_S, leave_s=2.0)
         network = PositionNetwork({"a": [cell], "b": [cell]}, lambda: INSIDE)
         await network.leave()
         await network.join("a", timeout_s=JOIN_S)
@@ -187,11 +189,11 @@ def test_a_network_of_several_servers_is_lost_with_the_last_of_them() -> None:
         clock = asyncio.get_running_loop().time
         area = Circle(Position(0.0, 0.0), 10.0)
 
-        def until(down_s: float) -> Cell:
+        def until(down_s: float) -> NetworkCell:
             async def goes_down() -> None:
                 await asyncio.sleep(down_s - clock())
 
-            return Cell(area, 0.0, is_up=lambda: clock() < down_s, goes_down=goes_down)
+            return NetworkCell(area, 0.0, is_up=lambda: clock() < down_s, goes_down=goes_down)
 
         network = PositionNetwork({"a": [until(5.0), until(9.0), until(7.0)]}, lambda: INSIDE)
         await network.join("a", timeout_s=1.0)

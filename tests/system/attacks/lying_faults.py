@@ -23,10 +23,10 @@ from upwash.sim.link import Handler
 
 NAMED = (
     "upwash.drone.flight:AutopilotOverruled",
-    "upwash.drone.contingency:AutopilotOverruled",
+    "upwash.drone.coming_down:AutopilotOverruled",
     "upwash.errors:AutopilotOverruled",
     "upwash.drone.mission:MissionStopped",
-    "upwash.drone.racing:UpwashError",
+    "upwash.drone.calling:UpwashError",
     "builtins:ValueError",
     "nobody.knows:This",
 )

@@ -369,7 +369,7 @@ def _served_two(server: str, record: Record, flown: Sequence[Flown]) -> Iterator
 def _what(event: Event) -> str:
     if isinstance(event, schema.Call):
         return "answered"
-    if not isinstance(event, schema.Step):
+    if not isinstance(event, schema.ServerStep):
         return ""
     if event.after is State.READY:
         return "ready"

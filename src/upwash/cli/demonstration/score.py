@@ -57,7 +57,7 @@ def score_photos(log: Path) -> Score:
     photos: list[_Photo] = []
     for event in event_log.read(log):
         match event:
-            case schema.Photo(truth=truth, position=position) if truth is not None:
+            case schema.PhotoTaken(truth=truth, position=position) if truth is not None:
                 photos.append(_Photo(position, msgspec.convert(truth, list[TrueBox])))
             case schema.Notified(message=message, at=at):  # perhaps after a photo of the next waypoint
                 its_own = min(photos, key=lambda photo: ground_distance_m(photo.position, at))

@@ -105,14 +105,14 @@ class Denied:
 
 
 @dataclass(frozen=True, slots=True)
-class Running:
+class ServiceRunning:
     """The service can be called at the endpoint."""
 
     endpoint: str
 
 
 @dataclass(frozen=True, slots=True)
-class Pending:
+class StartPending:
     """The instance of that number is starting, or still stopping; ask again when it is ready or gone."""
 
     number: int
@@ -236,7 +236,7 @@ class AdmissionController:
 
     def start(
         self, server: str, service: str, drone: Client, *, now_s: float
-    ) -> tuple[Running | Pending | Denied, list[Command]]:
+    ) -> tuple[ServiceRunning | StartPending | Denied, list[Command]]:
         """Has the service running for the drone; two starts of one service make one instance."""
         denied, commands = self._lease(server, [service], drone, now_s)
         if denied is not None:
@@ -244,9 +244,9 @@ class AdmissionController:
         instances = self._servers[server].instances
         instance = instances[service]
         if instance.state is InstanceState.RUNNING:
-            return Running(instance.endpoint), commands
+            return ServiceRunning(instance.endpoint), commands
         commands += instances.begin(service)
-        return Pending(instance.number, stopping=instance.state is InstanceState.STOPPING), commands
+        return StartPending(instance.number, stopping=instance.state is InstanceState.STOPPING), commands
 
     def send_ahead(
         self, server: str, peer: str, drone: Client, *, for_s: float, now_s: float

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from upwash.core.admission.clients import InstanceStatus
-from upwash.core.admission.watchdog import Failures, Limit, Useless, Watch
+from upwash.core.admission.watchdog import InstanceFailures, Limit, Useless, Watch
 
 
 class InstanceState(StrEnum):
@@ -49,7 +49,7 @@ class StopInstance:
 
 
 @dataclass(slots=True)
-class Instance:
+class InstancePlace:
     """The instance of one service, or the place for it."""
 
     state: InstanceState = InstanceState.ABSENT
@@ -58,7 +58,7 @@ class Instance:
     used_s: float = 0.0  # when it became ready or was last called
     watch: Watch = field(default_factory=Watch)
     limit: Limit = field(default_factory=Limit)
-    failures: Failures = field(default_factory=Failures)
+    failures: InstanceFailures = field(default_factory=InstanceFailures)
     replaced: int = 0  # instances that were of no use
     successor: int = 0  # an instance of another version that is starting; 0: none
     former_s: dict[int, float] = field(
@@ -74,16 +74,16 @@ class Instances:
     def __init__(self, server: str, services: Iterable[str], numbers: Iterator[int]) -> None:
         self._server = server
         self._numbers = numbers
-        self._instances: dict[str, Instance] = {}
+        self._instances: dict[str, InstancePlace] = {}
         self.offer(services)
 
-    def __getitem__(self, service: str) -> Instance:
+    def __getitem__(self, service: str) -> InstancePlace:
         return self._instances[service]
 
     def offer(self, services: Iterable[str]) -> None:
         """From now on there is a place for instances of these services too."""
         for service in sorted(services):
-            self._instances.setdefault(service, Instance())
+            self._instances.setdefault(service, InstancePlace())
 
     def endpoints(self, services: Iterable[str]) -> dict[str, str]:
         """Where those of the services can be called that run."""
@@ -244,7 +244,7 @@ class Instances:
             if service in offered or each.state is not InstanceState.ABSENT
         ]
 
-    def _running(self) -> list[tuple[str, Instance]]:
+    def _running(self) -> list[tuple[str, InstancePlace]]:
         return [
             (service, each)
             for service, each in self._instances.items()

@@ -108,7 +108,7 @@ class Watch:
 
 
 @dataclass(slots=True)
-class Failures:
+class InstanceFailures:
     """The failures of a service's instances in a row, and the pause for which it is left alone."""
 
     count: int = 0

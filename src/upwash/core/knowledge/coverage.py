@@ -17,11 +17,11 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from upwash.core.geo import Position, ground_distance_m
-from upwash.core.knowledge.window import WINDOW_LENGTH
 from upwash.core.operation import Operation
 
 SAME_M = 8.0  # what is measured so close to a place is measured there
 NEAR_M = 12.0  # so far around a place what was measured there is believed
+_LATEST = 3  # calls, whose mean counts
 _LEAST_BYTES = 10_000  # of a call whose delay is, for its most part, that of the transfer
 MOST_PLACES = 5_000  # of each server: the one that was measured least lately makes room
 
@@ -65,7 +65,7 @@ class MeasuredPlace:
 
     def note(self, operation: Operation, came_to_s: float) -> None:
         """One more call came to that."""
-        self.came_to_s[operation] = (*self.came_to_s.get(operation, ()), came_to_s)[-WINDOW_LENGTH:]
+        self.came_to_s[operation] = (*self.came_to_s.get(operation, ()), came_to_s)[-_LATEST:]
 
 
 class Coverage:

@@ -1,12 +1,19 @@
-"""How long the way from one waypoint to the next takes, and when on it a circle is entered.
+"""How long a vehicle takes from one waypoint to the next, and when on the way it enters a circle.
 
 Legs are straight and flown from rest to rest: the vehicle speeds up steadily, cruises, brakes as it sped up, and
-settles at its target.
+settles at its target. `Pace` has the averages of each kind of vehicle; `energy.WayHome` has the longest times.
+
+    a leg        `Leg` with the pace's acceleration, and the settling
+    a take-off   lifting + height / climb
+    the return   the share of `energy.time_home_s`
+
+Tests hold the averages against the vehicles' own motion and against recorded returns.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from upwash.core.geo import Circle, Position, distance_m
@@ -107,3 +114,25 @@ def entered_m(start: Position, end: Position, circle: Circle) -> float | None:
     across_m2 = to_centre[0] ** 2 + to_centre[1] ** 2 - along_m**2
     inside_m = along_m + math.sqrt(max(0.0, circle.radius_m**2 - across_m2))  # back from the end
     return distance_m(start, end) * max(0.0, 1 - inside_m / ground_m)
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """The average vehicle of a kind."""
+
+    acceleration_m_s2: float = 1.0
+    settling_s: float = 0.0  # of each leg: until it moves, and until it counts as arrived
+    lifting_s: float = 0.0  # of each take-off, at any height
+    climb_m_s: float = math.inf
+    home_share: float = 1.0
+
+    def takeoff_s(self, altitude_m: float) -> float:
+        """From arming to that altitude above the ground."""
+        return self.lifting_s + max(0.0, altitude_m) / self.climb_m_s
+
+
+ARDUCOPTER = Pace(2.15, 0.4, lifting_s=5.9, climb_m_s=2.535, home_share=0.92)
+PX4 = Pace(
+    1.18, 2.45, lifting_s=6.8, climb_m_s=1.32, home_share=0.88
+)  # as setpoints steer it (mavlink.course)
+PACES: Mapping[str, Pace] = {"arducopter": ARDUCOPTER, "px4": PX4}

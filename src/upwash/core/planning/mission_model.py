@@ -16,17 +16,16 @@ from statistics import fmean
 import msgspec
 
 from upwash.core.geo import Circle, Position, Waypoint, distance_m
-from upwash.core.knowledge.area_index import AreaIndex
-from upwash.core.knowledge.window import WINDOW_LENGTH
+from upwash.core.knowledge.estimates import WINDOW_LENGTH
+from upwash.core.knowledge.ranges import AreaIndex
 from upwash.core.operation import Operation
-from upwash.core.planning.legs import Leg, acceleration_m_s2, entered_m
-from upwash.core.planning.pace import Pace
+from upwash.core.planning.legs import Leg, Pace, acceleration_m_s2, entered_m
 
 _MOST_ENTRIES = 10_000  # legs of which is remembered what was computed
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class StopCall:
     """A call of a stop, `pause_s` after the arrival there or after the call before."""
 
     operation: Operation
@@ -56,7 +55,7 @@ class MissionBeliefs:
     plan: Sequence[Waypoint] = ()
     ground_speed_m_s: float = 4.0
     pace: Pace = field(default_factory=Pace)
-    stop: Sequence[Step] = ()
+    stop: Sequence[StopCall] = ()
     assumed: bool = False
 
     def pace_of(self, vehicle: Pace | None) -> Pace:
@@ -122,7 +121,7 @@ class MissionModel:
         self._index: int | None = None  # of that place in the plan
         self._way: _LegUnderWay | None = None
         self._last_leg_m = 0.0
-        self._here: list[Step] = []
+        self._here: list[StopCall] = []
         self._is_back = False  # at the place, or on the way there: nothing is learnt from such a stop
         self._free_s = 0.0  # since when nothing is known to go on, or until when the call under way goes on
         self._entries: dict[tuple[Position, Position], _Entries] = {}
@@ -175,7 +174,7 @@ class MissionModel:
 
     def call_begun(self, operation: Operation, *, now_s: float) -> None:
         """The mission calls."""
-        self._here.append(Step(operation, max(0.0, now_s - self._free_s)))
+        self._here.append(StopCall(operation, max(0.0, now_s - self._free_s)))
         self._free_s = now_s
 
     def call_ends(self, ends_s: float) -> None:
@@ -232,7 +231,7 @@ class MissionModel:
             yield from self._calls_of(self._routine, _Stop(gap_s, way.servers, entered), end)
             free_s = 0.0
 
-    def _calls_of(self, steps: Sequence[Step], stop: _Stop, place: Position) -> Iterator[ExpectedCall]:
+    def _calls_of(self, steps: Sequence[StopCall], stop: _Stop, place: Position) -> Iterator[ExpectedCall]:
         for number, step in enumerate(steps):
             if number > 0:
                 stop = _Stop(0.0, self._near(place))

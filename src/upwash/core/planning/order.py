@@ -1,20 +1,113 @@
-"""In which order to fly a mission's waypoints: as they are given, or in the sweep that the forecast finds quickest.
+"""In which order to fly a mission's waypoints: as they are given, or in the sweep with the shortest forecast.
+
+A sweep flies a field of waypoints back and forth, from one of four corners, by rows or by columns. Rows and columns
+are found from the places themselves, however the field lies: a row runs east and west, or nearly so.
 
 The forecast is of the whole mission: every leg, every call where the quickest schedule has it, and the way home.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from upwash.core.geo import Circle, Position, Waypoint
+from upwash.core.geo import Circle, Position, Waypoint, ground_distance_m
 from upwash.core.knowledge.estimates import Estimates
 from upwash.core.knowledge.servers import Server
 from upwash.core.planning.forecast import make_forecast
 from upwash.core.planning.mission_model import MissionBeliefs, MissionModel
 from upwash.core.planning.schedule import quickest
-from upwash.core.planning.sweeps import Sweep
+
+SWEEPS = 8
+_SAME_LINE = 0.25  # of the distance to the nearest waypoint: places less far off a row belong to it
+
+_Lines = list[list[Waypoint]]
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """All waypoints of a field, line by line, each line the other way."""
+
+    number: int
+    name: str
+    waypoints: tuple[Waypoint, ...]
+
+    def __str__(self) -> str:
+        return f"sweep {self.number}, {self.name}"
+
+
+def sweeps(given: Sequence[Waypoint]) -> tuple[Sweep, ...]:
+    """The eight sweeps of the waypoints; none where they form no full grid of rows and columns.
+
+    The first one begins near where the given order begins and goes where that goes first, so that it is the given
+    order where that is a sweep. Those that begin at the opposite corners follow, then those across.
+    """
+    rows = _rows(given)
+    if not rows:
+        return ()
+    columns = [list(column) for column in zip(*rows, strict=True)]
+    top = any(given[0] in row for row in rows[(len(rows) + 1) // 2 :])
+    right = any(given[0] in column for column in columns[(len(columns) + 1) // 2 :])
+    by_rows = len(columns) > 1 and any(given[0] in row and given[1] in row for row in rows)
+    ways = [
+        (top ^ up, right ^ across, along)
+        for along in (by_rows, not by_rows)
+        for up, across in ((False, False), (True, True), (True, False), (False, True))
+    ]
+    return tuple(
+        _sweep(number, rows, columns, top=top, right=right, by_rows=by_rows)
+        for number, (top, right, by_rows) in enumerate(ways)
+    )
+
+
+def _sweep(number: int, rows: _Lines, columns: _Lines, *, top: bool, right: bool, by_rows: bool) -> Sweep:
+    lines, from_last, from_end = (rows, top, right) if by_rows else (columns, right, top)
+    corner = f"{'top' if top else 'bottom'}-{'right' if right else 'left'}"
+    return Sweep(
+        number,
+        f"by {'rows' if by_rows else 'columns'} from the {corner}",
+        tuple(_swept(lines, from_last=from_last, from_end=from_end)),
+    )
+
+
+def _swept(lines: _Lines, *, from_last: bool, from_end: bool) -> Iterator[Waypoint]:
+    for line in reversed(lines) if from_last else lines:
+        yield from reversed(line) if from_end else line
+        from_end = not from_end
+
+
+def _rows(given: Sequence[Waypoint]) -> _Lines:
+    """The rows from the south to the north, each from the west to the east; none where there is no full grid."""
+    if len(given) < 2:
+        return []
+    # In a full grid the waypoint nearest to any other one is its neighbour in a row or in a column.
+    first = given[0].position
+    near = min((each.position for each in given[1:]), key=lambda place: ground_distance_m(first, place))
+    same_m = _SAME_LINE * ground_distance_m(first, near)
+    if same_m == 0:
+        return []
+    turned = math.remainder(math.atan2(near.north_m - first.north_m, near.east_m - first.east_m), math.pi / 2)
+    east, north = math.cos(turned), math.sin(turned)
+    places = [each.position for each in given]
+    columns = _lines([place.east_m * east + place.north_m * north for place in places], same_m)
+    rows = _lines([place.north_m * east - place.east_m * north for place in places], same_m)
+    cells = {(row, column): each for row, column, each in zip(rows, columns, given, strict=True)}
+    width, height = 1 + max(columns), 1 + max(rows)
+    if not len(cells) == len(given) == width * height:
+        return []
+    return [[cells[row, column] for column in range(width)] for row in range(height)]
+
+
+def _lines(across_m: Sequence[float], same_m: float) -> list[int]:
+    """The number of the line that each place lies on, counted in the order of where they lie across the lines."""
+    numbers = [0] * len(across_m)
+    in_order = sorted(range(len(across_m)), key=across_m.__getitem__)
+    for before, each in itertools.pairwise(in_order):
+        numbers[each] = numbers[before] + (across_m[each] - across_m[before] > same_m)
+    return numbers
+
 
 LEAST_SAVED = 0.02  # of the given order's time: what is less is within what a forecast can be wrong by
 

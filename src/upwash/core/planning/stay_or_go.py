@@ -52,7 +52,7 @@ class Outlook:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class StayVerdict:
     """Whether the drone goes, why, and what that follows from; None where nothing was reckoned."""
 
     goes: bool
@@ -62,7 +62,7 @@ class Verdict:
     lost_s: float | None = None
 
 
-class StayOrGo:
+class StayRule:
     """Decides at each waypoint, and learns from each answer."""
 
     def __init__(self, manner: Manner) -> None:
@@ -78,16 +78,16 @@ class StayOrGo:
         """Learns from an answer."""
         self._demands.append(demanded)
 
-    def decide(self, outlook: Outlook | None) -> Verdict:
+    def decide(self, outlook: Outlook | None) -> StayVerdict:
         """Whether the drone goes; `outlook` is None where no next waypoint is known."""
         if self.manner == "stay":
-            return Verdict(False, "it always stays", self.chance)
+            return StayVerdict(False, "it always stays", self.chance)
         if outlook is None:
-            return Verdict(False, "no waypoint is known to follow", self.chance)
+            return StayVerdict(False, "no waypoint is known to follow", self.chance)
         saved_s, lost_s = outlook.saved_s, outlook.lost_s
         if self.manner == "go":
-            return Verdict(True, "it always goes", self.chance, saved_s, lost_s)
+            return StayVerdict(True, "it always goes", self.chance, saved_s, lost_s)
         gain_s = (1 - self.chance) * saved_s - self.chance * lost_s
         goes = gain_s > 0
         why = f"going {'gains' if goes else 'costs'} {abs(gain_s):.2f} s on average"
-        return Verdict(goes, why, self.chance, saved_s, lost_s)
+        return StayVerdict(goes, why, self.chance, saved_s, lost_s)

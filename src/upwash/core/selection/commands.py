@@ -74,7 +74,7 @@ class Full:
 
 
 @dataclass(frozen=True, slots=True)
-class Paused:
+class ServerPaused:
     """To be logged: the server leaves a service alone that keeps failing, and is left out for as long."""
 
     server: str
@@ -84,7 +84,7 @@ class Paused:
 
 
 @dataclass(frozen=True, slots=True)
-class Foreseen:
+class ExpectedTimes:
     """To be logged: when the mission is expected at each waypoint and over, as it is asked for.
 
     Where it is to `finish_by_s`, `lightest_s` is when it is over with every call lighter.
@@ -105,4 +105,4 @@ class Mapped:
 
 
 Command = Check | Probe | Start | Prepare | Leave
-Effect = Change | Full | Paused | Foreseen | Mapped | Command
+Effect = Change | Full | ServerPaused | ExpectedTimes | Mapped | Command

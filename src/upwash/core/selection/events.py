@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from upwash.core.geo import Position
 from upwash.core.operation import Operation
-from upwash.core.planning.pace import Pace
-from upwash.core.vehicle.energy import EnergyFacts
+from upwash.core.planning.legs import Pace
+from upwash.core.vehicle.way_home import EnergyFacts
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class LeaseRenewed:
 
 
 @dataclass(frozen=True, slots=True)
-class TurnOver:
+class SlotTaken:
     """The server, READY by that check, gave the drone's slot to another one; a call was refused for it, or none."""
 
     check: int
@@ -72,7 +72,7 @@ class ServicesStarted:
 
 
 @dataclass(frozen=True, slots=True)
-class CheckFailed:
+class ServerUnusable:
     """The server could not be joined, did not answer in time, is unavailable or could not start a service.
 
     The first two leave it `unreached`. Where it leaves a service alone for a pause, it is left out for as long.
@@ -109,7 +109,7 @@ class ProbeUnanswered:
 
 
 @dataclass(frozen=True, slots=True)
-class NetworkLost:
+class NetworkGone:
     """The network that was joined for the check is no longer connected."""
 
     check: int
@@ -117,7 +117,7 @@ class NetworkLost:
 
 
 @dataclass(frozen=True, slots=True)
-class Prepared:
+class PeerPrepared:
     """A server holds a slot and starts its services, as the daemon `by` has asked it to."""
 
     server: str
@@ -215,7 +215,7 @@ class LegBegun:
 
 
 @dataclass(frozen=True, slots=True)
-class Arrived:
+class LegEnded:
     """The drone is where its leg led to."""
 
 
@@ -230,7 +230,7 @@ class DescentBegun:
 
 
 @dataclass(frozen=True, slots=True)
-class MissionEnded:
+class NoMoreCalls:
     """No call will come any more."""
 
 
@@ -240,14 +240,14 @@ Event = (
     | CheckAnswered
     | SlotRefused
     | LeaseRenewed
-    | TurnOver
+    | SlotTaken
     | ServicesStarted
-    | CheckFailed
+    | ServerUnusable
     | ProbePaused
     | ProbeAnswered
     | ProbeUnanswered
-    | NetworkLost
-    | Prepared
+    | NetworkGone
+    | PeerPrepared
     | LocalCallEnded
     | RemoteCallEnded
     | RemoteCallFailed
@@ -256,8 +256,8 @@ Event = (
     | RemoteCallCut
     | Reached
     | LegBegun
-    | Arrived
+    | LegEnded
     | TargetUnknown
     | DescentBegun
-    | MissionEnded
+    | NoMoreCalls
 )

@@ -28,8 +28,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 
 from upwash.core.knowledge.estimates import Estimates
-from upwash.core.knowledge.server_table import ServerTable
-from upwash.core.knowledge.servers import SELECTED, Server, State, Trigger
+from upwash.core.knowledge.servers import SELECTED, Server, ServerTable, State, Trigger
 from upwash.core.operation import Operation
 from upwash.core.selection.commands import Check, Effect, Leave, Probe
 from upwash.core.selection.recovery import REST_S, Recovery

@@ -44,16 +44,16 @@ class Probing:
 
 
 @dataclass(frozen=True, slots=True)
-class Failures:
+class ServerFailures:
     """What a server did lately."""
 
     count: int = 0
     last_s: float = -math.inf
 
-    def after(self, now_s: float) -> Failures:
+    def after(self, now_s: float) -> ServerFailures:
         """With one more failure, now."""
         forgotten = now_s - self.last_s > self.alone_s + _WELL_S
-        return Failures(1 if forgotten else self.count + 1, now_s)
+        return ServerFailures(1 if forgotten else self.count + 1, now_s)
 
     @property
     def alone_s(self) -> float:
@@ -79,7 +79,7 @@ class Recovery:
 
     def __init__(self, probing: Probing) -> None:
         self.probing = probing
-        self._failures: dict[str, Failures] = {}
+        self._failures: dict[str, ServerFailures] = {}
         self._doubts: dict[str, dict[Operation, _Doubt]] = {}
         self._trials: set[str] = set()  # servers that are at one
 
@@ -88,7 +88,7 @@ class Recovery:
     ) -> None:
         """The server failed, so that every operation there is in doubt; where it `counts` it is left alone longer."""
         if counts:
-            self._failures[server] = self._failures.get(server, Failures()).after(now_s)
+            self._failures[server] = self._failures.get(server, ServerFailures()).after(now_s)
         self._trials.discard(server)
         for operation in operations:
             self._doubt(server, operation, now_s)
@@ -125,7 +125,7 @@ class Recovery:
 
     def alone_s(self, server: str, *, now_s: float) -> float:
         """For how much longer the server is left alone."""
-        failures = self._failures.get(server, Failures())
+        failures = self._failures.get(server, ServerFailures())
         return max(0.0, failures.last_s + failures.alone_s - now_s)
 
     def _doubt(self, server: str, operation: Operation, now_s: float) -> None:

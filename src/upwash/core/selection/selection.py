@@ -23,29 +23,28 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from upwash.core.geo import Circle, Position
-from upwash.core.knowledge.area_index import AreaIndex
 from upwash.core.knowledge.coverage import MeasuredPlace
 from upwash.core.knowledge.estimates import Estimates
-from upwash.core.knowledge.server_table import ServerTable
-from upwash.core.knowledge.servers import CHECKING, SELECTED, Change, Server, State, Trigger
+from upwash.core.knowledge.ranges import AreaIndex
+from upwash.core.knowledge.servers import CHECKING, SELECTED, Change, Server, ServerTable, State, Trigger
 from upwash.core.operation import Operation
 from upwash.core.planning.mission_model import MissionBeliefs, MissionModel
 from upwash.core.planning.stay_or_go import Outlook
 from upwash.core.policies.policy import Choice, Decision, Lightened, Local, Policy, Remote
-from upwash.core.selection.commands import Effect, Full, Mapped, Paused, Start
+from upwash.core.selection.call_placement import CallPlacement
+from upwash.core.selection.commands import Effect, Full, Mapped, ServerPaused, Start
 from upwash.core.selection.events import (
-    Arrived,
     CheckAnswered,
-    CheckFailed,
     DescentBegun,
     Event,
     LeaseRenewed,
     LegBegun,
+    LegEnded,
     LocalCallEnded,
     MissionBegun,
-    MissionEnded,
-    NetworkLost,
-    Prepared,
+    NetworkGone,
+    NoMoreCalls,
+    PeerPrepared,
     ProbeAnswered,
     ProbePaused,
     ProbeUnanswered,
@@ -55,18 +54,17 @@ from upwash.core.selection.events import (
     RemoteCallFailed,
     RemoteCallRaised,
     RemoteFaultTested,
+    ServerUnusable,
     ServicesStarted,
     SlotRefused,
+    SlotTaken,
     TargetUnknown,
     Tick,
-    TurnOver,
 )
-from upwash.core.selection.lighter import Lighter, LighterSettings
-from upwash.core.selection.placement import Placement
+from upwash.core.selection.mission_times import Lighter, LighterSettings, Timetable
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import Probing, Recovery
-from upwash.core.selection.server_choice import Planning
-from upwash.core.selection.timetable import Timetable
+from upwash.core.selection.server_planning import ServerPlanning
 
 _READY = frozenset({State.READY})
 _MOST_TURNS_LOST = 2  # in a row, each at a call: a server that gives turns and no answers has failed
@@ -117,8 +115,8 @@ class Selection:
             blacklist_s=settings.blacklist_s,
             recovery=recovery,
         )
-        self._placement = Placement(policy, radios=radios, estimates=estimates, recovery=recovery)
-        self._planning = planning = Planning(
+        self._placement = CallPlacement(policy, radios=radios, estimates=estimates, recovery=recovery)
+        self._planning = planning = ServerPlanning(
             policy,
             table=table,
             radios=radios,
@@ -283,29 +281,29 @@ class Selection:
                 if server is None:
                     return []
                 server.contended_s = now_s if waiting else -math.inf
-            case TurnOver():
+            case SlotTaken():
                 return self._turn_over(event, now_s)
-            case CheckFailed(check, why, unreached, pause_s):
+            case ServerUnusable(check, why, unreached, pause_s):
                 asked = self._asked(check, position, answered=False) if unreached else []
                 return asked + self._server_failed(
                     check, CHECKING, Trigger.CHECK_FAILED, why, now_s, pause_s=pause_s
                 )
-            case NetworkLost(check, why):
+            case NetworkGone(check, why):
                 asked = self._asked(check, position, answered=False)
                 return asked + self._server_failed(check, SELECTED, Trigger.NETWORK_LOST, why, now_s)
             case ProbeAnswered() | ProbePaused():
                 return self._probe_answered(event, now_s)
             case ProbeUnanswered(check):
                 return self._probed_in_vain(check, position)
-            case Prepared(name, by):
+            case PeerPrepared(name, by):
                 return self._prepared(self.servers[name], by, now_s)
-            case LegBegun() | Arrived() | TargetUnknown():
+            case LegBegun() | LegEnded() | TargetUnknown():
                 self._planning.mission_goes_on(event, position, now_s)
                 return []
             case DescentBegun():
                 self._planning.mission.lost()
                 self._comes_down = True
-            case MissionEnded():
+            case NoMoreCalls():
                 self._ended = True
             case LocalCallEnded(operation, delay_s):
                 self.estimates.observe_local(operation, delay_s)
@@ -360,7 +358,7 @@ class Selection:
         server.full_s = server.contended_s = now_s
         return [Full(server.name, check, waiting)] if is_news else []
 
-    def _turn_over(self, event: TurnOver, now_s: float) -> list[Effect]:
+    def _turn_over(self, event: SlotTaken, now_s: float) -> list[Effect]:
         server = self._radios.selected_by(event.check, _READY)
         if server is None:  # it was left since
             return []
@@ -381,7 +379,7 @@ class Selection:
         if server is None:
             return []
         if isinstance(answer, ProbePaused):
-            paused = Paused(server.name, answer.check, answer.pause_s, answer.why)
+            paused = ServerPaused(server.name, answer.check, answer.pause_s, answer.why)
             return [paused, *self._radios.leave_out(server, answer.pause_s, now_s)]
         trigger = Trigger.PROBED_RUNNING if answer.running else Trigger.PROBED
         return [server.apply(trigger, now_s=now_s, why="it gives a sign of life")]
@@ -421,7 +419,7 @@ class Selection:
             return []
         if not server.in_range:  # the server did nothing wrong
             return self._radios.leave(server, "out of range", now_s)
-        paused = [Paused(server.name, check, pause_s, why)] if pause_s else []
+        paused = [ServerPaused(server.name, check, pause_s, why)] if pause_s else []
         return paused + self._radios.fail(
             server, trigger, why, now_s, operations=self.estimates.operations, pause_s=pause_s
         )

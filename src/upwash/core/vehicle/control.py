@@ -21,9 +21,55 @@ from enum import StrEnum
 
 import msgspec
 
-from upwash.core.geo import Position
-from upwash.core.vehicle.targets import Targets
+from upwash.core.geo import Position, distance_m
 from upwash.errors import AutopilotOverruled
+
+_SAME_PLACE_M = 1.0  # a vehicle keeps a target in metres from its own origin, and rounds it
+
+
+class Targets:
+    """The targets of one flight: a report must agree with the last command that was obeyed, or with the one after it.
+
+    Altitudes of commands and of reports count from the same place. Before the first command, the first report is what
+    another program left behind, and no difference.
+    """
+
+    def __init__(self) -> None:
+        self._obeyed: Position | None = None  # None: a take-off, which reports no target
+        self._pending: Position | None = None
+        self._is_pending = False
+        self._is_known = False  # what it steers to
+
+    def send(self, place: Position | None) -> None:
+        """A command is about to be sent; None for a take-off, which has no target."""
+        self._pending, self._is_pending = place, True
+
+    def settle(self, *, obeyed: bool) -> None:
+        """The last command was obeyed, or refused."""
+        if obeyed and self._is_pending:
+            self._obeyed, self._is_known = self._pending, True
+        self._is_pending = False
+
+    def difference(self, reported: Position | None) -> str:
+        """How a reported target differs from what was commanded; empty where it does not. None: it has a velocity."""
+        if not self._is_known:
+            self._learn(reported)
+            return ""
+        expected = [self._obeyed, *([self._pending] if self._is_pending else [])]
+        if reported is None:
+            return "" if self._is_pending else "it follows a velocity that the program did not command"
+        if any(place is not None and distance_m(place, reported) <= _SAME_PLACE_M for place in expected):
+            return ""
+        there = f"{reported.east_m:.0f} m east, {reported.north_m:.0f} m north"
+        if self._obeyed is None:
+            return f"it was sent to {there}, which the program did not command"
+        apart_m = distance_m(self._obeyed, reported)
+        return f"it was sent to {there}, {apart_m:.0f} m from where the program sent it"
+
+    def _learn(self, reported: Position | None) -> None:
+        if reported is not None and not self._is_pending:
+            self._obeyed, self._is_known = reported, True
+
 
 _KNOWN_LATE_S = 1.0  # after the mode, that the remote control moved
 
@@ -49,7 +95,7 @@ _WHO = {
 }
 
 
-class Change(StrEnum):
+class ControlChange(StrEnum):
     """What a claim or a report means for the owner."""
 
     CLAIMED = "claimed"
@@ -63,41 +109,41 @@ class Change(StrEnum):
     RESTARTED = "autopilot restarted"
 
 
-TRANSITIONS: Mapping[tuple[Owner, Change], Owner] = {
-    (Owner.NOBODY, Change.CLAIMED): Owner.PROGRAM,
-    (Owner.NOBODY, Change.MODE_CHANGED): Owner.NOBODY,  # a switch of a vehicle that nobody flies
-    (Owner.NOBODY, Change.MODE_COMMANDED): Owner.NOBODY,
-    (Owner.NOBODY, Change.MODE_FAILED_SAFE): Owner.NOBODY,
-    (Owner.NOBODY, Change.ARMED): Owner.PILOT,
-    (Owner.PROGRAM, Change.CLAIMED): Owner.PROGRAM,
-    (Owner.PROGRAM, Change.MODE_CHANGED): Owner.PILOT,
-    (Owner.PROGRAM, Change.MODE_COMMANDED): Owner.GROUND_STATION,
-    (Owner.PROGRAM, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
-    (Owner.PROGRAM, Change.ARMED): Owner.PILOT,
-    (Owner.PROGRAM, Change.DISARMED): Owner.UNKNOWN,  # the pilot, or its own delay on the ground
-    (Owner.PROGRAM, Change.TARGET_CHANGED): Owner.GROUND_STATION,
-    (Owner.PROGRAM, Change.RESTARTED): Owner.UNKNOWN,
-    (Owner.PILOT, Change.MODE_CHANGED): Owner.PILOT,
-    (Owner.PILOT, Change.MODE_COMMANDED): Owner.GROUND_STATION,
-    (Owner.PILOT, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
-    (Owner.PILOT, Change.ARMED): Owner.PILOT,
-    (Owner.PILOT, Change.RESTARTED): Owner.UNKNOWN,
-    (Owner.GROUND_STATION, Change.MODE_CHANGED): Owner.PILOT,
-    (Owner.GROUND_STATION, Change.MODE_COMMANDED): Owner.GROUND_STATION,
-    (Owner.GROUND_STATION, Change.REMOTE_MOVED): Owner.PILOT,
-    (Owner.GROUND_STATION, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
-    (Owner.GROUND_STATION, Change.ARMED): Owner.PILOT,
-    (Owner.GROUND_STATION, Change.RESTARTED): Owner.UNKNOWN,
-    (Owner.FAILSAFE, Change.MODE_CHANGED): Owner.PILOT,
-    (Owner.FAILSAFE, Change.MODE_COMMANDED): Owner.GROUND_STATION,
-    (Owner.FAILSAFE, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
-    (Owner.FAILSAFE, Change.ARMED): Owner.PILOT,
-    (Owner.FAILSAFE, Change.RESTARTED): Owner.UNKNOWN,
-    (Owner.UNKNOWN, Change.MODE_CHANGED): Owner.PILOT,
-    (Owner.UNKNOWN, Change.MODE_COMMANDED): Owner.GROUND_STATION,
-    (Owner.UNKNOWN, Change.MODE_FAILED_SAFE): Owner.FAILSAFE,
-    (Owner.UNKNOWN, Change.ARMED): Owner.PILOT,
-    (Owner.UNKNOWN, Change.RESTARTED): Owner.UNKNOWN,
+TRANSITIONS: Mapping[tuple[Owner, ControlChange], Owner] = {
+    (Owner.NOBODY, ControlChange.CLAIMED): Owner.PROGRAM,
+    (Owner.NOBODY, ControlChange.MODE_CHANGED): Owner.NOBODY,  # a switch of a vehicle that nobody flies
+    (Owner.NOBODY, ControlChange.MODE_COMMANDED): Owner.NOBODY,
+    (Owner.NOBODY, ControlChange.MODE_FAILED_SAFE): Owner.NOBODY,
+    (Owner.NOBODY, ControlChange.ARMED): Owner.PILOT,
+    (Owner.PROGRAM, ControlChange.CLAIMED): Owner.PROGRAM,
+    (Owner.PROGRAM, ControlChange.MODE_CHANGED): Owner.PILOT,
+    (Owner.PROGRAM, ControlChange.MODE_COMMANDED): Owner.GROUND_STATION,
+    (Owner.PROGRAM, ControlChange.MODE_FAILED_SAFE): Owner.FAILSAFE,
+    (Owner.PROGRAM, ControlChange.ARMED): Owner.PILOT,
+    (Owner.PROGRAM, ControlChange.DISARMED): Owner.UNKNOWN,  # the pilot, or its own delay on the ground
+    (Owner.PROGRAM, ControlChange.TARGET_CHANGED): Owner.GROUND_STATION,
+    (Owner.PROGRAM, ControlChange.RESTARTED): Owner.UNKNOWN,
+    (Owner.PILOT, ControlChange.MODE_CHANGED): Owner.PILOT,
+    (Owner.PILOT, ControlChange.MODE_COMMANDED): Owner.GROUND_STATION,
+    (Owner.PILOT, ControlChange.MODE_FAILED_SAFE): Owner.FAILSAFE,
+    (Owner.PILOT, ControlChange.ARMED): Owner.PILOT,
+    (Owner.PILOT, ControlChange.RESTARTED): Owner.UNKNOWN,
+    (Owner.GROUND_STATION, ControlChange.MODE_CHANGED): Owner.PILOT,
+    (Owner.GROUND_STATION, ControlChange.MODE_COMMANDED): Owner.GROUND_STATION,
+    (Owner.GROUND_STATION, ControlChange.REMOTE_MOVED): Owner.PILOT,
+    (Owner.GROUND_STATION, ControlChange.MODE_FAILED_SAFE): Owner.FAILSAFE,
+    (Owner.GROUND_STATION, ControlChange.ARMED): Owner.PILOT,
+    (Owner.GROUND_STATION, ControlChange.RESTARTED): Owner.UNKNOWN,
+    (Owner.FAILSAFE, ControlChange.MODE_CHANGED): Owner.PILOT,
+    (Owner.FAILSAFE, ControlChange.MODE_COMMANDED): Owner.GROUND_STATION,
+    (Owner.FAILSAFE, ControlChange.MODE_FAILED_SAFE): Owner.FAILSAFE,
+    (Owner.FAILSAFE, ControlChange.ARMED): Owner.PILOT,
+    (Owner.FAILSAFE, ControlChange.RESTARTED): Owner.UNKNOWN,
+    (Owner.UNKNOWN, ControlChange.MODE_CHANGED): Owner.PILOT,
+    (Owner.UNKNOWN, ControlChange.MODE_COMMANDED): Owner.GROUND_STATION,
+    (Owner.UNKNOWN, ControlChange.MODE_FAILED_SAFE): Owner.FAILSAFE,
+    (Owner.UNKNOWN, ControlChange.ARMED): Owner.PILOT,
+    (Owner.UNKNOWN, ControlChange.RESTARTED): Owner.UNKNOWN,
 }
 """Complete but for what changes nothing: the claim of a vehicle that was lost (law 3), and, of a vehicle that is not
 the program's, that it is disarmed, is sent elsewhere, or restarts before the claim."""
@@ -120,7 +166,7 @@ class Control:
         return f"{_WHO[self.owner]}: {self.why}"
 
 
-class Report(msgspec.Struct, frozen=True, gc=False):
+class Heartbeat(msgspec.Struct, frozen=True, gc=False):
     """What one heartbeat says, and what is known with it.
 
     `failsafe` is why a fail-safe may have chosen the mode, or empty. `on_ground` is whether it stands, and
@@ -142,7 +188,7 @@ class Latch:
 
     def __init__(self, now_s: float) -> None:
         self.control = Control(Owner.NOBODY, now_s, "not claimed yet")
-        self._reported: Report | None = None
+        self._reported: Heartbeat | None = None
         self._mode: str | None = (
             None  # what it was last seen to be in by command; None: any, while it stands disarmed
         )
@@ -158,14 +204,16 @@ class Latch:
             return
         if not reported.armed:
             self._mode, self._armed = None, False
-            self._take(Change.CLAIMED, "it was disarmed when the program was started", now_s)
+            self._take(ControlChange.CLAIMED, "it was disarmed when the program was started", now_s)
         elif resumes and reported.mode == own_mode:
             self._mode, self._armed = reported.mode, True
-            self._take(Change.CLAIMED, f"it was in mode {own_mode} when the program was resumed", now_s)
+            self._take(
+                ControlChange.CLAIMED, f"it was in mode {own_mode} when the program was resumed", now_s
+            )
         else:
             wanted = f"switch it to {own_mode} and resume the flight" if resumes else "disarm it first"
             why = f"it is armed, in mode {reported.mode}; to give it to the program, {wanted}"
-            self._take(Change.ARMED, why, now_s)
+            self._take(ControlChange.ARMED, why, now_s)
 
     def require(self, step: str, vehicle_said: str = "") -> None:
         """Raises AutopilotOverruled unless the program has the vehicle (law 1)."""
@@ -194,7 +242,7 @@ class Latch:
         """The command on its way was refused: it leads nowhere."""
         self._modes_ahead, self._armed_ahead = (), None
 
-    def report(self, report: Report, now_s: float) -> None:
+    def report(self, report: Heartbeat, now_s: float) -> None:
         """Takes in a heartbeat (laws 3 and 4)."""
         before, self._reported = self._reported, report
         if self.control.is_ours:
@@ -213,15 +261,15 @@ class Latch:
         if not self.control.is_ours or not self._armed or self._modes_ahead:
             return
         if difference := self._targets.difference(place):
-            self._take(Change.TARGET_CHANGED, difference, now_s)
+            self._take(ControlChange.TARGET_CHANGED, difference, now_s)
 
     def report_restart(self, why: str, now_s: float) -> None:
         """Takes in that the autopilot has restarted; while it stands disarmed for the program, that is no loss."""
         if self.control.owner is Owner.NOBODY or (self.control.is_ours and not self._armed):
             return
-        self._take(Change.RESTARTED, why, now_s)
+        self._take(ControlChange.RESTARTED, why, now_s)
 
-    def _compare_arming(self, report: Report, now_s: float) -> None:
+    def _compare_arming(self, report: Heartbeat, now_s: float) -> None:
         if report.armed == self._armed_ahead:
             self._armed, self._armed_ahead = report.armed, None
             if not report.armed:  # it stands, and may go back to the mode that it had before the flight
@@ -229,7 +277,7 @@ class Latch:
         elif report.armed != self._armed:
             self._take(*_armed_or_disarmed(report), now_s)
 
-    def _compare_mode(self, report: Report, now_s: float) -> None:
+    def _compare_mode(self, report: Heartbeat, now_s: float) -> None:
         if report.mode in self._modes_ahead:
             past = self._modes_ahead.index(report.mode) + 1
             self._mode, self._modes_ahead = report.mode, self._modes_ahead[past:]
@@ -237,7 +285,7 @@ class Latch:
             commanded = self._modes_ahead[-1] if self._modes_ahead else self._mode
             self._take_mode(report, now_s, f", {commanded} was commanded")
 
-    def _compare_lost(self, before: Report, report: Report, now_s: float) -> None:
+    def _compare_lost(self, before: Heartbeat, report: Heartbeat, now_s: float) -> None:
         if report.armed and not before.armed:
             self._take(*_armed_or_disarmed(report), now_s)
         changed = (
@@ -247,23 +295,23 @@ class Latch:
             self._take_mode(report, now_s, "")
         elif report.remote_moved and report.mode != self._mode and self._lost_lately(now_s):
             why = f"the vehicle is in mode {report.mode} (the remote control moved)"
-            self._take(Change.REMOTE_MOVED, why, now_s)
+            self._take(ControlChange.REMOTE_MOVED, why, now_s)
 
     def _lost_lately(self, now_s: float) -> bool:
         lost = self.control
         return lost.owner is Owner.GROUND_STATION and now_s - lost.since_s <= _KNOWN_LATE_S
 
-    def _take_mode(self, report: Report, now_s: float, instead_of: str) -> None:
+    def _take_mode(self, report: Heartbeat, now_s: float, instead_of: str) -> None:
         if report.failsafe:
-            change, by = Change.MODE_FAILED_SAFE, f" ({report.failsafe})"
+            change, by = ControlChange.MODE_FAILED_SAFE, f" ({report.failsafe})"
         elif report.remote_moved is None:
-            change, by = Change.MODE_CHANGED, ""
+            change, by = ControlChange.MODE_CHANGED, ""
         else:
-            change = Change.MODE_CHANGED if report.remote_moved else Change.MODE_COMMANDED
+            change = ControlChange.MODE_CHANGED if report.remote_moved else ControlChange.MODE_COMMANDED
             by = f" (the remote control {'moved' if report.remote_moved else 'did not move'})"
         self._take(change, f"the vehicle is in mode {report.mode}{by}{instead_of}", now_s)
 
-    def _take(self, change: Change, why: str, now_s: float) -> None:
+    def _take(self, change: ControlChange, why: str, now_s: float) -> None:
         before, owner = self.control, TRANSITIONS[self.control.owner, change]
         if owner is not Owner.NOBODY:
             self.control = Control(owner, before.since_s if owner is before.owner else now_s, why)
@@ -276,7 +324,7 @@ _DISARMED = {
 }
 
 
-def _armed_or_disarmed(report: Report) -> tuple[Change, str]:
+def _armed_or_disarmed(report: Heartbeat) -> tuple[ControlChange, str]:
     if report.armed:
-        return Change.ARMED, "somebody else armed it"
-    return Change.DISARMED, _DISARMED[report.on_ground]
+        return ControlChange.ARMED, "somebody else armed it"
+    return ControlChange.DISARMED, _DISARMED[report.on_ground]

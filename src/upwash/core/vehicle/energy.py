@@ -16,18 +16,24 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from upwash.core.geo import Position, Velocity, ground_distance_m
-from upwash.core.planning.legs import Leg
+from upwash.core.vehicle.way_home import (
+    LOOK_S,
+    STILL,
+    UNKNOWN,
+    EnergyFacts,
+    WayHome,
+    descent_s,
+    in_words,
+    time_home_s,
+)
 
-STILL = Velocity()
 _STEP_PERCENT = 1.0  # of the reports: 80 may be anything from 80 up to 81
 _WINDOW_S = 180.0  # over which the consumption of now is measured
 _LEAST_S = 60.0  # less flight than this says nothing of it
 _SWAPPED_PERCENT = 3.0  # a rise of more is another battery, or a sag that is over
-_LEAST_SHARE = 1 / 3  # of the speed of returns: it flew out against the wind that it returns against
 _STEADY_S, _STEADY_M_S = (
     3.0,
     0.3,
@@ -35,56 +41,10 @@ _STEADY_S, _STEADY_M_S = (
 _LEVEL_M_S = 0.3  # a leg that climbs or descends faster is slow for that reason
 _LEAST_M_S = 0.5  # below this it stands
 _WIND_KEPT_S = 600.0  # for so long a slow leg tells of the wind
-_LOOK_S = 2.0  # between two looks at the battery, and until the vehicle is told
 
 
 @dataclass(frozen=True, slots=True)
-class WayHome:
-    """How a vehicle returns and lands, once told to."""
-
-    altitude_m: float  # it climbs so high before it returns
-    climb_m_s: float
-    speed_m_s: float  # over the ground, without wind
-    acceleration_m_s2: float
-    hover_s: float  # above home, and whatever else takes a fixed time
-    descent_m_s: float
-    slowly_below_m: float  # the last metres,
-    landing_m_s: float  # ... which it descends at this speed
-
-
-# With the parameters that each is delivered with; tests hold both against recorded returns. The hover is ArduCopter's
-# RTL_LOIT_TIME of 5 s with what settling takes; a PX4 settles too before it descends.
-ARDUCOPTER = WayHome(15.0, 2.5, 10.0, 1.0, 10.0, 1.5, 10.0, 0.5)
-PX4 = WayHome(30.0, 2.5, 5.0, 1.0, 8.0, 1.5, 10.0, 0.5)
-UNKNOWN = PX4  # the slower one, of a vehicle that has not said what it is
-
-
-@dataclass(frozen=True, slots=True)
-class EnergyFacts:
-    """What a vehicle says of its battery's stages and of its way home; None where it does not.
-
-    `home` is where it returns to. `guessed` lists its parameters that are not known; a usual value stands for each.
-    """
-
-    low_percent: float | None = None
-    critical_percent: float | None = None
-    home: Position | None = None
-    way_home: WayHome | None = None
-    guessed: tuple[str, ...] = ()
-
-    @property
-    def return_altitude_m(self) -> float:
-        """The altitude above home that the way home has at least; 0 where it is not known."""
-        return self.way_home.altitude_m if self.way_home is not None else 0.0
-
-
-def in_words(guessed: Sequence[str]) -> str:
-    """What is guessed, in words, by the names of the vehicle's parameters that are not known."""
-    return f"guessed: {', '.join(guessed)} {'is' if len(guessed) == 1 else 'are'} not known"
-
-
-@dataclass(frozen=True, slots=True)
-class Report:
+class FlightReport:
     """What is known of a vehicle in flight at one moment; `leg_speed_m_s` is what the leg under way was told."""
 
     time_s: float
@@ -171,37 +131,6 @@ def margin(
     )
 
 
-def time_home_s(
-    start: Position, home: Position, way: WayHome, *, against_m_s: float = 0.0, velocity: Velocity = STILL
-) -> float:
-    """How long it takes from there to the ground at home, `against_m_s` slower over the ground than without wind.
-
-    A vehicle that moves has to stop first, and goes on meanwhile: away from home, as far as is known here.
-    """
-    stop_s = velocity.speed_m_s / way.acceleration_m_s2
-    length_m = ground_distance_m(start, home) + velocity.speed_m_s * (_LOOK_S + stop_s / 2)
-    top_m = max(start.altitude_m, way.altitude_m)
-    speed_m_s = max(way.speed_m_s - against_m_s, _LEAST_SHARE * way.speed_m_s)
-    return (
-        stop_s
-        + _rise_s(top_m - start.altitude_m, way)
-        + Leg(length_m, speed_m_s, way.acceleration_m_s2).duration_s
-        + way.hover_s
-        + descent_s(top_m, way)
-    )
-
-
-def descent_s(altitude_m: float, way: WayHome) -> float:
-    """How long it takes straight down to the ground."""
-    slowly_m = min(max(altitude_m, 0.0), way.slowly_below_m)
-    fast_m = max(altitude_m - slowly_m, 0.0)
-    return Leg(fast_m, way.descent_m_s, way.acceleration_m_s2).duration_s + slowly_m / way.landing_m_s
-
-
-def _rise_s(height_m: float, way: WayHome) -> float:
-    return Leg(max(height_m, 0.0), way.climb_m_s, way.acceleration_m_s2).duration_s
-
-
 class Consumption:
     """What the battery loses, by reports that step by a percent, are missing at times, and jump.
 
@@ -265,7 +194,7 @@ class Wind:
         self._slow: deque[_SlowLeg] = deque()
         self._steady: deque[tuple[float, Velocity, float]] = deque()
 
-    def take(self, report: Report) -> None:
+    def take(self, report: FlightReport) -> None:
         """Takes in a report of a vehicle in flight; times never go back."""
         self._reported = report.wind or self._reported
         while self._slow and self._slow[0].time_s < report.time_s - _WIND_KEPT_S:
@@ -327,7 +256,7 @@ def _changed(before: tuple[float, Velocity, float], now: tuple[float, Velocity, 
 
 
 @dataclass(slots=True)
-class Energy:
+class FlightEnergy:
     """Follows a flight by its reports, and says how much is to spare."""
 
     reserve: Reserve
@@ -345,14 +274,14 @@ class Energy:
         """What the battery loses a second, as far as it is known."""
         return self._consumption.rate_percent_s
 
-    def take(self, report: Report) -> None:
+    def take(self, report: FlightReport) -> None:
         """Takes in a report of a vehicle in flight; times never go back."""
         if report.percent is not None:
             self._reported = report.time_s, report.percent
         self._consumption.take(report.time_s, report.percent)
         self._wind.take(report)
 
-    def margin(self, report: Report, home: Position, facts: EnergyFacts) -> Margin | None:
+    def margin(self, report: FlightReport, home: Position, facts: EnergyFacts) -> Margin | None:
         """What is to spare at that moment; None while the battery was never reported.
 
         `home` is where the vehicle returns to, as far as it does not say so itself.
@@ -364,13 +293,13 @@ class Energy:
         return margin(
             percent - (rate or 0.0) * (report.time_s - reported_s),
             rate_percent_s=rate,
-            home_s=_LOOK_S + self._down_s(report, facts.home or home, way),
+            home_s=LOOK_S + self._down_s(report, facts.home or home, way),
             reserve=self.reserve,
             low_percent=facts.low_percent,
             guessed=facts.guessed,
         )
 
-    def _down_s(self, report: Report, home: Position, way: WayHome) -> float:
+    def _down_s(self, report: FlightReport, home: Position, way: WayHome) -> float:
         if self.lands:
             return way.hover_s + descent_s(report.position.altitude_m, way)
         return time_home_s(

@@ -56,7 +56,7 @@ def moment_of(event: Event | Seen) -> Moment:
     """The moment of an event of a log, or of what an observer saw."""
     if isinstance(event, Seen):
         return Moment(event.t, event.event, event.server)
-    at = event.server if isinstance(event, (schema.Step, schema.Joined, schema.Decided)) else None
+    at = event.server if isinstance(event, (schema.ServerStep, schema.Joined, schema.Decided)) else None
     return Moment(event.t, event.kind, at)
 
 

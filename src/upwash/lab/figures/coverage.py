@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from upwash.config import DroneConfig, server_areas
 from upwash.core.geo import Circle, Position
-from upwash.drone.order import order_of
+from upwash.drone.preparation import order_of
 from upwash.lab.figures.style import COLUMN_IN, SHAPES, in_style, legend, new_figure, write
 from upwash.missions.bundled import load_specs
 from upwash.report.palette import LIGHT

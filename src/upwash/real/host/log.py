@@ -11,7 +11,7 @@ from typing import Any, TextIO
 
 import msgspec
 
-from upwash.core.admission.allowance import Allowance
+from upwash.core.admission.limits import Allowance
 from upwash.support.background import thread
 from upwash.support.text import escaped_lines, printable
 

@@ -14,7 +14,7 @@ import signal
 import socket
 import subprocess
 
-from upwash.core.admission.allowance import Allowance
+from upwash.core.admission.limits import Allowance
 from upwash.real.instances.control import Ended, Failed, Said, line
 from upwash.real.instances.control_credentials import (
     CONTROL_PORT,

@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import BinaryIO, NoReturn
 
-from upwash.core.admission.allowance import Allowance
 from upwash.core.admission.instance_gate import InstanceGate
+from upwash.core.admission.limits import Allowance
 from upwash.errors import Refused, UsageError
 from upwash.real.instances.control import (
     MOST_REPORTS_PER_S,

@@ -16,7 +16,7 @@ from collections.abc import Callable
 import msgspec
 
 from upwash import ports
-from upwash.core.admission.allowance import Allowance
+from upwash.core.admission.limits import Allowance
 from upwash.errors import InstanceError
 from upwash.real.instances.control import (
     MOST_REPORTS_PER_S,

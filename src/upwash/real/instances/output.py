@@ -9,7 +9,7 @@ import re
 import time
 from collections.abc import AsyncIterator, Callable
 
-from upwash.core.admission.allowance import Allowance
+from upwash.core.admission.limits import Allowance
 from upwash.support.text import signal_name, words_of
 
 _log = logging.getLogger("upwash.instance")

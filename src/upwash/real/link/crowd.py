@@ -7,7 +7,7 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from upwash.core.admission.allowance import Allowance
+from upwash.core.admission.limits import Allowance
 
 M = TypeVar("M")
 K = TypeVar("K")

@@ -24,8 +24,8 @@ from ipaddress import IPv6Address, ip_address
 from types import MappingProxyType
 from typing import Any, NoReturn, get_args
 
-from upwash.core.admission.allowance import Allowance
 from upwash.core.admission.clients import Client, DoorReason, DoorStatus
+from upwash.core.admission.limits import Allowance
 from upwash.errors import InstanceError
 from upwash.real.host.log import Sparing
 from upwash.real.link.announced import Connect

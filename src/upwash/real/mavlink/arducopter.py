@@ -11,8 +11,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Position, ahead, distance_m
-from upwash.core.vehicle.energy import ARDUCOPTER as ARDUCOPTER_WAY_HOME
-from upwash.core.vehicle.energy import EnergyFacts
+from upwash.core.vehicle.way_home import ARDUCOPTER as ARDUCOPTER_WAY_HOME
+from upwash.core.vehicle.way_home import EnergyFacts
 from upwash.errors import AutopilotRefused
 from upwash.mavlink.version import Version
 from upwash.ports import DeadMan, VehicleLimits, VehicleSetting

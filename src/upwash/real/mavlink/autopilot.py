@@ -23,10 +23,10 @@ from upwash.core.geo import (
     distance_m,
     ground_distance_m,
 )
-from upwash.core.planning.pace import PACES, Pace
+from upwash.core.planning.legs import PACES, Pace
 from upwash.core.vehicle.control import Control
-from upwash.core.vehicle.energy import EnergyFacts
 from upwash.core.vehicle.telemetry import Telemetry
+from upwash.core.vehicle.way_home import EnergyFacts
 from upwash.errors import AutopilotRefused, UsageError
 from upwash.mavlink.version import Version
 from upwash.ports import ArmingDelayed, DeadMan, VehicleLimits, VehicleNews

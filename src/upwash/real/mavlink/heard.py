@@ -15,9 +15,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.admission.allowance import Allowance
+from upwash.core.admission.limits import Allowance
 from upwash.core.geo import Position
-from upwash.core.vehicle.control import Latch, Report
+from upwash.core.vehicle.control import Heartbeat, Latch
 from upwash.errors import AutopilotLost, AutopilotRefused, AutopilotTimeout
 from upwash.mavlink.signing import Signing
 from upwash.ports import HomeMoved, LinkChanged, LinkTrouble, PositionDoubted, VehicleNews, VehicleText
@@ -422,7 +422,7 @@ class HeardVehicle:
         # ArduCopter says that it stands as soon as its motors stop, wherever that is.
         stands = told.stands if told.armed or now_s - told.airborne_s > _STOOD_S else False
         moved = told.remote.moved(now_s)
-        report = Report(mode, told.armed, self.firmware.failsafe(told, mode), stands, moved)
+        report = Heartbeat(mode, told.armed, self.firmware.failsafe(told, mode), stands, moved)
         self._judge(lambda: self.latch.report(report, now_s))
         if told.disarmed_s == now_s and not self.latch.control.is_ours:
             self.ask_for(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME)  # which tells a restart

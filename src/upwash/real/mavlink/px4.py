@@ -13,8 +13,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Position, Velocity
-from upwash.core.vehicle.energy import PX4 as PX4_WAY_HOME
-from upwash.core.vehicle.energy import EnergyFacts
+from upwash.core.vehicle.way_home import PX4 as PX4_WAY_HOME
+from upwash.core.vehicle.way_home import EnergyFacts
 from upwash.errors import AutopilotError, AutopilotRefused
 from upwash.mavlink.px4 import RUN_PREARM_CHECKS
 from upwash.ports import VehicleLimits

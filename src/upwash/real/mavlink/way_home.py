@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from upwash.core.vehicle.energy import ARDUCOPTER, PX4, EnergyFacts, WayHome
+from upwash.core.vehicle.way_home import ARDUCOPTER, PX4, EnergyFacts, WayHome
 from upwash.real.mavlink.course import Abilities
 from upwash.real.mavlink.quantities import Quantity, Told
 

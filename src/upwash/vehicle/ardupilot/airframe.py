@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
 from upwash.core.geo import Position, Velocity, distance_m
-from upwash.core.vehicle.energy import ARDUCOPTER
+from upwash.core.vehicle.way_home import ARDUCOPTER
 from upwash.vehicle.ardupilot.pursuit import Pursuit, PursuitSample
 from upwash.vehicle.ardupilot.ramps import Ramp, ramped_leg
 from upwash.vehicle.body.kinematics import (

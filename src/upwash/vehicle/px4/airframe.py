@@ -9,7 +9,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 from upwash.core.geo import Position, Velocity, distance_m
-from upwash.core.vehicle.energy import PX4
+from upwash.core.vehicle.way_home import PX4
 from upwash.vehicle.body.kinematics import Phase, heading_of
 from upwash.vehicle.px4.body import (
     CLIMB_M_S,

@@ -78,7 +78,7 @@ def _lost_in_a_crash(history: History) -> Iterator[Breach]:
         number
         for number, event in enumerate(events)
         if isinstance(
-            event, (schema.CallStarted, schema.Leg, schema.AnswerTaken, schema.Notified, schema.Acted)
+            event, (schema.CallStarted, schema.SetOff, schema.AnswerTaken, schema.Notified, schema.Acted)
         )
     ]
     for number in moments[:: max(1, len(moments) // _MOST_CRASHES)]:

@@ -34,7 +34,7 @@ def spells_of(history: History) -> dict[str, list[Spell]]:
     spells: dict[str, list[Spell]] = {}
     failures: dict[str, tuple[int, float]] = {}  # how many in a row, and when the last one was
     for event in history.run.events:
-        if not isinstance(event, schema.Step):
+        if not isinstance(event, schema.ServerStep):
             continue
         server, now_s = event.server, event.t
         if event.after is State.BLACKLISTED:
@@ -72,7 +72,7 @@ def _trusted_too_soon(events: Iterable[Event]) -> Iterator[Breach]:
             case schema.Decided(server=str(server), operation=operation) if server in doubted:
                 if operation not in doubted[server] and not event.raced:
                     yield event, f"{server} has answered no call of {operation} since it failed"
-            case schema.Step(after=State.BLACKLISTED, server=server):
+            case schema.ServerStep(after=State.BLACKLISTED, server=server):
                 doubted[server] = set()
             case schema.Call(remote_fault="confirmed", operation=operation):
                 for answered in doubted.values():

@@ -24,7 +24,7 @@ def one_selection(history: History) -> Iterator[Breach]:
     radios = history.config.network.radios
     states: dict[str, State] = {}
     for event in history.run.events:
-        if not isinstance(event, schema.Step):
+        if not isinstance(event, schema.ServerStep):
             continue
         name, before, after = event.server, event.before, event.after
         if states.get(name, State.AVL) is not before:
@@ -47,7 +47,7 @@ def _used_out_of_turn(history: History) -> Iterator[Breach]:
     """A call goes to the server that was selected first of those that are."""
     selected: list[str] = []
     for event in history.run.events:
-        if isinstance(event, schema.Step):
+        if isinstance(event, schema.ServerStep):
             if event.server in selected and event.after not in SELECTED:
                 selected.remove(event.server)
             elif event.server not in selected and event.after in SELECTED:
@@ -86,7 +86,7 @@ def _contacted_too_soon(history: History) -> Iterator[Breach]:
     """A server that is not probed is left alone for the time that was set."""
     blacklisted: dict[str, list[tuple[float, float]]] = {}
     for event in history.run.events:
-        if isinstance(event, schema.Step) and event.after is State.BLACKLISTED:
+        if isinstance(event, schema.ServerStep) and event.after is State.BLACKLISTED:
             until_s = event.t + history.config.policy.left_alone_s
             blacklisted.setdefault(event.server, []).append((event.t, until_s))
         elif isinstance(event, schema.Selected):

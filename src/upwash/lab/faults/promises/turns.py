@@ -47,7 +47,7 @@ def _waits(history: History, server: str) -> Iterator[tuple[schema.NoSlot, float
 
 
 def _ends_wait(event: Event, server: str) -> bool:
-    return isinstance(event, (schema.Step, schema.Joined)) and event.server == server
+    return isinstance(event, (schema.ServerStep, schema.Joined)) and event.server == server
 
 
 def _too_long(

@@ -91,7 +91,7 @@ def named_truly(history: History) -> Iterator[Breach]:
     """The log names as an owner only a party that has taken the vehicle before."""
     taken = list(history.own("taken"))
     for event in history.run.events:
-        if isinstance(event, schema.Control) and event.owner in _NAMED_AFTER:
+        if isinstance(event, schema.ControlChanged) and event.owner in _NAMED_AFTER:
             before = {fact.by for fact in taken if fact.t <= event.t + ROUNDING_S}
             if before.isdisjoint(_NAMED_AFTER[event.owner]):
                 yield (
@@ -101,4 +101,4 @@ def named_truly(history: History) -> Iterator[Breach]:
 
 
 def _owners(history: History) -> list[Owner]:
-    return [event.owner for event in history.run.events if isinstance(event, schema.Control)]
+    return [event.owner for event in history.run.events if isinstance(event, schema.ControlChanged)]

@@ -12,8 +12,7 @@ from typing import TypeGuard
 
 from upwash.core.geo import Position
 from upwash.core.knowledge.estimates import Estimates
-from upwash.core.knowledge.server_table import ServerTable
-from upwash.core.knowledge.servers import FULL_S, SELECTED, Server, State
+from upwash.core.knowledge.servers import FULL_S, SELECTED, Server, ServerTable, State
 from upwash.core.operation import Operation
 from upwash.core.planning.forecast import Forecast, make_forecast, rest_of_check_s
 from upwash.core.planning.legs import left_m
@@ -30,15 +29,54 @@ from upwash.core.policies.policy import (
     Situation,
     Wait,
 )
+from upwash.core.selection.call_forecast import CallForecast, CallPlace
 from upwash.core.selection.commands import Prepare
-from upwash.core.selection.events import Arrived, LegBegun, TargetUnknown
-from upwash.core.selection.placing import Place, Placing
-from upwash.core.selection.prewarm import PrewarmNotifier
+from upwash.core.selection.events import LegBegun, LegEnded, TargetUnknown
 from upwash.core.selection.radios import Radios
 from upwash.core.selection.recovery import REST_S, Recovery
 
+_EARLY_S = 10.0  # that a server is prepared before it has to be, as legs and calls take as long as they take
+_HOLD_S = 15.0  # that its slot is held after the drone should be there
 
-class Planning:
+
+class PrewarmNotifier:
+    """Knows what was announced where, and when it is time for the next announcement."""
+
+    def __init__(self) -> None:
+        self.due_s = math.inf  # when an announcement is to be made that was too early before
+        self._held_until_s: dict[str, float] = {}
+
+    def is_due(self, now_s: float) -> bool:
+        """Whether it is time for an announcement that was too early before."""
+        return now_s >= self.due_s
+
+    def has_announced(self, server: str, *, at_s: float) -> bool:
+        """Whether the server should have held a slot then, and may have begun to start its services."""
+        return self._held_until_s.get(server, -math.inf) > at_s
+
+    def announce(
+        self, current: Server | None, coming: Coming | None, *, start_s: float, now_s: float
+    ) -> list[Prepare]:
+        """The announcement to make now, if any: by a server in use that is READY, and not again while a slot is held.
+
+        `start_s` is how long the coming server needs to start its services.
+        """
+        self.due_s = math.inf
+        if coming is None or current is None or current.state is not State.READY:
+            return []
+        if coming.server not in current.peers:
+            return []
+        due_s = max(
+            now_s + coming.in_s - start_s - _EARLY_S, self._held_until_s.get(coming.server, -math.inf)
+        )
+        if due_s > now_s:
+            self.due_s = due_s
+            return []
+        self._held_until_s[coming.server] = now_s + coming.in_s + _HOLD_S
+        return [Prepare(current.name, current.check, coming.server, coming.in_s, _HOLD_S)]
+
+
+class ServerPlanning:
     """Asks the policy which server to use, for a mission that it follows over its legs and calls."""
 
     def __init__(
@@ -87,13 +125,13 @@ class Planning:
         self.under_way = None
 
     def mission_goes_on(
-        self, event: LegBegun | Arrived | TargetUnknown, position: Position, now_s: float
+        self, event: LegBegun | LegEnded | TargetUnknown, position: Position, now_s: float
     ) -> None:
         """Follows the mission, of which only a policy with a horizon is shown anything."""
         match event:
             case LegBegun(target, ground_speed_m_s, back):
                 self.mission.leg_begun(position, target, ground_speed_m_s, now_s=now_s, back=back)
-            case Arrived():
+            case LegEnded():
                 self.mission.arrived(now_s=now_s)
             case TargetUnknown():
                 self.mission.lost()
@@ -177,14 +215,16 @@ class Planning:
         }
         return ExpectedCall(operation, 0.0, in_range_s)
 
-    def placing(self, now_s: float) -> Placing:
+    def placing(self, now_s: float) -> CallForecast:
         """Where calls will run from now on."""
         in_use = self._radios.in_use
         running = (State.AVL_R, *SELECTED)
-        return Placing(
+        return CallForecast(
             self._policy,
             self._estimates,
-            here=Place(in_use.name, rest_of_check_s(in_use, self._estimates, now_s)) if in_use else Place(),
+            here=CallPlace(in_use.name, rest_of_check_s(in_use, self._estimates, now_s))
+            if in_use
+            else CallPlace(),
             running=[server.name for server in self._table.servers.values() if server.state in running],
             unusable_s=dict(self._banned(now_s)),
         )

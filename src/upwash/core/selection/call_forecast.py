@@ -22,14 +22,14 @@ from upwash.core.policies.policy import CallInputs, Local, Option, Policy, Remot
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class CallPlace:
     """Where a call is made: with that server selected, if any, which is ready in so long."""
 
     server: str | None = None
     ready_in_s: float = 0.0
 
 
-class Placing:
+class CallForecast:
     """Follows the calls to come, from what the drone uses and knows at one moment.
 
     `unusable_s` says of servers for how much longer they cannot be used, and `running` on which the services run.
@@ -40,7 +40,7 @@ class Placing:
         policy: Policy,
         estimates: Estimates,
         *,
-        here: Place,
+        here: CallPlace,
         running: Iterable[str] = (),
         unusable_s: Mapping[str, float],
     ) -> None:
@@ -55,26 +55,26 @@ class Placing:
             tuple[str | None, Operation, Position | None], float
         ] = {}  # with no check under way
 
-    def places(self, calls: Iterable[ExpectedCall]) -> Iterator[Place]:
+    def places(self, calls: Iterable[ExpectedCall]) -> Iterator[CallPlace]:
         """The place of each call in turn."""
         at_s, here = 0.0, self._here
         for call in calls:
             at_s += call.gap_s
             server = self._server(here.server, call, at_s)
             if server is None:
-                here = Place()
+                here = CallPlace()
             elif server == here.server:
-                here = Place(server, max(0.0, here.ready_in_s - call.gap_s))
+                here = CallPlace(server, max(0.0, here.ready_in_s - call.gap_s))
             else:
                 check_s = self._estimates.check_s(server, running=server in self._running)
-                here = Place(server, max(0.0, check_s - call.in_range_s[server]))
+                here = CallPlace(server, max(0.0, check_s - call.in_range_s[server]))
                 self._running.add(server)
             yield here
             delay_s = self.delay_s(here, call)
             at_s += delay_s
-            here = Place(here.server, max(0.0, here.ready_in_s - delay_s))
+            here = CallPlace(here.server, max(0.0, here.ready_in_s - delay_s))
 
-    def delay_s(self, place: Place, call: ExpectedCall, operation: Operation | None = None) -> float:
+    def delay_s(self, place: CallPlace, call: ExpectedCall, operation: Operation | None = None) -> float:
         """What the call takes there, as that operation where one is given; the wait for a check is included."""
         operation = operation or call.operation
         measured = place.server is not None and self._estimates.is_measured(place.server)
@@ -86,7 +86,7 @@ class Placing:
             delay_s = self._delays_s[place.server, operation, at] = self._decided_s(place, operation, at)
         return delay_s
 
-    def _decided_s(self, place: Place, operation: Operation, at: Position | None) -> float:
+    def _decided_s(self, place: CallPlace, operation: Operation, at: Position | None) -> float:
         server, local_s = place.server, self._estimates.local_s(operation) or 0.0
         remote_s = self._estimates.remote_s(server, operation, at) if server is not None else None
         if server is None or remote_s is None:

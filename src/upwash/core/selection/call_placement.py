@@ -20,7 +20,7 @@ from upwash.core.selection.recovery import Recovery
 _TRIAL_S = 10.0  # for which a server's answer to a call on trial is waited for, beside the drone's own
 
 
-class Placement:
+class CallPlacement:
     """Decides where each call runs, by the policy and by what is known of the server in use."""
 
     def __init__(

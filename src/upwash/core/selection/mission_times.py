@@ -1,0 +1,168 @@
+"""When a mission is expected at each waypoint and over, and which calls run lighter so that it is over in time.
+
+In seconds of the mission's time, which counts from arming to landed:
+
+    at a waypoint   the take-off + each leg, pause and call before it, at the vehicle's pace
+    over            the same at the last call's end + the way home
+    forecast        the time used by now + this call + each pause, leg and call ahead + the way home,
+                    all calls as they are asked for
+    late            forecast - finish_by; where it is not above 0, no call is lighter
+    saved           by a call in the lighter mode, in the place where the call is expected to run; never below 0
+    lighter         a call that saves something, where the later calls that save more, all together, save less
+                    than `late`
+
+So the calls that save most are made lighter first, which are those on the drone; of calls that save alike, the
+soonest. Where all of them save less than `late`, all are lighter. An earlier `finish_by` never makes a call heavier.
+Each call is judged anew, by the measurements until then. Where calls run is foreseen by the policy itself
+(call_forecast.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from msgspec import structs
+
+from upwash.core.geo import Circle, Position
+from upwash.core.knowledge.ranges import AreaIndex
+from upwash.core.operation import Operation
+from upwash.core.planning.legs import Pace
+from upwash.core.planning.mission_model import ExpectedCall, MissionBeliefs, MissionModel
+from upwash.core.policies.policy import Lightened
+from upwash.core.selection.call_forecast import CallPlace
+from upwash.core.selection.commands import ExpectedTimes
+from upwash.core.selection.server_planning import ServerPlanning
+from upwash.core.vehicle.way_home import UNKNOWN, EnergyFacts, descent_s, time_home_s
+
+
+@dataclass(frozen=True, slots=True)
+class LighterSettings:
+    """By when the mission is to be over, and the lighter operation of each that has one."""
+
+    finish_by_s: float
+    operations: Mapping[Operation, Operation]
+
+
+def is_lighter(saves_s: float, others_save_s: Iterable[float], late_s: float) -> bool:
+    """Whether a call runs in the lighter mode, by what it and the calls to come would save so."""
+    return saves_s > 0 and sum(each_s for each_s in others_save_s if each_s > saves_s) < late_s
+
+
+class Lighter:
+    """Judges the calls of one mission."""
+
+    def __init__(self, settings: LighterSettings, planning: ServerPlanning) -> None:
+        self._settings = settings
+        self._planning = planning
+        self._begun_s: float | None = None
+        self._home_s = 0.0  # from the last waypoint to landed
+
+    def begin(self, *, now_s: float, home_s: float) -> None:
+        """The mission's time begins; it takes `home_s` from the last waypoint to landed."""
+        self._begun_s, self._home_s = now_s, home_s
+
+    def judge(
+        self, operation: Operation, *, now_s: float, position: Position, on_drone: bool = False
+    ) -> Lightened | None:
+        """The lighter operation that a call runs as which is made now; None where it runs as it is asked for.
+
+        The mission's model knows of the call. With `on_drone` it runs there, wherever others would.
+        """
+        lighter = self._settings.operations.get(operation)
+        if lighter is None or self._begun_s is None:
+            return None
+        calls = [
+            self._planning.made_now(operation, now_s),
+            *self._planning.mission.rest(position, now_s=now_s),
+        ]
+        placing = self._planning.placing(now_s)
+        places = list(placing.places(calls))
+        if on_drone:
+            places[0] = CallPlace()
+        takes_s = [placing.delay_s(place, call) for place, call in zip(places, calls, strict=True)]
+        lighter_s = [
+            placing.delay_s(place, call, self._lighter_of(call.operation))
+            for place, call in zip(places, calls, strict=True)
+        ]
+        forecast_s = now_s - self._begun_s + sum(call.gap_s for call in calls) + sum(takes_s) + self._home_s
+        saves_s = [max(0.0, as_asked - less) for as_asked, less in zip(takes_s, lighter_s, strict=True)]
+        if not is_lighter(saves_s[0], saves_s[1:], forecast_s - self._settings.finish_by_s):
+            return None
+        return Lightened(lighter, operation, forecast_s, self._settings.finish_by_s)
+
+    def _lighter_of(self, operation: Operation) -> Operation:
+        return self._settings.operations.get(operation, operation)
+
+
+_HOME = Position(0.0, 0.0)
+
+
+class Timetable:
+    """Foresees one mission, which takes off to `takeoff_m`, and `lands` at its last waypoint or else returns home.
+
+    `home_s` is the time from its last call to landed, once it has begun.
+    """
+
+    def __init__(
+        self,
+        planning: ServerPlanning,
+        beliefs: MissionBeliefs,
+        areas: Mapping[str, Circle],
+        index: AreaIndex,
+        *,
+        takeoff_m: float,
+        lands: bool,
+        lighter: LighterSettings | None = None,
+    ) -> None:
+        self.home_s = 0.0
+        self._planning = planning
+        self._beliefs = beliefs
+        # Of its own: it sees the whole mission, from the ground.
+        self._mission = MissionModel(beliefs, areas, index)
+        self._takeoff_m = takeoff_m
+        self._lands = lands
+        self._lighter = lighter
+
+    def begin(
+        self, vehicle: EnergyFacts, found: Pace | None, *, now_s: float, position: Position
+    ) -> ExpectedTimes | None:
+        """What is expected of the mission, which begins now; None where no waypoint or no call is known."""
+        if not self._beliefs.plan:
+            return None
+        first, last = self._beliefs.plan[0], self._beliefs.plan[-1].position
+        way, pace = vehicle.way_home or UNKNOWN, self._beliefs.pace_of(found)
+        self.home_s = pace.home_share * (
+            way.hover_s + descent_s(last.altitude_m, way)
+            if self._lands
+            else time_home_s(last, vehicle.home or _HOME, way)
+        )
+        takeoff_s = pace.takeoff_s(self._takeoff_m)
+        self._mission.begun(found)
+        start = Position(position.east_m, position.north_m, first.position.altitude_m)
+        self._mission.leg_begun(start, first.position, first.ground_speed_m_s, now_s=now_s)
+        calls = self._mission.rest(start, now_s=now_s)
+        if not calls:
+            return None
+        reached_s, as_asked_s = self._times(calls, now_s, takeoff_s)
+        if self._lighter is None:
+            return ExpectedTimes(reached_s, as_asked_s)
+        of = self._lighter.operations
+        lighter = [structs.replace(call, operation=of.get(call.operation, call.operation)) for call in calls]
+        _, lightest_s = self._times(lighter, now_s, takeoff_s)
+        return ExpectedTimes(reached_s, as_asked_s, lightest_s, self._lighter.finish_by_s)
+
+    def _times(
+        self, calls: Sequence[ExpectedCall], now_s: float, takeoff_s: float
+    ) -> tuple[Sequence[float], float]:
+        """When the drone is at each waypoint, and landed."""
+        stop = self._beliefs.stop
+        placing = self._planning.placing(now_s)
+        reached_s: list[float] = []
+        at_s = takeoff_s
+        for number, (call, place) in enumerate(zip(calls, placing.places(calls), strict=True)):
+            at_s += call.gap_s
+            if number % len(stop) == 0:
+                reached_s.append(at_s - stop[0].pause_s)
+            at_s += placing.delay_s(place, call)
+        return reached_s, at_s + self.home_s

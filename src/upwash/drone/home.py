@@ -1,0 +1,144 @@
+"""The home that a plan was made for, held against the vehicle's own before arming.
+
+A plan's altitudes above the sea become altitudes above the vehicle's own home, which the vehicle reports.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import msgspec
+
+from upwash.config import (
+    AltitudesAboveSea,
+    DroneConfig,
+    MissionConfig,
+    PlanFile,
+    altitudes_above_sea,
+    is_planned_home,
+)
+from upwash.core.geo import Position, ground_distance_m
+from upwash.errors import AutopilotRefused
+from upwash.plans import PlannedWaypoint
+from upwash.ports import VehicleLimits
+
+HOMES_AGREE_M = 30.0  # the error of a GPS in height, and of the terrain of a ground station
+_STEADY_M = 3.0  # less is the drift of a GPS in height between two looks
+_FAR_M = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedHome:
+    """A plan's home; None where the plan does not have it.
+
+    Where `counts_from_sea`, altitudes of the plan were converted with `above_sea_m`.
+    """
+
+    place: Position | None = None
+    above_sea_m: float | None = None
+    counts_from_sea: bool = False
+
+    def require_same(self, limits: VehicleLimits) -> None:
+        """Raises AutopilotRefused where the vehicle's home has risen or sunk since altitudes were converted."""
+        if self.counts_from_sea and self._apart_m(limits) > HOMES_AGREE_M:
+            raise AutopilotRefused(
+                "arm",
+                f"the plan's altitudes above the sea were converted with a home at {self.above_sea_m:g} m, and the "
+                f"vehicle's home is now at {limits.home_above_sea_m:g} m (at most {HOMES_AGREE_M:g} m apart are "
+                "allowed): wait for a better fix, and start again; nothing was sent",
+            )
+
+    def doubts(self, limits: VehicleLimits, vehicle: Position) -> Iterator[str]:
+        """What a person should know of it before arming."""
+        most_m = _STEADY_M if self.counts_from_sea else HOMES_AGREE_M
+        if self._apart_m(limits) > most_m:
+            homes = (
+                f"{self.above_sea_m:g} m above the sea, and the vehicle's home {limits.home_above_sea_m:g} m"
+            )
+            if self.counts_from_sea:
+                yield f"the plan's altitudes above the sea were converted with a home at {homes}"
+            else:
+                yield f"the plan's home is {homes}: check that the plan is of this place"
+        if self.place is not None and (away_m := ground_distance_m(self.place, vehicle)) > _FAR_M:
+            yield f"the vehicle stands {away_m:.0f} m from the plan's home, and returns to its own home"
+
+    def _apart_m(self, limits: VehicleLimits) -> float:
+        """How much higher or lower the vehicle's home is; 0 where one of them is not known."""
+        if self.above_sea_m is None or limits.home_above_sea_m is None:
+            return 0.0
+        return abs(self.above_sea_m - limits.home_above_sea_m)
+
+
+NO_PLANNED_HOME = PlannedHome()
+
+
+def planned_home(mission: MissionConfig) -> PlannedHome:
+    """The home of the mission's plan."""
+    plan = mission.plan.plan if mission.plan is not None else None
+    if plan is None or not is_planned_home(mission, plan):
+        return NO_PLANNED_HOME
+    counts_from_sea = altitudes_above_sea(mission) is not None
+    return PlannedHome(
+        place=Position(0.0, 0.0) if plan.home is not None else None,
+        above_sea_m=plan.reference_above_sea_m if counts_from_sea else plan.home_above_sea_m,
+        counts_from_sea=counts_from_sea,
+    )
+
+
+_LOWEST_M = 1.0  # above home
+
+
+def above_home(config: DroneConfig, home_above_sea_m: float) -> DroneConfig:
+    """The configuration with all altitudes above a home that lies so high above the sea.
+
+    Raises AutopilotRefused where the plan knows another altitude of its home, or a place would not lie above home.
+    """
+    file, above = config.mission.plan, altitudes_above_sea(config.mission)
+    if file is None or above is None:
+        return config
+    _require_same_home(file, above, home_above_sea_m)
+    waypoints = tuple(_above_home(each, home_above_sea_m) for each in file.plan.waypoints)
+    takeoff_m = config.mission.altitude_m
+    if above.takeoff_m is not None:
+        takeoff_m = above.takeoff_m - home_above_sea_m
+    for what, above_sea_m, altitude_m in _counted_from_sea(above, waypoints, takeoff_m):
+        if altitude_m < _LOWEST_M:
+            raise AutopilotRefused(
+                "arm",
+                f"{file.file}: {what} is {above_sea_m:g} m above the sea and the vehicle's home "
+                f"{home_above_sea_m:g} m: that is {altitude_m:.1f} m above home, less than {_LOWEST_M:g} m; give an "
+                "altitude above home, or check the vehicle's altitude; nothing was sent",
+            )
+    plan = replace(file.plan, waypoints=waypoints, reference_above_sea_m=home_above_sea_m)
+    mission = msgspec.structs.replace(config.mission, plan=PlanFile(file.file, plan), altitude_m=takeoff_m)
+    return msgspec.structs.replace(config, mission=mission)
+
+
+def _require_same_home(file: PlanFile, above: AltitudesAboveSea, home_above_sea_m: float) -> None:
+    if above.home_m is not None and abs(above.home_m - home_above_sea_m) > HOMES_AGREE_M:
+        raise AutopilotRefused(
+            "arm",
+            f"{file.file}: item {above.item} counts its altitude from the sea; the plan's home is "
+            f"{above.home_m:g} m above the sea, the vehicle's {home_above_sea_m:g} m (at most {HOMES_AGREE_M:g} m "
+            "apart are allowed): correct the planned home, or give altitudes above home; nothing was sent",
+        )
+
+
+def _above_home(waypoint: PlannedWaypoint, home_above_sea_m: float) -> PlannedWaypoint:
+    if waypoint.above_sea_m is None:
+        return waypoint
+    return replace(
+        waypoint, place=replace(waypoint.place, altitude_m=waypoint.above_sea_m - home_above_sea_m)
+    )
+
+
+def _counted_from_sea(
+    above: AltitudesAboveSea, waypoints: tuple[PlannedWaypoint, ...], takeoff_m: float
+) -> Iterator[tuple[str, float, float]]:
+    """What it is, and its altitudes above the sea and above home."""
+    if above.takeoff_m is not None:
+        yield "the take-off", above.takeoff_m, takeoff_m
+    for waypoint in waypoints:
+        if waypoint.above_sea_m is not None:
+            yield f"item {waypoint.item}", waypoint.above_sea_m, waypoint.place.altitude_m
