@@ -4,8 +4,8 @@
               + hovering above home + descent
 
 `WayDown` follows a return or a landing: the climb, the way, the hover above home, the descent. A part is over when
-the reports show that the next part has begun. At the start the whole is what `time_home_s` says without wind, which is
-never too short.
+the reports show that the next part has begun. At the start the whole is what `time_home_s` says without wind:
+never too little.
 """
 
 from __future__ import annotations
