@@ -21,7 +21,7 @@ from upwash.rpc.protocol import AVAILABILITY
 
 pytestmark = [pytest.mark.system, pytest.mark.long]
 
-MOST_GROWN_BYTES = 30_000_000  # by strangers, and by one drone: docs/servers.md
+MOST_GROWN_BYTES = 30_000_000  # by strangers, and by one drone: docs/server-safety.md
 MOST_GROWN_BY_ALL_BYTES = 80_000_000  # connections that the door has places for
 CALLS = 10
 REFUSALS = {  # what the daemon's log says of an attack that it can tell from an honest drone's doing
