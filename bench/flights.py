@@ -13,7 +13,8 @@ from pathlib import Path
 from upwash.core.geo import GeoPosition, Position, distance_m
 from upwash.vehicle.ardupilot.copter import Copter
 from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
-from upwash.vehicle.body.firmware import LandedState, Result
+from upwash.vehicle.body.copter import LandedState
+from upwash.vehicle.body.firmware import Result
 
 DATA = Path(__file__).parents[1] / "tests" / "vehicle" / "data"
 SETTINGS = VehicleSettings(home=GeoPosition(39.3666, 22.9507), armable_after_s=0.0)

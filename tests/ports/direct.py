@@ -29,7 +29,7 @@ class Sky:
     def __init__(self, settings: Px4Settings | VehicleSettings) -> None:
         autopilot = firmware(settings, now_s=asyncio.get_running_loop().time())
         self.vehicle = StandIn(autopilot, settings.speedup)
-        self.copter: Quadrotor = autopilot.copter  # type: ignore[assignment]
+        self.copter: Quadrotor = autopilot.copter
         self.cut = False  # nothing passes to or from the driver
         self.link: PeerConnection  # the driver's
         self.heard: list[Any] = []  # what the driver said, with the time as `at_s`

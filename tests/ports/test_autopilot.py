@@ -25,7 +25,7 @@ from upwash.errors import (
 from upwash.ports import ArmingDelayed, Autopilot, VehicleNews
 from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, MavlinkLink, Patience, connect_autopilot
 from upwash.vehicle.ardupilot.boot import Text
-from upwash.vehicle.ardupilot.copter import Answer, Copter
+from upwash.vehicle.ardupilot.copter import CommandAnswer, Copter
 from upwash.vehicle.ardupilot.settings import VehicleSettings
 from upwash.vehicle.body.firmware import Result
 from upwash.vehicle.server import VehicleServer, serve_vehicle
@@ -164,12 +164,12 @@ def test_what_its_last_checks_object_to_is_told_and_it_is_armed_once_they_pass(
     refusals = 2
     arms = Copter.arm
 
-    def reluctantly(self: Copter, now_s: float, *, forced: bool = False) -> Answer:
+    def reluctantly(self: Copter, now_s: float, *, forced: bool = False) -> CommandAnswer:
         nonlocal refusals
         if refusals == 0:
             return arms(self, now_s, forced=forced)
         refusals -= 1
-        return Answer(Result.FAILED, (Text("Arm: Throttle is not low", severity=2),))
+        return CommandAnswer(Result.FAILED, (Text("Arm: Throttle is not low", severity=2),))
 
     monkeypatch.setattr(Copter, "arm", reluctantly)
 

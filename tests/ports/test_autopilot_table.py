@@ -19,7 +19,7 @@ from upwash.real.mavlink import FlightSettings, MavlinkAutopilot, Patience, conn
 from upwash.real.mavlink.arducopter import ARDUCOPTER
 from upwash.real.mavlink.vehicle import MavlinkVehicle
 from upwash.vehicle.ardupilot.settings import VehicleSettings
-from upwash.vehicle.body.condition import FaultKind, VehicleFault
+from upwash.vehicle.body.copter import FaultKind, VehicleFault
 from upwash.vehicle.server import VehicleServer, serve_vehicle
 
 HOME = GeoPosition(39.3666, 22.9507)

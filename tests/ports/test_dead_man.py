@@ -96,7 +96,7 @@ def test_an_older_one_is_replaced(tell: Tell) -> None:
         await install(made)
         older = script()[1].replace(str(script()[0]).encode(), b"12")
         made.firmware.files.content[f"scripts/{FILE}"] = bytearray(older + b"-- and it was longer")
-        made.copter.parameters.set(VERSION, 12)
+        made.copter.parameters.change(VERSION, 12)
         async with made.program() as autopilot:
             assert "another version" in await autopilot.dead_man.missing()
             await autopilot.claim(resumes=False)
@@ -110,7 +110,7 @@ def test_an_older_one_is_replaced(tell: Tell) -> None:
 
 def test_scripting_that_is_off_is_switched_on_for_the_next_start(tell: Tell) -> None:
     async def story(made: Bench) -> None:
-        made.copter.parameters.set("SCR_ENABLE", 0)
+        made.copter.parameters.change("SCR_ENABLE", 0)
         async with made.program() as autopilot:
             assert "SCR_ENABLE is 0" in await autopilot.dead_man.missing()
             await autopilot.claim(resumes=False)

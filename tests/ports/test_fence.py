@@ -18,8 +18,8 @@ from upwash.ports import VehicleLimits, VehicleNews, VehicleSetting
 from upwash.real.mavlink import MavlinkAutopilot
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.ardupilot.settings import VehicleSettings
-from upwash.vehicle.body.condition import FaultKind, VehicleFault
 from upwash.vehicle.body.connection import PeerConnection
+from upwash.vehicle.body.copter import FaultKind, VehicleFault
 from upwash.vehicle.px4.settings import Px4Settings
 
 HOME = GeoPosition(39.3666, 22.9507)

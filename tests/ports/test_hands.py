@@ -20,7 +20,7 @@ from upwash.ports import HomeMoved, PositionDoubted, VehicleNews, VehicleText
 from upwash.real.mavlink import MavlinkLink, connect_autopilot
 from upwash.vehicle.ardupilot.copter import FORCED_DISARM
 from upwash.vehicle.ardupilot.settings import VehicleSettings
-from upwash.vehicle.body.condition import FaultKind
+from upwash.vehicle.body.copter import FaultKind
 from upwash.vehicle.server import VehicleServer, serve_vehicle
 
 SLOW_FALL = replace(AGILE, climb_m_s=20.0)

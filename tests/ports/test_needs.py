@@ -24,7 +24,7 @@ from upwash.vehicle.ardupilot import commands
 from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
 from upwash.vehicle.body import connection
 from upwash.vehicle.body.connection import PeerConnection
-from upwash.vehicle.body.firmware import Reply
+from upwash.vehicle.body.firmware import CommandReply
 from upwash.vehicle.px4.settings import Px4Settings
 
 REPOSITION, ARM = mavlink.MAV_CMD_DO_REPOSITION, mavlink.MAV_CMD_COMPONENT_ARM_DISARM
@@ -147,7 +147,7 @@ def test_a_firmware_that_only_knows_the_old_question_is_asked_that(
 
     def obey(to: PeerConnection, message: Any) -> Any:
         if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE and message.param1 == VERSION:
-            return Reply((mavlink.MAV_RESULT_UNSUPPORTED,))
+            return CommandReply((mavlink.MAV_RESULT_UNSUPPORTED,))
         return known(to, message)
 
     monkeypatch.setattr(PeerConnection, "_obey", obey)

@@ -24,7 +24,7 @@ from upwash.real.mavlink.parameters import read_parameters, set_parameter
 from upwash.real.mavlink.px4_firmware import PX4
 from upwash.real.mavlink.telemetry import Telemetry
 from upwash.sim.loop import run_virtually
-from upwash.vehicle.body.condition import FaultKind
+from upwash.vehicle.body.copter import FaultKind
 from upwash.vehicle.px4.inputs import Sticks
 from upwash.vehicle.px4.settings import Px4Settings
 

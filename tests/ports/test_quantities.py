@@ -63,7 +63,7 @@ async def learnt(autopilot: MavlinkAutopilot) -> tuple[EnergyFacts, dict[str, st
 
 def forget(made: Bench, *names: str) -> None:
     for name in names:
-        made.copter.parameters._names.remove(name)
+        del made.copter.parameters.names[name]
 
 
 @pytest.mark.parametrize("settings", [SLOW, RELEASED], ids=["names of 4.6", "names of 4.7"])

@@ -8,7 +8,8 @@ from upwash.core.geo import GeoPosition, Position, distance_m
 from upwash.errors import UsageError
 from upwash.vehicle.ardupilot.copter import Copter
 from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
-from upwash.vehicle.body.firmware import LandedState, Result
+from upwash.vehicle.body.copter import LandedState
+from upwash.vehicle.body.firmware import Result
 
 SETTINGS = VehicleSettings(
     home=GeoPosition(39.3666, 22.9507), acceleration_m_s2=1.0, ground_speed_m_s=4.0, armable_after_s=30.0

@@ -130,7 +130,7 @@ def test_it_says_which_kinds_it_breaches_and_may_refuse_modes_until_that_is_over
         flown.take_off()
         assert flown.goes_to(25.0, altitude_m=16.0)
         flown.fly(20.0)
-        flown.copter.parameters.set("FENCE_ENABLE", 1)
+        flown.copter.parameters.change("FENCE_ENABLE", 1)
         flown.fly(0.1)
         assert flown.said[-2:] == ["Max Alt and Polygon fences breached", "Manual recovery started"]
         answer = flown.copter.change_mode(flown.now_s, CopterMode.LOITER)

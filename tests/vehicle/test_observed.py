@@ -17,8 +17,8 @@ from upwash.sim.loop import run_virtually
 from upwash.vehicle.ardupilot.copter import Copter
 from upwash.vehicle.ardupilot.firmware import ArduCopterFirmware
 from upwash.vehicle.ardupilot.settings import CopterMode, VehicleSettings
-from upwash.vehicle.body.condition import FaultKind, VehicleFault
-from upwash.vehicle.body.firmware import LandedState, Result
+from upwash.vehicle.body.copter import FaultKind, LandedState, VehicleFault
+from upwash.vehicle.body.firmware import Result
 
 
 def close_to(quantity: str, *, fineness: float = 0.0) -> Any:
@@ -157,7 +157,7 @@ def test_without_gps_it_lands_where_it_is() -> None:
     lands_s = flight.until(lambda: flight.copter.mode is CopterMode.LAND)
     assert lands_s == close_to("lands without GPS")
     assert flight.copter.critical()
-    assert flight.copter.health.ekf_flags(flight.now_s) == 37
+    assert flight.copter.ekf_flags(flight.now_s) == 37
     refusal = flight.copter.change_mode(flight.now_s, CopterMode.RTL)
     assert [(text.severity, text.words) for text in refusal.texts] == [
         (4, "Mode change to RTL failed: requires position")
@@ -171,7 +171,7 @@ def test_without_gps_it_lands_where_it_is() -> None:
         (15, 4, "EKF3 IMU1 stopped aiding"),
         (22, 4, "SmartRTL deactivated: bad position"),
     ]
-    assert flight.copter.health.ekf_flags(flight.now_s) == 167
+    assert flight.copter.ekf_flags(flight.now_s) == 167
 
 
 @pytest.mark.parametrize(
@@ -216,7 +216,7 @@ def test_a_glitch_moves_it_unseen() -> None:
     flight.copter.steer(flight.now_s, target)
     jumps_s = flight.until(lambda: flight.place.north_m > 40.0)
     assert jumps_s == close_to("glitch is believed")
-    assert flight.copter.health.ekf_flags(flight.now_s) == 33599
+    assert flight.copter.ekf_flags(flight.now_s) == 33599
     flight.wait(45.0 - flight.now_s)
     flight.until(lambda: flight.place.north_m < -10.0)
     flight.until(lambda: flight.arrived(target))
@@ -253,7 +253,7 @@ def test_a_glitch_that_lasts_counts_as_over_while_gps_is_still_off(size_m: float
     before_m = flight.place.north_m
 
     def flags() -> int:
-        return flight.copter.health.ekf_flags(flight.now_s)
+        return flight.copter.ekf_flags(flight.now_s)
 
     flight.until(lambda: flight.place.north_m > before_m + 0.9 * size_m)
     assert flags() == 33599
@@ -276,7 +276,7 @@ def test_a_glitch_may_never_count_as_over() -> None:
     )
     flight = Flight(settings=settings)
     flight.wait(89.0 - flight.now_s)
-    assert flight.copter.health.ekf_flags(flight.now_s) == 33599
+    assert flight.copter.ekf_flags(flight.now_s) == 33599
     assert "Glitch cleared" not in [words for _, _, words in flight.said]
 
 

@@ -18,8 +18,8 @@ from upwash.mavlink.version import Version
 from upwash.sim.loop import run_virtually
 from upwash.vehicle.ardupilot.copter import Copter
 from upwash.vehicle.ardupilot.settings import VehicleSettings
-from upwash.vehicle.body.condition import FaultKind, VehicleFault, read_fault
 from upwash.vehicle.body.connection import StandIn
+from upwash.vehicle.body.copter import FaultKind, VehicleFault, read_fault
 from upwash.vehicle.body.parameters import read_setting
 
 HOME = GeoPosition(39.3666, 22.9507)

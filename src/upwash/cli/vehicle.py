@@ -111,7 +111,7 @@ def run(options: argparse.Namespace) -> bool:
 def _arducopter(options: argparse.Namespace) -> VehicleSettings:
     from upwash.core.geo import GeoPosition
     from upwash.vehicle.ardupilot.settings import VehicleSettings
-    from upwash.vehicle.body.condition import read_fault
+    from upwash.vehicle.body.copter import read_fault
     from upwash.vehicle.body.parameters import read_setting
 
     _refuse(options, {"--one-peer": options.one_peer})
@@ -135,7 +135,7 @@ def _arducopter(options: argparse.Namespace) -> VehicleSettings:
 
 def _px4(options: argparse.Namespace) -> Px4Settings:
     from upwash.core.geo import GeoPosition
-    from upwash.vehicle.body.condition import read_fault
+    from upwash.vehicle.body.copter import read_fault
     from upwash.vehicle.body.parameters import read_setting
     from upwash.vehicle.px4.settings import Px4Settings
 

@@ -22,7 +22,7 @@ from upwash.sim.hearing import Hearing
 from upwash.sim.incidents import Incidents
 from upwash.sim.vehicle import GUIDED, LAND, RETURN, Manner, ModelVehicle
 from upwash.support.waiting import first
-from upwash.vehicle.ardupilot.flight import TURN_DEG_S
+from upwash.vehicle.ardupilot.airframe import TURN_DEG_S
 from upwash.vehicle.body.kinematics import Phase, duration_s, stretched
 
 _PATIENCE_S = 60.0  # a leg has failed that takes so much longer than it should

@@ -12,8 +12,8 @@ from upwash.support.background import end, start
 from upwash.vehicle.ardupilot.copter import Copter
 from upwash.vehicle.ardupilot.firmware import ArduCopterFirmware
 from upwash.vehicle.ardupilot.settings import VehicleSettings
-from upwash.vehicle.body.condition import FaultKind
 from upwash.vehicle.body.connection import PeerConnection, StandIn
+from upwash.vehicle.body.copter import FaultKind
 from upwash.vehicle.body.firmware import StandInFirmware
 from upwash.vehicle.px4.firmware import Px4Firmware
 from upwash.vehicle.px4.settings import Px4Settings
@@ -23,7 +23,7 @@ _FORGOTTEN_AFTER_S = 10.0
 _MOST_UNSENT_BYTES = 65_536
 
 
-def firmware(settings: VehicleSettings | Px4Settings, *, now_s: float) -> StandInFirmware:
+def firmware(settings: VehicleSettings | Px4Settings, *, now_s: float) -> StandInFirmware[Any]:
     """The autopilot that the settings are for, just switched on."""
     if isinstance(settings, Px4Settings):
         return Px4Firmware(Quadrotor(settings, now_s=now_s))

@@ -26,8 +26,8 @@ from upwash.mavlink.px4 import (
     RequestEventMessage,
     float_of_bytes,
 )
-from upwash.vehicle.body.condition import FaultKind
 from upwash.vehicle.body.connection import StandIn
+from upwash.vehicle.body.copter import FaultKind
 
 NAN, IGNORED = math.nan, 2**31 - 1
 ARMABLE = mavlink.MAV_SYS_STATUS_PREARM_CHECK
@@ -528,5 +528,5 @@ def test_it_lands_where_it_is_told_and_goes_back_to_hold_when_disarmed() -> None
 
 @pytest.mark.parametrize("parameters", [{"WPNAV_SPEED": 1.0}, {"GF_ACTION": math.nan}])
 def test_a_parameter_that_it_has_not_is_refused_at_boot(parameters: dict[str, float]) -> None:
-    with pytest.raises(UsageError, match="no such parameter"):
+    with pytest.raises(UsageError, match="has no parameter"):
         talk(lambda _client, _vehicle: asyncio.sleep(0), replace(SETTINGS, parameters=parameters))

@@ -19,8 +19,8 @@ from tests.vehicle.px4.client import SETTINGS, Px4Client, talk
 
 from upwash.core.geo import Position, ground_distance_m
 from upwash.mavlink.px4 import Mode
-from upwash.vehicle.body.condition import FaultKind
 from upwash.vehicle.body.connection import StandIn
+from upwash.vehicle.body.copter import FaultKind
 
 DATA = Path(__file__).parent / "data"
 RECORDED = {

@@ -1,43 +1,49 @@
 """What the stand-in does when told, as an ArduCopter would: modes, arming, take-off, targets, landing; and by itself.
 
-`CopterFlight` moves it, `Health` knows its state. Nothing here needs a clock, a socket or a timer. Wishes that make
-no sense, NaN among them, fail every comparison and are refused.
+Wishes that make no sense, NaN among them, fail every comparison and are refused.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from upwash.core.geo import LocalFrame, Position, Velocity
-from upwash.errors import UsageError
-from upwash.vehicle.ardupilot.boot import INFORMATION, WARNING, Text
-from upwash.vehicle.ardupilot.camera import ServoCamera
-from upwash.vehicle.ardupilot.fence import Breach, FenceWatch
-from upwash.vehicle.ardupilot.flight import CopterFlight, is_sensible
-from upwash.vehicle.ardupilot.health import Health
-from upwash.vehicle.ardupilot.parameters import Parameters
+from upwash.core.geo import Position
+from upwash.vehicle.ardupilot.boot import EKF_FLIES_BY_GPS, EKF_HOLDS_STILL, INFORMATION, WARNING, Boot, Text
+from upwash.vehicle.ardupilot.failsafe import Failsafes
+from upwash.vehicle.ardupilot.fence import Breach
+from upwash.vehicle.ardupilot.flight import CopterFlight
 from upwash.vehicle.ardupilot.settings import BY_POSITION, FASTEST_M_S, CopterMode, VehicleSettings
-from upwash.vehicle.body.condition import Battery, FaultKind
-from upwash.vehicle.body.firmware import LandedState, Result
+from upwash.vehicle.body.copter import FaultKind, LandedState, is_sensible
+from upwash.vehicle.body.firmware import Result
 
-_EMPTY_PERCENT = 8.0
-_FULL_V, _EMPTY_V, _SAGGING_V = 12.6, 10.6, 10.0
+_SAGGING_V = 10.0
 _ALIGNS_IN_FLIGHT_M = 2.5
 _COMPLAINS_AFTER_DISARMING_S = 2.2
 _FAILSAFE_LANDING_PAUSE_S = 4.0
+_SHUTTER_BUSY_S = 0.1  # CAM1_DURATION
 FORCED_DISARM, FORCED_ARM = 21196, 2989  # ArduPilot's magic numbers
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """The reply to a command, with what the vehicle says about it, if anything."""
+class CommandAnswer:
+    """The reply to a command, with the vehicle's texts about it."""
 
     result: Result
     texts: tuple[Text, ...] = ()
 
 
-_ACCEPTED = Answer(Result.ACCEPTED)
+@dataclass(frozen=True, slots=True)
+class CameraShot:
+    """A photo by a camera on a servo, as ArduPilot's AP_Camera_Servo triggers it."""
+
+    number: int
+    taken_s: float
+    position: Position
+
+
+ACCEPTED = CommandAnswer(Result.ACCEPTED)
 _ARMING, _DISARMING = Text("Arming motors", INFORMATION), Text("Disarming motors", INFORMATION)
 _ALIGNED_IN_FLIGHT = tuple(
     Text(f"EKF3 IMU{number} MAG0 in-flight yaw alignment complete", INFORMATION) for number in (0, 1)
@@ -45,259 +51,221 @@ _ALIGNED_IN_FLIGHT = tuple(
 _MODES = frozenset(CopterMode)
 
 
-class Copter:
+class Copter(CopterFlight):
     """A multicopter between two commands."""
 
+    at_most_percent_in_fault, empty_v, full_v = 8.0, 10.6, 12.6
+
     def __init__(self, settings: VehicleSettings, *, now_s: float) -> None:
-        self.settings = settings
-        self.frame = LocalFrame(settings.home)
-        self.parameters = Parameters(
-            {
-                "WPNAV_SPEED": settings.return_speed_m_s * 100,
-                "RTL_ALT": settings.return_altitude_m * 100,
-                "SIM_SPEEDUP": settings.speedup,
-            },
-            settings.version,
+        super().__init__(settings, now_s=now_s)
+        self._boot = Boot(settings.armable_after_s)
+        self._failsafes = Failsafes(
+            glitch_m=settings.glitch_m, glitch_cleared_s=settings.glitch_cleared_after_s
         )
-        for name, value in settings.parameters.items():
-            if not self.parameters.set(name, value):
-                raise UsageError(
-                    f"vehicle: version {settings.version} has no parameter {name}, or not with the value {value:g}"
-                )
-        self.fence = FenceWatch(self.parameters, now_s)
-        self.health = Health(settings, now_s=now_s)
-        self.camera = ServoCamera()
-        self._flight = CopterFlight(
-            settings, self.parameters, now_s=now_s, ceiling_m=lambda: self.fence.ceiling_m
-        )
+        self._booted_unix_s = time.time() + (settings.clock_offset_s or 0.0)
         self._was_armed = False
         self._aligned_in_flight = False
         self._is_up = False  # its take-off has ended
         self._recovers_from_fence = False  # in a mode that its fence has chosen
-        self._battery = Battery(settings.battery_percent, 100 / settings.endurance_s)
+        self._shots = 0
+        self._shutter_free_s = now_s
+        self._untold_shots: list[CameraShot] = []
 
     # --- what it reports ------------------------------------------------------------------------------------
 
-    def position(self, now_s: float) -> Position:
-        """Where it is, relative to its home."""
-        return self._flight.position(now_s)
+    def booting(self, now_s: float) -> bool:
+        """Whether it is not yet up."""
+        return not self._boot.is_up(self.uptime_s(now_s))
 
-    def velocity(self, now_s: float) -> Velocity:
-        """How it moves."""
-        return self._flight.velocity(now_s)
+    def hears_satellites(self, now_s: float) -> bool:
+        """Whether its receiver is at work."""
+        return self._boot.hears_satellites(self.uptime_s(now_s))
 
-    def heading_deg(self, now_s: float) -> float:
-        """Where its nose points, clockwise from north."""
-        return self._flight.heading_deg(now_s)
+    def has_fix(self, now_s: float) -> bool:
+        """Whether its receiver knows the place."""
+        return self.hears_satellites(now_s) and not self.suffers(FaultKind.GPS, now_s)
 
-    @property
-    def home(self) -> Position:
-        """Where it returns to, relative to where it was switched on."""
-        return self._flight.home
+    def unix_s(self, now_s: float) -> float:
+        """The time of day that its receiver tells, in seconds since 1970; 0 while it tells none."""
+        tells = self.settings.clock_offset_s is not None and self.has_fix(now_s)
+        return self._booted_unix_s + self.uptime_s(now_s) if tells else 0.0
 
-    @property
-    def mode(self) -> CopterMode:
-        """Its flight mode."""
-        return self._flight.mode
+    def knows_its_place(self, now_s: float) -> bool:
+        """Whether it has an origin to tell positions from."""
+        self._look_for_gps(now_s)
+        return self._boot.places(self.uptime_s(now_s))
 
-    def target(self, now_s: float) -> Position | None:
-        """Where it is flying in GUIDED, if anywhere."""
-        return self._flight.target(now_s)
-
-    @property
-    def climbs_to(self) -> Position | None:
-        """The top of its take-off, until its first target."""
-        return self._flight.climbs_to
-
-    def armed(self, now_s: float) -> bool:
-        """Whether its motors run."""
-        return self._flight.armed(now_s)
-
-    def flying(self, now_s: float) -> bool:
-        """Whether it is off the ground."""
-        return self._flight.flying(now_s)
-
-    def landed_state(self, now_s: float) -> LandedState:
-        """On the ground, in the air, or on the way between."""
-        return self._flight.landed_state(now_s)
-
-    def uptime_s(self, now_s: float) -> float:
-        """How long it has been switched on."""
-        return self.health.uptime_s(now_s)
-
-    def suffers(self, kind: FaultKind, now_s: float) -> bool:
-        """Whether such a thing is wrong with it now."""
-        return self.health.suffers(kind, now_s)
+    def ekf_flags(self, now_s: float) -> int:
+        """The sources of its estimate, as EKF_STATUS_REPORT holds them."""
+        self._look_for_gps(now_s)
+        flags = self._boot.ekf_flags(self.uptime_s(now_s))
+        return self._failsafes.ekf_flags if flags == EKF_FLIES_BY_GPS else min(flags, EKF_HOLDS_STILL)
 
     def critical(self) -> bool:
         """Whether a fail-safe has taken over."""
-        return self.health.failsafes.active
+        return self._failsafes.active
 
     def why_not_armable(self, now_s: float) -> tuple[str, ...]:
-        """What its checks before arming object to; empty when they pass."""
-        self.health.look(now_s)
-        uptime_s = self.uptime_s(now_s)
-        if self.health.booting(now_s):
+        """The objections of its checks before arming; empty when they pass."""
+        if self.booting(now_s):
             return ("System not initialised",)
-        placed = self.health.knows_its_place(now_s)
-        reasons = list(self.health.boot.sensors_object(uptime_s))
+        placed, uptime_s = self.knows_its_place(now_s), self.uptime_s(now_s)
+        reasons = list(self._boot.sensors_object(uptime_s))
         if self.suffers(FaultKind.ARMING, now_s):
             reasons.append("Hardware safety switch")
         if self.suffers(FaultKind.COMPASS, now_s):
             reasons.append("Compass offsets too high")
-        reasons += self.health.boot.place_objects(
-            uptime_s,
-            gps=not self.suffers(FaultKind.GPS, now_s),
-            by_position=self.mode in BY_POSITION,
+        reasons += self._boot.place_objects(
+            uptime_s, gps=not self.suffers(FaultKind.GPS, now_s), by_position=self.mode in BY_POSITION
         )
         reasons += self.fence.objections(self.position(now_s) if placed else None)
-        if self.health.failsafes.battery:
+        if self._failsafes.battery:
             reasons += ["Battery 1 low voltage failsafe", "Battery failsafe"]
-        elif self.battery_percent(now_s) <= _EMPTY_PERCENT:
+        elif self.battery_percent(now_s) <= self.at_most_percent_in_fault:
             reasons.append("Battery 1 below minimum arming voltage")
         if self.suffers(FaultKind.RADIO, now_s) and self.parameters["FS_THR_ENABLE"]:
             reasons.append("Radio failsafe on")
         return tuple(reasons)
 
     def armable(self, now_s: float) -> bool:
-        """What its health report says."""
+        """Whether its health report says that it can be armed."""
         return not self.why_not_armable(now_s)
 
-    def battery_percent(self, now_s: float) -> float:
-        """How full its battery is."""
-        left_percent = self._battery.left_percent(min(now_s, self._flight.motors_stop_s()))
-        return min(left_percent, _EMPTY_PERCENT) if self.suffers(FaultKind.BATTERY, now_s) else left_percent
+    def charge_percent(self, now_s: float) -> float:
+        """The charge of the battery, which drains until the motors stop by themselves."""
+        return super().charge_percent(min(now_s, self.motors_stop_s()))
 
     def battery_v(self, now_s: float) -> float:
-        """Its battery's voltage."""
-        if self.suffers(FaultKind.BATTERY, now_s):
-            return _SAGGING_V
-        return _EMPTY_V + (_FULL_V - _EMPTY_V) * self.battery_percent(now_s) / 100
-
-    def used_mah(self, now_s: float) -> float:
-        """What was drawn from its battery."""
-        left_percent = self._battery.left_percent(min(now_s, self._flight.motors_stop_s()))
-        return (100 - left_percent) / 100 * self.parameters["BATT_CAPACITY"]
+        """The voltage of the battery."""
+        return _SAGGING_V if self.suffers(FaultKind.BATTERY, now_s) else super().battery_v(now_s)
 
     # --- what it is told ------------------------------------------------------------------------------------
 
-    def arm(self, now_s: float, *, forced: bool = False) -> Answer:
+    def arm(self, now_s: float, *, forced: bool = False) -> CommandAnswer:
         """Starts the motors, once the checks pass."""
         if self.armed(now_s):
-            return _ACCEPTED
+            return ACCEPTED
         if not forced and (reasons := self.why_not_armable(now_s)):
-            return Answer(Result.FAILED, tuple(Text(f"Arm: {reason}") for reason in reasons))
-        self._battery.stop(min(now_s, self._flight.motors_stop_s()))
-        self._battery.draining_since_s = now_s
-        self._flight.start_motors(now_s)
+            return CommandAnswer(Result.FAILED, tuple(Text(f"Arm: {reason}") for reason in reasons))
+        self.start_draining(now_s)
+        self.start_motors(now_s)
         self._was_armed, self._aligned_in_flight = True, False
-        return Answer(Result.ACCEPTED, (_ARMING, *self.fence.arm()))
+        return CommandAnswer(Result.ACCEPTED, (_ARMING, *self.fence.arm()))
 
-    def disarm(self, now_s: float, *, forced: bool = False) -> Answer:
+    def disarm(self, now_s: float, *, forced: bool = False) -> CommandAnswer:
         """Stops the motors: on the ground only, unless forced, and then it falls."""
         if self.flying(now_s):
             if not forced:
-                return Answer(Result.FAILED)
-            self._flight.fall(now_s)
-        self._battery.stop(min(now_s, self._flight.motors_stop_s()))
+                return CommandAnswer(Result.FAILED)
+            self.fall(now_s)
+        self.stop_draining(now_s)
         stopped = self.armed(now_s)
-        self._flight.stop_motors()
+        self.stop_motors()
         self._was_armed = False
-        return Answer(Result.ACCEPTED, (_DISARMING, *self.fence.disarm()) if stopped else ())
+        return CommandAnswer(Result.ACCEPTED, (_DISARMING, *self.fence.disarm()) if stopped else ())
 
-    def take_off(self, now_s: float, altitude_m: float) -> Answer:
+    def take_off(self, now_s: float, altitude_m: float) -> CommandAnswer:
         """Climbs straight up, from the ground, armed and in GUIDED."""
-        return _ACCEPTED if self._flight.take_off(now_s, altitude_m) else Answer(Result.FAILED)
+        return ACCEPTED if self.climb(now_s, altitude_m) else CommandAnswer(Result.FAILED)
 
-    def change_speed(self, now_s: float, speed_m_s: float) -> Answer:
+    def change_speed(self, now_s: float, speed_m_s: float) -> CommandAnswer:
         """Sets the speed of the legs; as in ArduCopter, accepted and then lost before the first target."""
         if not 0 < speed_m_s <= FASTEST_M_S:
-            return Answer(Result.DENIED)
-        self._flight.change_speed(now_s, speed_m_s)
-        return _ACCEPTED
-
-    def turn(self, now_s: float, heading_deg: float) -> Answer:
-        """Turns its nose there until its next target; without effect where it does not fly in GUIDED."""
-        self._flight.turn(now_s, heading_deg % 360)
-        return _ACCEPTED
+            return CommandAnswer(Result.DENIED)
+        self.fly_at(now_s, speed_m_s)
+        return ACCEPTED
 
     def steer(self, now_s: float, target: Position) -> bool:
         """Flies to the target; outside its fence, or not flying in GUIDED, nothing happens and nothing is said."""
-        return is_sensible(target) and self.fence.allows(target) and self._flight.steer(now_s, target)
+        return is_sensible(target) and self.fence.allows(target) and self.fly_to(now_s, target)
 
-    def set_home(self, place: Position) -> Answer:
-        """Returns there from now on, and tells its altitudes from there."""
+    def set_home(self, place: Position) -> CommandAnswer:
+        """Returns there from now on, and counts its altitudes from there."""
         if not is_sensible(place.at_altitude(abs(place.altitude_m))):
-            return Answer(Result.DENIED)
-        self._flight.home = place
-        return _ACCEPTED
+            return CommandAnswer(Result.DENIED)
+        self.home = place
+        return ACCEPTED
 
-    def change_mode(self, now_s: float, number: float) -> Answer:
+    def change_mode(self, now_s: float, number: float) -> CommandAnswer:
         """Changes the flight mode, and does in flight what the mode is for."""
         if number not in _MODES:
-            return Answer(Result.FAILED, (Text("Mode change failed", WARNING),))
+            return CommandAnswer(Result.FAILED, (Text("Mode change failed", WARNING),))
         mode = CopterMode(int(number))
-        if self.health.lacks_place(now_s) and mode in BY_POSITION and self.armed(now_s):
-            refusal = Text(f"Mode change to {mode.name} failed: requires position", WARNING)
-            return Answer(Result.FAILED, (refusal,))
-        if self._recovers_from_fence and self.fence.locks_mode and self.armed(now_s):
-            refusal = Text(f"Mode change to {mode.name} failed: in fence recovery", WARNING)
-            return Answer(Result.FAILED, (refusal,))
-        self._flight.take_mode(now_s, mode)
-        return _ACCEPTED
+        estimates = self._boot.estimates(self.uptime_s(now_s)) and not self._failsafes.lost_place
+        obstacle = ""
+        if mode in BY_POSITION and not estimates:
+            obstacle = "requires position"
+        elif self._recovers_from_fence and self.fence.locks_mode:
+            obstacle = "in fence recovery"
+        if obstacle and self.armed(now_s):
+            refusal = Text(f"Mode change to {mode.name} failed: {obstacle}", WARNING)
+            return CommandAnswer(Result.FAILED, (refusal,))
+        self.take_mode(now_s, mode)
+        return ACCEPTED
 
-    def fail(self, kind: FaultKind, now_s: float) -> None:
-        """Something is wrong with it from now on."""
-        self.health.fail(kind, now_s)
+    def shoot(self, now_s: float) -> bool:
+        """Takes a photo, unless the shutter is still held from the last one; whether it did."""
+        if now_s < self._shutter_free_s:
+            return False
+        self._shots, self._shutter_free_s = self._shots + 1, now_s + _SHUTTER_BUSY_S
+        self._untold_shots.append(CameraShot(self._shots, now_s, self.position(now_s)))
+        return True
 
-    def mend(self, kind: FaultKind) -> None:
-        """Nothing of that kind is wrong with it any more."""
-        self.health.mend(kind)
+    def shots(self) -> Sequence[CameraShot]:
+        """The photos since it was last asked."""
+        untold, self._untold_shots = self._untold_shots, []
+        return untold
 
     def hear_ground_station(self, now_s: float) -> None:
         """A heartbeat of the ground station has come, unless it is out of reach."""
         if not self.suffers(FaultKind.GROUND, now_s):
-            self.health.failsafes.heard_ground_s = now_s
+            self._failsafes.heard_ground_s = now_s
+
+    # --- what it does by itself -----------------------------------------------------------------------------
 
     def notice(self, now_s: float) -> tuple[Text, ...]:
-        """Reacts to the time and to what is wrong, a few times a second; returns what it says about it."""
-        self.health.look(now_s)
+        """Reacts to the time and to faults, a few times a second; returns its texts about it."""
+        self._look_for_gps(now_s)
         uptime_s = self.uptime_s(now_s)
-        said = [*self.health.boot.texts(uptime_s)]
+        said = [*self._boot.texts(uptime_s)]
         if self._was_armed and not self.armed(now_s):
             self._was_armed = False
             said += [_DISARMING, *self.fence.disarm()]
-            self.health.boot.complain_at(uptime_s + _COMPLAINS_AFTER_DISARMING_S)
+            self._boot.complain_at(uptime_s + _COMPLAINS_AFTER_DISARMING_S)
         high = self.flying(now_s) and self.position(now_s).altitude_m > _ALIGNS_IN_FLIGHT_M
         if high and not self._aligned_in_flight:
             self._aligned_in_flight = True
             said += _ALIGNED_IN_FLIGHT
         said += self._failsafe(now_s)
         said += self._watch_fence(now_s)
-        if not self.armed(now_s) and self.health.boot.complains(uptime_s):
+        if not self.armed(now_s) and self._boot.complains(uptime_s):
             said += [Text(f"PreArm: {reason}") for reason in self.why_not_armable(now_s)]
         return tuple(said)
 
+    def _look_for_gps(self, now_s: float) -> None:
+        self._boot.look(self.uptime_s(now_s), gps=not self.suffers(FaultKind.GPS, now_s))
+
     def _failsafe(self, now_s: float) -> Sequence[Text]:
         flying = self.flying(now_s)
+        used_mah = (100 - self.charge_percent(now_s)) / 100 * self.parameters["BATT_CAPACITY"]
         said: list[Text] = []
-        for trigger in self.health.failsafes.triggers(
+        for trigger in self._failsafes.triggers(
             now_s,
-            self.health.since_s(now_s),
+            self.faults_since_s(now_s),
             self.parameters,
             flying=flying,
             armed=self.armed(now_s),
-            low_battery=f"Battery 1 is low {self.battery_v(now_s):.2f}V used {self.used_mah(now_s):.0f} mAh",
-            by_position=self.mode in BY_POSITION and self.health.boot.estimates(self.uptime_s(now_s)),
+            low_battery=f"Battery 1 is low {self.battery_v(now_s):.2f}V used {used_mah:.0f} mAh",
+            by_position=self.mode in BY_POSITION and self._boot.estimates(self.uptime_s(now_s)),
         ):
             said += trigger.texts
-            self._flight.shift(now_s, trigger.jump_m)
+            self.shift(now_s, trigger.jump_m)
             mode = CopterMode(trigger.mode) if trigger.mode in _MODES else None
             if mode is not None and flying and self.mode not in (mode, CopterMode.LAND):
-                if self.health.failsafes.lost_place and mode is not CopterMode.LAND:
+                if self._failsafes.lost_place:
                     mode = CopterMode.LAND
-                pause_s = 0.0 if mode is not CopterMode.LAND else _FAILSAFE_LANDING_PAUSE_S
-                self._flight.take_mode(now_s, mode, pause_s=pause_s)
+                pause_s = _FAILSAFE_LANDING_PAUSE_S if mode is CopterMode.LAND else 0.0
+                self.take_mode(now_s, mode, pause_s=pause_s)
         return said
 
     def _watch_fence(self, now_s: float) -> Sequence[Text]:
@@ -308,7 +276,7 @@ class Copter:
         self._recovers_from_fence &= self.fence.breach is not Breach.NONE
         acts = self.parameters["FENCE_ACTION"] and self.mode not in (CopterMode.RTL, CopterMode.LAND)
         if self.fence.breaches > breaches and acts:
-            self._flight.take_mode(now_s, CopterMode.RTL)
+            self.take_mode(now_s, CopterMode.RTL)
             self._recovers_from_fence = True
             said.append(Text("Manual recovery started", INFORMATION))
         return said

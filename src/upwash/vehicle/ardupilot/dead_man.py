@@ -108,4 +108,4 @@ class _DeadMan:
 
     def _promise(self, silence_s: float) -> None:
         self._promised_s = silence_s
-        self._copter.parameters.set("UPW_SILENCE_S", silence_s)
+        self._copter.parameters.change("UPW_SILENCE_S", silence_s)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from upwash.vehicle.ardupilot.boot import EKF_FLIES_BY_GPS, EKF_HOLDS_STILL, WARNING, Text
-from upwash.vehicle.ardupilot.parameters import Parameters
-from upwash.vehicle.body.condition import FaultKind
+from upwash.vehicle.body.copter import FaultKind
+from upwash.vehicle.body.parameters import ParameterTable
 
 _RETURN, _LAND = 6, 9  # modes
 _LOST_EKF_FLAGS = 37  # attitude, height and a speed upwards
@@ -94,7 +94,7 @@ class Failsafes:
         self,
         now_s: float,
         since_s: Mapping[FaultKind, float],
-        parameters: Parameters,
+        parameters: ParameterTable,
         *,
         flying: bool,
         armed: bool,
@@ -157,7 +157,7 @@ class Failsafes:
             self._glitch_s, self.ekf_flags = None, EKF_FLIES_BY_GPS
 
     def _empty(
-        self, now_s: float, since_s: float | None, parameters: Parameters, low: str, *, armed: bool
+        self, now_s: float, since_s: float | None, parameters: ParameterTable, low: str, *, armed: bool
     ) -> Iterator[FailsafeTrigger]:
         if self.battery or since_s is None or not armed:
             return
@@ -168,7 +168,7 @@ class Failsafes:
             yield FailsafeTrigger((Text(low, WARNING), *acts), mode)
 
     def _out_of_reach(
-        self, now_s: float, since_s: float | None, parameters: Parameters, *, armed: bool
+        self, now_s: float, since_s: float | None, parameters: ParameterTable, *, armed: bool
     ) -> Iterator[FailsafeTrigger]:
         lost = since_s is not None and now_s - since_s >= _RADIO_S and bool(parameters["FS_THR_ENABLE"])
         if lost and not self._radio and armed:
@@ -179,7 +179,7 @@ class Failsafes:
             self._radio = False
             yield FailsafeTrigger((Text("Radio Failsafe Cleared", WARNING),))
 
-    def _unheard(self, now_s: float, parameters: Parameters, *, armed: bool) -> Iterator[FailsafeTrigger]:
+    def _unheard(self, now_s: float, parameters: ParameterTable, *, armed: bool) -> Iterator[FailsafeTrigger]:
         action = int(parameters["FS_GCS_ENABLE"])
         heard_s = self.heard_ground_s
         lost = bool(action) and heard_s is not None and now_s - heard_s >= parameters["FS_GCS_TIMEOUT"]

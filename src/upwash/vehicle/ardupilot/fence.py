@@ -15,14 +15,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Position, ground_distance_m
 from upwash.vehicle.ardupilot.boot import NOTICE, Text
-from upwash.vehicle.ardupilot.parameters import Parameters
+from upwash.vehicle.body.copter import HOME
+from upwash.vehicle.body.parameters import ParameterTable
 
 _CEILING, _CIRCLE, _AREAS, _FLOOR = 1, 2, 4, 8  # FENCE_TYPE's bits
 _ALL = _CEILING | _CIRCLE | _AREAS | _FLOOR
 _NAMES = {_CEILING: "Max Alt", _CIRCLE: "Circle", _AREAS: "Polygon", _FLOOR: "Min Alt"}
 _AFTER_TAKEOFF, _WHEN_ARMED = (1, 2), 3  # FENCE_AUTOENABLE
 _LOCKS_MODE, _JOINS = 1, 2  # FENCE_OPTIONS' bits
-_HOME = Position(0.0, 0.0)
 
 
 class Breach(IntEnum):
@@ -105,7 +105,7 @@ def _areas(items: Sequence[FenceItem]) -> Iterator[Area]:
 class FenceWatch:
     """The fence that it has, which kinds of it are switched on, and whether they are kept to."""
 
-    def __init__(self, parameters: Parameters, now_s: float) -> None:
+    def __init__(self, parameters: ParameterTable, now_s: float) -> None:
         self.items: tuple[FenceItem, ...] = ()
         self.breaches = 0  # so far
         self.breached_s = now_s  # the last time
@@ -140,7 +140,7 @@ class FenceWatch:
         """Takes the areas of a new fence; ValueError where the items describe none."""
         self._areas = read_areas(items)
         self.items = items
-        self._parameters.set("FENCE_TOTAL", len(items))
+        self._parameters.change("FENCE_TOTAL", len(items))
 
     def allows(self, target: Position) -> bool:
         """Whether the fence lets it fly there: up to its borders."""
@@ -149,7 +149,7 @@ class FenceWatch:
             return False
         if on & _FLOOR and target.altitude_m < told["FENCE_ALT_MIN"]:
             return False
-        if on & _CIRCLE and ground_distance_m(target, _HOME) > told["FENCE_RADIUS"]:
+        if on & _CIRCLE and ground_distance_m(target, HOME) > told["FENCE_RADIUS"]:
             return False
         return not on & _AREAS or self._in_areas(target)
 
@@ -238,7 +238,7 @@ class FenceWatch:
             broken |= _CEILING
         if kinds & _FLOOR and position.altitude_m <= told["FENCE_ALT_MIN"]:
             broken |= _FLOOR
-        if kinds & _CIRCLE and ground_distance_m(position, _HOME) >= told["FENCE_RADIUS"]:
+        if kinds & _CIRCLE and ground_distance_m(position, HOME) >= told["FENCE_RADIUS"]:
             broken |= _CIRCLE
         if kinds & _AREAS and not self._in_areas(position):
             broken |= _AREAS

@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from enum import Enum, auto
 
-from upwash.core.geo import Position, Velocity, distance_m, ground_distance_m
+from upwash.core.geo import Position, Velocity, distance_m
+from upwash.mavlink.version import Version
 from upwash.vehicle.ardupilot import airframe as arducopter
-from upwash.vehicle.ardupilot.parameters import Parameters
+from upwash.vehicle.ardupilot.fence import FenceWatch
 from upwash.vehicle.ardupilot.settings import FASTEST_M_S, CopterMode, VehicleSettings
 from upwash.vehicle.ardupilot.symmetric import Airframe, Symmetric
-from upwash.vehicle.body.firmware import LandedState
+from upwash.vehicle.body.copter import GRAVITY_M_S2, HOME, LandedState, Multicopter
 from upwash.vehicle.body.kinematics import Motion, MotionPart, Phase, duration_s
+from upwash.vehicle.body.parameters import ParameterTable
 
-_FARTHEST_M = 10_000.0
 _HIGHEST_M = 1_000.0
 _SLOWEST_M_S = 0.1
 _SAME_TARGET_M = 0.02  # as fine as degrees in 1e-7 are
 _CONTACT_NOTICED_S = 1.7  # after touchdown
 _UP_BEFORE_REST_S = 0.5  # a take-off counts as done so long before it rests
 _ARMING_S = 2.2  # of the spooling up: it begins with arming, not with the command to take off
-_TURNS_ABOVE_M_S, TURN_DEG_S = 0.5, 65.0
+_TURNS_ABOVE_M_S = 0.5
 _TURN_STEP_S, _LONGEST_TURN_S = 0.1, 6.0
-_GRAVITY_M_S2 = 9.8
-_GROUND = Position(0.0, 0.0)
 
 
 class _Doing(Enum):
@@ -37,36 +35,29 @@ class _Doing(Enum):
     FALLING = auto()
 
 
-class CopterFlight:
+class CopterFlight(Multicopter):
     """The flight mode, the motors, and the motion that comes of them."""
 
-    def __init__(
-        self,
-        settings: VehicleSettings,
-        parameters: Parameters,
-        *,
-        now_s: float,
-        ceiling_m: Callable[[], float | None] = lambda: None,
-    ) -> None:
+    settings: VehicleSettings
+
+    def __init__(self, settings: VehicleSettings, *, now_s: float) -> None:
+        super().__init__(settings, _parameters_at_boot(settings), now_s=now_s)
         self.mode = CopterMode.STABILIZE
-        self._ceiling_m = ceiling_m  # as high as its fence lets it return
-        self.home = _GROUND
-        self._parameters = parameters
+        self.home = HOME  # where it returns to, relative to where it was switched on
+        self.fence = FenceWatch(self.parameters, now_s)
         self._airframe: Airframe = (
             arducopter
             if settings.acceleration_m_s2 is None
             else Symmetric(settings.acceleration_m_s2, settings.climb_m_s, settings.descent_m_s)
         )
-        self._auto_disarm_s = settings.auto_disarm_s
         self._motors_started = False
         self._armed_s = now_s
         self._doing = _Doing.NOTHING
-        self._motion: Motion[MotionPart] = Motion(now_s, (), _GROUND)
+        self._motion: Motion[MotionPart] = Motion(now_s, (), HOME)
         self._lifts_off_s = now_s
         self._descends_s = math.inf
         self._target: Position | None = None
-        self._legs_m_s = settings.ground_speed_m_s
-        self._default_speed_cm_s = parameters["WPNAV_SPEED"]
+        self._default_speed_cm_s = self.parameters["WPNAV_SPEED"]
         self._speed_m_s = settings.ground_speed_m_s
         self._heading_deg = 0.0
         self._told_deg: float | None = None  # where it was told to turn, until its next target
@@ -92,11 +83,11 @@ class CopterFlight:
             wanted_deg = course_deg if self._told_deg is None else self._told_deg
             if wanted_deg is not None and self.mode is CopterMode.GUIDED:
                 left_deg = math.remainder(wanted_deg - self._heading_deg, 360)
-                turn_deg = math.copysign(min(abs(left_deg), TURN_DEG_S * step_s), left_deg)
+                turn_deg = math.copysign(min(abs(left_deg), arducopter.TURN_DEG_S * step_s), left_deg)
                 self._heading_deg = (self._heading_deg + turn_deg) % 360
         return self._heading_deg
 
-    def turn(self, now_s: float, heading_deg: float) -> None:
+    def turn_to(self, now_s: float, heading_deg: float) -> None:
         """Turns there by the shortest way, if it flies in GUIDED, until its next target."""
         if self.mode is CopterMode.GUIDED and self.flying(now_s):
             self.heading_deg(now_s)
@@ -130,7 +121,7 @@ class CopterFlight:
         if self._doing is _Doing.FALLING:
             return LandedState.ON_GROUND
         noticed_after_s = min(
-            _CONTACT_NOTICED_S, self._auto_disarm_s
+            _CONTACT_NOTICED_S, self.settings.auto_disarm_s
         )  # it disarms itself when it has noticed
         noticed = now_s - noticed_after_s if self._doing is _Doing.LANDING else now_s
         if not self.flying(noticed):
@@ -144,8 +135,8 @@ class CopterFlight:
     def motors_stop_s(self) -> float:
         """When they stop by themselves."""
         if self._doing is _Doing.LANDING:
-            return self._motion.ends_s + self._auto_disarm_s
-        delay_s = self._parameters["DISARM_DELAY"]
+            return self._motion.ends_s + self.settings.auto_disarm_s
+        delay_s = self.parameters["DISARM_DELAY"]
         return self._armed_s + delay_s if self._doing is _Doing.NOTHING and delay_s > 0 else math.inf
 
     def start_motors(self, now_s: float) -> None:
@@ -159,7 +150,7 @@ class CopterFlight:
         """Stands disarmed, or falls on."""
         self._motors_started = False
 
-    def take_off(self, now_s: float, altitude_m: float) -> bool:
+    def climb(self, now_s: float, altitude_m: float) -> bool:
         """Climbs straight up, if it stands armed in GUIDED; whether it does."""
         ready = self.armed(now_s) and not self.flying(now_s) and self.mode is CopterMode.GUIDED
         if not (ready and 0 < altitude_m <= _HIGHEST_M):
@@ -174,13 +165,13 @@ class CopterFlight:
         self._move(begun_s, self._airframe.takeoff(here, altitude_m), top)
         return True
 
-    def change_speed(self, now_s: float, speed_m_s: float) -> None:
+    def fly_at(self, now_s: float, speed_m_s: float) -> None:
         """Flies on to its target with that speed; without one nothing happens."""
         if self._target is not None and self._doing is _Doing.FLYING:
             self._speed_m_s = speed_m_s
             self._depart(now_s, self._target)
 
-    def steer(self, now_s: float, target: Position) -> bool:
+    def fly_to(self, now_s: float, target: Position) -> bool:
         """Flies to the target, if it flies in GUIDED; whether it does."""
         if self.mode is not CopterMode.GUIDED or not self.flying(now_s):
             return False
@@ -203,8 +194,8 @@ class CopterFlight:
     def fall(self, now_s: float) -> None:
         """Drops to the ground, without its motors."""
         here = self.position(now_s)
-        fall_s = math.sqrt(2 * here.altitude_m / _GRAVITY_M_S2)
-        down = Phase(here, Velocity(up_m_s=-1.0), 0.0, _GRAVITY_M_S2, fall_s)
+        fall_s = math.sqrt(2 * here.altitude_m / GRAVITY_M_S2)
+        down = Phase(here, Velocity(up_m_s=-1.0), 0.0, GRAVITY_M_S2, fall_s)
         self._doing = _Doing.FALLING
         self._target = None
         self._move(now_s, (down,), here.at_altitude(0.0))
@@ -251,7 +242,7 @@ class CopterFlight:
 
     def _return_altitude_m(self) -> float:
         """As high as it returns, no higher than its fence allows."""
-        altitude_m, ceiling_m = self._parameters["RTL_ALT"] / 100, self._ceiling_m()
+        altitude_m, ceiling_m = self.parameters["RTL_ALT"] / 100, self.fence.ceiling_m
         return altitude_m if ceiling_m is None else min(altitude_m, ceiling_m)
 
     def _stop(self, now_s: float) -> None:
@@ -278,18 +269,24 @@ class CopterFlight:
 
     def _default_speed_m_s(self) -> float:
         """The legs' own speed, until somebody changes the parameter for it."""
-        told_cm_s = self._parameters["WPNAV_SPEED"]
+        told_cm_s = self.parameters["WPNAV_SPEED"]
         if told_cm_s == self._default_speed_cm_s:
-            return self._legs_m_s
+            return self.settings.ground_speed_m_s
         return _within_reason(told_cm_s / 100)
 
     def _return_speed_m_s(self) -> float:
-        return _within_reason((self._parameters["RTL_SPEED"] or self._parameters["WPNAV_SPEED"]) / 100)
+        return _within_reason((self.parameters["RTL_SPEED"] or self.parameters["WPNAV_SPEED"]) / 100)
 
 
-def is_sensible(target: Position) -> bool:
-    """Whether it is a place that a copter could be sent to."""
-    return ground_distance_m(target, _GROUND) <= _FARTHEST_M and 0 <= target.altitude_m <= _HIGHEST_M
+def _parameters_at_boot(settings: VehicleSettings) -> ParameterTable:
+    parameters = ParameterTable("ardupilot", new_names=settings.version >= Version(4, 7))
+    for name, value in (
+        ("WPNAV_SPEED", settings.return_speed_m_s * 100),
+        ("RTL_ALT", settings.return_altitude_m * 100),
+        ("SIM_SPEEDUP", settings.speedup),
+    ):
+        parameters.preset(name, value)
+    return parameters
 
 
 def _within_reason(speed_m_s: float) -> float:

@@ -1,22 +1,20 @@
-"""What a stand-in ArduCopter is like when it is switched on."""
+"""ArduCopter's flight modes, and a stand-in ArduCopter when it is switched on."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 
-from upwash.core.geo import GeoPosition
 from upwash.errors import UsageError
 from upwash.mavlink.version import Version
 from upwash.vehicle.ardupilot.boot import RECORDED_S
 from upwash.vehicle.ardupilot.failsafe import GLITCH_CLEARED_S, GLITCH_M
-from upwash.vehicle.body.condition import VehicleFault
+from upwash.vehicle.body.copter import StandInSettings
 
 RECORDED_VERSION = Version(4, 7, kind=0)  # in development: with the parameters' names of 4.6
 FASTEST_M_S = 300.0  # a report holds 327 m/s at most
-_RATES = ("ground_speed_m_s", "climb_m_s", "descent_m_s", "return_speed_m_s", "endurance_s", "speedup")
+_RATES = ("ground_speed_m_s", "climb_m_s", "descent_m_s", "return_speed_m_s", "speedup")
 
 
 class CopterMode(IntEnum):
@@ -33,54 +31,43 @@ class CopterMode(IntEnum):
 
 
 BY_POSITION = (CopterMode.GUIDED, CopterMode.LOITER, CopterMode.RTL, CopterMode.POSHOLD, CopterMode.BRAKE)
-"""Those that need to know the place."""
+"""The modes that need to know the place."""
 
 
 @dataclass(frozen=True, slots=True)
-class VehicleSettings:
-    """A multicopter: where it stands and how it flies.
+class VehicleSettings(StandInSettings):
+    """A stand-in ArduCopter: where it stands and how it flies.
 
-    It flies as a recorded ArduCopter did, or, where an acceleration is given, speeds up and brakes with that one,
+    It flies as a recorded ArduCopter did. Where an acceleration is given, it speeds up and brakes with that one,
     climbs and descends at the given rates, and neither spools up nor hovers above its home.
     """
 
-    home: GeoPosition
-    home_altitude_m: float = 0.0  # above the sea
+    armable_after_s: float = RECORDED_S
+    version: Version = RECORDED_VERSION
     acceleration_m_s2: float | None = None
     climb_m_s: float = 2.5
     descent_m_s: float = 1.5
-    ground_speed_m_s: float = 5.4  # of legs whose speed it was not told
+    ground_speed_m_s: float = 5.4  # of legs without a commanded speed
     return_speed_m_s: float = 10.0
     return_altitude_m: float = 15.0
-    armable_after_s: float = RECORDED_S
     auto_disarm_s: float = 2.0
-    battery_percent: float = 100.0
-    endurance_s: float = 1_200.0  # of a full battery with the motors running
-    version: Version = RECORDED_VERSION
-    speedup: float = 1.0  # of its clock, against everyone else's
     clock_offset_s: float | None = (
-        0.0  # of its receiver's time of day, against this machine's; None: it tells none
+        0.0  # of its GPS's time of day, against this machine's; None: it tells none
     )
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    faults: tuple[VehicleFault, ...] = ()
     glitch_m: float = GLITCH_M  # by which a glitch puts its GPS off to the north
-    glitch_cleared_after_s: float = GLITCH_CLEARED_S  # it then takes the glitch for over, though it lasts
+    glitch_cleared_after_s: float = GLITCH_CLEARED_S  # the glitch counts as over then, though it lasts
 
     def __post_init__(self) -> None:
+        StandInSettings.__post_init__(self)
         rates = {name: getattr(self, name) for name in _RATES}
         if self.acceleration_m_s2 is not None:
             rates["acceleration_m_s2"] = self.acceleration_m_s2
         for name, rate in rates.items():
-            most = math.inf if name == "endurance_s" else FASTEST_M_S
-            if not 0 < rate <= most:
-                raise UsageError(f"vehicle: {name} is {rate}; give a number above 0, at most {most:g}")
+            if not 0 < rate <= FASTEST_M_S:
+                raise UsageError(f"vehicle: {name} is {rate}; give a number above 0, at most {FASTEST_M_S:g}")
         if not math.isfinite(self.glitch_m):
             raise UsageError(f"vehicle: glitch_m is {self.glitch_m}; give a number of metres")
         if not self.glitch_cleared_after_s > 0:
             raise UsageError(
                 f"vehicle: glitch_cleared_after_s is {self.glitch_cleared_after_s}; give a number above 0, or inf"
             )
-        if not self.armable_after_s >= 0:
-            raise UsageError(f"vehicle: armable_after_s is {self.armable_after_s}; give a number from 0 on")
-        if not 0 <= self.battery_percent <= 100:
-            raise UsageError(f"vehicle: battery_percent is {self.battery_percent}; give 0 to 100")

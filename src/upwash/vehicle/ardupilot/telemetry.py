@@ -1,23 +1,17 @@
-"""What the stand-in reports, message by message."""
+"""The reports of a stand-in ArduCopter."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from typing import TypeAlias
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.vehicle.ardupilot.camera import CameraShot
-from upwash.vehicle.ardupilot.copter import Copter
+from upwash.vehicle.ardupilot.copter import CameraShot, Copter
 from upwash.vehicle.ardupilot.fence import Breach
 from upwash.vehicle.ardupilot.settings import CopterMode
-from upwash.vehicle.body import messages
-from upwash.vehicle.body.condition import FaultKind
-from upwash.vehicle.body.firmware import LandedState, Message
-from upwash.vehicle.body.messages import above_sea_mm, boot_ms, degrees_e7, heading_cdeg
-
-Report: TypeAlias = Callable[[Copter, float], Message]
+from upwash.vehicle.body.copter import FaultKind, LandedState
+from upwash.vehicle.body.firmware import Message, Report
+from upwash.vehicle.body.telemetry import Telemetry, degrees_e7, made
 
 _BASE_MODE = (
     mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
@@ -42,212 +36,139 @@ _SENSORS = (
     | mavlink.MAV_SYS_STATUS_PREARM_CHECK
 )
 _SATELLITES, _TOO_FEW_SATELLITES = 10, 3
-_CAPABILITIES = (
-    mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
-)
 
 
-def heartbeat(copter: Copter, now_s: float) -> Message:
-    """HEARTBEAT: the mode, whether armed, whether flying."""
-    armed, booting = copter.armed(now_s), copter.health.booting(now_s)
-    base_mode = _BASE_MODE
-    if armed:
-        base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
-    if booting or copter.mode is CopterMode.GUIDED or (armed and copter.mode in _HOVERS_ONLY_WHEN_ARMED):
-        base_mode |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
-    if copter.critical():
-        status = mavlink.MAV_STATE_CRITICAL
-    elif copter.landed_state(now_s) is not LandedState.ON_GROUND:
-        status = mavlink.MAV_STATE_ACTIVE
-    else:
-        status = mavlink.MAV_STATE_BOOT if booting else mavlink.MAV_STATE_STANDBY
-    return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, base_mode, copter.mode, status, 3
+class CopterTelemetry(Telemetry[Copter]):
+    """What it reports, message by message."""
+
+    throttle_percent = 35
+    vtol_state = mavlink.MAV_VTOL_STATE_MC
+    frame_of_targets = mavlink.MAV_FRAME_GLOBAL
+    capabilities = (
+        mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
+        | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+        | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+        | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+        | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
+        | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     )
 
+    def reports(self) -> dict[float, Report]:
+        """The reports that can be asked for, by message number."""
+        return super().reports() | {
+            mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: self.ekf_status,
+            mavlink.MAVLINK_MSG_ID_FENCE_STATUS: self.fence_status,
+            mavlink.MAVLINK_MSG_ID_WIND: lambda _now_s: None,  # it estimates none
+        }
 
-def sys_status(copter: Copter, now_s: float) -> Message:
-    """SYS_STATUS: whether its sensors and its checks before arming are well, and its battery."""
-    health = _SENSORS
-    if not copter.armable(now_s):
-        health &= ~mavlink.MAV_SYS_STATUS_PREARM_CHECK
-    if copter.suffers(FaultKind.GPS, now_s):
-        health &= ~mavlink.MAV_SYS_STATUS_SENSOR_GPS
-    if copter.suffers(FaultKind.BATTERY, now_s):
-        health &= ~mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
-    return messages.sys_status(copter, now_s, sensors=(_SENSORS, _SENSORS, health), current=-1)
+    def heartbeat(self, now_s: float) -> Message:
+        """HEARTBEAT: the mode, whether it is armed, whether it flies."""
+        copter = self.copter
+        armed, booting = copter.armed(now_s), copter.booting(now_s)
+        base_mode = _BASE_MODE
+        if armed:
+            base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+        if booting or copter.mode is CopterMode.GUIDED or (armed and copter.mode in _HOVERS_ONLY_WHEN_ARMED):
+            base_mode |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
+        if copter.critical():
+            status = mavlink.MAV_STATE_CRITICAL
+        elif copter.landed_state(now_s) is not LandedState.ON_GROUND:
+            status = mavlink.MAV_STATE_ACTIVE
+        else:
+            status = mavlink.MAV_STATE_BOOT if booting else mavlink.MAV_STATE_STANDBY
+        autopilot = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+        return mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_QUADROTOR, autopilot, base_mode, copter.mode, status, 3
+        )
 
+    def sensors(self, now_s: float) -> tuple[int, int, int]:
+        """The sensors that are present, enabled and healthy; whether it can be armed is one of them."""
+        health = _SENSORS
+        if not self.copter.armable(now_s):
+            health &= ~mavlink.MAV_SYS_STATUS_PREARM_CHECK
+        if self.copter.suffers(FaultKind.GPS, now_s):
+            health &= ~mavlink.MAV_SYS_STATUS_SENSOR_GPS
+        if self.copter.suffers(FaultKind.BATTERY, now_s):
+            health &= ~mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
+        return _SENSORS, _SENSORS, health
 
-def battery_status(copter: Copter, now_s: float) -> Message:
-    """BATTERY_STATUS: how full the battery is; it does not tell what is drawn from it."""
-    return messages.battery_status(copter, now_s, current=-1, consumed=-1)
+    def receiver(self, now_s: float) -> dict[str, Any]:
+        """The fields of GPS_RAW_INT that depend on the receiver's fix."""
+        course = {"cog": self.heading_cdeg(now_s)}
+        if not self.copter.hears_satellites(now_s):
+            nowhere = {"fix_type": mavlink.GPS_FIX_TYPE_NO_GPS, "lat": 0, "lon": 0}
+            return course | nowhere | {"eph": 65535, "epv": 65535, "satellites_visible": 0}
+        heard = course | {"eph": 121, "epv": 200}
+        if not self.copter.has_fix(now_s):
+            nowhere = {"fix_type": mavlink.GPS_FIX_TYPE_NO_FIX, "lat": 0, "lon": 0}
+            return heard | nowhere | {"satellites_visible": _TOO_FEW_SATELLITES}
+        return heard | {"fix_type": mavlink.GPS_FIX_TYPE_RTK_FIXED, "satellites_visible": _SATELLITES}
 
+    def unix_s(self, now_s: float) -> float:
+        """The time of day that its receiver tells, in seconds since 1970; 0 while it tells none."""
+        return self.copter.unix_s(now_s)
 
-def system_time(copter: Copter, now_s: float) -> Message:
-    """SYSTEM_TIME: since boot, and the date once its receiver has told it."""
-    unix_us = round(copter.health.unix_s(now_s) * 1e6)
-    return mavlink.MAVLink_system_time_message(unix_us, boot_ms(copter, now_s))
+    def has_origin(self, now_s: float) -> bool:
+        """Whether it has an origin to tell positions from."""
+        return self.copter.knows_its_place(now_s)
 
+    def ekf_status(self, now_s: float) -> Message:
+        """EKF_STATUS_REPORT: the sources of the position estimate."""
+        return mavlink.MAVLink_ekf_status_report_message(
+            self.copter.ekf_flags(now_s), 0.02, 0.02, 0.02, 0.02, 0.0
+        )
 
-def gps_raw(copter: Copter, now_s: float) -> Message:
-    """GPS_RAW_INT: the receiver's fix."""
-    geo = copter.frame.geo(copter.position(now_s))
-    blind = not copter.health.has_fix(now_s)
-    hears = copter.health.hears_satellites(now_s)
-    velocity = copter.velocity(now_s)
-    return mavlink.MAVLink_gps_raw_int_message(
-        time_usec=round(copter.uptime_s(now_s) * 1e6),
-        fix_type=_fix_type(blind=blind, hears=hears),
-        lat=0 if blind else degrees_e7(geo.latitude_deg),
-        lon=0 if blind else degrees_e7(geo.longitude_deg),
-        alt=above_sea_mm(copter, copter.position(now_s)),
-        eph=121 if hears else 65535,
-        epv=200 if hears else 65535,
-        vel=round(math.hypot(velocity.east_m_s, velocity.north_m_s) * 100),
-        cog=heading_cdeg(copter, now_s),
-        satellites_visible=(_TOO_FEW_SATELLITES if blind else _SATELLITES) if hears else 0,
-    )
+    def global_position(self, now_s: float) -> Message:
+        """GLOBAL_POSITION_INT: place and velocity."""
+        above_home_m = self.copter.position(now_s).altitude_m - self.copter.home.altitude_m
+        known = self.copter.knows_its_place(now_s) or self.copter.has_fix(now_s)
+        return self.global_position_of(now_s, above_home_mm=round(above_home_m * 1e3), known=known)
 
+    def position_target_local(self, now_s: float) -> Message | None:
+        """POSITION_TARGET_LOCAL_NED in GUIDED: its target or the top of its take-off; else that it has a velocity."""
+        if self.copter.mode is not CopterMode.GUIDED or not self.copter.armed(now_s):
+            return None
+        return self.local_target(now_s, self.copter.target(now_s) or self.copter.climbs_to)
 
-def _fix_type(*, blind: bool, hears: bool) -> int:
-    if not hears:
-        return int(mavlink.GPS_FIX_TYPE_NO_GPS)
-    return int(mavlink.GPS_FIX_TYPE_NO_FIX if blind else mavlink.GPS_FIX_TYPE_RTK_FIXED)
+    def home(self, now_s: float) -> dict[str, int]:
+        """The fields of HOME_POSITION."""
+        home = self.copter.home
+        geo = self.copter.frame.geo(home)
+        return {
+            "latitude": degrees_e7(geo.latitude_deg),
+            "longitude": degrees_e7(geo.longitude_deg),
+            "altitude": self.above_sea_mm(home),
+        }
 
+    def fence_status(self, now_s: float) -> Message:
+        """FENCE_STATUS: whether it keeps to its fence."""
+        fence, uptime_s = self.copter.fence, self.copter.uptime_s(now_s)
+        return mavlink.MAVLink_fence_status_message(
+            breach_status=int(fence.breach is not Breach.NONE),
+            breach_count=fence.breaches,
+            breach_type=fence.breach,
+            breach_time=round((uptime_s - (now_s - fence.breached_s)) * 1e3) if fence.breaches else 0,
+            breach_mitigation=mavlink.FENCE_MITIGATE_NONE,
+        )
 
-def ekf_status(copter: Copter, now_s: float) -> Message:
-    """EKF_STATUS_REPORT: by what the position estimate goes."""
-    return mavlink.MAVLink_ekf_status_report_message(
-        copter.health.ekf_flags(now_s), 0.02, 0.02, 0.02, 0.02, 0.0
-    )
-
-
-def global_position(copter: Copter, now_s: float) -> Message:
-    """GLOBAL_POSITION_INT: latitude and longitude are 0 until they are known."""
-    known = copter.health.knows_its_place(now_s) or copter.health.has_fix(now_s)
-    above_home_mm = round((copter.position(now_s).altitude_m - copter.home.altitude_m) * 1e3)
-    return messages.global_position(copter, now_s, above_home_mm=above_home_mm, known=known)
-
-
-def vfr_hud(copter: Copter, now_s: float) -> Message:
-    """VFR_HUD: speeds, heading and height, as a pilot reads them."""
-    return messages.vfr_hud(copter, now_s, throttle=35 if copter.flying(now_s) else 0)
-
-
-def position_target(copter: Copter, now_s: float) -> Message | None:
-    """POSITION_TARGET_GLOBAL_INT: the target in force, if there is one."""
-    target = copter.target(now_s)
-    if target is None:
-        return None
-    return messages.position_target_global(copter, now_s, target, frame=mavlink.MAV_FRAME_GLOBAL)
-
-
-def position_target_local(copter: Copter, now_s: float) -> Message | None:
-    """POSITION_TARGET_LOCAL_NED in GUIDED: its target or the top of its take-off; else that it has a velocity."""
-    if copter.mode is not CopterMode.GUIDED or not copter.armed(now_s):
-        return None
-    return messages.position_target_local(copter, now_s, copter.target(now_s) or copter.climbs_to)
-
-
-def gps_global_origin(copter: Copter, now_s: float) -> Message | None:
-    """GPS_GLOBAL_ORIGIN: what local positions count from, once that is known."""
-    return messages.gps_global_origin(copter) if copter.health.knows_its_place(now_s) else None
-
-
-def home_position(copter: Copter, now_s: float) -> Message | None:
-    """HOME_POSITION: where it returns to, once it knows where it is."""
-    if not copter.health.knows_its_place(now_s):
-        return None
-    home = copter.home
-    return messages.home_position(copter, altitude_mm=above_sea_mm(copter, home), place=home)
-
-
-def extended_sys_state(copter: Copter, now_s: float) -> Message:
-    """EXTENDED_SYS_STATE: on the ground, in the air, or between."""
-    return mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_MC, copter.landed_state(now_s))
-
-
-def fence_status(copter: Copter, now_s: float) -> Message:
-    """FENCE_STATUS: whether it keeps to its fence."""
-    fence, uptime_s = copter.fence, copter.uptime_s(now_s)
-    return mavlink.MAVLink_fence_status_message(
-        breach_status=int(fence.breach is not Breach.NONE),
-        breach_count=fence.breaches,
-        breach_type=fence.breach,
-        breach_time=round((uptime_s - (now_s - fence.breached_s)) * 1e3) if fence.breaches else 0,
-        breach_mitigation=mavlink.FENCE_MITIGATE_NONE,
-    )
-
-
-def wind(_copter: Copter, _now_s: float) -> None:
-    """WIND: it estimates none."""
+    def camera_feedback(self, shot: CameraShot) -> Message:
+        """CAMERA_FEEDBACK: a photo that was taken."""
+        geo = self.copter.frame.geo(shot.position)
+        return made(
+            mavlink.MAVLink_camera_feedback_message,
+            time_usec=self.boot_us(shot.taken_s),
+            img_idx=shot.number,
+            lat=degrees_e7(geo.latitude_deg),
+            lng=degrees_e7(geo.longitude_deg),
+            alt_msl=self.above_sea_mm(shot.position) / 1e3,
+            alt_rel=shot.position.altitude_m,
+            yaw=self.copter.heading_deg(shot.taken_s),
+            flags=mavlink.CAMERA_FEEDBACK_PHOTO,
+            completed_captures=shot.number,
+        )
 
 
-def mission_current(_copter: Copter, _now_s: float) -> Message:
-    """MISSION_CURRENT: it has no mission."""
-    return mavlink.MAVLink_mission_current_message(0)
-
-
-def autopilot_version(copter: Copter, _now_s: float) -> Message:
-    """AUTOPILOT_VERSION: what a client may expect."""
-    return messages.autopilot_version(
-        capabilities=_CAPABILITIES,
-        version=copter.settings.version.number,
-        middleware_version=0,
-        board_version=0,
-    )
-
-
-def camera_feedback(copter: Copter, shot: CameraShot) -> Message:
-    """CAMERA_FEEDBACK: a photo that was taken."""
-    geo = copter.frame.geo(shot.position)
-    return mavlink.MAVLink_camera_feedback_message(
-        time_usec=round(copter.uptime_s(shot.taken_s) * 1e6),
-        target_system=0,
-        cam_idx=0,
-        img_idx=shot.number,
-        lat=degrees_e7(geo.latitude_deg),
-        lng=degrees_e7(geo.longitude_deg),
-        alt_msl=above_sea_mm(copter, shot.position) / 1e3,
-        alt_rel=shot.position.altitude_m,
-        roll=0.0,
-        pitch=0.0,
-        yaw=copter.heading_deg(shot.taken_s),
-        foc_len=0.0,
-        flags=mavlink.CAMERA_FEEDBACK_PHOTO,
-        completed_captures=shot.number,
-    )
-
-
-REPORTS: dict[float, Report] = {
-    mavlink.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: sys_status,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: system_time,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: gps_raw,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: messages.attitude,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: messages.local_position,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: global_position,
-    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: mission_current,
-    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: gps_global_origin,
-    mavlink.MAVLINK_MSG_ID_VFR_HUD: vfr_hud,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: position_target,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: position_target_local,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: battery_status,
-    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
-    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status,
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION: home_position,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: extended_sys_state,
-    mavlink.MAVLINK_MSG_ID_FENCE_STATUS: fence_status,
-    mavlink.MAVLINK_MSG_ID_WIND: wind,
-}
-"""What can be asked for, by message number; a request's number arrives as a float."""
-
-STREAMS: dict[int, tuple[int, ...]] = {
+STREAM_GROUPS: dict[int, tuple[int, ...]] = {
     mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: (
         mavlink.MAVLINK_MSG_ID_SYS_STATUS,
         mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,

@@ -5,14 +5,15 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.mavlink.packets import packed
 from upwash.mavlink.signing import Signing
 from upwash.support.background import only_logged, start
-from upwash.vehicle.body.condition import FaultKind
-from upwash.vehicle.body.firmware import Message, Reply, StandInFirmware, asked_by_number
+from upwash.vehicle.body.copter import FaultKind
+from upwash.vehicle.body.firmware import CommandReply, Message, StandInFirmware
 from upwash.vehicle.body.parameters import Parameter
 
 _SYSTEM = 1
@@ -20,14 +21,14 @@ _COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _SHORTEST_INTERVAL_S = 0.01
 _LONGEST_INTERVAL_US = 2**31 - 1  # that MESSAGE_INTERVAL can tell
 _BEHIND_S = 1.0  # a stream so late begins anew, instead of catching up
-_ACCEPTED, _FAILED = Reply((mavlink.MAV_RESULT_ACCEPTED,)), Reply((mavlink.MAV_RESULT_FAILED,))
+_ACCEPTED, _FAILED = CommandReply((mavlink.MAV_RESULT_ACCEPTED,)), CommandReply((mavlink.MAV_RESULT_FAILED,))
 
 
 class StandIn:
     """The vehicle and its peers. Its clock starts at the event loop's time and runs `speedup` times as fast."""
 
     def __init__(
-        self, firmware: StandInFirmware, speedup: float = 1.0, signing: Signing | None = None
+        self, firmware: StandInFirmware[Any], speedup: float = 1.0, signing: Signing | None = None
     ) -> None:
         self.firmware = firmware
         self.signing = signing
@@ -46,7 +47,7 @@ class StandIn:
 
     def silent(self) -> bool:
         """Whether its link is down."""
-        return self.firmware.copter.suffers(FaultKind.LINK, self.now_s())
+        return bool(self.firmware.copter.suffers(FaultKind.LINK, self.now_s()))
 
     async def live(self) -> None:
         """Says what it says by itself."""
@@ -80,10 +81,7 @@ class PeerConnection:
         self._streams: dict[float, _Stream] = {}
         self._from_ground_station = False
         vehicle.connections.add(self)
-        for message in asked_by_number(
-            self._firmware.reports, vehicle.now_s(), mavlink.MAVLINK_MSG_ID_HEARTBEAT
-        ):
-            self.send(message)
+        self._report(self._now(mavlink.MAVLINK_MSG_ID_HEARTBEAT))
         for number, interval_s in self._firmware.unasked_s.items():
             self._set_interval(number, interval_s=interval_s)
 
@@ -123,7 +121,7 @@ class PeerConnection:
         else:
             self._say(self._firmware.hear(self._vehicle.now_s(), message))
 
-    def _say(self, reply: Reply) -> None:
+    def _say(self, reply: CommandReply) -> None:
         for message in reply.to_sender:
             self.send(message)
         for message in reply.to_all:
@@ -145,7 +143,7 @@ class PeerConnection:
         # The reason of a refusal comes after the refusal: autopilots queue their texts.
         self._say(reply)
 
-    def _obey(self, message: Message) -> Reply:
+    def _obey(self, message: Message) -> CommandReply:
         match message.command:
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
                 return self._set_interval(message.param1, interval_s=message.param2 / 1e6)
@@ -162,7 +160,7 @@ class PeerConnection:
 
     # --- reports --------------------------------------------------------------------------------------------
 
-    def _set_interval(self, number: float, *, interval_s: float) -> Reply:
+    def _set_interval(self, number: float, *, interval_s: float) -> CommandReply:
         if number not in self._firmware.reports:
             return _FAILED
         if stream := self._streams.pop(number, None):
@@ -174,7 +172,7 @@ class PeerConnection:
             self._streams[number] = _Stream(self._vehicle, every_s, lambda: self._report(self._now(number)))
         return _ACCEPTED
 
-    def _tell_interval(self, number: float) -> Reply:
+    def _tell_interval(self, number: float) -> CommandReply:
         if number not in self._firmware.reports:
             return _FAILED
         stream = self._streams.get(number)
@@ -191,9 +189,9 @@ class PeerConnection:
                 self._set_interval(number, interval_s=1 / message.req_message_rate if on else -1.0)
 
     def _now(self, number: float) -> tuple[Message, ...]:
-        return asked_by_number(self._firmware.reports, self._vehicle.now_s(), number)
+        return self._firmware.report(self._vehicle.now_s(), number)
 
-    def _report(self, messages: tuple[Message, ...]) -> Reply:
+    def _report(self, messages: tuple[Message, ...]) -> CommandReply:
         for message in messages:
             self.send(message)
         return _ACCEPTED if messages else _FAILED

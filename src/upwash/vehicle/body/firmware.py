@@ -1,17 +1,24 @@
-"""What a stand-in's connections need of an autopilot: what it reports and obeys, and what it says by itself."""
+"""An autopilot between two messages: what it answers and says by itself. Time is an argument everywhere."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Protocol, TypeAlias
+from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
-from upwash.vehicle.body.condition import FaultKind
-from upwash.vehicle.body.parameters import Parameter
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.geo import GeoPosition, Position
+from upwash.vehicle.body.copter import Multicopter
 
 Message: TypeAlias = Any  # pymavlink's messages are not typed
 Report: TypeAlias = Callable[[float], Message | None]
+AnyCopter = TypeVar("AnyCopter", bound=Multicopter)
+
+_ABOVE_SEA = mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT
+_ABOVE_HOME = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 
 
 class Result(IntEnum):
@@ -24,105 +31,106 @@ class Result(IntEnum):
     FAILED = 4
 
 
-class LandedState(IntEnum):
-    """MAV_LANDED_STATE."""
-
-    ON_GROUND = 1
-    IN_AIR = 2
-    TAKEOFF = 3
-    LANDING = 4
-
-
 @dataclass(frozen=True, slots=True)
-class Reply:
-    """The results (MAV_RESULT) of a command, each to be acknowledged, and what is said about it to whom."""
+class CommandReply:
+    """The MAV_RESULTs of a command, each to be acknowledged, and the messages for its sender or for all."""
 
     results: tuple[int, ...] = ()
     to_sender: tuple[Message, ...] = ()
     to_all: tuple[Message, ...] = ()
 
 
-NOTHING = Reply()
+NOTHING = CommandReply()
 
 
-class ParameterTable(Protocol):
-    """Its parameters, with the values as PARAM_VALUE holds them."""
+@dataclass(frozen=True, slots=True)
+class VehicleCommand:
+    """COMMAND_LONG and COMMAND_INT alike; `place` is parameters 5 to 7: degrees, and metres in the frame."""
 
-    def __len__(self) -> int: ...
-
-    def named(self, name: str) -> Parameter | None:
-        """The parameter of that name, if there is one."""
-
-    def at(self, index: int) -> Parameter | None:
-        """The parameter at that place, if there is one."""
-
-
-class Flown(Protocol):
-    """What a firmware flies: it has parameters, and things go wrong with it."""
-
-    @property
-    def parameters(self) -> ParameterTable:
-        """Its parameters."""
-
-    def suffers(self, kind: FaultKind, now_s: float) -> bool:
-        """Whether such a thing is wrong with it now."""
-
-    def fail(self, kind: FaultKind, now_s: float) -> None:
-        """Something is wrong with it from now on."""
-
-    def mend(self, kind: FaultKind) -> None:
-        """Nothing of that kind is wrong with it any more."""
+    number: int
+    parameters: tuple[float, float, float, float]
+    place: tuple[float, float, float]
+    frame: int
+    shoots: bool = False  # parameter 5, as DO_DIGICAM_CONTROL means it
 
 
-class StandInFirmware(Protocol):
-    """An autopilot between two messages; time is an argument everywhere."""
+def read_command(message: Message) -> VehicleCommand:
+    """The command in either message."""
+    parameters = message.param1, message.param2, message.param3, message.param4
+    if message.get_type() == "COMMAND_INT":
+        place = message.x / 1e7, message.y / 1e7, message.z
+        return VehicleCommand(message.command, parameters, place, message.frame, shoots=message.x == 1)
+    place = message.param5, message.param6, message.param7
+    frame = mavlink.MAV_FRAME_GLOBAL
+    return VehicleCommand(message.command, parameters, place, frame, shoots=message.param5 == 1)
 
-    @property
-    def copter(self) -> Flown:
-        """What it flies."""
 
-    @property
-    def reports(self) -> Mapping[float, Report]:
-        """What can be asked for, by message number; a request's number arrives as a float."""
+def position_in_frame(
+    copter: Multicopter, frame: int, place: tuple[float, float, float], *, home_m: float
+) -> Position | None:
+    """The position of a latitude, a longitude and an altitude; None in an unknown frame or outside the Earth.
 
-    @property
-    def stream_groups(self) -> Mapping[int, tuple[int, ...]]:
-        """The messages of each group of REQUEST_DATA_STREAM."""
+    `home_m` is the altitude of home, from which altitudes count in some frames, above the ground at boot.
+    """
+    latitude_deg, longitude_deg, altitude_m = place
+    if frame in _ABOVE_SEA:
+        altitude_m -= copter.settings.home_altitude_m
+    elif frame in _ABOVE_HOME:
+        altitude_m += home_m
+    else:
+        return None
+    if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180):
+        return None
+    return copter.frame.position(GeoPosition(latitude_deg, longitude_deg, altitude_m))
 
-    @property
-    def unasked_s(self) -> Mapping[int, float]:
-        """The messages that it sends to everyone without being asked, with their intervals."""
 
-    @property
-    def told_of_home(self) -> tuple[int, ...]:
-        """The messages that answer the question for its home."""
+def sender_of(message: Message) -> tuple[int, int]:
+    """The system and the component that sent the message."""
+    return message.get_srcSystem(), message.get_srcComponent()
 
-    @property
-    def wakes_every_s(self) -> float:
-        """How often it looks whether it has something to say."""
 
-    @property
-    def texts_only_to_ground_stations(self) -> bool:
-        """Whether STATUSTEXT is only sent to those from whom a ground station's heartbeats come."""
+class StandInFirmware(ABC, Generic[AnyCopter]):
+    """What a stand-in's connections need of an autopilot."""
 
-    def live(self, now_s: float) -> Iterable[Message]:
-        """What it says to everyone by itself since it was last asked."""
+    stream_groups: Mapping[int, tuple[int, ...]] = {}
+    """The messages in each group of REQUEST_DATA_STREAM."""
+    unasked_s: ClassVar[Mapping[int, float]]
+    """The messages that it sends to everyone without being asked, with their intervals."""
+    told_of_home: tuple[int, ...]
+    """The messages that answer the question for its home."""
+    wakes_every_s: float
+    """How often it looks whether it has something to say."""
+    texts_only_to_ground_stations = False
+    """Whether STATUSTEXT is only sent to peers that send a ground station's heartbeats."""
 
-    def obey(self, now_s: float, message: Message) -> Reply:
-        """Does what a COMMAND_LONG or COMMAND_INT tells it, if it can."""
+    def __init__(self, copter: AnyCopter, reports: Mapping[float, Report]) -> None:
+        self.copter = copter
+        self.reports = reports  # by message number; a request's number arrives as a float
+
+    def report(self, now_s: float, number: float) -> tuple[Message, ...]:
+        """The report of that number as it is now, if there is one."""
+        self.copter.advance(now_s)
+        report = self.reports.get(number)
+        message = report(now_s) if report else None
+        return () if message is None else (message,)
 
     def requested(self, now_s: float, message: Message) -> Iterable[Message]:
         """The reports that a REQUEST_MESSAGE asks for; none if it has no such reports now."""
+        return self.report(now_s, message.param1)
 
-    def hear(self, now_s: float, message: Message) -> Reply:
+    @abstractmethod
+    def live(self, now_s: float) -> Iterable[Message]:
+        """The messages for everyone since it was last asked."""
+
+    @abstractmethod
+    def obey(self, now_s: float, message: Message) -> CommandReply:
+        """Carries out a COMMAND_LONG or COMMAND_INT, if it can."""
+
+    @abstractmethod
+    def hear(self, now_s: float, message: Message) -> CommandReply:
         """Takes any other message."""
 
     def set_parameter(self, now_s: float, name: str, value: float) -> Iterable[Message]:
-        """Changes a parameter if it has it and the value fits; returns what everyone is told about it."""
-
-
-def asked_by_number(reports: Mapping[float, Report], now_s: float, number: float) -> tuple[Message, ...]:
-    """The report of that number as it is now, if there is one."""
-    report = reports.get(number)
-    message = report(now_s) if report else None
-    return () if message is None else (message,)
+        """Changes a parameter if it has it and the value fits; returns the messages to everyone about it."""
+        self.copter.parameters.receive(name, value)
+        return ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from upwash.core.geo import GeoPosition
 from upwash.core.vehicle.payload import PAYLOAD_COMMANDS
 from upwash.mavlink.px4 import Mode
-from upwash.vehicle.body.firmware import Message, Result
+from upwash.vehicle.body.firmware import Message, Result, VehicleCommand, read_command
 from upwash.vehicle.px4.navigator import Reposition
 from upwash.vehicle.px4.vehicle import FORCED, Quadrotor
 
@@ -32,14 +32,6 @@ _UNKNOWN = frozenset(
 )  # commands of payloads that PX4 has no handler for
 _MAIN_AUTO = Mode.LOITER.main
 _MODES = {(mode.main, mode.sub): mode for mode in Mode}
-
-
-@dataclass(frozen=True, slots=True)
-class VehicleCommand:
-    """COMMAND_LONG and COMMAND_INT alike; `place` is parameters 5 to 7, in degrees and metres above the sea."""
-
-    parameters: tuple[float, float, float, float]
-    place: tuple[float, float, float]
 
 
 def obey(copter: Quadrotor, now_s: float, message: Message) -> tuple[Result, ...]:
@@ -67,14 +59,14 @@ def set_mode(copter: Quadrotor, now_s: float, *, base_mode: float, main: float, 
 
 
 def _read(message: Message) -> VehicleCommand | None:
-    parameters = message.param1, message.param2, message.param3, message.param4
-    if message.get_type() != "COMMAND_INT":
-        return VehicleCommand(parameters, (message.param5, message.param6, message.param7))
-    if message.x == message.y == _NAN_E7:
-        return None
-    if message.x == message.y == _IGNORED_E7:
-        return VehicleCommand(parameters, (math.nan, math.nan, message.z))
-    return VehicleCommand(parameters, (message.x / 1e7, message.y / 1e7, message.z))
+    """The command, with NaN for a place that COMMAND_INT does not give; None for a place sent by mistake."""
+    command = read_command(message)
+    if message.get_type() == "COMMAND_INT" and message.x == message.y:
+        if message.x == _NAN_E7:
+            return None
+        if message.x == _IGNORED_E7:
+            return replace(command, place=(math.nan, math.nan, message.z))
+    return command
 
 
 def _arm_or_disarm(copter: Quadrotor, now_s: float, command: VehicleCommand) -> tuple[Result, ...]:

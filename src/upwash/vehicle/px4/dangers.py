@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from upwash.mavlink.px4 import Mode
+from upwash.vehicle.body.parameters import ParameterTable
 from upwash.vehicle.px4.events import Tell
 from upwash.vehicle.px4.failsafe import Action, Cause, Danger, FailsafeChange
 from upwash.vehicle.px4.inputs import Px4Inputs
-from upwash.vehicle.px4.parameters import Parameters
 
 _FENCE_ACTIONS = {1: Action.WARN, 2: Action.HOLD, 3: Action.RTL, 4: Action.TERMINATE, 5: Action.LAND}
 _OFFBOARD_ACTIONS = {
@@ -44,12 +44,14 @@ class Situation:
     battery_level: int  # MAV_BATTERY_CHARGE_STATE
 
 
-def dangers(situation: Situation, heard: Px4Inputs, parameters: Parameters) -> dict[Cause, Danger]:
+def dangers(situation: Situation, heard: Px4Inputs, parameters: ParameterTable) -> dict[Cause, Danger]:
     """What is dangerous now, and what each calls for."""
     return dict((*_links(situation, heard, parameters), *_itself(situation, parameters)))
 
 
-def _links(situation: Situation, heard: Px4Inputs, parameters: Parameters) -> Iterator[tuple[Cause, Danger]]:
+def _links(
+    situation: Situation, heard: Px4Inputs, parameters: ParameterTable
+) -> Iterator[tuple[Cause, Danger]]:
     now_s, intended = situation.now_s, situation.intended
     if intended is Mode.OFFBOARD and situation.placed and not heard.hears_setpoints(now_s):
         action = _OFFBOARD_ACTIONS.get(round(parameters["COM_OBL_RC_ACT"]), Action.WARN)
@@ -63,13 +65,13 @@ def _links(situation: Situation, heard: Px4Inputs, parameters: Parameters) -> It
         yield Cause.MANUAL_CONTROL, Danger(action_of)
 
 
-def _forgives_lost_sticks(intended: Mode, parameters: Parameters) -> bool:
+def _forgives_lost_sticks(intended: Mode, parameters: ParameterTable) -> bool:
     """COM_RCL_EXCEPT: whether lost sticks do not matter in this mode."""
     bit = {Mode.MISSION: 1, Mode.LOITER: 2, Mode.OFFBOARD: 4}.get(intended, 0)
     return bool(round(parameters["COM_RCL_EXCEPT"]) & bit)
 
 
-def _itself(situation: Situation, parameters: Parameters) -> Iterator[tuple[Cause, Danger]]:
+def _itself(situation: Situation, parameters: ParameterTable) -> Iterator[tuple[Cause, Danger]]:
     level, choice = situation.battery_level, round(parameters["COM_LOW_BAT_ACT"])
     if level >= 2:
         yield Cause.LOW_BATTERY, Danger(Action.WARN)

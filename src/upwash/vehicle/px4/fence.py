@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from upwash.core.geo import Circle, Position, ground_distance_m
-from upwash.vehicle.px4.parameters import Parameters
+from upwash.vehicle.body.parameters import ParameterTable
 
 _FEWEST_CORNERS = 3
 
@@ -86,7 +86,7 @@ def assembled(items: list[Vertex | Disc]) -> Fence | None:
     return Fence(tuple(inclusions), tuple(exclusions))
 
 
-def breaches(parameters: Parameters, fence: Fence, place: Position) -> list[str]:
+def breaches(parameters: ParameterTable, fence: Fence, place: Position) -> list[str]:
     """The events that tell which of its fences the place is outside of; home is at its origin."""
     farthest_m, highest_m = parameters["GF_MAX_HOR_DIST"], parameters["GF_MAX_VER_DIST"]
     names = []

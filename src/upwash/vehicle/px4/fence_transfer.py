@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from upwash.core.geo import Circle, GeoPosition
-from upwash.vehicle.body.firmware import NOTHING, Message, Reply
+from upwash.vehicle.body.firmware import NOTHING, CommandReply, Message
 from upwash.vehicle.px4.fence import Disc, Fence, Vertex, assembled
 from upwash.vehicle.px4.vehicle import Quadrotor
 
@@ -32,7 +32,7 @@ class FenceTransfer:
         self._items: list[Message] = []
         self._upload: _Upload | None = None
 
-    def hear(self, now_s: float, message: Message) -> Reply:
+    def hear(self, now_s: float, message: Message) -> CommandReply:
         """Takes a message of the mission protocol; any other is none of its business."""
         listener = _LISTENERS.get(message.get_type())
         return listener(self, now_s, message) if listener else NOTHING
@@ -42,9 +42,9 @@ class FenceTransfer:
         if self._upload and now_s >= self._upload.asked_s + _ASKS_AGAIN_S:
             yield self._upload.request(now_s)
 
-    def _hear_list_request(self, _now_s: float, message: Message) -> Reply:
+    def _hear_list_request(self, _now_s: float, message: Message) -> CommandReply:
         count = len(self._items) if message.mission_type == mavlink.MAV_MISSION_TYPE_FENCE else 0
-        return Reply(
+        return CommandReply(
             to_sender=(
                 mavlink.MAVLink_mission_count_message(
                     message.get_srcSystem(), message.get_srcComponent(), count, message.mission_type
@@ -52,12 +52,12 @@ class FenceTransfer:
             )
         )
 
-    def _hear_item_request(self, _now_s: float, message: Message) -> Reply:
+    def _hear_item_request(self, _now_s: float, message: Message) -> CommandReply:
         fence = message.mission_type == mavlink.MAV_MISSION_TYPE_FENCE
         if not (fence and message.seq < len(self._items)):
             return _acknowledged(message, mavlink.MAV_MISSION_INVALID_SEQUENCE)
         item = self._items[message.seq]
-        return Reply(
+        return CommandReply(
             to_sender=(
                 mavlink.MAVLink_mission_item_int_message(
                     message.get_srcSystem(),
@@ -79,12 +79,12 @@ class FenceTransfer:
             )
         )
 
-    def _hear_clearing(self, _now_s: float, message: Message) -> Reply:
+    def _hear_clearing(self, _now_s: float, message: Message) -> CommandReply:
         if message.mission_type in (mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_ALL):
             self._items, self._copter.fence = [], Fence()
         return _acknowledged(message, mavlink.MAV_MISSION_ACCEPTED)
 
-    def _hear_count(self, now_s: float, message: Message) -> Reply:
+    def _hear_count(self, now_s: float, message: Message) -> CommandReply:
         if message.mission_type != mavlink.MAV_MISSION_TYPE_FENCE:
             return _acknowledged(message, mavlink.MAV_MISSION_UNSUPPORTED)
         if message.count > _MOST_FENCE_ITEMS:
@@ -92,9 +92,9 @@ class FenceTransfer:
         if message.count == 0:
             return self._hear_clearing(now_s, message)
         self._upload = _Upload(message)
-        return Reply(to_sender=(self._upload.request(now_s),))
+        return CommandReply(to_sender=(self._upload.request(now_s),))
 
-    def _hear_item(self, now_s: float, message: Message) -> Reply:
+    def _hear_item(self, now_s: float, message: Message) -> CommandReply:
         upload = self._upload
         if upload is None or message.mission_type != mavlink.MAV_MISSION_TYPE_FENCE:
             return _acknowledged(message, mavlink.MAV_MISSION_ERROR)
@@ -102,7 +102,7 @@ class FenceTransfer:
             return NOTHING  # of somebody else, or once more
         upload.items.append(message)
         if len(upload.items) < upload.count:
-            return Reply(to_sender=(upload.request(now_s),))
+            return CommandReply(to_sender=(upload.request(now_s),))
         self._upload = None
         read = [self._read(item) for item in upload.items]
         fence = assembled([item for item in read if item is not None])
@@ -143,14 +143,14 @@ class _Upload:
         )
 
 
-def _acknowledged(message: Message, result: int) -> Reply:
+def _acknowledged(message: Message, result: int) -> CommandReply:
     ack = mavlink.MAVLink_mission_ack_message(
         message.get_srcSystem(), message.get_srcComponent(), result, message.mission_type
     )
-    return Reply(to_sender=(ack,))
+    return CommandReply(to_sender=(ack,))
 
 
-_LISTENERS: dict[str, Callable[[FenceTransfer, float, Message], Reply]] = {
+_LISTENERS: dict[str, Callable[[FenceTransfer, float, Message], CommandReply]] = {
     "MISSION_REQUEST_LIST": FenceTransfer._hear_list_request,
     "MISSION_REQUEST": FenceTransfer._hear_item_request,
     "MISSION_REQUEST_INT": FenceTransfer._hear_item_request,

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from upwash.core.geo import GeoPosition, Position, Velocity
+from upwash.core.geo import Position, Velocity
 from upwash.mavlink.px4 import (
     AVAILABLE_MODES,
     CURRENT_MODE,
@@ -18,24 +17,27 @@ from upwash.mavlink.px4 import (
     event_text,
 )
 from upwash.mavlink.version import Version
-from upwash.vehicle.body.firmware import NOTHING, Message, Reply, Report, asked_by_number
+from upwash.vehicle.body.copter import is_sensible
+from upwash.vehicle.body.firmware import (
+    NOTHING,
+    CommandReply,
+    Message,
+    StandInFirmware,
+    position_in_frame,
+)
 from upwash.vehicle.px4.commands import obey, set_mode
 from upwash.vehicle.px4.fence_transfer import FenceTransfer
 from upwash.vehicle.px4.inputs import Setpoint, Sticks
-from upwash.vehicle.px4.navigator import is_sensible
-from upwash.vehicle.px4.telemetry import REPORTS, UNASKED_S, UNMODELLED, available_modes, heartbeat
+from upwash.vehicle.px4.navigator import LOWEST_M
+from upwash.vehicle.px4.telemetry import UNASKED_S, UNMODELLED, Px4Telemetry, available_modes
 from upwash.vehicle.px4.vehicle import Quadrotor
 
-_LOOKS_EVERY_S = 0.05
 _HEARTBEAT_S = 1.0
 _CHECKS_AT_MOST_EVERY_S = 2.0
 _SEVERITY_OF_PROGRAMS = 8
-_FRAMES_ABOVE_SEA = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
-_FRAMES_ABOVE_HOME = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 _NO_EAST_NORTH, _NO_ALTITUDE, _NO_VELOCITY, _NO_YAW = 0b11, 0b100, 0b111_000, 1 << 10
 _STICK_FULL = 1000.0
 _TELLS_MODES_FROM = Version(1, 15, kind=0)
-_TELLS_MODES = (AVAILABLE_MODES, CURRENT_MODE)
 _COMPANIONS = (mavlink.MAV_TYPE_ONBOARD_CONTROLLER,)
 _ALL_MODES = 2**32 - 1
 # The summaries of the checks, as recorded: their bits are not modelled.
@@ -44,22 +46,19 @@ _SUMMARY_ILL = (0, 17956864, 128, 2147564416, 2147564416)
 _HEALTH_WELL, _HEALTH_ILL = (0, 939658250, 0, 0), (0, 939658242, 0, 0)
 
 
-class Px4Firmware:
+class Px4Firmware(StandInFirmware[Quadrotor]):
     """A quadrotor that reports, obeys and speaks as PX4 does on an onboard link."""
 
-    stream_groups: Mapping[int, tuple[int, ...]] = {}  # never changed
-    unasked_s: Mapping[int, float] = UNASKED_S
+    unasked_s = UNASKED_S
     told_of_home = (mavlink.MAVLINK_MSG_ID_HOME_POSITION,)
-    wakes_every_s = _LOOKS_EVERY_S
+    wakes_every_s = 0.05
     texts_only_to_ground_stations = True
 
     def __init__(self, copter: Quadrotor) -> None:
-        self.copter = copter
-        self.reports: Mapping[float, Report] = {
-            number: partial(report, copter)
-            for number, report in REPORTS.items()
-            if number not in _TELLS_MODES or copter.settings.version >= _TELLS_MODES_FROM
-        } | dict.fromkeys(UNMODELLED, _nothing)
+        known = Px4Telemetry(copter).reports()
+        if copter.settings.version < _TELLS_MODES_FROM:
+            del known[AVAILABLE_MODES], known[CURRENT_MODE]
+        super().__init__(copter, known | dict.fromkeys(UNMODELLED, lambda _now_s: None))
         self._beats_s: float | None = None
         self._checked: tuple[str, ...] | None = None
         self._checks_s = -math.inf
@@ -71,37 +70,36 @@ class Px4Firmware:
         if self._beats_s is None or now_s >= self._beats_s:
             begun_s = now_s if self._beats_s is None else self._beats_s
             self._beats_s = max(begun_s + _HEARTBEAT_S, now_s)
-            if beat := heartbeat(self.copter, now_s):
-                yield beat
+            yield from self.report(now_s, mavlink.MAVLINK_MSG_ID_HEARTBEAT)
         self._check(now_s)
         yield from self._said()
         yield from self._fence.missing(now_s)
 
-    def obey(self, now_s: float, message: Message) -> Reply:
+    def obey(self, now_s: float, message: Message) -> CommandReply:
         """One answer, or two; events tell everyone the reasons."""
         results = obey(self.copter, now_s, message)
         if message.command == mavlink.MAV_CMD_RUN_PREARM_CHECKS and results[0] == 0:
             self._tell_checks(now_s)
-        return Reply(tuple(int(result) for result in results), to_all=tuple(self._said()))
+        return CommandReply(tuple(int(result) for result in results), to_all=tuple(self._said()))
 
     def requested(self, now_s: float, message: Message) -> Iterable[Message]:
         """The report of that number; AVAILABLE_MODES by index, 0 for all."""
         if message.param1 == AVAILABLE_MODES and AVAILABLE_MODES in self.reports:
             index = message.param2
             return available_modes(int(index)) if math.isfinite(index) and 0 <= index < 2**16 else ()
-        return asked_by_number(self.reports, now_s, message.param1)
+        return self.report(now_s, message.param1)
 
-    def hear(self, now_s: float, message: Message) -> Reply:
+    def hear(self, now_s: float, message: Message) -> CommandReply:
         """Heartbeats, setpoints, sticks, fences, and modes set the old way."""
         listener = _LISTENERS.get(message.get_type())
         reply = listener(self, now_s, message) if listener else self._fence.hear(now_s, message)
         said = tuple(self._said())
-        return Reply(reply.results, reply.to_sender, reply.to_all + said) if said else reply
+        return CommandReply(reply.results, reply.to_sender, reply.to_all + said) if said else reply
 
     def set_parameter(self, now_s: float, name: str, value: float) -> Iterable[Message]:
         """Changes it, and those that must not be above it."""
         self.copter.advance(now_s)
-        if self.copter.parameters.set(name, value) and name == "MPC_XY_VEL_MAX":
+        if self.copter.parameters.receive(name, value) and name == "MPC_XY_VEL_MAX":
             lowered = (
                 ("MPC_XY_CRUISE", "mc_pos_ctrl_cruise_set"),
                 ("MPC_VEL_MANUAL", "mc_pos_ctrl_man_vel_set"),
@@ -131,7 +129,7 @@ class Px4Firmware:
     def _check(self, now_s: float) -> None:
         """Tells what its checks object to when that changes, and not too often."""
         copter = self.copter
-        if not copter.health.checked(now_s) or now_s < self._checks_s + _CHECKS_AT_MOST_EVERY_S:
+        if not copter.checked(now_s) or now_s < self._checks_s + _CHECKS_AT_MOST_EVERY_S:
             return
         if (*self._objections(now_s), str(copter.gps.placed)) != self._checked:
             self._tell_checks(now_s)
@@ -157,20 +155,20 @@ class Px4Firmware:
             "check_modes_mission": True,
             "check_modes_offboard_signal": not copter.hears_setpoints(now_s) or not copter.gps.placed,
             "check_modes_home_position": not copter.gps.ever_had_fix,
-            "check_modes_manual_control": not copter.heard.hears_sticks(now_s),
-            "check_rc_dl_no_dllink": not copter.heard.hears_ground_station(now_s),
-            "check_battery_low": copter.health.battery_level(now_s) == 2,
-            "check_battery_critical": copter.health.battery_level(now_s) == 3,
-            "check_battery_emergency": copter.health.battery_level(now_s) == 4,
+            "check_modes_manual_control": not copter.inputs.hears_sticks(now_s),
+            "check_rc_dl_no_dllink": not copter.inputs.hears_ground_station(now_s),
+            "check_battery_low": copter.battery_level(now_s) == 2,
+            "check_battery_critical": copter.battery_level(now_s) == 3,
+            "check_battery_emergency": copter.battery_level(now_s) == 4,
         }
         breaches = () if copter.armed else copter.breaches()  # in flight the fail-safe tells them
         return (*(name for name, objects in names.items() if objects), *breaches)
 
-    def _hear_event_request(self, _now_s: float, message: Message) -> Reply:
+    def _hear_event_request(self, _now_s: float, message: Message) -> CommandReply:
         events, missed = self.copter.events, message.first_sequence
         event: EventMessage | None = events.numbered(missed)
         if event is not None:
-            return Reply(to_sender=(event,))
+            return CommandReply(to_sender=(event,))
         gone = ResponseEventErrorMessage(
             sequence=missed,
             sequence_oldest_available=events.oldest,
@@ -178,18 +176,18 @@ class Px4Firmware:
             target_component=message.get_srcComponent(),
             reason=0,
         )
-        return Reply(to_sender=(gone,))
+        return CommandReply(to_sender=(gone,))
 
     # --- who is there, and what they want -------------------------------------------------------------------
 
-    def _hear_heartbeat(self, now_s: float, message: Message) -> Reply:
+    def _hear_heartbeat(self, now_s: float, message: Message) -> CommandReply:
         if message.type == mavlink.MAV_TYPE_GCS:
             self.copter.hear_ground_station(now_s)
         elif message.type in _COMPANIONS:
             self.copter.hear_companion(now_s)
         return NOTHING
 
-    def _hear_mode(self, now_s: float, message: Message) -> Reply:
+    def _hear_mode(self, now_s: float, message: Message) -> CommandReply:
         number = message.custom_mode
         if message.base_mode & CUSTOM_MODE_FLAG:
             set_mode(
@@ -201,7 +199,7 @@ class Px4Firmware:
             )
         return NOTHING
 
-    def _hear_sticks(self, now_s: float, message: Message) -> Reply:
+    def _hear_sticks(self, now_s: float, message: Message) -> CommandReply:
         if message.target in (0, 1) and all(
             abs(axis) <= _STICK_FULL for axis in (message.x, message.y, message.r)
         ):
@@ -214,7 +212,7 @@ class Px4Firmware:
             self.copter.move_sticks(now_s, sticks)
         return NOTHING
 
-    def _hear_local_setpoint(self, now_s: float, message: Message) -> Reply:
+    def _hear_local_setpoint(self, now_s: float, message: Message) -> CommandReply:
         by_body = message.coordinate_frame == mavlink.MAV_FRAME_BODY_NED
         if by_body or message.coordinate_frame == mavlink.MAV_FRAME_LOCAL_NED:
             place = Position(message.y, message.x, -message.z)
@@ -223,17 +221,12 @@ class Px4Firmware:
             self._follow(now_s, message, mask, place, heading)
         return NOTHING
 
-    def _hear_global_setpoint(self, now_s: float, message: Message) -> Reply:
-        altitude_m = message.alt
-        if message.coordinate_frame in _FRAMES_ABOVE_SEA:
-            altitude_m -= self.copter.settings.home_altitude_m
-        elif message.coordinate_frame in _FRAMES_ABOVE_HOME:
-            altitude_m += self.copter.home_altitude_m() - self.copter.settings.home_altitude_m
-        else:
-            return NOTHING
-        if abs(message.lat_int) <= 900_000_000 and abs(message.lon_int) <= 1_800_000_000:
-            geo = GeoPosition(message.lat_int / 1e7, message.lon_int / 1e7, altitude_m)
-            self._follow(now_s, message, message.type_mask, self.copter.frame.position(geo), 0.0)
+    def _hear_global_setpoint(self, now_s: float, message: Message) -> CommandReply:
+        home_m = self.copter.home_altitude_m() - self.copter.settings.home_altitude_m
+        told = message.lat_int / 1e7, message.lon_int / 1e7, message.alt
+        place = position_in_frame(self.copter, message.coordinate_frame, told, home_m=home_m)
+        if place is not None:
+            self._follow(now_s, message, message.type_mask, place, 0.0)
         return NOTHING
 
     def _follow(self, now_s: float, message: Message, mask: int, place: Position, turned: float) -> None:
@@ -255,10 +248,6 @@ class Px4Firmware:
             self.copter.follow(now_s, setpoint)
 
 
-def _nothing(_now_s: float) -> None:
-    """The report of what is not modelled."""
-
-
 def _makes_sense(setpoint: Setpoint) -> bool:
     """Whether it says something, and something that a copter could do."""
     velocity, place = setpoint.velocity, setpoint.east_north_m
@@ -269,7 +258,8 @@ def _makes_sense(setpoint: Setpoint) -> bool:
         numbers += [velocity.east_m_s, velocity.north_m_s, velocity.up_m_s]
     if not all(math.isfinite(number) for number in numbers):
         return False
-    return is_sensible(Position(*(place or (0.0, 0.0)), setpoint.altitude_m or 0.0))
+    there = Position(*(place or (0.0, 0.0)), setpoint.altitude_m or 0.0)
+    return is_sensible(there, lowest_m=LOWEST_M)
 
 
 _CHECKS = {
@@ -287,7 +277,7 @@ _CHECKS = {
 }
 """The modes that a check concerns, and its health component, as recorded."""
 
-_LISTENERS: dict[str, Callable[[Px4Firmware, float, Message], Reply]] = {
+_LISTENERS: dict[str, Callable[[Px4Firmware, float, Message], CommandReply]] = {
     "HEARTBEAT": Px4Firmware._hear_heartbeat,
     "SET_MODE": Px4Firmware._hear_mode,
     "MANUAL_CONTROL": Px4Firmware._hear_sticks,

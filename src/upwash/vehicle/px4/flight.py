@@ -7,12 +7,12 @@ from collections import deque
 
 from upwash.core.geo import Position
 from upwash.mavlink.px4 import Mode
+from upwash.vehicle.body.parameters import ParameterTable
 from upwash.vehicle.px4.airframe import FOLLOWING_LAG_S
 from upwash.vehicle.px4.body import BLIND_SINKING_M_S, STEP_S, Body, Steering
 from upwash.vehicle.px4.ground import Ground
 from upwash.vehicle.px4.inputs import Px4Inputs, Setpoint
 from upwash.vehicle.px4.navigator import LEAST_LIFT_M, Navigator
-from upwash.vehicle.px4.parameters import Parameters
 from upwash.vehicle.px4.steering import MANUAL, by_stick, following
 
 _GRAVITY_M_S2 = 9.8
@@ -23,7 +23,7 @@ class Px4Flight:
     """The body between the ground, its navigator, a companion's setpoints and a pilot's sticks."""
 
     def __init__(
-        self, parameters: Parameters, heard: Px4Inputs, body: Body, ground: Ground, navigator: Navigator
+        self, parameters: ParameterTable, heard: Px4Inputs, body: Body, ground: Ground, navigator: Navigator
     ) -> None:
         self._parameters = parameters
         self._heard = heard

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from upwash.vehicle.body.parameters import ParameterTable
 from upwash.vehicle.px4.airframe import BELIEVES_GROUND_S, spool_up_s
 from upwash.vehicle.px4.body import STEP_S, Body
 from upwash.vehicle.px4.events import Tell
-from upwash.vehicle.px4.parameters import Parameters
 
 DISARMED_BY_COMMAND, _DISARMED_BY_LANDING, _DISARMED_BEFORE_FLIGHT = 4, 6, 7
 _DISARMS_LATE_S = 1.0  # after COM_DISARM_PRFLT
@@ -16,7 +16,7 @@ _TOUCHING_M = 0.02
 class Ground:
     """Whether it stands on the ground, and for how long its motors run there."""
 
-    def __init__(self, body: Body, parameters: Parameters, tell: Tell) -> None:
+    def __init__(self, body: Body, parameters: ParameterTable, tell: Tell) -> None:
         self.grounded = True
         self.falls = False  # without its motors
         self._body = body

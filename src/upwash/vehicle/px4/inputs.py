@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from upwash.core.geo import Velocity
-from upwash.vehicle.px4.parameters import Parameters
+from upwash.vehicle.body.parameters import ParameterTable
 
 THROTTLE_MIDDLE = 500
 DEADZONE = 0.1
@@ -52,7 +52,7 @@ def past_deadzone(share: float) -> float:
 class Px4Inputs:
     """Who is heard, and since when no more: a pilot's sticks, a ground station, a companion and its setpoints."""
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, parameters: ParameterTable) -> None:
         self.sticks = Sticks()
         self.sticks_at_arming = self.ground_station_at_arming = False
         self._parameters = parameters

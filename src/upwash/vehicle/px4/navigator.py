@@ -8,17 +8,17 @@ from enum import Enum, auto
 
 from upwash.core.geo import Position, ground_distance_m
 from upwash.mavlink.px4 import Mode
+from upwash.vehicle.body.copter import HOME
+from upwash.vehicle.body.parameters import ParameterTable
 from upwash.vehicle.px4.airframe import ALTITUDE_REACHED_M, REACTION_S
 from upwash.vehicle.px4.body import CLIMB_M_S, CLIMBING_M_S2, Body, Steering, landing_sink_m_s
 from upwash.vehicle.px4.events import Tell
-from upwash.vehicle.px4.parameters import Parameters
 from upwash.vehicle.px4.steering import within_limits
 
 LEAST_LIFT_M = 0.3
-_FARTHEST_M, _HIGHEST_M, _LOWEST_M = 10_000.0, 1_000.0, -200.0
+LOWEST_M, _HIGHEST_M = -200.0, 1_000.0
 _LANDS_WITHIN_M = 2.0
 _TURNS_BEYOND_M = 2.0
-_HOME = Position(0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class Navigator:
     """The place that it flies to or holds, how fast, and how far it has come in a return."""
 
     def __init__(
-        self, parameters: Parameters, body: Body, tell: Tell, *, home_altitude_m: float, now_s: float
+        self, parameters: ParameterTable, body: Body, tell: Tell, *, home_altitude_m: float, now_s: float
     ) -> None:
         self.takeoff_altitude_m: float | None = None
         self._parameters = parameters
@@ -85,7 +85,7 @@ class Navigator:
 
     def _begin_return(self) -> None:
         self._returning = _Returning.CLIMBS
-        away_m = ground_distance_m(self._body.position, _HOME)
+        away_m = ground_distance_m(self._body.position, HOME)
         if away_m > self._parameters["RTL_MIN_DIST"]:
             self._altitude_m = max(self._altitude_m, self._parameters["RTL_RETURN_ALT"])
         above_sea_m = self._altitude_m + self._home_altitude_m
@@ -173,9 +173,9 @@ class Navigator:
         if self._returning is _Returning.CLIMBS:
             if abs(self._altitude_m - self._body.altitude_m) > ALTITUDE_REACHED_M:
                 return self.holding(now_s)
-            self._returning, self._place = _Returning.FLIES, _HOME.at_altitude(self._altitude_m)
+            self._returning, self._place = _Returning.FLIES, HOME.at_altitude(self._altitude_m)
         if self._returning is _Returning.FLIES:
-            if ground_distance_m(self._body.position, _HOME) > _LANDS_WITHIN_M:
+            if ground_distance_m(self._body.position, HOME) > _LANDS_WITHIN_M:
                 return self.holding(now_s)
             self._returning = _Returning.LANDS
             self._tell("rtl_land_at_destination")
@@ -185,9 +185,3 @@ class Navigator:
         """Down to the ground."""
         sink_m_s = landing_sink_m_s(self._body.altitude_m)
         return replace(self._holding_at(-math.inf, now_s), sink_m_s=sink_m_s, turns_to_deg=None)
-
-
-def is_sensible(target: Position) -> bool:
-    """Whether it is a place that a copter could be sent to."""
-    near = ground_distance_m(target, _HOME) <= _FARTHEST_M
-    return near and _LOWEST_M <= target.altitude_m <= _HIGHEST_M

@@ -6,15 +6,15 @@ import math
 
 from upwash.core.geo import Position, Velocity
 from upwash.mavlink.px4 import Mode
+from upwash.vehicle.body.parameters import ParameterTable
 from upwash.vehicle.px4.body import BLIND_SINKING_M_S, Steering
 from upwash.vehicle.px4.inputs import DEADZONE, THROTTLE_MIDDLE, Px4Inputs, Setpoint, Sticks, past_deadzone
-from upwash.vehicle.px4.parameters import Parameters
 
 MANUAL = (Mode.MANUAL, Mode.ALTCTL, Mode.POSCTL, Mode.ACRO, Mode.STABILIZED)
 _SLOWEST_M_S, _FASTEST_M_S = 0.1, 30.0
 
 
-def following(setpoint: Setpoint, parameters: Parameters) -> Steering:
+def following(setpoint: Setpoint, parameters: ParameterTable) -> Steering:
     """By what a companion streams in OFFBOARD."""
     cap_m_s = within_limits(parameters["MPC_XY_VEL_MAX"], parameters)
     climb_m_s, sink_m_s = parameters["MPC_Z_VEL_MAX_UP"], parameters["MPC_Z_VEL_MAX_DN"]
@@ -39,7 +39,7 @@ def following(setpoint: Setpoint, parameters: Parameters) -> Steering:
 
 
 def by_stick(
-    heard: Px4Inputs, parameters: Parameters, now_s: float, *, mode: Mode, heading_deg: float
+    heard: Px4Inputs, parameters: ParameterTable, now_s: float, *, mode: Mode, heading_deg: float
 ) -> Steering:
     """By the pilot's sticks; without them it brakes and sinks to the ground."""
     if not heard.hears_sticks(now_s):
@@ -62,12 +62,12 @@ def by_stick(
     )
 
 
-def within_limits(speed_m_s: float, parameters: Parameters) -> float:
+def within_limits(speed_m_s: float, parameters: ParameterTable) -> float:
     """The speed over the ground, no higher than the vehicle flies at all."""
     return min(max(speed_m_s, _SLOWEST_M_S), max(parameters["MPC_XY_VEL_MAX"], _SLOWEST_M_S), _FASTEST_M_S)
 
 
-def _climb_by_stick_m_s(sticks: Sticks, parameters: Parameters) -> float:
+def _climb_by_stick_m_s(sticks: Sticks, parameters: ParameterTable) -> float:
     share = past_deadzone((sticks.throttle - THROTTLE_MIDDLE) / THROTTLE_MIDDLE)
     most = parameters["MPC_Z_VEL_MAX_UP" if share > 0 else "MPC_Z_VEL_MAX_DN"]
     return share * most

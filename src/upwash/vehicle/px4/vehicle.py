@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 
-from upwash.core.geo import LocalFrame, Position, Velocity
+from upwash.core.geo import Position, Velocity
 from upwash.mavlink.px4 import Mode
-from upwash.vehicle.body.condition import FaultKind
-from upwash.vehicle.body.firmware import LandedState, Result
+from upwash.vehicle.body.copter import FaultKind, LandedState, Multicopter, is_sensible
+from upwash.vehicle.body.firmware import Result
+from upwash.vehicle.body.parameters import ParameterTable
 from upwash.vehicle.px4.body import STEP_S, Body
 from upwash.vehicle.px4.dangers import Situation, announce, dangers
 from upwash.vehicle.px4.events import Events
@@ -19,10 +20,8 @@ from upwash.vehicle.px4.failsafe import MODES_OF_ACTIONS, Action, Cause, Danger,
 from upwash.vehicle.px4.fence import Fence, breaches
 from upwash.vehicle.px4.flight import Px4Flight
 from upwash.vehicle.px4.ground import DISARMED_BY_COMMAND, Ground
-from upwash.vehicle.px4.health import Health
 from upwash.vehicle.px4.inputs import Gps, Px4Inputs, Setpoint, Sticks
-from upwash.vehicle.px4.navigator import Navigator, Reposition, is_sensible
-from upwash.vehicle.px4.parameters import Parameters
+from upwash.vehicle.px4.navigator import LOWEST_M, Navigator, Reposition
 from upwash.vehicle.px4.settings import Px4Settings
 from upwash.vehicle.px4.steering import MANUAL
 
@@ -30,20 +29,20 @@ _HOME_MOVES_M = 0.3  # at arming: the height of home was an estimate until then
 FORCED = 21196  # PX4's magic number, to arm and to disarm
 
 _AUTO = (Mode.TAKEOFF, Mode.LOITER, Mode.MISSION, Mode.RTL, Mode.LAND)
+_BOOT_S, _FIRST_CHECKS_S = 1.0, 2.0
 _NOT_TO_ARM_IN = (Mode.RTL, Mode.LAND, Mode.MISSION)
 
 
-class Quadrotor:
+class Quadrotor(Multicopter):
     """A multicopter between two steps."""
 
+    at_most_percent_in_fault, empty_v, full_v = 6.0, 14.4, 16.2
+
     def __init__(self, settings: Px4Settings, *, now_s: float) -> None:
-        self.settings = settings
-        self.frame = LocalFrame(settings.home)
-        self.parameters = Parameters(settings.parameters)
-        self.health = Health(settings, self.parameters, now_s=now_s)
+        super().__init__(settings, ParameterTable("px4", int_bytes=True), now_s=now_s)
         self.events = Events()
         self.fence = Fence()
-        self.heard = Px4Inputs(self.parameters)
+        self.inputs = Px4Inputs(self.parameters)
         self.gps = Gps(booted_s=now_s, settles_s=settings.armable_after_s)
         self.mode = Mode.LOITER
         self.intended = Mode.LOITER
@@ -58,7 +57,7 @@ class Quadrotor:
             home_altitude_m=settings.home_altitude_m,
             now_s=now_s,
         )
-        self._flight = Px4Flight(self.parameters, self.heard, self._body, self._ground, self._navigator)
+        self._flight = Px4Flight(self.parameters, self.inputs, self._body, self._ground, self._navigator)
         self._time_s = now_s
         self._armed_s: float | None = None
         self._ever_armed = False
@@ -90,28 +89,29 @@ class Quadrotor:
         """Of its home above the sea, as it knows it: before the first arming not very well."""
         return self.settings.home_altitude_m - (0.0 if self._ever_armed else _HOME_MOVES_M)
 
-    def target(self) -> Position | None:
-        """Where it flies to by itself or in OFFBOARD, if anywhere."""
+    def target(self, now_s: float) -> Position | None:
+        """The place it flies to by itself or in OFFBOARD, if any."""
+        self.advance(now_s)
         if not self.armed or self._ground.grounded:
             return None
         return self._flight.target(self.mode)
 
-    def uptime_s(self, now_s: float) -> float:
-        """How long it has been switched on."""
-        return self.health.uptime_s(now_s)
+    def booting(self, now_s: float) -> bool:
+        """Whether it does not speak yet."""
+        return self.uptime_s(now_s) < min(_BOOT_S, self.settings.armable_after_s)
 
-    def suffers(self, kind: FaultKind, now_s: float) -> bool:
-        """Whether such a thing is wrong with it now."""
-        return self.health.suffers(kind, now_s)
+    def checked(self, now_s: float) -> bool:
+        """Whether its first checks have run."""
+        return self.uptime_s(now_s) >= min(_FIRST_CHECKS_S, self.settings.armable_after_s)
 
     @property
     def armed(self) -> bool:
         """Whether its motors run."""
         return self._armed_s is not None
 
-    @property
-    def flying(self) -> bool:
+    def flying(self, now_s: float) -> bool:
         """Whether it is off the ground."""
+        self.advance(now_s)
         return not self._ground.grounded
 
     @property
@@ -124,27 +124,25 @@ class Quadrotor:
         """Whether it only sinks, without knowing where it is; its mode looks like LAND."""
         return self._failsafe.action is Action.DESCEND
 
-    def battery_percent(self, now_s: float) -> float:
-        """How full its battery is."""
-        return self.health.battery_percent(now_s)
-
-    def battery_v(self, now_s: float) -> float:
-        """Its battery's voltage."""
-        return self.health.battery_v(now_s)
+    def battery_level(self, now_s: float) -> int:
+        """MAV_BATTERY_CHARGE_STATE: 1 well, 2 low, 3 critical, 4 emergency."""
+        left = self.battery_percent(now_s) / 100
+        thresholds = "BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR"
+        return 1 + sum(left <= self.parameters[name] for name in thresholds)
 
     def hears_setpoints(self, now_s: float) -> bool:
         """Whether setpoints for OFFBOARD are heard, and can be followed."""
-        return self.heard.hears_setpoints(now_s) and self.gps.placed
+        return self.inputs.hears_setpoints(now_s) and self.gps.placed
 
     def armable(self, now_s: float) -> bool:
         """Whether its checks would let it be armed now."""
         return (
-            self.health.checked(now_s)
+            self.checked(now_s)
             and self.intended not in _NOT_TO_ARM_IN
             and self._can_run(self.intended, now_s)
             and not self.suffers(FaultKind.ARMING, now_s)
-            and self.health.battery_level(now_s) < 3
-            and (not self.parameters["NAV_DLL_ACT"] or self.heard.hears_ground_station(now_s))
+            and self.battery_level(now_s) < 3
+            and (not self.parameters["NAV_DLL_ACT"] or self.inputs.hears_ground_station(now_s))
             and not self.breaches()
         )
 
@@ -175,11 +173,11 @@ class Quadrotor:
             self._happened("commander_arm_denied_resolve_failures")
             return Result.TEMPORARILY_REJECTED
         self._armed_s = now_s
-        self.health.start_draining(now_s)
+        self.start_draining(now_s)
         self._ever_armed = True
         self._ground.arm()
         self._navigator.takeoff_altitude_m = None
-        self.heard.arm(now_s)
+        self.inputs.arm(now_s)
         self._happened("commander_armed_by", DISARMED_BY_COMMAND)
         return Result.ACCEPTED
 
@@ -227,7 +225,7 @@ class Quadrotor:
         """
         self.advance(now_s)
         target = wish.target(self._body.position)
-        if not is_sensible(target):
+        if not is_sensible(target, lowest_m=LOWEST_M):
             return Result.DENIED
         was_mode = self.mode
         if not self._intend(Mode.LOITER):
@@ -252,15 +250,15 @@ class Quadrotor:
         """Takes a setpoint for OFFBOARD; in any other mode it only shows that somebody streams them."""
         self.advance(now_s)
         self._flight.follow(now_s, setpoint)
-        self.heard.take_setpoint(now_s)
+        self.inputs.take_setpoint(now_s)
 
     def move_sticks(self, now_s: float, sticks: Sticks) -> None:
         """Takes a pilot's sticks; where they take over, the mode becomes POSCTL."""
         self.advance(now_s)
         if not self.parameters["COM_RC_IN_MODE"]:
             return
-        known = self.heard.hears_sticks(now_s)
-        self.heard.take_sticks(sticks, now_s)
+        known = self.inputs.hears_sticks(now_s)
+        self.inputs.take_sticks(sticks, now_s)
         override = round(self.parameters["COM_RC_OVERRIDE"])
         overridable = (override & 1 and self.mode in _AUTO) or (override & 2 and self.mode is Mode.OFFBOARD)
         if not (
@@ -278,22 +276,14 @@ class Quadrotor:
     def hear_ground_station(self, now_s: float) -> None:
         """A ground station is alive."""
         self.advance(now_s)
-        if self.heard.take_ground_station(now_s):
+        if self.inputs.take_ground_station(now_s):
             self._happened("commander_dl_regained")
 
     def hear_companion(self, now_s: float) -> None:
         """A companion computer is alive."""
         self.advance(now_s)
-        if self.heard.take_companion(now_s):
+        if self.inputs.take_companion(now_s):
             self._happened("commander_onboard_ctrl_regained")
-
-    def fail(self, kind: FaultKind, now_s: float) -> None:
-        """Something is wrong with it from now on."""
-        self.health.fail(kind, now_s)
-
-    def mend(self, kind: FaultKind) -> None:
-        """Nothing of that kind is wrong with it any more."""
-        self.health.mend(kind)
 
     # --- what it is meant to do, and what it does -----------------------------------------------------------
 
@@ -313,7 +303,7 @@ class Quadrotor:
         if mode is Mode.OFFBOARD:
             return self.hears_setpoints(now_s)
         if mode in MANUAL:
-            return self.heard.hears_sticks(now_s) and (self.gps.placed or mode is not Mode.POSCTL)
+            return self.inputs.hears_sticks(now_s) and (self.gps.placed or mode is not Mode.POSCTL)
         return self.gps.placed
 
     def _choose_mode(self) -> None:
@@ -326,7 +316,7 @@ class Quadrotor:
             self._navigator.enter(mode, before=before, armed=self.armed)
 
     def _disarm(self, reason: int) -> None:
-        self.health.stop_draining(self._time_s)
+        self.stop_draining(self._time_s)
         self._armed_s = None
         self._ground.disarm()
         self._failsafe.clear()
@@ -339,7 +329,7 @@ class Quadrotor:
     def _live(self) -> None:
         self._flight.receive(self._time_s)
         self._look_for_gps()
-        for event in self.heard.lost(self._time_s - STEP_S, self._time_s):
+        for event in self.inputs.lost(self._time_s - STEP_S, self._time_s):
             self._happened(event)
         if self.armed:
             delay_s = self.parameters["COM_FAIL_ACT_T"]
@@ -360,7 +350,7 @@ class Quadrotor:
 
     def _look_for_gps(self) -> None:
         now_s = self._time_s
-        blind = self.suffers(FaultKind.GPS, now_s) or self.health.booting(now_s)
+        blind = self.suffers(FaultKind.GPS, now_s) or self.booting(now_s)
         self.gps.look(0 if blind else self.parameters["SIM_GPS_USED"], now_s)
 
     def _dangers(self) -> dict[Cause, Danger]:
@@ -370,9 +360,9 @@ class Quadrotor:
             grounded=self._ground.grounded,
             placed=self.gps.placed,
             breached=bool(self.breaches()),
-            battery_level=self.health.battery_level(self._time_s),
+            battery_level=self.battery_level(self._time_s),
         )
-        return dangers(situation, self.heard, self.parameters)
+        return dangers(situation, self.inputs, self.parameters)
 
     def _happened(self, name: str, *arguments: float) -> None:
         self.events.happened(name, self.uptime_s(self._time_s), *arguments)

@@ -1,0 +1,206 @@
+"""A stand-in whatever its autopilot: where it stands, its faults, its parameters and its battery."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+from typing import ClassVar
+
+from upwash.core.geo import GeoPosition, LocalFrame, Position, Velocity, ground_distance_m
+from upwash.errors import UsageError
+from upwash.mavlink.version import Version
+from upwash.vehicle.body.parameters import ParameterTable
+
+HOME = Position(0.0, 0.0)
+GRAVITY_M_S2 = 9.8
+_NO_VERSION = Version(0, 0)
+_FARTHEST_M, _HIGHEST_M = 10_000.0, 1_000.0
+
+
+class LandedState(IntEnum):
+    """MAV_LANDED_STATE."""
+
+    ON_GROUND = 1
+    IN_AIR = 2
+    TAKEOFF = 3
+    LANDING = 4
+
+
+class FaultKind(StrEnum):
+    """What is wrong."""
+
+    LINK = "link"  # it hears nothing and says nothing; connections stay open
+    GPS = "gps"  # its receiver has no fix: it cannot be armed, and lands where it flies by position
+    GLITCH = "glitch"  # its receiver is off by 56 m to the north
+    BATTERY = "battery"  # all but empty
+    RADIO = "radio"  # the pilot's remote control is out of reach
+    GROUND = "ground"  # no heartbeat of a ground station arrives
+    COMPASS = "compass"  # its compass is not calibrated: it refuses to arm
+    ARMING = "arming"  # it refuses to arm
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleFault:
+    """A fault that lasts from one time after boot to another, in seconds of the vehicle's clock."""
+
+    kind: FaultKind
+    begins_s: float = 0.0
+    ends_s: float = math.inf
+
+    def lasts(self, uptime_s: float) -> bool:
+        """Whether the fault lasts at that time after boot."""
+        return self.begins_s <= uptime_s < self.ends_s
+
+
+@dataclass(frozen=True, slots=True)
+class StandInSettings:
+    """Where a stand-in stands, and its state when it is switched on."""
+
+    home: GeoPosition
+    home_altitude_m: float = 0.0  # above the sea
+    armable_after_s: float = 0.0
+    battery_percent: float = 100.0
+    endurance_s: float = 1_200.0  # of a full battery with the motors running
+    version: Version = _NO_VERSION
+    speedup: float = 1.0  # of its clock, against everyone else's
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    faults: tuple[VehicleFault, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("endurance_s", "speedup"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise UsageError(f"vehicle: {name} is {getattr(self, name)}; give a number above 0")
+        if not self.armable_after_s >= 0:
+            raise UsageError(f"vehicle: armable_after_s is {self.armable_after_s}; give a number from 0 on")
+        if not 0 <= self.battery_percent <= 100:
+            raise UsageError(f"vehicle: battery_percent is {self.battery_percent}; give 0 to 100")
+        if not math.isfinite(self.home_altitude_m):
+            raise UsageError(f"vehicle: home_altitude_m is {self.home_altitude_m}; give a number of metres")
+
+
+class Multicopter(ABC):
+    """A multicopter between two messages. It has no clock: whoever asks or commands it says what time it is."""
+
+    at_most_percent_in_fault: ClassVar[float]  # of the battery
+    empty_v: ClassVar[float]
+    full_v: ClassVar[float]
+
+    def __init__(self, settings: StandInSettings, parameters: ParameterTable, *, now_s: float) -> None:
+        self.settings = settings
+        self.frame = LocalFrame(settings.home)
+        self.parameters = parameters
+        for name, value in settings.parameters.items():
+            if not parameters.change(name, value):
+                raise UsageError(
+                    f"vehicle: version {settings.version} has no parameter {name}, or not with the value {value:g}"
+                )
+        self._booted_s = now_s
+        self._faults = list(settings.faults)
+        self._charge_percent = settings.battery_percent
+        self._drains_since_s: float | None = None
+
+    # --- where it is ----------------------------------------------------------------------------------------
+
+    def advance(self, now_s: float) -> None:  # noqa: B027 - nothing to do for a motion that is known in advance
+        """Catches up with the time."""
+
+    @abstractmethod
+    def position(self, now_s: float) -> Position:
+        """The place, relative to where it was switched on."""
+
+    @abstractmethod
+    def velocity(self, now_s: float) -> Velocity:
+        """The velocity."""
+
+    @abstractmethod
+    def heading_deg(self, now_s: float) -> float:
+        """The direction of its nose, clockwise from north."""
+
+    @abstractmethod
+    def flying(self, now_s: float) -> bool:
+        """Whether it is off the ground."""
+
+    @abstractmethod
+    def target(self, now_s: float) -> Position | None:
+        """The place it flies to, if any."""
+
+    @abstractmethod
+    def landed_state(self, now_s: float) -> LandedState:
+        """On the ground, in the air, or on the way between."""
+
+    # --- what is wrong with it ------------------------------------------------------------------------------
+
+    def uptime_s(self, now_s: float) -> float:
+        """Seconds since it was switched on."""
+        return now_s - self._booted_s
+
+    def suffers(self, kind: FaultKind, now_s: float) -> bool:
+        """Whether it has that fault now."""
+        return any(fault.kind is kind and fault.lasts(self.uptime_s(now_s)) for fault in self._faults)
+
+    def fail(self, kind: FaultKind, now_s: float) -> None:
+        """Begins a fault."""
+        self._faults.append(VehicleFault(kind, begins_s=self.uptime_s(now_s)))
+
+    def mend(self, kind: FaultKind) -> None:
+        """Ends all faults of that kind."""
+        self._faults = [fault for fault in self._faults if fault.kind is not kind]
+
+    def faults_since_s(self, now_s: float) -> dict[FaultKind, float]:
+        """The faults that it has now, and since when."""
+        return {
+            kind: self._booted_s + min(fault.begins_s for fault in self._faults if fault.kind is kind)
+            for kind in {fault.kind for fault in self._faults if fault.lasts(self.uptime_s(now_s))}
+        }
+
+    # --- its battery ----------------------------------------------------------------------------------------
+
+    def start_draining(self, now_s: float) -> None:
+        """The motors have started."""
+        self._charge_percent, self._drains_since_s = self.charge_percent(now_s), now_s
+
+    def stop_draining(self, now_s: float) -> None:
+        """The motors have stopped."""
+        self._charge_percent, self._drains_since_s = self.charge_percent(now_s), None
+
+    def charge_percent(self, now_s: float) -> float:
+        """The charge of the battery, without faults."""
+        drains_s = 0.0 if self._drains_since_s is None else now_s - self._drains_since_s
+        return max(0.0, self._charge_percent - drains_s * 100 / self.settings.endurance_s)
+
+    def battery_percent(self, now_s: float) -> float:
+        """The charge of the battery as it is reported."""
+        charge_percent = self.charge_percent(now_s)
+        if self.suffers(FaultKind.BATTERY, now_s):
+            return min(charge_percent, self.at_most_percent_in_fault)
+        return charge_percent
+
+    def battery_v(self, now_s: float) -> float:
+        """The voltage of the battery."""
+        return self.empty_v + (self.full_v - self.empty_v) * self.battery_percent(now_s) / 100
+
+
+def is_sensible(target: Position, *, lowest_m: float = 0.0) -> bool:
+    """Whether a copter could be sent there; False for NaN."""
+    near = ground_distance_m(target, HOME) <= _FARTHEST_M
+    return near and lowest_m <= target.altitude_m <= _HIGHEST_M
+
+
+def read_fault(text: str) -> VehicleFault:
+    """The fault in `KIND`, `KIND:FROM` or `KIND:FROM-TO`; UsageError for any other text."""
+    name, _, times = text.partition(":")
+    begin, _, end = times.partition("-")
+    try:
+        fault = VehicleFault(FaultKind(name), float(begin or 0), float(end or math.inf))
+    except ValueError:
+        fault = None
+    if fault is None or not 0 <= fault.begins_s < fault.ends_s:
+        kinds = ", ".join(FaultKind)
+        raise UsageError(
+            f'"{text}" is no fault; write one of {kinds}, with its time in seconds after boot if it does not '
+            "last for ever, such as link:30 or gps:60-90"
+        )
+    return fault

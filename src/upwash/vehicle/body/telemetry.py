@@ -1,0 +1,287 @@
+"""The reports of every stand-in. An autopilot adds its own reports and its own numbers in a subclass."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from functools import cache
+from typing import Any, ClassVar, Generic
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from upwash.core.geo import Position
+from upwash.vehicle.body.copter import HOME
+from upwash.vehicle.body.firmware import AnyCopter, Message, Report
+
+_ONLY_POSITION, _NO_POSITION = 0b110111111000, 0b110000000111
+_UNKNOWN_MV = 0xFFFF
+
+
+def made(kind: Any, **fields: Any) -> Message:
+    """A message of that kind with those fields; all others are 0."""
+    return kind(**_zeros(kind) | fields)
+
+
+@cache
+def _zeros(kind: Any) -> dict[str, Any]:
+    lengths = zip(kind.ordered_fieldnames, kind.array_lengths, strict=True)
+    return {name: [0] * length or 0 for name, length in lengths}
+
+
+def degrees_e7(degrees: float) -> int:
+    """Degrees as messages hold them."""
+    return round(degrees * 1e7)
+
+
+class Telemetry(ABC, Generic[AnyCopter]):
+    """What it reports, message by message. A report that is None is not known yet."""
+
+    drawn, consumed = -1, -1  # from the battery, as messages hold it: not known
+    throttle_percent: ClassVar[int]  # in flight
+    vtol_state: ClassVar[int]
+    frame_of_targets: ClassVar[int]
+    capabilities: ClassVar[int]
+
+    def __init__(self, copter: AnyCopter) -> None:
+        self.copter = copter
+
+    def reports(self) -> dict[float, Report]:
+        """The reports that can be asked for, by message number."""
+        return {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat,
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: self.sys_status,
+            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self.system_time,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self.gps_raw,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE: self.attitude,
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self.local_position,
+            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self.global_position,
+            mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: self.mission_current,
+            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self.gps_global_origin,
+            mavlink.MAVLINK_MSG_ID_VFR_HUD: self.vfr_hud,
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: self.position_target,
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: self.position_target_local,
+            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: self.battery_status,
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self.autopilot_version,
+            mavlink.MAVLINK_MSG_ID_HOME_POSITION: self.home_position,
+            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self.extended_sys_state,
+        }
+
+    # --- what the autopilots tell differently ---------------------------------------------------------------
+
+    @abstractmethod
+    def heartbeat(self, now_s: float) -> Message | None:
+        """HEARTBEAT: the mode, and whether it is armed."""
+
+    @abstractmethod
+    def sensors(self, now_s: float) -> tuple[int, int, int]:
+        """The sensors that are present, enabled and healthy, as SYS_STATUS holds them."""
+
+    @abstractmethod
+    def receiver(self, now_s: float) -> dict[str, Any]:
+        """The fields of GPS_RAW_INT that depend on the receiver's fix."""
+
+    @abstractmethod
+    def unix_s(self, now_s: float) -> float:
+        """The time of day that its receiver tells, in seconds since 1970; 0 while it tells none."""
+
+    @abstractmethod
+    def has_origin(self, now_s: float) -> bool:
+        """Whether it has an origin to tell positions from."""
+
+    def charge_state(self, _now_s: float) -> int:
+        """MAV_BATTERY_CHARGE_STATE; 0 where it is not reported."""
+        return 0
+
+    # --- reports --------------------------------------------------------------------------------------------
+
+    def sys_status(self, now_s: float) -> Message:
+        """SYS_STATUS: the sensors and the battery."""
+        present, enabled, healthy = self.sensors(now_s)
+        return made(
+            mavlink.MAVLink_sys_status_message,
+            onboard_control_sensors_present=present,
+            onboard_control_sensors_enabled=enabled,
+            onboard_control_sensors_health=healthy,
+            load=100,
+            voltage_battery=round(self.copter.battery_v(now_s) * 1e3),
+            current_battery=self.drawn,
+            battery_remaining=math.floor(self.copter.battery_percent(now_s)),
+        )
+
+    def battery_status(self, now_s: float) -> Message:
+        """BATTERY_STATUS: the charge, and the voltage as that of one cell."""
+        return made(
+            mavlink.MAVLink_battery_status_message,
+            battery_function=mavlink.MAV_BATTERY_FUNCTION_ALL,
+            type=mavlink.MAV_BATTERY_TYPE_LIPO,
+            temperature=0x7FFF,
+            voltages=[round(self.copter.battery_v(now_s) * 1e3), *[_UNKNOWN_MV] * 9],
+            current_battery=self.drawn,
+            current_consumed=self.consumed,
+            energy_consumed=-1,
+            battery_remaining=math.floor(self.copter.battery_percent(now_s)),
+            charge_state=self.charge_state(now_s),
+        )
+
+    def system_time(self, now_s: float) -> Message:
+        """SYSTEM_TIME: the date, and the time since boot."""
+        return mavlink.MAVLink_system_time_message(round(self.unix_s(now_s) * 1e6), self.boot_ms(now_s))
+
+    def gps_raw(self, now_s: float) -> Message:
+        """GPS_RAW_INT: the receiver's fix."""
+        place, velocity = self.copter.position(now_s), self.copter.velocity(now_s)
+        geo = self.copter.frame.geo(place)
+        fields = {
+            "time_usec": self.boot_us(now_s),
+            "lat": degrees_e7(geo.latitude_deg),
+            "lon": degrees_e7(geo.longitude_deg),
+            "alt": self.above_sea_mm(place),
+            "vel": round(math.hypot(velocity.east_m_s, velocity.north_m_s) * 100),
+        }
+        return made(mavlink.MAVLink_gps_raw_int_message, **fields | self.receiver(now_s))
+
+    def attitude(self, now_s: float) -> Message:
+        """ATTITUDE: always level, nose ahead."""
+        yaw = math.remainder(math.radians(self.copter.heading_deg(now_s)), math.tau)
+        return made(mavlink.MAVLink_attitude_message, time_boot_ms=self.boot_ms(now_s), yaw=yaw)
+
+    def local_position(self, now_s: float) -> Message | None:
+        """LOCAL_POSITION_NED: metres from where it was switched on."""
+        position, velocity = self.copter.position(now_s), self.copter.velocity(now_s)
+        return mavlink.MAVLink_local_position_ned_message(
+            self.boot_ms(now_s),
+            position.north_m,
+            position.east_m,
+            -position.altitude_m,
+            velocity.north_m_s,
+            velocity.east_m_s,
+            -velocity.up_m_s,
+        )
+
+    @abstractmethod
+    def global_position(self, now_s: float) -> Message | None:
+        """GLOBAL_POSITION_INT: place and velocity."""
+
+    def global_position_of(self, now_s: float, *, above_home_mm: int, known: bool) -> Message:
+        """GLOBAL_POSITION_INT with that height; latitude and longitude are 0 where they are not known."""
+        position, velocity = self.copter.position(now_s), self.copter.velocity(now_s)
+        geo = self.copter.frame.geo(position)
+        return mavlink.MAVLink_global_position_int_message(
+            time_boot_ms=self.boot_ms(now_s),
+            lat=degrees_e7(geo.latitude_deg) if known else 0,
+            lon=degrees_e7(geo.longitude_deg) if known else 0,
+            alt=self.above_sea_mm(position),
+            relative_alt=above_home_mm,
+            vx=round(velocity.north_m_s * 100),
+            vy=round(velocity.east_m_s * 100),
+            vz=round(-velocity.up_m_s * 100),
+            hdg=self.heading_cdeg(now_s),
+        )
+
+    def mission_current(self, _now_s: float) -> Message:
+        """MISSION_CURRENT: it has no mission."""
+        return mavlink.MAVLink_mission_current_message(0)
+
+    def gps_global_origin(self, now_s: float) -> Message | None:
+        """GPS_GLOBAL_ORIGIN: where local positions count from."""
+        home = self.copter.settings.home
+        if not self.has_origin(now_s):
+            return None
+        return mavlink.MAVLink_gps_global_origin_message(
+            degrees_e7(home.latitude_deg), degrees_e7(home.longitude_deg), self.above_sea_mm(HOME)
+        )
+
+    def home_position(self, now_s: float) -> Message | None:
+        """HOME_POSITION: where it returns to."""
+        return (
+            made(mavlink.MAVLink_home_position_message, q=[1, 0, 0, 0], **self.home(now_s))
+            if self.has_origin(now_s)
+            else None
+        )
+
+    @abstractmethod
+    def home(self, now_s: float) -> dict[str, int]:
+        """The fields of HOME_POSITION."""
+
+    def vfr_hud(self, now_s: float) -> Message:
+        """VFR_HUD: speeds, heading and height, as a pilot reads them."""
+        velocity = self.copter.velocity(now_s)
+        ground_m_s = math.hypot(velocity.east_m_s, velocity.north_m_s)
+        return mavlink.MAVLink_vfr_hud_message(
+            ground_m_s,
+            ground_m_s,
+            round(self.copter.heading_deg(now_s)) % 360,
+            self.throttle_percent if self.copter.flying(now_s) else 0,
+            self.above_sea_mm(self.copter.position(now_s)) / 1e3,
+            velocity.up_m_s,
+        )
+
+    def position_target(self, now_s: float) -> Message | None:
+        """POSITION_TARGET_GLOBAL_INT: the target in force."""
+        target = self.copter.target(now_s)
+        if target is None:
+            return None
+        geo = self.copter.frame.geo(target)
+        return made(
+            mavlink.MAVLink_position_target_global_int_message,
+            time_boot_ms=self.boot_ms(now_s),
+            coordinate_frame=self.frame_of_targets,
+            type_mask=_ONLY_POSITION,
+            lat_int=degrees_e7(geo.latitude_deg),
+            lon_int=degrees_e7(geo.longitude_deg),
+            alt=self.above_sea_mm(target) / 1e3,
+        )
+
+    def position_target_local(self, now_s: float) -> Message | None:
+        """POSITION_TARGET_LOCAL_NED: the target in force, in metres."""
+        target = self.copter.target(now_s)
+        return None if target is None else self.local_target(now_s, target)
+
+    def local_target(self, now_s: float, target: Position | None) -> Message:
+        """POSITION_TARGET_LOCAL_NED; without a target, that it follows a velocity, of 0."""
+        place = target or HOME
+        return made(
+            mavlink.MAVLink_position_target_local_ned_message,
+            time_boot_ms=self.boot_ms(now_s),
+            coordinate_frame=mavlink.MAV_FRAME_LOCAL_NED,
+            type_mask=_NO_POSITION if target is None else _ONLY_POSITION,
+            x=place.north_m,
+            y=place.east_m,
+            z=-place.altitude_m,
+        )
+
+    def extended_sys_state(self, now_s: float) -> Message:
+        """EXTENDED_SYS_STATE: on the ground, in the air, or between."""
+        return mavlink.MAVLink_extended_sys_state_message(self.vtol_state, self.copter.landed_state(now_s))
+
+    def autopilot_version(self, _now_s: float) -> Message:
+        """AUTOPILOT_VERSION: the firmware's version and capabilities."""
+        return made(
+            mavlink.MAVLink_autopilot_version_message,
+            capabilities=self.capabilities,
+            flight_sw_version=self.copter.settings.version.number,
+            uid=1,
+            **self.build(),
+        )
+
+    def build(self) -> dict[str, int]:
+        """Further fields of AUTOPILOT_VERSION."""
+        return {}
+
+    # --- as messages hold it --------------------------------------------------------------------------------
+
+    def boot_ms(self, now_s: float) -> int:
+        """The time since boot, in milliseconds."""
+        return round(self.copter.uptime_s(now_s) * 1e3) % 2**32
+
+    def boot_us(self, now_s: float) -> int:
+        """The time since boot, in microseconds."""
+        return round(self.copter.uptime_s(now_s) * 1e6)
+
+    def above_sea_mm(self, position: Position) -> int:
+        """The altitude of a position above the sea, in millimetres."""
+        return round((self.copter.settings.home_altitude_m + position.altitude_m) * 1e3)
+
+    def heading_cdeg(self, now_s: float) -> int:
+        """The direction of its nose, in hundredths of a degree."""
+        return round(self.copter.heading_deg(now_s) * 100) % 36_000
